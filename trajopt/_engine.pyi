@@ -83,6 +83,23 @@ class Nlp:
     def timings(self) -> dict[str, tuple[float, int]]:
         """Seconds and evaluations of value, first and second since the last solve began."""
 
+def solve_kkt(
+    n_x: int,
+    n_equal: int,
+    n_unequal: int,
+    stage: Indices,
+    row: Indices,
+    column: Indices,
+    value: Reals,
+    rhs: Reals,
+) -> tuple[Reals, int] | None:
+    """Solve a KKT system stage by stage; None where it is singular.
+
+    Unknowns: n_x variables, slacks of n_unequal rows, multipliers of n_equal rows, then of the n_unequal ones.
+    ``stage`` as in `solve_ipopt`; entries of one triangle. Returns the solution and the number of negative
+    eigenvalues.
+    """
+
 def solve_ipopt(
     nlp: Nlp,
     x0: Reals,
@@ -94,8 +111,12 @@ def solve_ipopt(
     callback: Callable[[dict[str, Any], Callable[[], Reals]], bool | None] | None,
     lam_g0: Reals | None = None,
     lam_x0: Reals | None = None,
+    stage: Indices | None = None,
 ) -> dict[str, Any]:
     """Solve with IPOPT; multipliers given make it a warm start.
+
+    ``stage`` of each variable, k of one of node k, -1 - k of one of stage k between nodes k and k + 1, has the
+    linear systems factorised stage by stage instead of by IPOPT's linear solver.
 
     The result has x, g, lam_g, lam_x (Lagrangian ``f + lam_g . g + lam_x . x``), f, primal, dual,
     complementarity (IPOPT's own, unscaled), max_violation (of rows and bounds, recomputed),

@@ -72,6 +72,9 @@ IPOPT_WARM_WITHOUT_MULTIPLIERS: dict[str, Option] = {
 # iterations where it succeeds, but sometimes stalls.
 FATROP_WARM: dict[str, Option] = {"mu_init": 1e-3, "bound_push": 3e-3, "bound_frac": 3e-3}
 
+# IPOPT's option, and its value for the engine's factorisation stage by stage.
+LINEAR_SOLVER, STAGES = "linear_solver", "stages"
+
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Solved_To_Acceptable_Level": Status.STEP_FAILED,
@@ -112,8 +115,14 @@ def _ipopt(
         "max_wall_time": stop.max_time,
         **options,
     }
+    stage = None
+    if chosen.get(LINEAR_SOLVER) == STAGES:
+        if nlp.hessian == LIMITED_MEMORY:
+            raise ValueError(f"{LINEAR_SOLVER}={STAGES} has no place for a Hessian of gradients")
+        del chosen[LINEAR_SOLVER]
+        stage = t.layout.stage_numbers
     raw = _engine.solve_ipopt(
-        nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback, lam_g, lam_x
+        nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback, lam_g, lam_x, stage
     )
     if raw["status"] == "Invalid_Option":
         raise ValueError(

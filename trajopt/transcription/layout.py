@@ -155,6 +155,14 @@ class Layout:
         """Number of variables."""
         return int(self.node_offset[-1]) + self.forms[-1].size
 
+    @cached_property
+    def stage_numbers(self) -> np.ndarray:
+        """Stage of each variable (n_unknowns,): k of one of node k, -1 - k of a control of stage k."""
+        sizes = [(self.forms[k].size, self.n_control(k)) for k in range(self.n_stages)]
+        numbers = [(k, -1 - k) for k in range(self.n_stages)]
+        counts = [*np.ravel(sizes).astype(int), self.forms[-1].size]
+        return np.repeat([*np.ravel(numbers).astype(int), self.n_stages], counts).astype(np.int32)
+
     def node(self, k: int) -> slice:
         """Variables of node k."""
         start = int(self.node_offset[k])

@@ -3,12 +3,14 @@
 #include <IpIpoptData.hpp>
 #include <IpSolveStatistics.hpp>
 #include <IpTNLP.hpp>
+#include <IpTNLPAdapter.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
 #include "solve.hpp"
+#include "stage_solver.hpp"
 
 namespace trajopt {
 
@@ -179,7 +181,7 @@ void take_statistics(Outcome& outcome, Ipopt::IpoptApplication& application) {
 }  // namespace
 
 Outcome solve_ipopt(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Options& options, const Callback& callback,
-                    const Multipliers& multipliers) {
+                    const Multipliers& multipliers, const Indices& stage) {
   use_one_blas_thread();
   nlp.reset_timings();
   const auto start = std::chrono::steady_clock::now();
@@ -192,7 +194,13 @@ Outcome solve_ipopt(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Optio
       throw std::invalid_argument("option '" + name + "' is unknown or its value is not allowed");
   Ipopt::SmartPtr<Adapter> adapter = new Adapter(nlp, x0, bounds, callback, multipliers);
   Ipopt::ApplicationReturnStatus status = application->Initialize("");
-  if (status == Ipopt::Solve_Succeeded) status = application->OptimizeTNLP(adapter);
+  if (status == Ipopt::Solve_Succeeded && stage.empty()) {
+    status = application->OptimizeTNLP(adapter);
+  } else if (status == Ipopt::Solve_Succeeded) {
+    Ipopt::SmartPtr<Ipopt::AlgorithmBuilder> builder = stage_builder(stage, bounds);
+    const Ipopt::SmartPtr<const Ipopt::Journalist> journalist = GetRawPtr(application->Jnlst());
+    status = application->OptimizeNLP(new Ipopt::TNLPAdapter(GetRawPtr(adapter), journalist), builder);
+  }
   Outcome outcome = std::move(adapter->outcome);
   outcome.status = status_name(status);
   take_statistics(outcome, *application);

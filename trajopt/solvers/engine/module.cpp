@@ -13,6 +13,7 @@
 
 #include "read.hpp"
 #include "solve.hpp"
+#include "stage_kkt.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -162,23 +163,47 @@ void bind_nlp(nb::module_& module) {
       .def("timings", &timings);
 }
 
+// The solution of a KKT system and its number of negative eigenvalues; nothing where it is singular.
+std::optional<std::pair<Output, int>> solve_kkt(int n_x, int n_equal, int n_unequal, const IndexArray& stage,
+                                                const IndexArray& row, const IndexArray& column,
+                                                const RealArray& value, const RealArray& rhs) {
+  const KktSizes sizes{n_x, n_equal, n_unequal};
+  require(static_cast<int>(stage.size()) == n_x, "stage has a wrong size");
+  require(static_cast<int>(rhs.size()) == sizes.all(), "rhs has a wrong size");
+  require(row.size() == value.size() && column.size() == value.size(), "entries have different sizes");
+  std::vector<KktEntry> entries;
+  for (std::size_t e = 0; e < value.size(); ++e)
+    entries.push_back({static_cast<std::int64_t>(e), row.data()[e], column.data()[e]});
+  StageKkt kkt(sizes, indices(stage), entries);
+  if (!kkt.factorize(value.data())) return std::nullopt;
+  Reals solution = reals(rhs);
+  kkt.solve(solution.data());
+  return std::make_pair(to_numpy(solution), kkt.negative_eigenvalues());
+}
+
 void bind_solvers(nb::module_& module) {
+  module.def("solve_kkt", &solve_kkt, "n_x"_a, "n_equal"_a, "n_unequal"_a, "stage"_a, "row"_a, "column"_a, "value"_a,
+             "rhs"_a);
   module.def(
       "solve_ipopt",
       [](Nlp& nlp, const RealArray& x0, const RealArray& lbx, const RealArray& ubx, const RealArray& lbg,
          const RealArray& ubg, const Options& options, nb::object callback, std::optional<RealArray> lam_g0,
-         std::optional<RealArray> lam_x0) {
+         std::optional<RealArray> lam_x0, std::optional<IndexArray> stage) {
         point(nlp, x0);
         const Bounds bounds = to_bounds(nlp, lbx, ubx, lbg, ubg);
         const Reals start = reals(x0);
         const Multipliers multipliers{given(lam_g0, nlp.problem().n_g, "lam_g0"),
                                       given(lam_x0, nlp.problem().n_x, "lam_x0")};
+        const Indices stages = stage ? indices(*stage) : Indices();
+        if (stage && stages.size() != start.size())
+          throw std::invalid_argument("stage has " + std::to_string(stages.size()) + " entries, not " +
+                                      std::to_string(start.size()));
         return solve(nlp, std::move(callback), [&](const Callback& call) {
-          return solve_ipopt(nlp, start, bounds, options, call, multipliers);
+          return solve_ipopt(nlp, start, bounds, options, call, multipliers, stages);
         });
       },
       "nlp"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a, "callback"_a.none(),
-      "lam_g0"_a = nb::none(), "lam_x0"_a = nb::none());
+      "lam_g0"_a = nb::none(), "lam_x0"_a = nb::none(), "stage"_a = nb::none());
   module.def(
       "solve_fatrop",
       [](Nlp& nlp, const IndexArray& nx, const IndexArray& nu, const IndexArray& ng, const RealArray& x0,

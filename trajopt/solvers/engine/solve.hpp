@@ -53,8 +53,9 @@ void use_one_blas_thread();
 
 bool all_finite(const Reals& values);
 
+// stage: of each variable, for the linear systems, as in `StageKkt`; empty for IPOPT's own linear solver.
 Outcome solve_ipopt(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Options& options, const Callback& callback,
-                    const Multipliers& multipliers);
+                    const Multipliers& multipliers, const Indices& stage);
 
 // Sizes of the stages: states, controls, path rows; gap rows come first in each stage.
 struct Stages {

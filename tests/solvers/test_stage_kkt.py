@@ -1,0 +1,208 @@
+"""KKT systems stage by stage: solutions and inertia of random ones are those of a dense solver; whole solves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from trajopt import _engine
+from trajopt.errors import InputError
+from trajopt.solving.solving import solve
+from trajopt.transcription.transcription import transcribe
+from trajopt_library import problems
+
+# Residuals over the size of matrix and solution, after one refinement, as IPOPT does it.
+RESIDUAL = 1e-12
+SAME_OPTIMUM = 1e-5
+STAGES = {"linear_solver": "stages"}
+
+
+@dataclass
+class Random:
+    """A random KKT system in stages.
+
+    sizes: of nodes and controls in turn. gap: rows that join neighbouring nodes; local: rows of a stage;
+    loop: rows that join the first and the last node. delta: regularisation of equalities.
+    """
+
+    seed: int = 0
+    node: int = 5
+    control: int = 7
+    n: int = 6
+    local: int = 4
+    unequal: int = 6
+    loop: int = 0
+    delta: float = 0.0
+    convex: float = 3.0
+    repeated: bool = False
+
+    def build(self):
+        rng = np.random.default_rng(self.seed)
+        sizes = [size for _ in range(self.n) for size in (self.node, self.control)] + [self.node]
+        numbers = [number for k in range(self.n) for number in (k, -1 - k)] + [self.n]
+        stage = np.repeat(numbers, sizes)
+        n_x = len(stage)
+
+        def of(*wanted):
+            return np.flatnonzero(np.isin(stage, wanted))
+
+        def rows(count, columns):
+            found = np.zeros((count, n_x))
+            found[:, columns] = rng.normal(size=(count, len(columns)))
+            return found
+
+        hessian = np.zeros((n_x, n_x))
+        equal, unequal = [np.zeros((0, n_x))], [np.zeros((0, n_x))]
+        for k in range(self.n):
+            own = of(k, -1 - k)
+            part = rng.normal(size=(len(own), len(own)))
+            hessian[np.ix_(own, own)] += part + part.T + 2 * self.convex * np.eye(len(own))
+            equal.append(rows(self.local, own))
+            gap = rows(self.node, own)
+            gap[:, of(k + 1)] = np.eye(self.node)
+            equal.append(gap)
+            unequal += [rows(self.unequal, own), rows(1, of(-1 - k)[:2])]
+        hessian[np.ix_(of(self.n), of(self.n))] += self.convex * np.eye(self.node)
+        if self.loop:
+            equal.append(rows(self.loop, of(0, self.n)))
+        if self.repeated:
+            equal.append(equal[1][:1])
+        return stage.astype(np.int32), hessian, np.vstack(equal), np.vstack(unequal), rng
+
+    def system(self):
+        stage, hessian, equal, unequal, rng = self.build()
+        n_x, n_c, n_d = len(stage), len(equal), len(unequal)
+        slacks = np.diag(10.0 ** rng.uniform(-8, 8, n_d))
+        matrix = np.block(
+            [
+                [hessian, np.zeros((n_x, n_d)), equal.T, unequal.T],
+                [np.zeros((n_d, n_x)), slacks, np.zeros((n_d, n_c)), -np.eye(n_d)],
+                [equal, np.zeros((n_c, n_d)), -self.delta * np.eye(n_c), np.zeros((n_c, n_d))],
+                [unequal, -np.eye(n_d), np.zeros((n_d, n_c)), -self.delta * np.eye(n_d)],
+            ]
+        )
+        return stage, n_c, n_d, matrix, rng.normal(size=len(matrix))
+
+
+def by_stages(stage, n_c, n_d, matrix, rhs):
+    row, column = np.nonzero(np.tril(matrix))
+    value = matrix[row, column]
+    return _engine.solve_kkt(
+        len(stage), n_c, n_d, stage, row.astype(np.int32), column.astype(np.int32), value, rhs
+    )
+
+
+def assert_solved(stage, n_c, n_d, matrix, rhs):
+    solution, negative = by_stages(stage, n_c, n_d, matrix, rhs)
+    solution = solution + by_stages(stage, n_c, n_d, matrix, rhs - matrix @ solution)[0]
+    scale = np.abs(matrix).max(axis=1) * np.abs(solution).max() + np.abs(rhs)
+    assert np.max(np.abs(matrix @ solution - rhs) / scale) <= RESIDUAL
+    root = 1 / np.sqrt(np.abs(matrix).max(axis=1))  # inertia does not change by scaling
+    assert negative == np.count_nonzero(np.linalg.eigvalsh(root[:, None] * matrix * root) < 0)
+
+
+SYSTEMS = {
+    "usual": Random(),
+    "another": Random(seed=1),
+    "one stage": Random(n=1),
+    "many stages": Random(n=40),
+    "wide": Random(node=37, control=60, local=36, unequal=40, n=4),
+    "indefinite": Random(convex=-1.0),
+    "regularised": Random(delta=1e-8),
+    "periodic": Random(loop=3),
+    "no rows but gaps": Random(local=0, unequal=0),
+    "no controls": Random(control=2, local=0, unequal=0),
+    "nodes with more rows than unknowns": Random(node=2, control=9, local=8, unequal=1),
+    "repeated rows, regularised": Random(repeated=True, delta=1e-6),
+}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_solutions_and_inertia_are_those_of_a_dense_solver(name):
+    assert_solved(*SYSTEMS[name].system())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_periodic_indefinite_systems_are_solved(seed):
+    assert_solved(*Random(seed=seed, loop=4, convex=0.0, n=9).system())
+
+
+def test_first_node_may_have_no_unknowns():
+    stage, n_c, n_d, matrix, rhs = Random().system()
+    kept = np.concatenate([stage != 0, np.ones(len(matrix) - len(stage), bool)])
+    assert_solved(stage[stage != 0], n_c, n_d, matrix[np.ix_(kept, kept)], rhs[kept])
+
+
+def test_rows_of_the_last_node_alone_are_solved_together_with_what_is_before_it():
+    stage, n_c, n_d, matrix, rhs = Random(control=12).system()
+    fixed = np.zeros((3, len(matrix)))
+    fixed[:, np.flatnonzero(stage == stage.max())[:3]] = np.eye(3)
+    at = len(stage) + n_d
+    grown = np.insert(np.insert(matrix, [at] * 3, fixed, axis=0), [at] * 3, 0.0, axis=1)
+    grown[:, at : at + 3] = grown[at : at + 3].T
+    assert_solved(stage, n_c + 3, n_d, grown, np.insert(rhs, at, np.zeros(3)))
+
+
+def test_exactly_dependent_rows_are_singular():
+    stage, n_c, n_d, matrix, rhs = Random().system()
+    at = len(stage) + n_d
+    matrix[at], matrix[:, at] = 0.0, 0.0
+    assert by_stages(stage, n_c, n_d, matrix, rhs) is None
+
+
+def test_sizes_that_do_not_fit_are_refused():
+    stage, n_c, n_d, matrix, rhs = Random().system()
+    with pytest.raises(ValueError, match="rhs has a wrong size"):
+        by_stages(stage[:-1], n_c, n_d, matrix, rhs)
+    with pytest.raises(ValueError, match="a slack is coupled with a variable"):
+        by_stages(np.append(stage, [0, 0]).astype(np.int32), n_c, n_d - 1, matrix, rhs)
+    with pytest.raises(ValueError, match="a multiplier is coupled with another"):
+        by_stages(stage[:-1], n_c + 1, n_d, matrix, rhs)
+
+
+def test_every_variable_has_the_number_of_its_node_or_stage():
+    layout = transcribe(problems.load("hopper-gait")).layout
+    numbers = layout.stage_numbers
+    assert numbers.shape == (layout.n_unknowns,)
+    for k in range(layout.n_stages):
+        node, window = layout.node(k), layout.window(k)
+        assert set(numbers[node]) == {k}
+        assert set(numbers[node.stop : window.stop]) <= {-1 - k}
+    assert set(numbers[layout.node(layout.n_stages)]) == {layout.n_stages}
+
+
+CASES = {
+    "hop": ("hopper-hop", {}),
+    "periodic gait with impacts": ("hopper-gait", {}),
+    "least time": ("arm-transfer", {"robot": "z1", "goal": "time"}),
+    "trot": ("quadruped-trot", {"robot": "solo12"}),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", CASES)
+def test_solves_reach_the_optimum_of_ipopts_own_linear_solver(name):
+    family, values = CASES[name]
+    own, usual = (
+        solve(problems.load(family, **values), compile="none", judge=False, options=options)
+        for options in (STAGES, {})
+    )
+    assert own.converged
+    assert own.meta["iterations"] <= 1.5 * usual.meta["iterations"]
+    assert_allclose(own.meta["objective"], usual.meta["objective"], rtol=SAME_OPTIMUM)
+
+
+def test_fewer_free_variables_than_rows_still_end():
+    found = solve(
+        problems.load("ur5-reach", duration=0.05), intervals=1, transcription="legendre:1", compile="none",
+        judge=False, options=STAGES,
+    )  # fmt: skip
+    assert not found.converged
+
+
+def test_hessian_of_gradients_is_refused():
+    with pytest.raises(InputError, match="linear_solver=stages"):
+        solve(problems.load("ur5-reach"), hessian="limited-memory", compile="none", options=STAGES)
