@@ -95,7 +95,7 @@ def solve_kkt(
 ) -> tuple[Reals, int] | None:
     """Solve a KKT system stage by stage; None where it is singular.
 
-    Unknowns: n_x variables, slacks of n_unequal rows, multipliers of n_equal rows, then of the n_unequal ones.
+    Unknowns: n_x variables, slacks of n_unequal rows, multipliers of n_equal rows, then of the n_unequal.
     ``stage`` as in `solve_ipopt`; entries of one triangle. Returns the solution and the number of negative
     eigenvalues.
     """
@@ -115,8 +115,8 @@ def solve_ipopt(
 ) -> dict[str, Any]:
     """Solve with IPOPT; multipliers given make it a warm start.
 
-    ``stage`` of each variable, k of one of node k, -1 - k of one of stage k between nodes k and k + 1, has the
-    linear systems factorised stage by stage instead of by IPOPT's linear solver.
+    ``stage`` of each variable, k of one of node k, -1 - k of one of stage k between nodes k and k + 1, has
+    the linear systems factorised stage by stage instead of by IPOPT's linear solver.
 
     The result has x, g, lam_g, lam_x (Lagrangian ``f + lam_g . g + lam_x . x``), f, primal, dual,
     complementarity (IPOPT's own, unscaled), max_violation (of rows and bounds, recomputed),

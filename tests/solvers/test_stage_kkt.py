@@ -1,4 +1,4 @@
-"""KKT systems stage by stage: solutions and inertia of random ones are those of a dense solver; whole solves."""
+"""KKT systems stage by stage: random ones have the solutions and inertia of a dense solver; whole solves."""
 
 from __future__ import annotations
 
