@@ -158,10 +158,11 @@ class Layout:
     @cached_property
     def stage_numbers(self) -> np.ndarray:
         """Stage of each variable (n_unknowns,): k of one of node k, -1 - k of a control of stage k."""
-        sizes = [(self.forms[k].size, self.n_control(k)) for k in range(self.n_stages)]
-        numbers = [(k, -1 - k) for k in range(self.n_stages)]
-        counts = [*np.ravel(sizes).astype(int), self.forms[-1].size]
-        return np.repeat([*np.ravel(numbers).astype(int), self.n_stages], counts).astype(np.int32)
+        numbers = np.full(self.n_unknowns, self.n_stages, dtype=np.int32)
+        for k in range(self.n_stages):
+            numbers[self.window(k)] = -1 - k
+            numbers[self.node(k)] = k
+        return numbers
 
     def node(self, k: int) -> slice:
         """Variables of node k."""

@@ -3,7 +3,9 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
-#include <stdexcept>
+#include <string>
+
+#include "require.hpp"
 
 namespace trajopt {
 
@@ -13,10 +15,6 @@ constexpr double kInfinite = 1e19;  // IPOPT's convention: a bound of this size 
 
 double open_if_infinite(double bound) {
   return std::abs(bound) < kInfinite ? bound : std::copysign(std::numeric_limits<double>::infinity(), bound);
-}
-
-void require(bool condition, const std::string& message) {
-  if (!condition) throw std::invalid_argument(message);
 }
 
 void check_sizes(const Problem& problem, const Stages& stages) {

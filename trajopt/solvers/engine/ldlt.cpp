@@ -85,11 +85,10 @@ TRAJOPT_DISPATCHED void updated(Panel& p, int k, int first, int done, int from, 
   }
 }
 
-// Exchanges places x < y; columns from `pending` on are not yet eliminated, work columns up to `width` in use.
-void exchange(Panel& p, int x, int y, int pending, int width, std::vector<int>& order) {
+// Exchanges places x <= y, in `width` columns of the work, too.
+void exchange(Panel& p, int x, int y, int width, std::vector<int>& order) {
   if (x == y) return;
-  for (int c = 0; c < pending; ++c) std::swap(p.column(c)[x], p.column(c)[y]);
-  for (int c = pending; c < x; ++c) std::swap(p.column(c)[x], p.column(c)[y]);
+  for (int c = 0; c < x; ++c) std::swap(p.column(c)[x], p.column(c)[y]);
   for (int i = x + 1; i < y; ++i) std::swap(p.column(x)[i], p.column(i)[y]);
   for (int i = y + 1; i < p.n; ++i) std::swap(p.column(x)[i], p.column(y)[i]);
   std::swap(p.column(x)[x], p.column(y)[y]);
@@ -175,7 +174,7 @@ void eliminate(double* a, int n, int ld, int candidates, Pivots& pivots) {
       const int r = k + 1 < limit ? largest(w, k + 1, limit) : k;
       const double most = k + 1 < limit ? std::abs(w[r]) : 0.0;
       if (!(std::max(own, most) > kNone)) {  // no pivot: to the end, to be left
-        if (k != limit - 1) exchange(p, k, limit - 1, k, done, pivots.order);
+        exchange(p, k, limit - 1, done, pivots.order);
         --limit;
         continue;
       }
@@ -186,13 +185,13 @@ void eliminate(double* a, int n, int ld, int candidates, Pivots& pivots) {
         double other = 0;
         for (int i = k; i < limit; ++i)
           if (i != r) other = std::max(other, std::abs(v[i]));
-        if (own >= kAlpha * most * (most / other)) {
-        } else if (std::abs(v[r]) >= kAlpha * other) {
+        const bool first_will_do = own >= kAlpha * most * (most / other);
+        if (!first_will_do && std::abs(v[r]) >= kAlpha * other) {
           std::copy(v + k, v + n, w + k);
-          exchange(p, k, r, k, done + 1, pivots.order);
-        } else {
+          exchange(p, k, r, done + 1, pivots.order);
+        } else if (!first_will_do) {
           width = 2;
-          exchange(p, k + 1, r, k, done + 2, pivots.order);
+          exchange(p, k + 1, r, done + 2, pivots.order);
         }
       }
       if (width == 1) {
@@ -201,7 +200,6 @@ void eliminate(double* a, int n, int ld, int candidates, Pivots& pivots) {
         pivots.negative += pivot < 0;
         double* left = p.column(k);
         for (int i = k + 1; i < n; ++i) left[i] = w[i] / pivot;
-        std::fill(w + first, w + k + 1, 0.0);
       } else {
         double* v = p.work(done + 1);
         const double d11 = w[k], d21 = w[k + 1], d22 = v[k + 1];

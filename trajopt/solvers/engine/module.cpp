@@ -195,9 +195,7 @@ void bind_solvers(nb::module_& module) {
         const Multipliers multipliers{given(lam_g0, nlp.problem().n_g, "lam_g0"),
                                       given(lam_x0, nlp.problem().n_x, "lam_x0")};
         const Indices stages = stage ? indices(*stage) : Indices();
-        if (stage && stages.size() != start.size())
-          throw std::invalid_argument("stage has " + std::to_string(stages.size()) + " entries, not " +
-                                      std::to_string(start.size()));
+        require(!stage || stages.size() == start.size(), "stage has a wrong size");
         return solve(nlp, std::move(callback), [&](const Callback& call) {
           return solve_ipopt(nlp, start, bounds, options, call, multipliers, stages);
         });

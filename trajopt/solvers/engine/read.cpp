@@ -158,10 +158,6 @@ void read_groups(const nb::kwargs& given, Problem& problem) {
 
 }  // namespace
 
-void require(bool condition, const std::string& message) {
-  if (!condition) throw std::invalid_argument(message);
-}
-
 Reals reals(const RealArray& array) { return Reals(array.data(), array.data() + array.size()); }
 
 Indices indices(const IndexArray& array) { return Indices(array.data(), array.data() + array.size()); }

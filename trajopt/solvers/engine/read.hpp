@@ -7,14 +7,12 @@
 #include <string>
 
 #include "engine.hpp"
+#include "require.hpp"
 
 namespace trajopt {
 
 using RealArray = nanobind::ndarray<const double, nanobind::c_contig, nanobind::device::cpu>;
 using IndexArray = nanobind::ndarray<const int, nanobind::c_contig, nanobind::device::cpu>;
-
-// Throws std::invalid_argument (Python's ValueError) with this message unless the condition holds.
-void require(bool condition, const std::string& message);
 
 Reals reals(const RealArray& array);
 Indices indices(const IndexArray& array);

@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <set>
-#include <stdexcept>
+
+#include "require.hpp"
 
 namespace trajopt {
 
@@ -10,10 +11,6 @@ namespace {
 
 // Rows with more entries are condensed together, by a product of matrices.
 constexpr int kFew = 12;
-
-void require(bool holds, const char* what) {
-  if (!holds) throw std::invalid_argument(what);
-}
 
 double sum(const std::vector<std::int64_t>& sources, const double* values) {
   double total = 0;
@@ -89,6 +86,7 @@ std::vector<int> StageKkt::fronts_of(const std::vector<int>& stage, const std::v
 // Unknowns of each front, those of later fronts that they are coupled with, and the front's parent: that of the
 // first of these.
 void StageKkt::find_borders(const std::vector<int>& front, const std::vector<KktEntry>& coupled) {
+  const int n_fronts = static_cast<int>(fronts_.size());
   std::vector<int> place(front.size());
   for (std::size_t i = 0; i < front.size(); ++i) {
     if (front[i] < 0) continue;
@@ -101,11 +99,11 @@ void StageKkt::find_borders(const std::vector<int>& front, const std::vector<Kkt
     if (front[i] != front[j]) border[std::min(front[i], front[j])].insert(front[i] < front[j] ? j : i);
   };
   for (const KktEntry& entry : coupled) couple(entry.row, entry.column);
-  for (const Inequality& own : inequalities_) {
-    int first = static_cast<int>(fronts_.size());
-    for (const Term& term : own.terms) first = std::min(first, front[term.variable]);
+  for (Inequality& own : inequalities_) {
+    own.front = n_fronts;
+    for (const Term& term : own.terms) own.front = std::min(own.front, front[term.variable]);
     for (const Term& term : own.terms)
-      if (front[term.variable] != first) border[first].insert(term.variable);
+      if (front[term.variable] != own.front) border[own.front].insert(term.variable);
   }
   for (std::size_t f = 0; f < fronts_.size(); ++f) {
     Front& own = fronts_[f];
@@ -125,11 +123,8 @@ void StageKkt::place_entries(const std::vector<int>& front, const std::vector<Kk
   std::vector<std::vector<KktEntry>> entries(fronts_.size());
   for (const KktEntry& entry : coupled) entries[std::min(front[entry.row], front[entry.column])].push_back(entry);
   std::vector<std::vector<int>> rows(fronts_.size());
-  for (int row = 0; row < sizes_.n_unequal; ++row) {
-    int first = static_cast<int>(fronts_.size());
-    for (const Term& term : inequalities_[row].terms) first = std::min(first, front[term.variable]);
-    if (first < static_cast<int>(fronts_.size())) rows[first].push_back(row);
-  }
+  for (int row = 0; row < sizes_.n_unequal; ++row)
+    if (!inequalities_[row].terms.empty()) rows[inequalities_[row].front].push_back(row);
   std::vector<int> place(front.size());
   for (std::size_t f = 0; f < fronts_.size(); ++f) {
     Front& own = fronts_[f];
@@ -150,12 +145,6 @@ void StageKkt::place_entries(const std::vector<int>& front, const std::vector<Kk
   }
 }
 
-int StageKkt::Front::unknown(int place) const {
-  if (place >= candidates()) return border[place - candidates()];
-  const int at = pivots.order[place], n_late = static_cast<int>(late.size());
-  return at < n_late ? late[at] : own[at - n_late];
-}
-
 bool StageKkt::factorize(const double* values) {
   values_ = values;
   negative_ = sizes_.n_unequal;  // one of each slack and its multiplier
@@ -167,6 +156,11 @@ bool StageKkt::factorize(const double* values) {
   for (Front& front : fronts_) {
     assemble(front);
     eliminate(front.matrix.data(), front.n, front.ld, front.candidates(), front.pivots);
+    front.unknowns.clear();
+    const int n_late = static_cast<int>(front.late.size());
+    for (const int at : front.pivots.order)
+      front.unknowns.push_back(at < n_late ? front.late[at] : front.own[at - n_late]);
+    front.unknowns.insert(front.unknowns.end(), front.border.begin(), front.border.end());
     negative_ += front.pivots.negative;
     if (front.is_root && front.pivots.count < front.candidates()) return false;
   }
@@ -177,7 +171,7 @@ void StageKkt::assemble(Front& front) {
   front.late.clear();
   for (const int child : front.children) {
     const Front& own = fronts_[child];
-    for (int i = own.pivots.count; i < own.candidates(); ++i) front.late.push_back(own.unknown(i));
+    for (int i = own.pivots.count; i < own.candidates(); ++i) front.late.push_back(own.unknowns[i]);
   }
   const int shift = static_cast<int>(front.late.size());
   front.n = front.candidates() + static_cast<int>(front.border.size());
@@ -248,17 +242,17 @@ void StageKkt::solve(double* rhs) const {
   static thread_local std::vector<double> z;
   auto gather = [&](const Front& front) {
     z.assign(front.n + kPadding, 0.0);
-    for (int i = 0; i < front.n; ++i) z[i] = rhs[front.unknown(i)];
+    for (int i = 0; i < front.n; ++i) z[i] = rhs[front.unknowns[i]];
   };
   for (const Front& front : fronts_) {
     gather(front);
     substitute_forward(front.matrix.data(), front.n, front.ld, front.pivots, z.data());
-    for (int i = 0; i < front.n; ++i) rhs[front.unknown(i)] = z[i];
+    for (int i = 0; i < front.n; ++i) rhs[front.unknowns[i]] = z[i];
   }
   for (auto front = fronts_.rbegin(); front != fronts_.rend(); ++front) {
     gather(*front);
     substitute_backward(front->matrix.data(), front->n, front->ld, front->pivots, z.data());
-    for (int i = 0; i < front->pivots.count; ++i) rhs[front->unknown(i)] = z[i];
+    for (int i = 0; i < front->pivots.count; ++i) rhs[front->unknowns[i]] = z[i];
   }
   for (int i = 0; i < sizes_.n_unequal; ++i) {
     const Inequality& own = inequalities_[i];

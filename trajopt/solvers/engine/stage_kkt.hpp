@@ -46,6 +46,7 @@ class StageKkt {
   struct Inequality {
     std::vector<std::int64_t> s_sources, d_sources, link_sources;
     std::vector<Term> terms;
+    int front = 0;  // of its first variable to be eliminated
     double s = 0, d = 0, link = 0;
     double determinant() const { return s * d - link * link; }
   };
@@ -64,8 +65,8 @@ class StageKkt {
     int n = 0, ld = 0;
     std::vector<double> matrix;
     Pivots pivots;
+    std::vector<int> unknowns;            // at the places of the matrix after the elimination
     int candidates() const { return static_cast<int>(late.size() + own.size()); }
-    int unknown(int place) const;
   };
 
   void sort(const std::vector<KktEntry>& entries, std::vector<KktEntry>& coupled);
