@@ -20,7 +20,6 @@ typedef double Lane __attribute__((vector_size(64), aligned(8), may_alias));
 constexpr int kLane = 8;
 constexpr int kPanel = 16;
 const double kAlpha = (1 + std::sqrt(17.0)) / 8;
-constexpr double kNone = 1e-20;
 
 // Two lanes of rows times N columns.
 template <int N>
@@ -50,6 +49,7 @@ TRAJOPT_INLINE void strip(double* c, int ldc, const double* l, int ldl, const do
   for (int i = 0; i < rows; i += 2 * kLane) tile<N>(c + i, ldc, l + i, ldl, w, ldw, depth);
 }
 
+// Columns [first, first + done) of the matrix are the panel's part of L; the work has the same columns times D.
 struct Panel {
   double* a;
   int n, ld;
@@ -96,12 +96,130 @@ void exchange(Panel& p, int x, int y, int width, std::vector<int>& order) {
   std::swap(order[x], order[y]);
 }
 
+// The largest magnitude of the entries in [from, to).
+TRAJOPT_DISPATCHED double magnitude(const double* values, int from, int to) {
+  Lane most{};
+  int i = from;
+  for (; i + kLane <= to; i += kLane) {
+    const Lane entry = *reinterpret_cast<const Lane*>(values + i), opposite = -entry;
+    const Lane size = entry > opposite ? entry : opposite;
+    most = size > most ? size : most;
+  }
+  double found = 0;
+  for (int j = 0; j < kLane; ++j) found = std::max(found, most[j]);
+  for (; i < to; ++i) found = std::max(found, std::abs(values[i]));
+  return found;
+}
+
+// out = (first * one - second * other) from and to rows that may be rounded to whole lanes beyond the last.
+TRAJOPT_DISPATCHED void combine(double* out, const double* first, double one, const double* second, double other, int from,
+                                int to) {
+  for (int i = from; i < to; i += kLane)
+    *reinterpret_cast<Lane*>(out + i) = *reinterpret_cast<const Lane*>(first + i) * one -
+                                        *reinterpret_cast<const Lane*>(second + i) * other;
+}
+
+TRAJOPT_DISPATCHED void scale(double* out, const double* in, double factor, int from, int to) {
+  for (int i = from; i < to; i += kLane)
+    *reinterpret_cast<Lane*>(out + i) = *reinterpret_cast<const Lane*>(in + i) * factor;
+}
+
 int largest(const double* values, int from, int to) {
   int found = from;
   for (int i = from + 1; i < to; ++i)
     if (std::abs(values[i]) > std::abs(values[found])) found = i;
   return found;
 }
+
+// Eliminates the candidates of a matrix panel by panel.
+class Elimination {
+ public:
+  Elimination(Panel panel, const double* least, double threshold, int candidates, Pivots& pivots)
+      : p_(panel), least_(least), threshold_(threshold), limit_(candidates), pivots_(pivots) {}
+
+  // Passes over the candidates until all are eliminated or none is.
+  void run() {
+    const int candidates = limit_;
+    for (int before = -1; before < first_ && first_ < candidates;) {
+      before = first_;
+      for (limit_ = candidates; first_ < limit_;) eliminate_panel();
+    }
+    pivots_.count = first_;
+  }
+
+ private:
+  void eliminate_panel() {
+    done_ = 0;
+    while (done_ < kPanel && first_ + done_ < limit_) {
+      const int k = first_ + done_, width = choose(k);
+      if (width == 0 || !(width == 1 ? take_one(k) : take_two(k)))
+        exchange(p_, k, --limit_, done_, pivots_.order);
+      else
+        done_ += width;
+    }
+    const int next = first_ + done_, left = p_.n - next;
+    if (done_)
+      subtract_product(p_.column(next) + next, p_.ld, p_.column(first_) + next, p_.ld, p_.work(0) + next, p_.ldw, left, left,
+                       done_);
+    first_ = next;
+  }
+
+  // Brings the pivot to place k, and to k + 1 where it has two rows: their number, or 0 where there is none.
+  int choose(int k) {
+    updated(p_, k, first_, done_, k, done_);
+    double* w = p_.work(done_);
+    const double own = std::abs(w[k]), most = magnitude(w, k + 1, limit_);
+    if (!(std::max(own, most) > least_[pivots_.order[k]])) return 0;
+    if (own >= kAlpha * most) return 1;
+    const int r = largest(w, k + 1, limit_);
+    updated(p_, r, first_, done_, k, done_ + 1);
+    const double* v = p_.work(done_ + 1);
+    const double other = std::max(magnitude(v, k, r), magnitude(v, r + 1, limit_));
+    if (own >= kAlpha * most * (most / other)) return 1;
+    if (std::abs(v[r]) >= kAlpha * other) {
+      std::copy(v + k, v + p_.n, w + k);
+      exchange(p_, k, r, done_ + 1, pivots_.order);
+      return 1;
+    }
+    exchange(p_, k + 1, r, done_ + 2, pivots_.order);
+    return 2;
+  }
+
+  bool take_one(int k) {
+    const double *w = p_.work(done_), pivot = w[k];
+    if (!(std::abs(pivot) >= threshold_ * magnitude(w, limit_, p_.n))) return false;
+    pivots_.diagonal[k] = pivot;
+    pivots_.below[k] = 0;
+    pivots_.negative += pivot < 0;
+    scale(p_.column(k), w, 1 / pivot, k + 1, p_.n);
+    return true;
+  }
+
+  bool take_two(int k) {
+    const double *w = p_.work(done_), *v = p_.work(done_ + 1);
+    const double d11 = w[k], d21 = w[k + 1], d22 = v[k + 1];
+    // scaled by the off-diagonal entry, which is the largest
+    const double x = d22 / d21, y = d11 / d21, t = 1 / (x * y - 1), factor = t / d21;
+    const double beyond = magnitude(w, limit_, p_.n), across = magnitude(v, limit_, p_.n);
+    const double worst = std::max(std::abs(x) * beyond + across, std::abs(y) * across + beyond);
+    if (!(threshold_ * std::abs(factor) * worst <= 1)) return false;
+    pivots_.diagonal[k] = d11;
+    pivots_.below[k] = d21;
+    pivots_.diagonal[k + 1] = d22;
+    pivots_.below[k + 1] = 0;
+    pivots_.negative += x * y - 1 < 0 ? 1 : (d11 + d22 < 0 ? 2 : 0);
+    combine(p_.column(k), w, x * factor, v, factor, k + 2, p_.n);
+    combine(p_.column(k + 1), v, y * factor, w, factor, k + 2, p_.n);
+    p_.column(k)[k + 1] = 0;
+    return true;
+  }
+
+  Panel p_;
+  const double* least_;
+  double threshold_;
+  int first_ = 0, done_ = 0, limit_;
+  Pivots& pivots_;
+};
 
 }  // namespace
 
@@ -153,78 +271,16 @@ TRAJOPT_DISPATCHED void substitute_backward(const double* a, int n, int ld, cons
   }
 }
 
-void eliminate(double* a, int n, int ld, int candidates, Pivots& pivots) {
+void eliminate(double* a, int n, int ld, int candidates, const double* least, double threshold, Pivots& pivots) {
   static thread_local std::vector<double> work;
   const int ldw = n + kPadding;
   work.assign(static_cast<std::size_t>(ldw) * (kPanel + 2), 0.0);
-  Panel p{a, n, ld, work, ldw};
   pivots.order.resize(candidates);
   for (int i = 0; i < candidates; ++i) pivots.order[i] = i;
-  pivots.diagonal.assign(candidates, 0.0);
-  pivots.below.assign(candidates, 0.0);
+  pivots.diagonal.resize(candidates);
+  pivots.below.resize(candidates);
   pivots.negative = 0;
-  int first = 0, limit = candidates;
-  while (first < limit) {
-    int done = 0;
-    while (done < kPanel && first + done < limit) {
-      const int k = first + done;
-      updated(p, k, first, done, k, done);
-      double* w = p.work(done);
-      const double own = std::abs(w[k]);
-      const int r = k + 1 < limit ? largest(w, k + 1, limit) : k;
-      const double most = k + 1 < limit ? std::abs(w[r]) : 0.0;
-      if (!(std::max(own, most) > kNone)) {  // no pivot: to the end, to be left
-        exchange(p, k, limit - 1, done, pivots.order);
-        --limit;
-        continue;
-      }
-      int width = 1;
-      if (own < kAlpha * most) {
-        updated(p, r, first, done, k, done + 1);
-        double* v = p.work(done + 1);
-        double other = 0;
-        for (int i = k; i < limit; ++i)
-          if (i != r) other = std::max(other, std::abs(v[i]));
-        const bool first_will_do = own >= kAlpha * most * (most / other);
-        if (!first_will_do && std::abs(v[r]) >= kAlpha * other) {
-          std::copy(v + k, v + n, w + k);
-          exchange(p, k, r, done + 1, pivots.order);
-        } else if (!first_will_do) {
-          width = 2;
-          exchange(p, k + 1, r, done + 2, pivots.order);
-        }
-      }
-      if (width == 1) {
-        const double pivot = w[k];
-        pivots.diagonal[k] = pivot;
-        pivots.negative += pivot < 0;
-        double* left = p.column(k);
-        for (int i = k + 1; i < n; ++i) left[i] = w[i] / pivot;
-      } else {
-        double* v = p.work(done + 1);
-        const double d11 = w[k], d21 = w[k + 1], d22 = v[k + 1];
-        // scaled by the off-diagonal entry, which is the largest
-        const double x = d22 / d21, y = d11 / d21, t = 1 / (x * y - 1);
-        pivots.diagonal[k] = d11;
-        pivots.below[k] = d21;
-        pivots.diagonal[k + 1] = d22;
-        pivots.negative += x * y - 1 < 0 ? 1 : (d11 + d22 < 0 ? 2 : 0);
-        double *left = p.column(k), *right = p.column(k + 1);
-        for (int i = k + 2; i < n; ++i) {
-          left[i] = (x * w[i] - v[i]) * t / d21;
-          right[i] = (y * v[i] - w[i]) * t / d21;
-        }
-        left[k + 1] = 0;
-      }
-      done += width;
-    }
-    if (done == 0) break;
-    const int next = first + done;
-    subtract_product(p.column(next) + next, ld, p.column(first) + next, ld, p.work(0) + next, ldw, n - next, n - next,
-                     done);
-    first = next;
-  }
-  pivots.count = first;
+  Elimination({a, n, ld, work, ldw}, least, threshold, candidates, pivots).run();
 }
 
 }  // namespace trajopt

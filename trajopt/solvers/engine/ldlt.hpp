@@ -17,8 +17,10 @@ struct Pivots {
 };
 
 // Eliminates the first `candidates` rows and columns of the lower triangle `a` (n by n, leading dimension
-// ld >= n + kPadding) as far as they have pivots; columns of L, without its unit diagonal, take their place.
-void eliminate(double* a, int n, int ld, int candidates, Pivots& pivots);
+// ld >= n + kPadding) as far as they have pivots; columns of L, without its unit diagonal, take their place. A row
+// is left without a pivot where its entries among the candidates are not above its value of `least`, or where the
+// pivot would be smaller than `threshold` times an entry of a row that is not eliminated here.
+void eliminate(double* a, int n, int ld, int candidates, const double* least, double threshold, Pivots& pivots);
 
 // c -= l w^T on and below the diagonal: c is rows by columns, lower, of leading dimension ldc; l is rows by depth, w columns by
 // depth. Rows beyond the last and entries above the diagonal may be written.

@@ -1,6 +1,7 @@
 #include "stage_kkt.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <set>
 
 #include "require.hpp"
@@ -11,6 +12,10 @@ namespace {
 
 // Rows with more entries are condensed together, by a product of matrices.
 constexpr int kFew = 12;
+// Part of the largest entry of an unknown below which a pivot is rounding.
+constexpr double kRounding = 1e-15;
+// Least part of its column's entries that a pivot has, at first and at most.
+constexpr double kThreshold = 1e-8, kMostThreshold = 1e-2;
 
 double sum(const std::vector<std::int64_t>& sources, const double* values) {
   double total = 0;
@@ -21,7 +26,7 @@ double sum(const std::vector<std::int64_t>& sources, const double* values) {
 }  // namespace
 
 StageKkt::StageKkt(const KktSizes& sizes, const std::vector<int>& stage, const std::vector<KktEntry>& entries)
-    : sizes_(sizes), inequalities_(sizes.n_unequal) {
+    : sizes_(sizes), inequalities_(sizes.n_unequal), threshold_(kThreshold), least_(sizes.all()) {
   for (const int own : stage) n_stages_ = std::max(n_stages_, own < 0 ? -own : own);
   fronts_.resize(2 * n_stages_ + 1);
   std::vector<KktEntry> coupled;
@@ -153,18 +158,39 @@ bool StageKkt::factorize(const double* values) {
     own.d = sum(own.d_sources, values);
     own.link = sum(own.link_sources, values);
   }
+  find_least();
   for (Front& front : fronts_) {
     assemble(front);
-    eliminate(front.matrix.data(), front.n, front.ld, front.candidates(), front.pivots);
-    front.unknowns.clear();
-    const int n_late = static_cast<int>(front.late.size());
-    for (const int at : front.pivots.order)
-      front.unknowns.push_back(at < n_late ? front.late[at] : front.own[at - n_late]);
-    front.unknowns.insert(front.unknowns.end(), front.border.begin(), front.border.end());
+    std::vector<int>& unknowns = front.unknowns;
+    unknowns = front.late;
+    unknowns.insert(unknowns.end(), front.own.begin(), front.own.end());
+    floor_.clear();
+    for (const int i : unknowns) floor_.push_back(least_[i]);
+    eliminate(front.matrix.data(), front.n, front.ld, front.candidates(), floor_.data(), threshold_, front.pivots);
+    const std::vector<int> before = unknowns;
+    for (std::size_t i = 0; i < before.size(); ++i) unknowns[i] = before[front.pivots.order[i]];
+    unknowns.insert(unknowns.end(), front.border.begin(), front.border.end());
     negative_ += front.pivots.negative;
     if (front.is_root && front.pivots.count < front.candidates()) return false;
   }
   return true;
+}
+
+bool StageKkt::raise_threshold() {
+  if (threshold_ >= kMostThreshold) return false;
+  threshold_ = std::min(kMostThreshold, std::pow(threshold_, 0.75));
+  return true;
+}
+
+void StageKkt::find_least() {
+  std::fill(least_.begin(), least_.end(), 0.0);
+  for (const Front& front : fronts_)
+    for (const KktEntry& entry : front.entries) {
+      const double size = kRounding * std::abs(values_[entry.source]);
+      double &row = least_[front.initially(entry.row)], &column = least_[front.initially(entry.column)];
+      row = std::max(row, size);
+      column = std::max(column, size);
+    }
 }
 
 void StageKkt::assemble(Front& front) {

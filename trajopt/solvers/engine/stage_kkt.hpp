@@ -35,6 +35,8 @@ class StageKkt {
   // Values of the entries, which must stay where they are for `solve`. False for a matrix that is singular.
   bool factorize(const double* values);
   void solve(double* rhs) const;
+  // Pivots of at least a larger part of the entries of their columns; false where that is as large as is useful.
+  bool raise_threshold();
   int negative_eigenvalues() const { return negative_; }
 
  private:
@@ -66,6 +68,10 @@ class StageKkt {
     std::vector<double> matrix;
     Pivots pivots;
     std::vector<int> unknowns;            // at the places of the matrix after the elimination
+    int initially(int place) const {  // the unknown at this place, if the children leave none
+      const int n_own = static_cast<int>(own.size());
+      return place < n_own ? own[place] : border[place - n_own];
+    }
     int candidates() const { return static_cast<int>(late.size() + own.size()); }
   };
 
@@ -73,6 +79,7 @@ class StageKkt {
   std::vector<int> fronts_of(const std::vector<int>& stage, const std::vector<KktEntry>& coupled) const;
   void find_borders(const std::vector<int>& front, const std::vector<KktEntry>& coupled);
   void place_entries(const std::vector<int>& front, const std::vector<KktEntry>& coupled);
+  void find_least();
   void assemble(Front& front);
   void condense(Front& front) const;
   void add_children(Front& front) const;
@@ -82,6 +89,8 @@ class StageKkt {
   std::vector<Front> fronts_;
   std::vector<Inequality> inequalities_;
   const double* values_ = nullptr;
+  double threshold_;
+  std::vector<double> least_, floor_;  // pivots that count as zero: of all unknowns, and of a front's candidates
   int negative_ = 0;
 };
 

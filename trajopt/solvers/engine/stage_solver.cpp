@@ -4,6 +4,7 @@
 #include <IpTSymLinearSolver.hpp>
 
 #include <memory>
+#include <utility>
 
 #include "stage_kkt.hpp"
 
@@ -42,7 +43,7 @@ class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
 
   Ipopt::ESymSolverStatus MultiSolve(bool changed, const Index*, const Index*, Index count, Number* rhs,
                                      bool check_inertia, Index negative) override {
-    if (changed) {
+    if (changed || std::exchange(changed_, false)) {
       if (!kkt_->factorize(values_.data())) return Ipopt::SYMSOLVER_SINGULAR;
       if (check_inertia && kkt_->negative_eigenvalues() != negative) return Ipopt::SYMSOLVER_WRONG_INERTIA;
     }
@@ -51,7 +52,10 @@ class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
   }
 
   Index NumberOfNegEVals() const override { return kkt_->negative_eigenvalues(); }
-  bool IncreaseQuality() override { return false; }
+  bool IncreaseQuality() override {
+    changed_ = kkt_->raise_threshold();
+    return changed_;
+  }
   bool ProvidesInertia() const override { return true; }
   EMatrixFormat MatrixFormat() const override { return Triplet_Format; }
 
@@ -60,6 +64,7 @@ class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
   KktSizes sizes_;
   std::vector<double> values_;
   std::unique_ptr<StageKkt> kkt_;
+  bool changed_ = false;  // pivots are chosen with another threshold than those of the last factorisation
 };
 
 class Builder : public Ipopt::AlgorithmBuilder {
