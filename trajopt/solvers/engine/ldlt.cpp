@@ -241,10 +241,10 @@ TRAJOPT_DISPATCHED void subtract_product(double* c, int ldc, const double* l, in
   }
 }
 
-TRAJOPT_DISPATCHED void substitute_forward(const double* a, int n, int ld, const Pivots& pivots, double* z) {
+TRAJOPT_DISPATCHED void substitute_forward(const double* l, int n, const Pivots& pivots, double* z) {
   for (int k = 0; k < pivots.count; ++k) {
-    const double *column = a + static_cast<std::ptrdiff_t>(k) * ld, factor = z[k];
-    subtract(z, column, factor, k + 1, n);
+    subtract(z + k + 1, l, z[k], 0, n - k - 1);
+    l += n - k - 1;
   }
   const std::vector<double>&d = pivots.diagonal, &e = pivots.below;
   for (int k = 0; k < pivots.count; ++k) {
@@ -259,15 +259,32 @@ TRAJOPT_DISPATCHED void substitute_forward(const double* a, int n, int ld, const
   }
 }
 
-TRAJOPT_DISPATCHED void substitute_backward(const double* a, int n, int ld, const Pivots& pivots, double* z) {
+TRAJOPT_DISPATCHED void substitute_backward(const double* l, int n, const Pivots& pivots, double* z) {
+  l += static_cast<std::ptrdiff_t>(pivots.count) * (2 * n - pivots.count - 1) / 2;
   for (int k = pivots.count; k-- > 0;) {
-    const double* column = a + static_cast<std::ptrdiff_t>(k) * ld;
+    const int below = n - k - 1;
+    l -= below;
     Lane sums{};
-    for (int i = k + 1; i < n; i += kLane)
-      sums += *reinterpret_cast<const Lane*>(column + i) * *reinterpret_cast<const Lane*>(z + i);
+    for (int i = 0; i < below; i += kLane)
+      sums += *reinterpret_cast<const Lane*>(l + i) * *reinterpret_cast<const Lane*>(z + k + 1 + i);
     double sum = 0;
     for (int j = 0; j < kLane; ++j) sum += sums[j];
     z[k] -= sum;
+  }
+}
+
+TRAJOPT_DISPATCHED void row_magnitudes(const double* a, int n, int ld, int columns, double* most) {
+  for (int j = 0; j < columns; ++j) {
+    const double* column = a + static_cast<std::ptrdiff_t>(j) * ld;
+    Lane found{};
+    for (int i = j; i < n; i += kLane) {
+      const Lane entry = *reinterpret_cast<const Lane*>(column + i), opposite = -entry;
+      const Lane size = entry > opposite ? entry : opposite;
+      Lane& seen = *reinterpret_cast<Lane*>(most + i);
+      seen = size > seen ? size : seen;
+      found = size > found ? size : found;
+    }
+    for (int i = 0; i < kLane; ++i) most[j] = std::max(most[j], found[i]);
   }
 }
 

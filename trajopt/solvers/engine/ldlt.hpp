@@ -27,8 +27,13 @@ void eliminate(double* a, int n, int ld, int candidates, const double* least, do
 void subtract_product(double* c, int ldc, const double* l, int ldl, const double* w, int ldw, int rows, int columns,
                       int depth);
 
-// Solves L D y = z in place, and L^T y = z, for the eliminated rows; z has n entries and kPadding zeros.
-void substitute_forward(const double* a, int n, int ld, const Pivots& pivots, double* z);
-void substitute_backward(const double* a, int n, int ld, const Pivots& pivots, double* z);
+// Solve L D y = z in place, and L^T y = z, for the eliminated rows: l has the entries of L below its diagonal, column
+// by column, and kPadding more; z has n entries and kPadding zeros, which the first may change.
+void substitute_forward(const double* l, int n, const Pivots& pivots, double* z);
+void substitute_backward(const double* l, int n, const Pivots& pivots, double* z);
+
+// most[i] = the largest magnitude of row i of the symmetric matrix among its first `columns` columns, and of its
+// column i; most has n entries and kPadding more, zero at first.
+void row_magnitudes(const double* a, int n, int ld, int columns, double* most);
 
 }  // namespace trajopt

@@ -166,15 +166,16 @@ void bind_nlp(nb::module_& module) {
 // The solution of a KKT system and its number of negative eigenvalues; nothing where it is singular.
 std::optional<std::pair<Output, int>> solve_kkt(int n_x, int n_equal, int n_unequal, const IndexArray& stage,
                                                 const IndexArray& row, const IndexArray& column,
-                                                const RealArray& value, const RealArray& rhs) {
+                                                const RealArray& value, const RealArray& rhs, int threads) {
   const KktSizes sizes{n_x, n_equal, n_unequal};
   require(static_cast<int>(stage.size()) == n_x, "stage has a wrong size");
   require(static_cast<int>(rhs.size()) == sizes.all(), "rhs has a wrong size");
+  require(threads >= 1, "threads must be at least 1");
   require(row.size() == value.size() && column.size() == value.size(), "entries have different sizes");
   std::vector<KktEntry> entries;
   for (std::size_t e = 0; e < value.size(); ++e)
     entries.push_back({static_cast<std::int64_t>(e), row.data()[e], column.data()[e]});
-  StageKkt kkt(sizes, indices(stage), entries);
+  StageKkt kkt(sizes, indices(stage), entries, threads);
   if (!kkt.factorize(value.data())) return std::nullopt;
   Reals solution = reals(rhs);
   kkt.solve(solution.data());
@@ -183,7 +184,7 @@ std::optional<std::pair<Output, int>> solve_kkt(int n_x, int n_equal, int n_uneq
 
 void bind_solvers(nb::module_& module) {
   module.def("solve_kkt", &solve_kkt, "n_x"_a, "n_equal"_a, "n_unequal"_a, "stage"_a, "row"_a, "column"_a, "value"_a,
-             "rhs"_a);
+             "rhs"_a, "threads"_a = 1);
   module.def(
       "solve_ipopt",
       [](Nlp& nlp, const RealArray& x0, const RealArray& lbx, const RealArray& ubx, const RealArray& lbg,

@@ -1,10 +1,8 @@
 #include "stage_kkt.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
-#include <set>
-
-#include "require.hpp"
 
 namespace trajopt {
 
@@ -12,7 +10,7 @@ namespace {
 
 // Rows with more entries are condensed together, by a product of matrices.
 constexpr int kFew = 12;
-// Part of the largest entry of an unknown below which a pivot is rounding.
+// Part of the largest entry of its row below which a pivot is rounding.
 constexpr double kRounding = 1e-15;
 // Least part of its column's entries that a pivot has, at first and at most.
 constexpr double kThreshold = 1e-8, kMostThreshold = 1e-2;
@@ -25,156 +23,14 @@ double sum(const std::vector<std::int64_t>& sources, const double* values) {
 
 }  // namespace
 
-StageKkt::StageKkt(const KktSizes& sizes, const std::vector<int>& stage, const std::vector<KktEntry>& entries)
-    : sizes_(sizes), inequalities_(sizes.n_unequal), threshold_(kThreshold), least_(sizes.all()) {
-  for (const int own : stage) n_stages_ = std::max(n_stages_, own < 0 ? -own : own);
-  fronts_.resize(2 * n_stages_ + 1);
-  std::vector<KktEntry> coupled;
-  sort(entries, coupled);
-  const std::vector<int> front = fronts_of(stage, coupled);
-  find_borders(front, coupled);
-  place_entries(front, coupled);
-}
-
-// Entries of inequalities go to these; the others couple variables and multipliers of equalities.
-void StageKkt::sort(const std::vector<KktEntry>& entries, std::vector<KktEntry>& coupled) {
-  for (const KktEntry& entry : entries) {
-    const int i = std::max(entry.row, entry.column), j = std::min(entry.row, entry.column);
-    require(j >= 0 && i < sizes_.all(), "an entry is outside of the system");
-    if (i >= sizes_.inequality()) {
-      const int row = i - sizes_.inequality();
-      Inequality& own = inequalities_[row];
-      require(j < sizes_.n_x || j == sizes_.slack() + row || j == i, "an inequality has an entry of another kind");
-      if (j < sizes_.n_x)
-        own.terms.push_back({entry.source, j});
-      else
-        (j < i ? own.link_sources : own.d_sources).push_back(entry.source);
-    } else if (i >= sizes_.slack() && i < sizes_.equality()) {
-      require(i == j, "a slack is coupled with a variable");
-      inequalities_[i - sizes_.slack()].s_sources.push_back(entry.source);
-    } else {
-      require(j < sizes_.n_x || i == j, "a multiplier is coupled with another, or with a slack");
-      coupled.push_back({entry.source, i, j});
-    }
-  }
-}
-
-// Fronts of stages come first, then those of nodes, the last node first. The multiplier of a row is eliminated
-// with its stage if it couples that with the node at its start at most, with the later node if it joins two
-// neighbours, and in the last front if it joins others, as in rows of a periodic motion.
-std::vector<int> StageKkt::fronts_of(const std::vector<int>& stage, const std::vector<KktEntry>& coupled) const {
-  const int last = 2 * n_stages_;
-  auto of_node = [&](int node) { return last - node; };
-  std::vector<int> front(sizes_.all(), -1);
-  for (int i = 0; i < sizes_.n_x; ++i) front[i] = stage[i] < 0 ? -1 - stage[i] : of_node(stage[i]);
-  std::vector<std::set<int>> stages(sizes_.n_equal), nodes(sizes_.n_equal);
-  for (const KktEntry& entry : coupled) {
-    if (entry.row < sizes_.equality() || entry.column >= sizes_.n_x) continue;
-    const int row = entry.row - sizes_.equality(), own = stage[entry.column];
-    if (own < 0)
-      stages[row].insert(-1 - own);
-    else
-      nodes[row].insert(own);
-  }
-  for (int row = 0; row < sizes_.n_equal; ++row) {
-    const std::set<int>&s = stages[row], &n = nodes[row];
-    int own = last;
-    if (s.size() == 1 && (n.empty() || (n.size() == 1 && *n.begin() == *s.begin())))
-      own = *s.begin();
-    else if (s.size() <= 1 && (n.size() == 1 || (n.size() == 2 && *n.rbegin() == *n.begin() + 1)))
-      own = of_node(*n.rbegin());
-    front[sizes_.equality() + row] = own;
-  }
-  return front;
-}
-
-// Unknowns of each front, those of later fronts that they are coupled with, and the front's parent: that of the
-// first of these.
-void StageKkt::find_borders(const std::vector<int>& front, const std::vector<KktEntry>& coupled) {
-  const int n_fronts = static_cast<int>(fronts_.size());
-  std::vector<int> place(front.size());
-  for (std::size_t i = 0; i < front.size(); ++i) {
-    if (front[i] < 0) continue;
-    place[i] = static_cast<int>(fronts_[front[i]].own.size());
-    fronts_[front[i]].own.push_back(static_cast<int>(i));
-  }
-  auto before = [&](int i, int j) { return front[i] != front[j] ? front[i] < front[j] : place[i] < place[j]; };
-  std::vector<std::set<int>> border(fronts_.size());
-  auto couple = [&](int i, int j) {
-    if (front[i] != front[j]) border[std::min(front[i], front[j])].insert(front[i] < front[j] ? j : i);
-  };
-  for (const KktEntry& entry : coupled) couple(entry.row, entry.column);
-  for (Inequality& own : inequalities_) {
-    own.front = n_fronts;
-    for (const Term& term : own.terms) own.front = std::min(own.front, front[term.variable]);
-    for (const Term& term : own.terms)
-      if (front[term.variable] != own.front) border[own.front].insert(term.variable);
-  }
-  for (std::size_t f = 0; f < fronts_.size(); ++f) {
-    Front& own = fronts_[f];
-    own.border.assign(border[f].begin(), border[f].end());
-    if (own.border.empty()) continue;
-    std::sort(own.border.begin(), own.border.end(), before);
-    const int parent = front[own.border.front()];
-    own.is_root = false;
-    fronts_[parent].children.push_back(static_cast<int>(f));
-    for (const int i : own.border)
-      if (front[i] != parent) border[parent].insert(i);
-  }
-}
-
-// Places of entries, of inequalities and of children's borders in the fronts.
-void StageKkt::place_entries(const std::vector<int>& front, const std::vector<KktEntry>& coupled) {
-  std::vector<std::vector<KktEntry>> entries(fronts_.size());
-  for (const KktEntry& entry : coupled) entries[std::min(front[entry.row], front[entry.column])].push_back(entry);
-  std::vector<std::vector<int>> rows(fronts_.size());
-  for (int row = 0; row < sizes_.n_unequal; ++row)
-    if (!inequalities_[row].terms.empty()) rows[inequalities_[row].front].push_back(row);
-  std::vector<int> place(front.size());
-  for (std::size_t f = 0; f < fronts_.size(); ++f) {
-    Front& own = fronts_[f];
-    int count = 0;
-    for (const int i : own.own) place[i] = count++;
-    for (const int i : own.border) place[i] = count++;
-    for (const KktEntry& entry : entries[f]) {
-      const int i = place[entry.row], j = place[entry.column];
-      own.entries.push_back({entry.source, std::max(i, j), std::min(i, j)});
-    }
-    for (const int row : rows[f]) {
-      Condensed condensed{row, inequalities_[row].terms};
-      for (Term& term : condensed.terms) term.variable = place[term.variable];
-      own.inequalities.push_back(std::move(condensed));
-    }
-    for (const int child : own.children)
-      for (const int i : fronts_[child].border) fronts_[child].to_parent.push_back(place[i]);
-  }
-}
-
-bool StageKkt::factorize(const double* values) {
-  values_ = values;
-  negative_ = sizes_.n_unequal;  // one of each slack and its multiplier
-  for (Inequality& own : inequalities_) {
-    own.s = sum(own.s_sources, values);
-    own.d = sum(own.d_sources, values);
-    own.link = sum(own.link_sources, values);
-  }
-  find_least();
-  for (Front& front : fronts_) {
-    assemble(front);
-    std::vector<int>& unknowns = front.unknowns;
-    unknowns = front.late;
-    unknowns.insert(unknowns.end(), front.own.begin(), front.own.end());
-    floor_.clear();
-    for (const int i : unknowns) floor_.push_back(least_[i]);
-    eliminate(front.matrix.data(), front.n, front.ld, front.candidates(), floor_.data(), threshold_, front.pivots);
-    const std::vector<int> before = unknowns;
-    for (std::size_t i = 0; i < before.size(); ++i) unknowns[i] = before[front.pivots.order[i]];
-    unknowns.insert(unknowns.end(), front.border.begin(), front.border.end());
-    negative_ += front.pivots.negative;
-    if (front.is_root && front.pivots.count < front.candidates()) return false;
-  }
-  return true;
-}
+StageKkt::StageKkt(const KktSizes& sizes, const std::vector<int>& stage, const std::vector<KktEntry>& entries,
+                   int threads)
+    : structure_(sizes, stage, entries),
+      factors_(structure_.fronts.size()),
+      blocks_(sizes.n_unequal),
+      team_(structure_.independent ? std::min(threads, 2) : 1),
+      works_(team_.size()),
+      threshold_(kThreshold) {}
 
 bool StageKkt::raise_threshold() {
   if (threshold_ >= kMostThreshold) return false;
@@ -182,112 +38,209 @@ bool StageKkt::raise_threshold() {
   return true;
 }
 
-void StageKkt::find_least() {
-  std::fill(least_.begin(), least_.end(), 0.0);
-  for (const Front& front : fronts_)
-    for (const KktEntry& entry : front.entries) {
-      const double size = kRounding * std::abs(values_[entry.source]);
-      double &row = least_[front.initially(entry.row)], &column = least_[front.initially(entry.column)];
-      row = std::max(row, size);
-      column = std::max(column, size);
-    }
+// Calls task(first, end, work) for the fronts of the later and of the earlier nodes, which may run at once.
+template <class Task>
+void StageKkt::for_halves(const Task& task) {
+  const int half = structure_.half, last = structure_.last();
+  if (team_.size() == 1) {
+    task(0, half, works_[0]);
+    task(half, last, works_[0]);
+  } else {
+    team_.run([&](int thread) { thread ? task(half, last, works_[1]) : task(0, half, works_[0]); });
+  }
 }
 
-void StageKkt::assemble(Front& front) {
-  front.late.clear();
-  for (const int child : front.children) {
-    const Front& own = fronts_[child];
-    for (int i = own.pivots.count; i < own.candidates(); ++i) front.late.push_back(own.unknowns[i]);
+bool StageKkt::factorize(const double* values) {
+  values_ = values;
+  for (std::size_t i = 0; i < blocks_.size(); ++i) {
+    const Inequality& own = structure_.inequalities[i];
+    blocks_[i] = {sum(own.s, values), sum(own.d, values), sum(own.link, values)};
   }
-  const int shift = static_cast<int>(front.late.size());
-  front.n = front.candidates() + static_cast<int>(front.border.size());
-  front.ld = front.n + kPadding;
-  front.matrix.assign(static_cast<std::size_t>(front.ld) * (front.n + 1), 0.0);
+  for_halves([&](int first, int end, Work& work) {
+    for (int f = first; f < end; ++f) eliminate_front(f, work);
+  });
+  eliminate_front(structure_.last(), works_[0]);
+  negative_ = structure_.sizes.n_unequal;  // one of each slack and its multiplier
+  bool regular = true;
+  for (std::size_t f = 0; f < factors_.size(); ++f) {
+    negative_ += factors_[f].pivots.negative;
+    if (structure_.fronts[f].parent < 0 && factors_[f].n_left() > 0) regular = false;
+  }
+  return regular;
+}
+
+void StageKkt::eliminate_front(int f, Work& work) {
+  Factor& own = factors_[f];
+  assemble(f, work);
+  find_least(f, work);
+  eliminate(work.matrix.data(), own.n, work.ld, own.candidates, own.least.data(), threshold_, own.pivots);
+  store(f, work);
+}
+
+void StageKkt::assemble(int f, Work& work) {
+  const Front& front = structure_.fronts[f];
+  Factor& own = factors_[f];
+  own.late.clear();
+  for (const int child : front.children) {
+    const Factor& other = factors_[child];
+    own.late.insert(own.late.end(), other.unknowns.begin() + other.pivots.count,
+                    other.unknowns.begin() + other.candidates);
+  }
+  const int shift = static_cast<int>(own.late.size());
+  own.candidates = shift + static_cast<int>(front.own.size());
+  own.n = own.candidates + static_cast<int>(front.border.size());
+  work.ld = own.n + kPadding;
+  work.matrix.resize(std::max(work.matrix.size(), static_cast<std::size_t>(work.ld) * (own.n + 1)));
+  for (int j = 0; j < own.n; ++j) {
+    double* column = work.matrix.data() + static_cast<std::size_t>(j) * work.ld;
+    std::fill(column + j, column + work.ld, 0.0);
+  }
   for (const KktEntry& entry : front.entries)
-    front.matrix[static_cast<std::size_t>(entry.column + shift) * front.ld + entry.row + shift] +=
-        values_[entry.source];
-  condense(front);
-  add_children(front);
+    work.matrix[static_cast<std::size_t>(entry.column + shift) * work.ld + entry.row + shift] += values_[entry.source];
+  condense(f, work);
+  add_children(f, work);
 }
 
 // Adds weight J^T J of its inequalities.
-void StageKkt::condense(Front& front) const {
-  static thread_local std::vector<double> left, right;
-  const int shift = static_cast<int>(front.late.size()), ld = front.ld;
-  double* matrix = front.matrix.data();
+void StageKkt::condense(int f, Work& work) const {
+  const int shift = static_cast<int>(factors_[f].late.size()), ld = work.ld, n = factors_[f].n;
+  double* matrix = work.matrix.data();
   int many = 0;
-  left.clear();
-  right.clear();
-  for (const Condensed& row : front.inequalities) {
-    const Inequality& own = inequalities_[row.inequality];
-    const double weight = -own.s / own.determinant();
+  work.left.clear();
+  work.right.clear();
+  for (const int row : structure_.fronts[f].inequalities) {
+    const std::vector<Term>& terms = structure_.condensed[row];
+    const double weight = -blocks_[row].s / blocks_[row].determinant();
     if (weight == 0) continue;
-    if (row.terms.size() > kFew) {
-      left.resize(static_cast<std::size_t>(ld) * ++many, 0.0);
-      right.resize(left.size(), 0.0);
-      const std::size_t column = left.size() - ld;
-      for (const Term& term : row.terms) {
-        left[column + term.variable + shift] += values_[term.source];
-        right[column + term.variable + shift] -= weight * values_[term.source];
+    if (terms.size() > kFew) {
+      work.left.resize(static_cast<std::size_t>(ld) * ++many, 0.0);
+      work.right.resize(work.left.size(), 0.0);
+      const std::size_t column = work.left.size() - ld;
+      for (const Term& term : terms) {
+        work.left[column + term.variable + shift] += values_[term.source];
+        work.right[column + term.variable + shift] -= weight * values_[term.source];
       }
       continue;
     }
-    for (const Term& one : row.terms)
-      for (const Term& other : row.terms)
+    for (const Term& one : terms)
+      for (const Term& other : terms)
         if (other.variable >= one.variable)
           matrix[static_cast<std::size_t>(one.variable + shift) * ld + other.variable + shift] +=
               weight * values_[one.source] * values_[other.source];
   }
-  if (many) subtract_product(matrix, ld, left.data(), ld, right.data(), ld, front.n, front.n, many);
+  if (many) subtract_product(matrix, ld, work.left.data(), ld, work.right.data(), ld, n, n, many);
 }
 
 // Adds what children have left: Schur complements of their borders, and of unknowns without a pivot.
-void StageKkt::add_children(Front& front) const {
-  const int n_late = static_cast<int>(front.late.size());
+void StageKkt::add_children(int f, Work& work) const {
+  const int n_late = static_cast<int>(factors_[f].late.size());
   int first = 0;
-  for (const int child : front.children) {
-    const Front& own = fronts_[child];
-    const int candidates = own.candidates(), count = own.pivots.count;
-    auto target = [&](int i) { return i < candidates ? first + i - count : n_late + own.to_parent[i - candidates]; };
-    for (int j = count; j < own.n; ++j) {
-      double* to = front.matrix.data() + static_cast<std::size_t>(target(j)) * front.ld;
-      const double* from = own.matrix.data() + static_cast<std::size_t>(j) * own.ld;
-      for (int i = j; i < own.n; ++i) to[target(i)] += from[i];
+  for (const int child : structure_.fronts[f].children) {
+    const Factor& own = factors_[child];
+    const std::vector<int>& to_parent = structure_.fronts[child].to_parent;
+    const int n_left = own.n_left(), n = own.n - own.pivots.count;
+    auto target = [&](int i) { return i < n_left ? first + i : n_late + to_parent[i - n_left]; };
+    const double* from = own.schur.data();
+    for (int j = 0; j < n; ++j) {
+      double* to = work.matrix.data() + static_cast<std::size_t>(target(j)) * work.ld;
+      for (int i = j; i < n_left; ++i) to[first + i] += *from++;
+      for (int i = std::max(j, n_left); i < n; ++i) to[n_late + to_parent[i - n_left]] += *from++;
     }
-    first += candidates - count;
+    first += n_left;
   }
 }
 
-void StageKkt::solve(double* rhs) const {
-  double *slack = rhs + sizes_.slack(), *dual = rhs + sizes_.inequality();
-  for (int i = 0; i < sizes_.n_unequal; ++i) {
-    const Inequality& own = inequalities_[i];
-    const double known = (own.s * dual[i] - own.link * slack[i]) / own.determinant();  // the multiplier at J x = 0
-    for (const Term& term : own.terms) rhs[term.variable] -= known * values_[term.source];
+// Unknowns that are late keep what counts as zero in the front that they come from.
+void StageKkt::find_least(int f, const Work& work) {
+  Factor& own = factors_[f];
+  own.least.assign(own.n + kPadding, 0.0);
+  row_magnitudes(work.matrix.data(), own.n, work.ld, own.candidates, own.least.data());
+  for (double& least : own.least) least *= kRounding;
+  std::size_t i = 0;
+  for (const int child : structure_.fronts[f].children) {
+    const Factor& other = factors_[child];
+    for (int k = other.pivots.count; k < other.candidates; ++k) own.least[i++] = other.least[other.pivots.order[k]];
   }
-  static thread_local std::vector<double> z;
-  auto gather = [&](const Front& front) {
-    z.assign(front.n + kPadding, 0.0);
-    for (int i = 0; i < front.n; ++i) z[i] = rhs[front.unknowns[i]];
+}
+
+void StageKkt::store(int f, const Work& work) {
+  const Front& front = structure_.fronts[f];
+  Factor& own = factors_[f];
+  const int n_late = static_cast<int>(own.late.size()), count = own.pivots.count;
+  own.unknowns.clear();
+  for (const int at : own.pivots.order) own.unknowns.push_back(at < n_late ? own.late[at] : front.own[at - n_late]);
+  own.unknowns.insert(own.unknowns.end(), front.border.begin(), front.border.end());
+  auto pack = [&](std::vector<double>& to, int first, int end, int below) {
+    to.clear();
+    for (int j = first; j < end; ++j) {
+      const double* column = work.matrix.data() + static_cast<std::size_t>(j) * work.ld;
+      to.insert(to.end(), column + j + below, column + own.n);
+    }
   };
-  for (const Front& front : fronts_) {
-    gather(front);
-    substitute_forward(front.matrix.data(), front.n, front.ld, front.pivots, z.data());
-    for (int i = 0; i < front.n; ++i) rhs[front.unknowns[i]] = z[i];
+  pack(own.l, 0, count, 1);
+  own.l.resize(own.l.size() + kPadding);
+  pack(own.schur, count, own.n, 0);
+  own.carry.resize(own.n - count);
+}
+
+void StageKkt::solve(double* rhs) {
+  const KktSizes& sizes = structure_.sizes;
+  double *slack = rhs + sizes.slack(), *dual = rhs + sizes.inequality();
+  for (int i = 0; i < sizes.n_unequal; ++i) {
+    const Block& own = blocks_[i];
+    const double known = (own.s * dual[i] - own.link * slack[i]) / own.determinant();  // the multiplier at J x = 0
+    for (const Term& term : structure_.inequalities[i].terms) rhs[term.variable] -= known * values_[term.source];
   }
-  for (auto front = fronts_.rbegin(); front != fronts_.rend(); ++front) {
-    gather(*front);
-    substitute_backward(front->matrix.data(), front->n, front->ld, front->pivots, z.data());
-    for (int i = 0; i < front->pivots.count; ++i) rhs[front->unknowns[i]] = z[i];
-  }
-  for (int i = 0; i < sizes_.n_unequal; ++i) {
-    const Inequality& own = inequalities_[i];
+  for_halves([&](int first, int end, Work& work) {
+    for (int f = first; f < end; ++f) forward(f, rhs, work);
+  });
+  forward(structure_.last(), rhs, works_[0]);
+  backward(structure_.last(), rhs, works_[0]);
+  for_halves([&](int first, int end, Work& work) {
+    for (int f = end; f-- > first;) backward(f, rhs, work);
+  });
+  for (int i = 0; i < sizes.n_unequal; ++i) {
+    const Block& own = blocks_[i];
     double left = dual[i];
-    for (const Term& term : own.terms) left -= values_[term.source] * rhs[term.variable];
+    for (const Term& term : structure_.inequalities[i].terms) left -= values_[term.source] * rhs[term.variable];
     const double first = slack[i], determinant = own.determinant();
     slack[i] = (own.d * first - own.link * left) / determinant;
     dual[i] = (own.s * left - own.link * first) / determinant;
   }
+}
+
+void StageKkt::forward(int f, double* rhs, Work& work) {
+  const Front& front = structure_.fronts[f];
+  Factor& own = factors_[f];
+  const int n_late = static_cast<int>(own.late.size()), count = own.pivots.count;
+  // in the order of the assembly first, where the children's parts belong
+  std::vector<double>&before = work.left, &z = work.z;
+  before.assign(own.n, 0.0);
+  for (int i = n_late; i < own.candidates; ++i) before[i] = rhs[front.own[i - n_late]];
+  int first = 0;
+  for (const int child : front.children) {
+    const Factor& other = factors_[child];
+    const std::vector<int>& to_parent = structure_.fronts[child].to_parent;
+    const int n_left = other.n_left();
+    for (int i = 0; i < n_left; ++i) before[first + i] += other.carry[i];
+    for (std::size_t i = 0; i < to_parent.size(); ++i) before[n_late + to_parent[i]] += other.carry[n_left + i];
+    first += n_left;
+  }
+  z.assign(own.n + kPadding, 0.0);
+  for (int i = 0; i < own.candidates; ++i) z[i] = before[own.pivots.order[i]];
+  std::copy(before.begin() + own.candidates, before.end(), z.begin() + own.candidates);
+  substitute_forward(own.l.data(), own.n, own.pivots, z.data());
+  for (int i = 0; i < count; ++i) rhs[own.unknowns[i]] = z[i];
+  std::copy(z.begin() + count, z.begin() + own.n, own.carry.begin());
+}
+
+void StageKkt::backward(int f, double* rhs, Work& work) const {
+  const Factor& own = factors_[f];
+  std::vector<double>& z = work.z;
+  z.assign(own.n + kPadding, 0.0);
+  for (int i = 0; i < own.n; ++i) z[i] = rhs[own.unknowns[i]];
+  substitute_backward(own.l.data(), own.n, own.pivots, z.data());
+  for (int i = 0; i < own.pivots.count; ++i) rhs[own.unknowns[i]] = z[i];
 }
 
 }  // namespace trajopt

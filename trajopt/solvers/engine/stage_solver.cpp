@@ -17,7 +17,7 @@ using Ipopt::Number;
 
 class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
  public:
-  StageSolver(std::vector<int> stage, const Bounds& bounds) : all_(std::move(stage)) {
+  StageSolver(std::vector<int> stage, const Bounds& bounds, int threads) : all_(std::move(stage)), threads_(threads) {
     for (std::size_t i = 0; i < all_.size(); ++i)
       if (bounds.lower_x[i] != bounds.upper_x[i]) free_.push_back(all_[i]);
     for (std::size_t i = 0; i < bounds.lower_g.size(); ++i)
@@ -35,7 +35,7 @@ class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
     std::vector<KktEntry> entries(nonzeros);
     for (Index e = 0; e < nonzeros; ++e) entries[e] = {e, row[e] - 1, column[e] - 1};
     values_.assign(nonzeros, 0.0);
-    kkt_ = std::make_unique<StageKkt>(sizes_, all ? all_ : free_, entries);
+    kkt_ = std::make_unique<StageKkt>(sizes_, all ? all_ : free_, entries, threads_);
     return Ipopt::SYMSOLVER_SUCCESS;
   }
 
@@ -61,6 +61,7 @@ class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
 
  private:
   std::vector<int> all_, free_;  // stages of all variables, and of those that are not fixed
+  int threads_;
   KktSizes sizes_;
   std::vector<double> values_;
   std::unique_ptr<StageKkt> kkt_;
@@ -69,23 +70,25 @@ class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
 
 class Builder : public Ipopt::AlgorithmBuilder {
  public:
-  Builder(const std::vector<int>& stage, const Bounds& bounds) : stage_(stage), bounds_(bounds) {}
+  Builder(const std::vector<int>& stage, const Bounds& bounds, int threads)
+      : stage_(stage), bounds_(bounds), threads_(threads) {}
 
   Ipopt::SmartPtr<Ipopt::SymLinearSolver> SymLinearSolverFactory(const Ipopt::Journalist&, const Ipopt::OptionsList&,
                                                                  const std::string&) override {
-    Ipopt::SmartPtr<Ipopt::SparseSymLinearSolverInterface> own = new StageSolver(stage_, bounds_);
+    Ipopt::SmartPtr<Ipopt::SparseSymLinearSolverInterface> own = new StageSolver(stage_, bounds_, threads_);
     return new Ipopt::TSymLinearSolver(own, nullptr);
   }
 
  private:
   const std::vector<int>& stage_;
   const Bounds& bounds_;
+  int threads_;
 };
 
 }  // namespace
 
-Ipopt::SmartPtr<Ipopt::AlgorithmBuilder> stage_builder(const std::vector<int>& stage, const Bounds& bounds) {
-  return new Builder(stage, bounds);
+Ipopt::SmartPtr<Ipopt::AlgorithmBuilder> stage_builder(const std::vector<int>& stage, const Bounds& bounds, int threads) {
+  return new Builder(stage, bounds, threads);
 }
 
 }  // namespace trajopt

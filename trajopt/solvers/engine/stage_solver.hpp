@@ -9,7 +9,8 @@
 
 namespace trajopt {
 
-// Builds IPOPT's algorithm with it. stage: of each variable, as in `StageKkt`.
-Ipopt::SmartPtr<Ipopt::AlgorithmBuilder> stage_builder(const std::vector<int>& stage, const Bounds& bounds);
+// Builds IPOPT's algorithm with it. stage: of each variable, as in `StageFronts`.
+Ipopt::SmartPtr<Ipopt::AlgorithmBuilder> stage_builder(const std::vector<int>& stage, const Bounds& bounds,
+                                                       int threads);
 
 }  // namespace trajopt

@@ -1,0 +1,132 @@
+#include "stage_fronts.hpp"
+
+#include <algorithm>
+#include <set>
+
+#include "require.hpp"
+
+namespace trajopt {
+
+StageFronts::StageFronts(const KktSizes& sizes, const std::vector<int>& stage, const std::vector<KktEntry>& entries)
+    : sizes(sizes), inequalities(sizes.n_unequal), condensed(sizes.n_unequal) {
+  for (const int own : stage) n_stages_ = std::max(n_stages_, own < 0 ? -own : own);
+  middle_ = n_stages_ / 2;
+  half = 2 * (n_stages_ - middle_);
+  fronts.resize(2 * n_stages_ + 1);
+  std::vector<KktEntry> coupled;
+  sort(entries, coupled);
+  const std::vector<int> front = assign(stage, coupled);
+  find_borders(front, coupled);
+  place_entries(front, coupled);
+}
+
+// Entries of inequalities go to these; the others couple variables and multipliers of equalities.
+void StageFronts::sort(const std::vector<KktEntry>& entries, std::vector<KktEntry>& coupled) {
+  for (const KktEntry& entry : entries) {
+    const int i = std::max(entry.row, entry.column), j = std::min(entry.row, entry.column);
+    require(j >= 0 && i < sizes.all(), "an entry is outside of the system");
+    if (i >= sizes.inequality()) {
+      const int row = i - sizes.inequality();
+      Inequality& own = inequalities[row];
+      require(j < sizes.n_x || j == sizes.slack() + row || j == i, "an inequality has an entry of another kind");
+      if (j < sizes.n_x)
+        own.terms.push_back({entry.source, j});
+      else
+        (j < i ? own.link : own.d).push_back(entry.source);
+    } else if (i >= sizes.slack() && i < sizes.equality()) {
+      require(i == j, "a slack is coupled with a variable");
+      inequalities[i - sizes.slack()].s.push_back(entry.source);
+    } else {
+      require(j < sizes.n_x || i == j, "a multiplier is coupled with another, or with a slack");
+      coupled.push_back({entry.source, i, j});
+    }
+  }
+}
+
+// The front of each unknown. The multiplier of a row is eliminated with its stage if it couples that with the node
+// at its start at most, with the first node to be eliminated if it joins two neighbours, and in the last front if
+// it joins others, as in rows of a periodic motion.
+std::vector<int> StageFronts::assign(const std::vector<int>& stage, const std::vector<KktEntry>& coupled) const {
+  std::vector<int> front(sizes.all(), -1);
+  for (int i = 0; i < sizes.n_x; ++i) front[i] = stage[i] < 0 ? of_stage(-1 - stage[i]) : of_node(stage[i]);
+  std::vector<std::set<int>> stages(sizes.n_equal), nodes(sizes.n_equal);
+  for (const KktEntry& entry : coupled) {
+    if (entry.row < sizes.equality() || entry.column >= sizes.n_x) continue;
+    const int row = entry.row - sizes.equality(), own = stage[entry.column];
+    if (own < 0)
+      stages[row].insert(-1 - own);
+    else
+      nodes[row].insert(own);
+  }
+  for (int row = 0; row < sizes.n_equal; ++row) {
+    const std::set<int>&s = stages[row], &n = nodes[row];
+    int own = last();
+    if (s.size() == 1 && (n.empty() || (n.size() == 1 && *n.begin() == *s.begin())))
+      own = of_stage(*s.begin());
+    else if (s.size() <= 1 && (n.size() == 1 || (n.size() == 2 && *n.rbegin() == *n.begin() + 1)))
+      own = std::min(of_node(*n.begin()), of_node(*n.rbegin()));
+    front[sizes.equality() + row] = own;
+  }
+  return front;
+}
+
+// Unknowns of each front, those of later fronts that they are coupled with, and the front's parent: that of the
+// first of these.
+void StageFronts::find_borders(const std::vector<int>& front, const std::vector<KktEntry>& coupled) {
+  std::vector<int> place(front.size());
+  for (std::size_t i = 0; i < front.size(); ++i) {
+    if (front[i] < 0) continue;
+    place[i] = static_cast<int>(fronts[front[i]].own.size());
+    fronts[front[i]].own.push_back(static_cast<int>(i));
+  }
+  auto before = [&](int i, int j) { return front[i] != front[j] ? front[i] < front[j] : place[i] < place[j]; };
+  std::vector<std::set<int>> border(fronts.size());
+  auto couple = [&](int i, int j) {
+    if (front[i] != front[j]) border[std::min(front[i], front[j])].insert(front[i] < front[j] ? j : i);
+  };
+  for (const KktEntry& entry : coupled) couple(entry.row, entry.column);
+  for (Inequality& own : inequalities) {
+    for (const Term& term : own.terms)
+      if (own.front < 0 || front[term.variable] < own.front) own.front = front[term.variable];
+    for (const Term& term : own.terms)
+      if (front[term.variable] != own.front) border[own.front].insert(term.variable);
+  }
+  for (std::size_t f = 0; f < fronts.size(); ++f) {
+    Front& own = fronts[f];
+    own.border.assign(border[f].begin(), border[f].end());
+    if (own.border.empty()) continue;
+    std::sort(own.border.begin(), own.border.end(), before);
+    own.parent = front[own.border.front()];
+    fronts[own.parent].children.push_back(static_cast<int>(f));
+    if (static_cast<int>(f) < half && own.parent >= half && own.parent < last()) independent = false;
+    for (const int i : own.border)
+      if (front[i] != own.parent) border[own.parent].insert(i);
+  }
+}
+
+// Places of entries, of terms of inequalities and of children's borders in the fronts.
+void StageFronts::place_entries(const std::vector<int>& front, const std::vector<KktEntry>& coupled) {
+  std::vector<std::vector<KktEntry>> entries(fronts.size());
+  for (const KktEntry& entry : coupled) entries[std::min(front[entry.row], front[entry.column])].push_back(entry);
+  for (int row = 0; row < sizes.n_unequal; ++row)
+    if (inequalities[row].front >= 0) fronts[inequalities[row].front].inequalities.push_back(row);
+  std::vector<int> place(front.size());
+  for (std::size_t f = 0; f < fronts.size(); ++f) {
+    Front& own = fronts[f];
+    int count = 0;
+    for (const int i : own.own) place[i] = count++;
+    for (const int i : own.border) place[i] = count++;
+    for (const KktEntry& entry : entries[f]) {
+      const int i = place[entry.row], j = place[entry.column];
+      own.entries.push_back({entry.source, std::max(i, j), std::min(i, j)});
+    }
+    for (const int row : own.inequalities) {
+      condensed[row] = inequalities[row].terms;
+      for (Term& term : condensed[row]) term.variable = place[term.variable];
+    }
+    for (const int child : own.children)
+      for (const int i : fronts[child].border) fronts[child].to_parent.push_back(place[i]);
+  }
+}
+
+}  // namespace trajopt
