@@ -72,8 +72,10 @@ IPOPT_WARM_WITHOUT_MULTIPLIERS: dict[str, Option] = {
 # iterations where it succeeds, but sometimes stalls.
 FATROP_WARM: dict[str, Option] = {"mu_init": 1e-3, "bound_push": 3e-3, "bound_frac": 3e-3}
 
-# IPOPT's option, and its value for the engine's factorisation stage by stage.
+# IPOPT's option, and its value for the engine's factorisation stage by stage. Its solutions are refined only
+# where the residual asks for it: the first ones have residuals of rounding (docs/solvers.md).
 LINEAR_SOLVER, STAGES = "linear_solver", "stages"
+STAGES_OPTIONS: dict[str, Option] = {"min_refinement_steps": 0}
 
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.SOLVED,
@@ -116,10 +118,11 @@ def _ipopt(
         **options,
     }
     stage = None
-    if chosen.get(LINEAR_SOLVER) == STAGES:
+    if chosen.setdefault(LINEAR_SOLVER, _usual_linear_solver(nlp.hessian)) == STAGES:
         if nlp.hessian == LIMITED_MEMORY:
             raise ValueError(f"{LINEAR_SOLVER}={STAGES} has no place for a Hessian of gradients")
         del chosen[LINEAR_SOLVER]
+        chosen = {**STAGES_OPTIONS, **chosen}
         stage = t.layout.stage_numbers
     raw = _engine.solve_ipopt(
         nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback, lam_g, lam_x, stage
@@ -129,6 +132,10 @@ def _ipopt(
             "an option has a value that is not available here, such as a linear_solver that is not installed"
         )
     return _result(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
+
+
+def _usual_linear_solver(hessian: str) -> str:
+    return "mumps" if hessian == LIMITED_MEMORY else STAGES
 
 
 _FATROP_STATUS = {

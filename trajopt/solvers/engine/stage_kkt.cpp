@@ -13,7 +13,7 @@ constexpr int kFew = 12;
 // Part of the largest entry of its row below which a pivot is rounding.
 constexpr double kRounding = 1e-15;
 // Least part of its column's entries that a pivot has, at first and at most.
-constexpr double kThreshold = 1e-8, kMostThreshold = 1e-2;
+constexpr double kThreshold = 1e-4, kMostThreshold = 1e-1;
 
 double sum(const std::vector<std::int64_t>& sources, const double* values) {
   double total = 0;
