@@ -83,6 +83,9 @@ class Nlp:
     def timings(self) -> dict[str, tuple[float, int]]:
         """Seconds and evaluations of value, first and second since the last solve began."""
 
+# Instead of the stage of a variable that is in one row only, with positive curvature of its own: a slack.
+ALONE: int
+
 def solve_kkt(
     n_x: int,
     n_equal: int,
@@ -92,6 +95,7 @@ def solve_kkt(
     column: Indices,
     value: Reals,
     rhs: Reals,
+    threads: int = 1,
 ) -> tuple[Reals, int] | None:
     """Solve a KKT system stage by stage; None where it is singular.
 
@@ -115,8 +119,8 @@ def solve_ipopt(
 ) -> dict[str, Any]:
     """Solve with IPOPT; multipliers given make it a warm start.
 
-    ``stage`` of each variable, k of one of node k, -1 - k of one of stage k between nodes k and k + 1, has
-    the linear systems factorised stage by stage instead of by IPOPT's linear solver.
+    ``stage`` of each variable, k of one of node k, -1 - k of one of stage k between nodes k and k + 1, or
+    `ALONE`, has the linear systems factorised stage by stage instead of by IPOPT's linear solver.
 
     The result has x, g, lam_g, lam_x (Lagrangian ``f + lam_g . g + lam_x . x``), f, primal, dual,
     complementarity (IPOPT's own, unscaled), max_violation (of rows and bounds, recomputed),

@@ -3,9 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <exception>
 #include <limits>
-#include <thread>
 
 namespace trajopt {
 
@@ -27,7 +25,7 @@ void scatter(const Csr& map, const double* nonzeros, const int* target, Reals& o
 
 }  // namespace
 
-Nlp::Nlp(Problem problem) : problem_(std::move(problem)) {
+Nlp::Nlp(Problem problem) : problem_(std::move(problem)), team_(problem_.threads) {
   workers_.resize(3);
   outputs_.resize(3);
   for (Kind kind : {kValue, kFirst, kSecond}) prepare(kind);
@@ -95,20 +93,7 @@ void Nlp::run_share(Kind kind, int thread, const double* x, double sigma, const 
 
 void Nlp::run(Kind kind, const double* x, double sigma, const double* lambda) {
   const auto start = std::chrono::steady_clock::now();
-  std::vector<std::exception_ptr> errors(problem_.threads);
-  auto share = [&](int thread) {
-    try {
-      run_share(kind, thread, x, sigma, lambda);
-    } catch (...) {  // must not leave a thread
-      errors[thread] = std::current_exception();
-    }
-  };
-  std::vector<std::thread> others;
-  for (int thread = 1; thread < problem_.threads; ++thread) others.emplace_back(share, thread);
-  share(0);
-  for (std::thread& other : others) other.join();
-  for (const std::exception_ptr& error : errors)
-    if (error) std::rethrow_exception(error);
+  team_.run([&](int thread) { run_share(kind, thread, x, sigma, lambda); });
   timings_[kind].seconds += seconds_since(start);
   ++timings_[kind].count;
 }

@@ -9,6 +9,8 @@
 #include <string>
 #include <vector>
 
+#include "team.hpp"
+
 namespace trajopt {
 
 using Reals = std::vector<double>;
@@ -107,6 +109,7 @@ class Nlp {
   void scatter_gradient(const Outputs& outputs, const Group& group);
 
   Problem problem_;
+  Team team_;
   std::vector<std::vector<std::vector<Worker>>> workers_;  // kind, group, thread
   std::vector<std::vector<Outputs>> outputs_;              // kind, group
   Reals seen_[2];

@@ -183,6 +183,7 @@ std::optional<std::pair<Output, int>> solve_kkt(int n_x, int n_equal, int n_uneq
 }
 
 void bind_solvers(nb::module_& module) {
+  module.attr("ALONE") = kAlone;
   module.def("solve_kkt", &solve_kkt, "n_x"_a, "n_equal"_a, "n_unequal"_a, "stage"_a, "row"_a, "column"_a, "value"_a,
              "rhs"_a, "threads"_a = 1);
   module.def(

@@ -9,23 +9,34 @@ namespace trajopt {
 
 StageFronts::StageFronts(const KktSizes& sizes, const std::vector<int>& stage, const std::vector<KktEntry>& entries)
     : sizes(sizes), inequalities(sizes.n_unequal), condensed(sizes.n_unequal) {
-  for (const int own : stage) n_stages_ = std::max(n_stages_, own < 0 ? -own : own);
+  for (const int own : stage)
+    if (own != kAlone) n_stages_ = std::max(n_stages_, own < 0 ? -own : own);
   middle_ = n_stages_ / 2;
   half = 2 * (n_stages_ - middle_);
   fronts.resize(2 * n_stages_ + 1);
   std::vector<KktEntry> coupled;
-  sort(entries, coupled);
+  sort(stage, entries, coupled);
   const std::vector<int> front = assign(stage, coupled);
   find_borders(front, coupled);
   place_entries(front, coupled);
 }
 
-// Entries of inequalities go to these; the others couple variables and multipliers of equalities.
-void StageFronts::sort(const std::vector<KktEntry>& entries, std::vector<KktEntry>& coupled) {
+// Entries of inequalities and of variables that are alone go to these; the others couple variables and multipliers
+// of equalities.
+void StageFronts::sort(const std::vector<int>& stage, const std::vector<KktEntry>& entries,
+                       std::vector<KktEntry>& coupled) {
+  std::vector<int> place(sizes.n_x, -1);
+  for (int i = 0; i < sizes.n_x; ++i) {
+    if (stage[i] != kAlone) continue;
+    place[i] = static_cast<int>(alone.size());
+    alone.push_back({i, -1, {}, {}});
+  }
   for (const KktEntry& entry : entries) {
     const int i = std::max(entry.row, entry.column), j = std::min(entry.row, entry.column);
     require(j >= 0 && i < sizes.all(), "an entry is outside of the system");
-    if (i >= sizes.inequality()) {
+    if (j < sizes.n_x && place[j] >= 0) {
+      add_to_alone(alone[place[j]], {entry.source, i, j});
+    } else if (i >= sizes.inequality()) {
       const int row = i - sizes.inequality();
       Inequality& own = inequalities[row];
       require(j < sizes.n_x || j == sizes.slack() + row || j == i, "an inequality has an entry of another kind");
@@ -38,9 +49,21 @@ void StageFronts::sort(const std::vector<KktEntry>& entries, std::vector<KktEntr
       inequalities[i - sizes.slack()].s.push_back(entry.source);
     } else {
       require(j < sizes.n_x || i == j, "a multiplier is coupled with another, or with a slack");
+      require(i >= sizes.n_x || place[i] < 0, "a variable that is alone is coupled with another");
       coupled.push_back({entry.source, i, j});
     }
   }
+}
+
+void StageFronts::add_to_alone(Alone& own, const KktEntry& entry) {
+  if (entry.row == entry.column) {
+    own.curvature.push_back(entry.source);
+    return;
+  }
+  require(entry.row >= sizes.equality(), "a variable that is alone is coupled with another");
+  require(own.multiplier < 0 || own.multiplier == entry.row, "a variable that is alone is in two rows");
+  own.multiplier = entry.row;
+  own.coefficient.push_back(entry.source);
 }
 
 // The front of each unknown. The multiplier of a row is eliminated with its stage if it couples that with the node
@@ -48,7 +71,8 @@ void StageFronts::sort(const std::vector<KktEntry>& entries, std::vector<KktEntr
 // it joins others, as in rows of a periodic motion.
 std::vector<int> StageFronts::assign(const std::vector<int>& stage, const std::vector<KktEntry>& coupled) const {
   std::vector<int> front(sizes.all(), -1);
-  for (int i = 0; i < sizes.n_x; ++i) front[i] = stage[i] < 0 ? of_stage(-1 - stage[i]) : of_node(stage[i]);
+  for (int i = 0; i < sizes.n_x; ++i)
+    if (stage[i] != kAlone) front[i] = stage[i] < 0 ? of_stage(-1 - stage[i]) : of_node(stage[i]);
   std::vector<std::set<int>> stages(sizes.n_equal), nodes(sizes.n_equal);
   for (const KktEntry& entry : coupled) {
     if (entry.row < sizes.equality() || entry.column >= sizes.n_x) continue;
@@ -110,6 +134,10 @@ void StageFronts::place_entries(const std::vector<int>& front, const std::vector
   for (const KktEntry& entry : coupled) entries[std::min(front[entry.row], front[entry.column])].push_back(entry);
   for (int row = 0; row < sizes.n_unequal; ++row)
     if (inequalities[row].front >= 0) fronts[inequalities[row].front].inequalities.push_back(row);
+  std::vector<std::vector<int>> slacks(fronts.size());
+  for (std::size_t i = 0; i < alone.size(); ++i)
+    if (alone[i].multiplier >= 0 && alone[i].multiplier < sizes.inequality())
+      slacks[front[alone[i].multiplier]].push_back(static_cast<int>(i));
   std::vector<int> place(front.size());
   for (std::size_t f = 0; f < fronts.size(); ++f) {
     Front& own = fronts[f];
@@ -120,6 +148,7 @@ void StageFronts::place_entries(const std::vector<int>& front, const std::vector
       const int i = place[entry.row], j = place[entry.column];
       own.entries.push_back({entry.source, std::max(i, j), std::min(i, j)});
     }
+    for (const int i : slacks[f]) own.alone.push_back({i, place[alone[i].multiplier]});
     for (const int row : own.inequalities) {
       condensed[row] = inequalities[row].terms;
       for (Term& term : condensed[row]) term.variable = place[term.variable];

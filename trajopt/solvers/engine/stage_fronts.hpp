@@ -2,6 +2,8 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
+#include <utility>
 #include <vector>
 
 namespace trajopt {
@@ -34,10 +36,20 @@ struct Inequality {
   int front = -1;  // of its first variable to be eliminated
 };
 
+// Instead of a stage, of a variable that is in one row only, with positive curvature of its own: a slack.
+constexpr int kAlone = std::numeric_limits<int>::min();
+
+// Such a variable: sources of its curvature and of its coefficient in the row of this multiplier.
+struct Alone {
+  int variable, multiplier = -1;
+  std::vector<std::int64_t> curvature, coefficient;
+};
+
 struct Front {
   std::vector<int> own, border;    // unknowns that are eliminated here, and that these are coupled with
   std::vector<KktEntry> entries;   // at places of the front, on or below the diagonal
   std::vector<int> inequalities;   // condensed here, their terms at places of the front
+  std::vector<std::pair<int, int>> alone;  // those of its equalities, and the places of the multipliers
   std::vector<int> children;
   int parent = -1;
   std::vector<int> to_parent;      // places of the border in the parent
@@ -47,13 +59,14 @@ struct Front {
 // its stage; children come before their parents.
 class StageFronts {
  public:
-  // stage: of each variable, k for one of node k, -1 - k for one of stage k, between nodes k and k + 1. Throws
-  // std::invalid_argument for entries that a KKT system does not have.
+  // stage: of each variable, k for one of node k, -1 - k for one of stage k, between nodes k and k + 1, or kAlone.
+  // Throws std::invalid_argument for entries that a KKT system does not have.
   StageFronts(const KktSizes& sizes, const std::vector<int>& stage, const std::vector<KktEntry>& entries);
 
   KktSizes sizes;
   std::vector<Front> fronts;
   std::vector<Inequality> inequalities;  // variables of their terms are those of the system
+  std::vector<Alone> alone;
   std::vector<std::vector<Term>> condensed;  // the same terms at places of their fronts
   int half = 0;                // fronts of the later nodes come first: [0, half), then [half, last)
   bool independent = true;     // no front of one half has its parent in the other
@@ -62,7 +75,8 @@ class StageFronts {
  private:
   int of_stage(int k) const { return k >= middle_ ? 2 * (n_stages_ - 1 - k) : half + 2 * k; }
   int of_node(int k) const { return k == middle_ ? last() : (k > middle_ ? of_stage(k - 1) : of_stage(k)) + 1; }
-  void sort(const std::vector<KktEntry>& entries, std::vector<KktEntry>& coupled);
+  void sort(const std::vector<int>& stage, const std::vector<KktEntry>& entries, std::vector<KktEntry>& coupled);
+  void add_to_alone(Alone& own, const KktEntry& entry);
   std::vector<int> assign(const std::vector<int>& stage, const std::vector<KktEntry>& coupled) const;
   void find_borders(const std::vector<int>& front, const std::vector<KktEntry>& coupled);
   void place_entries(const std::vector<int>& front, const std::vector<KktEntry>& coupled);

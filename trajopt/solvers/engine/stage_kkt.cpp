@@ -11,7 +11,7 @@ namespace {
 // Rows with more entries are condensed together, by a product of matrices.
 constexpr int kFew = 12;
 // Part of the largest entry of its row below which a pivot is rounding.
-constexpr double kRounding = 1e-15;
+constexpr double kRounding = 1e-14;
 // Least part of its column's entries that a pivot has, at first and at most.
 constexpr double kThreshold = 1e-4, kMostThreshold = 1e-1;
 
@@ -28,6 +28,7 @@ StageKkt::StageKkt(const KktSizes& sizes, const std::vector<int>& stage, const s
     : structure_(sizes, stage, entries),
       factors_(structure_.fronts.size()),
       blocks_(sizes.n_unequal),
+      slacks_(structure_.alone.size()),
       team_(structure_.independent ? std::min(threads, 2) : 1),
       works_(team_.size()),
       threshold_(kThreshold) {}
@@ -52,21 +53,35 @@ void StageKkt::for_halves(const Task& task) {
 
 bool StageKkt::factorize(const double* values) {
   values_ = values;
-  for (std::size_t i = 0; i < blocks_.size(); ++i) {
-    const Inequality& own = structure_.inequalities[i];
-    blocks_[i] = {sum(own.s, values), sum(own.d, values), sum(own.link, values)};
-  }
+  if (!read_rows()) return false;
   for_halves([&](int first, int end, Work& work) {
     for (int f = first; f < end; ++f) eliminate_front(f, work);
   });
   eliminate_front(structure_.last(), works_[0]);
-  negative_ = structure_.sizes.n_unequal;  // one of each slack and its multiplier
   bool regular = true;
   for (std::size_t f = 0; f < factors_.size(); ++f) {
     negative_ += factors_[f].pivots.negative;
     if (structure_.fronts[f].parent < 0 && factors_[f].n_left() > 0) regular = false;
   }
   return regular;
+}
+
+// The blocks of slacks and multipliers, from which variables that are alone have been eliminated.
+bool StageKkt::read_rows() {
+  negative_ = structure_.sizes.n_unequal;  // one of each slack and its multiplier
+  for (std::size_t i = 0; i < blocks_.size(); ++i) {
+    const Inequality& own = structure_.inequalities[i];
+    blocks_[i] = {sum(own.s, values_), sum(own.d, values_), sum(own.link, values_)};
+  }
+  for (std::size_t i = 0; i < slacks_.size(); ++i) {
+    const Alone& own = structure_.alone[i];
+    const int row = own.multiplier - structure_.sizes.inequality();
+    slacks_[i] = {sum(own.curvature, values_), sum(own.coefficient, values_)};
+    if (slacks_[i].curvature == 0) return false;
+    negative_ += slacks_[i].curvature < 0;
+    if (row >= 0) blocks_[row].d += slacks_[i].schur();
+  }
+  return true;
 }
 
 void StageKkt::eliminate_front(int f, Work& work) {
@@ -97,6 +112,8 @@ void StageKkt::assemble(int f, Work& work) {
   }
   for (const KktEntry& entry : front.entries)
     work.matrix[static_cast<std::size_t>(entry.column + shift) * work.ld + entry.row + shift] += values_[entry.source];
+  for (const auto& [i, place] : front.alone)
+    work.matrix[static_cast<std::size_t>(place + shift) * (work.ld + 1)] += slacks_[i].schur();
   condense(f, work);
   add_children(f, work);
 }
@@ -186,6 +203,9 @@ void StageKkt::store(int f, const Work& work) {
 void StageKkt::solve(double* rhs) {
   const KktSizes& sizes = structure_.sizes;
   double *slack = rhs + sizes.slack(), *dual = rhs + sizes.inequality();
+  for (std::size_t i = 0; i < slacks_.size(); ++i)
+    if (const Alone& own = structure_.alone[i]; own.multiplier >= 0)
+      rhs[own.multiplier] -= slacks_[i].coefficient / slacks_[i].curvature * rhs[own.variable];
   for (int i = 0; i < sizes.n_unequal; ++i) {
     const Block& own = blocks_[i];
     const double known = (own.s * dual[i] - own.link * slack[i]) / own.determinant();  // the multiplier at J x = 0
@@ -206,6 +226,11 @@ void StageKkt::solve(double* rhs) {
     const double first = slack[i], determinant = own.determinant();
     slack[i] = (own.d * first - own.link * left) / determinant;
     dual[i] = (own.s * left - own.link * first) / determinant;
+  }
+  for (std::size_t i = 0; i < slacks_.size(); ++i) {
+    const Alone& own = structure_.alone[i];
+    const double known = own.multiplier >= 0 ? slacks_[i].coefficient * rhs[own.multiplier] : 0.0;
+    rhs[own.variable] = (rhs[own.variable] - known) / slacks_[i].curvature;
   }
 }
 

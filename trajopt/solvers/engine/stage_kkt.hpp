@@ -49,6 +49,13 @@ class StageKkt {
     double determinant() const { return s * d - link * link; }
   };
 
+  // Of a variable that is alone.
+  struct Slack {
+    double curvature = 1, coefficient = 0;
+    double schur() const { return -coefficient * coefficient / curvature; }
+  };
+
+  bool read_rows();
   template <class Task>
   void for_halves(const Task& task);
   void eliminate_front(int f, Work& work);
@@ -63,6 +70,7 @@ class StageKkt {
   StageFronts structure_;
   std::vector<Factor> factors_;
   std::vector<Block> blocks_;
+  std::vector<Slack> slacks_;
   Team team_;
   std::vector<Work> works_;  // of each thread
   const double* values_ = nullptr;
