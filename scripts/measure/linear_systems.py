@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import click
+import numpy as np
 
 from scripts.measure.shared import head, median, row
+from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import LINEAR_SOLVER, STAGES
 from trajopt.solving.solving import solve
 from trajopt_library import problems
@@ -21,32 +23,64 @@ CASES: tuple[tuple[str, dict[str, Any], str | None, int | None], ...] = (
     ("arm-pick-place", {"robot": "panda"}, None, None),
 )
 SOLVERS = ("mumps", STAGES)
+# Meshes of `--scaling`, of the first case.
+INTERVALS = (25, 50, 100, 200, 400, 800)
 
 
 @click.command("linear-systems")
 @click.option("--repeats", default=5, help="Solves of each case with each.")
-def linear_systems(repeats: int) -> None:
+@click.option("--scaling", is_flag=True, help="Instead: meshes of the jump, with one thread and with two.")
+def linear_systems(repeats: int, scaling: bool) -> None:
     """Median wall time of an iteration, functions included, and iterations, of one mesh each."""
+    if scaling:
+        over_meshes(repeats)
+    else:
+        against_mumps(repeats)
+
+
+def against_mumps(repeats: int) -> None:
+    """Iterations and their time with each linear solver, in turns."""
     head("problem", "mesh", "iterations", "MUMPS [ms]", "iterations", "stages [ms]", "ratio")
     for name, values, scheme, intervals in CASES:
         problem = problems.load(name, **values)
-        times: dict[str, list[float]] = {solver: [] for solver in SOLVERS}
-        iterations = {}
-        for _ in range(repeats):
-            for solver in SOLVERS:
-                options = {LINEAR_SOLVER: solver}
-                found = solve(
-                    problem, transcription=scheme, intervals=intervals, judge=False, options=options
-                ).meta
-                times[solver].append(1e3 * found["wall_time_s"] / found["iterations"])
-                iterations[solver] = found["iterations"]
-        usual, own = (median(times[solver]) for solver in SOLVERS)
+        times, iterations = in_turns(
+            problem, scheme, intervals, repeats, [{"options": {LINEAR_SOLVER: solver}} for solver in SOLVERS]
+        )
         row(
             " ".join([name, *(f"{key}={value}" for key, value in values.items())]),
             f"{scheme}, {intervals}" if scheme else "its own",
-            iterations["mumps"],
-            f"{usual:.1f}",
-            iterations[STAGES],
-            f"{own:.1f}",
-            f"{own / usual:.2f}",
+            iterations[0],
+            f"{times[0]:.1f}",
+            iterations[1],
+            f"{times[1]:.1f}",
+            f"{times[1] / times[0]:.2f}",
         )
+
+
+def over_meshes(repeats: int) -> None:
+    """Time of an iteration against the number of intervals, and the exponent that fits it."""
+    name, values, scheme, _ = CASES[0]
+    problem, found = problems.load(name, **values), []
+    head("intervals", "iterations", "one thread [ms]", "two threads [ms]", "ratio")
+    for intervals in INTERVALS:
+        times, iterations = in_turns(problem, scheme, intervals, repeats, [{"threads": 1}, {"threads": 2}])
+        found.append(times[0])
+        row(intervals, iterations[0], f"{times[0]:.1f}", f"{times[1]:.1f}", f"{times[1] / times[0]:.2f}")
+    exponent = np.polyfit(np.log(INTERVALS), np.log(found), 1)[0]
+    click.echo(
+        f"\nTime of an iteration with one thread grows with the intervals to the power of {exponent:.2f}."
+    )
+
+
+def in_turns(
+    problem: Problem, scheme: str | None, intervals: int | None, repeats: int, ways: list[dict[str, Any]]
+) -> tuple[list[float], list[int]]:
+    """Median time of an iteration in ms, and iterations, of each way to solve."""
+    times: list[list[float]] = [[] for _ in ways]
+    iterations = [0 for _ in ways]
+    for _ in range(repeats):
+        for i, way in enumerate(ways):
+            found = solve(problem, transcription=scheme, intervals=intervals, judge=False, **way).meta
+            times[i].append(1e3 * found["wall_time_s"] / found["iterations"])
+            iterations[i] = found["iterations"]
+    return [median(part) for part in times], iterations

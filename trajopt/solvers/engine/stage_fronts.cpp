@@ -1,11 +1,24 @@
 #include "stage_fronts.hpp"
 
 #include <algorithm>
-#include <set>
+#include <limits>
 
 #include "require.hpp"
 
 namespace trajopt {
+
+namespace {
+
+struct Range {
+  int first = std::numeric_limits<int>::max(), last = -1;
+  void add(int i) {
+    first = std::min(first, i);
+    last = std::max(last, i);
+  }
+  int width() const { return std::max(last - first + 1, 0); }
+};
+
+}  // namespace
 
 StageFronts::StageFronts(const KktSizes& sizes, const std::vector<int>& stage, const std::vector<KktEntry>& entries)
     : sizes(sizes), inequalities(sizes.n_unequal), condensed(sizes.n_unequal) {
@@ -73,22 +86,22 @@ std::vector<int> StageFronts::assign(const std::vector<int>& stage, const std::v
   std::vector<int> front(sizes.all(), -1);
   for (int i = 0; i < sizes.n_x; ++i)
     if (stage[i] != kAlone) front[i] = stage[i] < 0 ? of_stage(-1 - stage[i]) : of_node(stage[i]);
-  std::vector<std::set<int>> stages(sizes.n_equal), nodes(sizes.n_equal);
+  std::vector<Range> stages(sizes.n_equal), nodes(sizes.n_equal);
   for (const KktEntry& entry : coupled) {
     if (entry.row < sizes.equality() || entry.column >= sizes.n_x) continue;
     const int row = entry.row - sizes.equality(), own = stage[entry.column];
     if (own < 0)
-      stages[row].insert(-1 - own);
+      stages[row].add(-1 - own);
     else
-      nodes[row].insert(own);
+      nodes[row].add(own);
   }
   for (int row = 0; row < sizes.n_equal; ++row) {
-    const std::set<int>&s = stages[row], &n = nodes[row];
+    const Range &s = stages[row], &n = nodes[row];
     int own = last();
-    if (s.size() == 1 && (n.empty() || (n.size() == 1 && *n.begin() == *s.begin())))
-      own = of_stage(*s.begin());
-    else if (s.size() <= 1 && (n.size() == 1 || (n.size() == 2 && *n.rbegin() == *n.begin() + 1)))
-      own = std::min(of_node(*n.begin()), of_node(*n.rbegin()));
+    if (s.width() == 1 && (n.width() == 0 || (n.width() == 1 && n.first == s.first)))
+      own = of_stage(s.first);
+    else if (s.width() <= 1 && (n.width() == 1 || n.width() == 2))
+      own = std::min(of_node(n.first), of_node(n.last));
     front[sizes.equality() + row] = own;
   }
   return front;
@@ -97,34 +110,34 @@ std::vector<int> StageFronts::assign(const std::vector<int>& stage, const std::v
 // Unknowns of each front, those of later fronts that they are coupled with, and the front's parent: that of the
 // first of these.
 void StageFronts::find_borders(const std::vector<int>& front, const std::vector<KktEntry>& coupled) {
-  std::vector<int> place(front.size());
+  std::vector<int> place(front.size()), seen(front.size(), -1);
   for (std::size_t i = 0; i < front.size(); ++i) {
     if (front[i] < 0) continue;
     place[i] = static_cast<int>(fronts[front[i]].own.size());
     fronts[front[i]].own.push_back(static_cast<int>(i));
   }
   auto before = [&](int i, int j) { return front[i] != front[j] ? front[i] < front[j] : place[i] < place[j]; };
-  std::vector<std::set<int>> border(fronts.size());
   auto couple = [&](int i, int j) {
-    if (front[i] != front[j]) border[std::min(front[i], front[j])].insert(front[i] < front[j] ? j : i);
+    if (front[i] != front[j]) fronts[std::min(front[i], front[j])].border.push_back(front[i] < front[j] ? j : i);
   };
   for (const KktEntry& entry : coupled) couple(entry.row, entry.column);
   for (Inequality& own : inequalities) {
     for (const Term& term : own.terms)
       if (own.front < 0 || front[term.variable] < own.front) own.front = front[term.variable];
     for (const Term& term : own.terms)
-      if (front[term.variable] != own.front) border[own.front].insert(term.variable);
+      if (front[term.variable] != own.front) fronts[own.front].border.push_back(term.variable);
   }
   for (std::size_t f = 0; f < fronts.size(); ++f) {
     Front& own = fronts[f];
-    own.border.assign(border[f].begin(), border[f].end());
     if (own.border.empty()) continue;
+    auto repeated = [&](int i) { return std::exchange(seen[i], static_cast<int>(f)) == static_cast<int>(f); };
+    own.border.erase(std::remove_if(own.border.begin(), own.border.end(), repeated), own.border.end());
     std::sort(own.border.begin(), own.border.end(), before);
     own.parent = front[own.border.front()];
     fronts[own.parent].children.push_back(static_cast<int>(f));
     if (static_cast<int>(f) < half && own.parent >= half && own.parent < last()) independent = false;
     for (const int i : own.border)
-      if (front[i] != own.parent) border[own.parent].insert(i);
+      if (front[i] != own.parent) fronts[own.parent].border.push_back(i);
   }
 }
 
