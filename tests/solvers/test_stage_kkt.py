@@ -229,6 +229,16 @@ def test_solves_reach_the_optimum_of_ipopts_own_linear_solver(name):
     assert_allclose(own.meta["objective"], usual.meta["objective"], rtol=SAME_OPTIMUM)
 
 
+@pytest.mark.long
+def test_solves_with_two_threads_end_at_the_same_bits():
+    one, two = (
+        solve(problems.load("quadruped-trot"), compile="none", judge=False, threads=threads) for threads in (1, 2)
+    )
+    assert one.meta["iterations"] == two.meta["iterations"]
+    assert_array_equal(one.q, two.q)
+    assert_array_equal(one.tau, two.tau)
+
+
 def test_fewer_free_variables_than_rows_still_end():
     found = solve(
         problems.load("ur5-reach", duration=0.05), intervals=1, transcription="legendre:1", compile="none",
