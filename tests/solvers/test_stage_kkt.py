@@ -179,6 +179,12 @@ def test_dependent_rows_are_singular(first, factors):
     assert by_stages(stage, n_c, n_d, matrix, rhs) is None
 
 
+def test_variables_without_curvature_or_rows_are_singular():
+    stage, n_c, n_d, matrix, rhs = Random().system()
+    matrix[stage.size - 9], matrix[:, stage.size - 9] = 0.0, 0.0
+    assert by_stages(stage, n_c, n_d, matrix, rhs) is None
+
+
 def test_sizes_that_do_not_fit_are_refused():
     stage, n_c, n_d, matrix, rhs = Random().system()
     with pytest.raises(ValueError, match="rhs has a wrong size"):

@@ -145,6 +145,8 @@ class Elimination {
       for (limit_ = candidates; first_ < limit_;) eliminate_panel();
     }
     pivots_.count = first_;
+    pivots_.singular = false;
+    for (int k = first_; k < candidates; ++k) pivots_.singular |= !(left_of(k) > least_[pivots_.order[k]]);
   }
 
  private:
@@ -162,6 +164,13 @@ class Elimination {
       subtract_product(p_.column(next) + next, p_.ld, p_.column(first_) + next, p_.ld, p_.work(0) + next, p_.ldw, left, left,
                        done_);
     first_ = next;
+  }
+
+  // The largest magnitude of a row that has not been eliminated.
+  double left_of(int k) {
+    double most = magnitude(p_.column(k), k, p_.n);
+    for (int j = first_; j < k; ++j) most = std::max(most, std::abs(p_.column(j)[k]));
+    return most;
   }
 
   // Brings the pivot to place k, and to k + 1 where it has two rows: their number, or 0 where there is none.

@@ -14,6 +14,7 @@ struct Pivots {
   std::vector<double> below;     // of D; not zero in the first column of a 2 by 2 pivot
   int count = 0;                 // eliminated; the others among the first rows are left in the Schur complement
   int negative = 0;              // eigenvalues of D
+  bool singular = false;         // a row is left of which nothing is above its value of `least`
 };
 
 // Eliminates the first `candidates` rows and columns of the lower triangle `a` (n by n, leading dimension

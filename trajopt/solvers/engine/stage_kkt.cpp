@@ -54,16 +54,16 @@ void StageKkt::for_halves(const Task& task) {
 bool StageKkt::factorize(const double* values) {
   values_ = values;
   if (!read_rows()) return false;
-  for_halves([&](int first, int end, Work& work) {
-    for (int f = first; f < end; ++f) eliminate_front(f, work);
-  });
-  eliminate_front(structure_.last(), works_[0]);
-  bool regular = true;
-  for (std::size_t f = 0; f < factors_.size(); ++f) {
-    negative_ += factors_[f].pivots.negative;
-    if (structure_.fronts[f].parent < 0 && factors_[f].n_left() > 0) regular = false;
-  }
-  return regular;
+  std::atomic<bool> regular = true;
+  auto eliminate_fronts = [&](int first, int end, Work& work) {
+    for (int f = first; f < end && regular; ++f)
+      if (!eliminate_front(f, work)) regular = false;
+  };
+  for_halves(eliminate_fronts);
+  eliminate_fronts(structure_.last(), structure_.last() + 1, works_[0]);
+  if (!regular) return false;
+  for (const Factor& own : factors_) negative_ += own.pivots.negative;
+  return true;
 }
 
 // The blocks of slacks and multipliers, from which variables that are alone have been eliminated.
@@ -84,12 +84,14 @@ bool StageKkt::read_rows() {
   return true;
 }
 
-void StageKkt::eliminate_front(int f, Work& work) {
+// False where the matrix is found to be singular.
+bool StageKkt::eliminate_front(int f, Work& work) {
   Factor& own = factors_[f];
   assemble(f, work);
   find_least(f, work);
   eliminate(work.matrix.data(), own.n, work.ld, own.candidates, own.least.data(), threshold_, own.pivots);
   store(f, work);
+  return !own.pivots.singular && (structure_.fronts[f].parent >= 0 || own.n_left() == 0);
 }
 
 void StageKkt::assemble(int f, Work& work) {

@@ -58,7 +58,7 @@ class StageKkt {
   bool read_rows();
   template <class Task>
   void for_halves(const Task& task);
-  void eliminate_front(int f, Work& work);
+  bool eliminate_front(int f, Work& work);
   void assemble(int f, Work& work);
   void condense(int f, Work& work) const;
   void add_children(int f, Work& work) const;
