@@ -19,8 +19,8 @@ double apply(const Csr& map, int row, const double* values) {
   return sum;
 }
 
-void scatter(const Csr& map, const double* nonzeros, const int* target, Reals& out) {
-  for (int t = 0; t < map.rows(); ++t) out[target[t]] += apply(map, t, nonzeros);
+void scatter(const Reals& entries, const Indices& target, Reals& out) {
+  for (std::size_t t = 0; t < target.size(); ++t) out[target[t]] += entries[t];
 }
 
 }  // namespace
@@ -45,6 +45,7 @@ void Nlp::prepare(Kind kind) {
       outputs.width += outputs.size.back();
     }
     outputs.data.resize(static_cast<std::size_t>(group.n_stages) * outputs.width);
+    if (kind != kValue) outputs.entries.resize((kind == kFirst ? group.jacobian_target : group.hessian_target).size());
     outputs_[kind].push_back(std::move(outputs));
     std::vector<Worker> workers(problem_.threads);
     for (Worker& worker : workers) {
@@ -80,6 +81,11 @@ void Nlp::run_stage(Kind kind, int index, int stage, Worker& worker, const doubl
   const int failed =
       worker.function(worker.arg.data(), worker.res.data(), worker.iw.data(), worker.w.data(), worker.memory);
   if (failed) std::fill_n(out, outputs.width, std::numeric_limits<double>::quiet_NaN());
+  if (kind == kValue) return;
+  const Csr& map = kind == kFirst ? group.jacobian : group.hessian;
+  const double* nonzeros = outputs.at(stage, kind == kFirst ? 3 : 0);
+  double* entries = outputs.entries.data() + static_cast<std::size_t>(stage) * map.rows();
+  for (int t = 0; t < map.rows(); ++t) entries[t] = apply(map, t, nonzeros);
 }
 
 void Nlp::run_share(Kind kind, int thread, const double* x, double sigma, const double* lambda) {
@@ -135,10 +141,7 @@ void Nlp::update_first(const double* x) {
   for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
     const Group& group = problem_.groups[index];
     const Outputs& outputs = outputs_[kFirst][index];
-    for (int stage = 0; stage < group.n_stages; ++stage) {
-      const std::size_t targets = static_cast<std::size_t>(stage) * group.jacobian.rows();
-      scatter(group.jacobian, outputs.at(stage, 3), group.jacobian_target.data() + targets, jacobian_);
-    }
+    scatter(outputs.entries, group.jacobian_target, jacobian_);
     scatter_gradient(outputs, group);
   }
   valid_[kFirst] = true;
@@ -181,13 +184,8 @@ const Reals& Nlp::hessian(const double* x, double sigma, const double* lambda) {
   run(kSecond, x, sigma, lambda);
   const auto start = std::chrono::steady_clock::now();
   std::fill(hessian_.begin(), hessian_.end(), 0.0);
-  for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
-    const Group& group = problem_.groups[index];
-    for (int stage = 0; stage < group.n_stages; ++stage) {
-      const std::size_t targets = static_cast<std::size_t>(stage) * group.hessian.rows();
-      scatter(group.hessian, outputs_[kSecond][index].at(stage, 0), group.hessian_target.data() + targets, hessian_);
-    }
-  }
+  for (std::size_t index = 0; index < problem_.groups.size(); ++index)
+    scatter(outputs_[kSecond][index].entries, problem_.groups[index].hessian_target, hessian_);
   timings_[kSecond].seconds += seconds_since(start);
   return hessian_;
 }

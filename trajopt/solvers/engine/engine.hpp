@@ -91,6 +91,7 @@ class Nlp {
     Indices size, offset;
     int width = 0;
     Reals data;
+    Reals entries;  // of the Jacobian or the Hessian, in the order of the targets
     bool has(int output) const { return size[output] > 0; }
     const double* at(int stage, int output) const {
       return data.data() + static_cast<std::size_t>(stage) * width + offset[output];
