@@ -14,9 +14,9 @@
     uv run scripts/compare_crocoddyl.py            # about 15 minutes; tables on stdout
     uv run scripts/compare_crocoddyl.py --write    # also into docs/peers.md, docs/peers/
 
-uv makes an environment with Crocoddyl for this script alone; ours runs beside it in the project's own environment, as
-a process that answers requests (`scripts/peers/serve.py`). Only one of both computes at a time, on one thread unless
-said. A time is that of the solver: problems are built, and functions compiled, before.
+uv makes an environment with Crocoddyl for this script alone; ours runs beside it in the project's own
+environment, as a process that answers requests (`scripts/peers/serve.py`). One of both computes at a time,
+on one thread unless said. A time is that of the solver: problems are built, and functions compiled, before.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import shlex
 import subprocess
 import sys
@@ -37,6 +36,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 os.environ["OMP_NUM_THREADS"] = "1"  # before Crocoddyl loads OpenMP; problems state their own number
 
+from scripts.documents import written  # noqa: E402
 from scripts.peers import crocoddyl_half as theirs  # noqa: E402
 from scripts.peers import report  # noqa: E402
 from scripts.peers.report import CROCODDYL, EXAMPLE, OURS, Measured, Setting  # noqa: E402
@@ -145,13 +145,6 @@ def measure(tasks: list[str], repeats: int, command: str) -> list[Measured]:
     return found
 
 
-def written(text: str, marker: str, lines: Iterator[str]) -> str:
-    """The text with ``lines`` between the two comments of a marker."""
-    between = re.compile(rf"(?<=<!-- {marker} -->\n).*?(?=<!-- end of {marker} -->)", re.DOTALL)
-    body = "\n".join(lines)
-    return between.sub(lambda _: f"\n{body}\n\n", text)
-
-
 def main() -> None:
     """Measure, print, and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -162,8 +155,7 @@ def main() -> None:
     given = parser.parse_args()
     tasks = given.tasks or list(TASKS)
     found = measure(tasks, given.repeats, given.ours)
-    gaits = [task for task in tasks if TASKS[task] is not SOLO_JUMP]
-    parts = {"gaits": lambda: report.summary(found, gaits), "all": lambda: report.everything(found, tasks)}
+    parts = {"summary": lambda: report.summary(found, tasks), "all": lambda: report.everything(found, tasks)}
     for lines in parts.values():
         print("\n".join(lines()), end="\n\n")
     if given.write:
@@ -172,7 +164,7 @@ def main() -> None:
         report.draw(found, tasks, FOLDER / "crocoddyl.png")
         text = DOCUMENT.read_text(encoding="utf-8")
         for marker, lines in parts.items():
-            text = written(text, marker, lines())
+            text = written(text, marker, "\n".join(lines()) + "\n")
         DOCUMENT.write_text(text, encoding="utf-8")
 
 

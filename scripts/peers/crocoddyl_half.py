@@ -57,7 +57,7 @@ def _model(robot: str) -> pin.Model:
 
 
 def adopt(task: Task, described: dict[str, Any]) -> None:
-    """Check that our robot is the same; for a robot without an example of Crocoddyl's take our posture and limits.
+    """Check that our robot is the same; for a robot without an example of Crocoddyl's take our posture.
 
     The feet stand on the ground, as `createJumpingProblem` assumes.
     """
@@ -65,7 +65,9 @@ def adopt(task: Task, described: dict[str, Any]) -> None:
     model = _model(robot)
     masses = [inertia.mass for inertia in model.inertias]
     if not np.allclose(masses, described["masses"], rtol=0, atol=SAME):
-        raise SystemExit(f"{robot} is not the same robot on both sides: masses {masses}, {described['masses']}")
+        raise SystemExit(
+            f"{robot} is not the same robot on both sides: masses {masses}, {described['masses']}"
+        )
     posture = np.array(described["posture"])
     if robot == "anymal_b":
         if not np.allclose(model.referenceConfigurations["standing"][7:], posture[7:], rtol=0, atol=SAME):
@@ -75,7 +77,9 @@ def adopt(task: Task, described: dict[str, Any]) -> None:
     pin.framesForwardKinematics(model, data, posture)
     posture[2] -= data.oMf[model.getFrameId(ROBOTS[robot][1][0])].translation[2]
     model.referenceConfigurations["standing"] = posture
-    model.effortLimit[6:] = described["effort_limit"]
+    limits = model.effortLimit.copy()
+    limits[6:] = task.effort
+    model.effortLimit = limits
 
 
 def start_of(task: Task) -> np.ndarray:
@@ -90,7 +94,9 @@ def build(task: Task, step: float) -> crocoddyl.ShootingProblem:
     gait, start = SimpleQuadrupedalGaitProblem(_model(robot_of(task)), *feet), start_of(task)
     if isinstance(task, Gait):
         create = getattr(gait, f"create{KINDS[task.name]}Problem")
-        return create(start, task.length, task.height, step, round(task.step / step), round(task.support / step))
+        return create(
+            start, task.length, task.height, step, round(task.step / step), round(task.support / step)
+        )
     ground, up = round(task.ground / step), round(task.flight / 2 / step)
     return gait.createJumpingProblem(start, task.height, list(task.distance), step, ground, up)
 
@@ -117,8 +123,8 @@ def solve(problem: crocoddyl.ShootingProblem, solver: str, threads: int, most: i
 def errors(problem: crocoddyl.ShootingProblem, solved: Solved) -> dict[str, float]:
     """Integrate the torques with Crocoddyl's own models by Runge and Kutta's method: base off the plan, m.
 
-    From the start to the end without correction, torques constant over a knot, impulses by its own model; the largest
-    torque, N m.
+    From start to end without correction, torques constant over a knot, impulses by its own model; also
+    the largest torque, N m.
     """
     x, apart, torque = problem.x0.copy(), [], 0.0
     for model, u, planned in zip(problem.runningModels, solved.us, solved.xs[1:], strict=True):
@@ -140,5 +146,3 @@ def _advanced(model: Any, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         fine.calc(data, x, u)
         x = data.xnext.copy()
     return x
-
-

@@ -30,7 +30,7 @@ END_SECONDS = 1.0
 
 
 def _over_torques(weights: np.ndarray | float, units: Units) -> np.ndarray:
-    """Factors of a residual in SI units, such that ``TorqueCost`` of weight one has Crocoddyl's share of it."""
+    """Factors of a residual in SI units that give its squares these weights beside a `TorqueCost` of one."""
     return np.sqrt(np.asarray(weights) / (TORQUE * JOINTS)) / units.torque
 
 
@@ -42,7 +42,7 @@ def _state(context: Context, units: Units, q: np.ndarray) -> ca.SX:
 
 @dataclass(frozen=True, kw_only=True)
 class StateCost(Cost):
-    """Attitude and joints near ``posture`` (nq,), low velocities, and the base near the positions of ``path``."""
+    """Attitude and joints near ``posture`` (nq,), low velocities, the base near the positions of ``path``."""
 
     posture: np.ndarray
     path: Motion
@@ -73,7 +73,7 @@ class EndCost(NodeCost):
 
 @dataclass(frozen=True, kw_only=True)
 class LandedAtEnd(NodeConstraint):
-    """Contact frames are at ``places`` (3,) m at the end of the schedule, and at rest: the next stance begins."""
+    """Frames of feet are at ``places`` (3,) m when the schedule ends, and at rest: the next stance begins."""
 
     places: Mapping[str, np.ndarray]
 

@@ -28,7 +28,8 @@ from trajopt_library.problems import common
 FRICTION = 0.7
 # Guesses of swings are higher than required by this factor.
 HIGHER = 1.1
-# Rise of the base while the legs extend, and fraction of the way covered on the ground, in the guess of a jump.
+# In the guess of a jump: rise of the base while the legs extend, and fraction of the way at each end on the
+# ground.
 TAKEOFF_RISE, GROUND_PART = 0.04, 0.1
 # Phases up to this duration, s, are one interval; all others have the number that is asked for.
 SHORT = 0.06
@@ -40,7 +41,7 @@ def build(task: Task) -> Problem:
         return _gait(task)
     if task.robot == "solo12":
         times = {"stance": task.ground, "flight": task.flight, "landing": task.ground}
-        return problems.load("solo12-jump", distance=task.distance[0], **times)
+        return problems.load("solo12-jump", distance=task.distance[0], effort=task.effort, **times)
     return _jump(task)
 
 
@@ -69,7 +70,7 @@ class _Steps:
 
 
 def _steps(task: Gait, robot: Robot) -> _Steps:
-    """Every step moves the base by the length times the fraction of feet that step, as Crocoddyl's CoM task."""
+    """A step moves the base by its length times the share of feet that step, as Crocoddyl's CoM task."""
     places, landing = dict(contact_positions(robot, robot.reference)), dict[str, np.ndarray]()
     base, time, phases = robot.reference[:3].copy(), 0.0, list[Phase]()
     waypoints = [BaseWaypoint(time=0.0, position=base)]
@@ -85,9 +86,10 @@ def _steps(task: Gait, robot: Robot) -> _Steps:
         landing = {}
         for feet in block:
             length = task.length * (task.first if number == 0 else 1.0)
-            base = base + [length * len(feet) / len(ANYMAL_FEET), 0.0, 0.0]
+            way = np.array([length, 0.0, 0.0])
+            base = base + way * len(feet) / len(ANYMAL_FEET)
             add(f"swing {' '.join(feet)}", task.step, tuple(foot for foot in ANYMAL_FEET if foot not in feet))
-            landing = {foot: places[foot] + [length, 0.0, 0.0] for foot in feet}
+            landing = {foot: places[foot] + way for foot in feet}
             places |= landing
     return _Steps(phases=tuple(phases), waypoints=tuple(waypoints), last=landing)
 

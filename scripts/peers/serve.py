@@ -1,6 +1,6 @@
 """Our half of a comparison: requests as lines of JSON on stdin, answers on stdout, one at a time.
 
-{"do": "describe", "task": "walk"}                                         robot: masses, posture, limits
+{"do": "describe", "task": "walk"}                                         robot: masses, posture
 {"do": "solve", "task": "walk", "scheme": "legendre:3", "intervals": 4, "linear_solver": "stages"}
 {"do": "open-loop", ...}                                                   errors of the last of these solves
 
@@ -41,9 +41,8 @@ def _prepared(task: str, scheme: str, intervals: int) -> PreparedProblem:
 def describe(task: str) -> dict[str, Any]:
     """What has to be the same on both sides."""
     robot = _problem(task).robot
-    limit = None if robot.effort_limit is None else robot.effort_limit.tolist()
     masses = [inertia.mass for inertia in robot.model.inertias]
-    return {"masses": masses, "posture": robot.reference.tolist(), "effort_limit": limit}
+    return {"masses": masses, "posture": robot.reference.tolist()}
 
 
 def solve(task: str, scheme: str, intervals: int, linear_solver: str) -> dict[str, Any]:

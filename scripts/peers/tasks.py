@@ -1,4 +1,6 @@
-"""The tasks: five of ANYmal B from Crocoddyl's examples, and a jump of Solo12. Only the standard library is needed.
+"""The tasks: five of ANYmal B from Crocoddyl's examples, and a jump of Solo12.
+
+Only the standard library is needed.
 
 Numbers of the first five are those of `crocoddyl/examples/quadrupedal_gaits_fwddyn.py`.
 """
@@ -32,7 +34,8 @@ class Gait:
 class Jump:
     """A jump from standing at rest: ``ground`` s of push, ``flight`` s, landing and ``ground`` s on all feet.
 
-    height: rise in mid flight, m. distance: displacement (3,) of all feet, m.
+    height: rise in mid flight, m. distance: displacement (3,) of all feet, m. effort: limit of all torques,
+    N m; None: the robot's own.
     """
 
     name: str
@@ -41,6 +44,7 @@ class Jump:
     distance: tuple[float, float, float]
     ground: float
     flight: float
+    effort: float | None = None
 
 
 Task = Gait | Jump
@@ -64,10 +68,9 @@ GAITS = (
         first=1.0,
     ),
 )
-ANYMAL_JUMP = Jump(
-    name="jump", height=0.15, distance=(0.0, 0.3, 0.0), ground=10 * KNOT, flight=40 * KNOT
-)
-# Ballistic rise of its flight.
+ANYMAL_JUMP = Jump(name="jump", height=0.15, distance=(0.0, 0.3, 0.0), ground=10 * KNOT, flight=40 * KNOT)
+# The rise is that of a ballistic flight; 2.7 N m is what the actuators can do (Grimminger et al., "An open
+# torque-controlled modular robot architecture for legged locomotion research", 2020), not the URDF's 1000.
 SOLO_JUMP = Jump(
     name="solo12-jump",
     robot="solo12",
@@ -75,5 +78,6 @@ SOLO_JUMP = Jump(
     distance=(0.3, 0.0, 0.0),
     ground=40 * KNOT,
     flight=30 * KNOT,
+    effort=2.7,
 )
 TASKS: dict[str, Task] = {task.name: task for task in (*GAITS, ANYMAL_JUMP, SOLO_JUMP)}
