@@ -2,7 +2,7 @@
 
 Only the standard library is needed.
 
-Numbers of the first five are those of `crocoddyl/examples/quadrupedal_gaits_fwddyn.py`.
+Numbers of the first five are those of `crocoddyl.examples.quadrupedal_gaits_fwddyn`.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from trajopt.solving.solving import solve
 
 # Knots of the problems that Crocoddyl's example builds, without impulses, which have no duration.
 KNOTS = {"walk": 104, "trot": 54, "pace": 60, "bound": 60, "jump": 60}
-# The end is at rest to the solver's tolerance, m/s and m.
+# Of footholds, to the solver's tolerance, m.
 SOLVED = 1e-5
 
 
@@ -87,7 +87,7 @@ def test_the_fastest_mesh_at_a_hundredth_of_the_error_is_compared() -> None:
     )
     found = [theirs, coarse, fine, fit]
     assert report.chosen(found, "trot") is fit
-    assert list(report.summary(found, ["trot"]))[-1].endswith("| 0.80 |")
+    assert list(report.summary(found, ["trot"]))[-1].endswith("| 0.80 | 0.80 |")
     assert report.chosen([theirs, coarse], "trot") is None
 
 
