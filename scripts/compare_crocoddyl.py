@@ -13,6 +13,7 @@
 
     uv run scripts/compare_crocoddyl.py            # about 15 minutes; tables on stdout
     uv run scripts/compare_crocoddyl.py --write    # also into docs/peers.md, docs/peers/
+    uv run scripts/compare_crocoddyl.py --only-document    # run nothing: from docs/peers/crocoddyl.csv
 
 uv makes an environment with Crocoddyl for this script alone; ours runs beside it in the project's own
 environment, as a process that answers requests (`scripts/peers/serve.py`). One of both computes at a time,
@@ -152,15 +153,17 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5, help="rounds of solves")
     parser.add_argument("--ours", default=f"uv run --project {ROOT} python", help="python of the project")
     parser.add_argument("--write", action="store_true", help="write docs/peers.md and docs/peers/")
+    parser.add_argument("--only-document", action="store_true", help="run nothing: write from the last table")
     given = parser.parse_args()
     tasks = given.tasks or list(TASKS)
-    found = measure(tasks, given.repeats, given.ours)
+    table = FOLDER / "crocoddyl.csv"
+    found = report.read_csv(table) if given.only_document else measure(tasks, given.repeats, given.ours)
     parts = {"summary": lambda: report.summary(found, tasks), "all": lambda: report.everything(found, tasks)}
     for lines in parts.values():
         print("\n".join(lines()), end="\n\n")
-    if given.write:
+    if given.write or given.only_document:
         FOLDER.mkdir(exist_ok=True)
-        report.write_csv(found, FOLDER / "crocoddyl.csv")
+        report.write_csv(found, table)
         report.draw(found, tasks, FOLDER / "crocoddyl.png")
         text = DOCUMENT.read_text(encoding="utf-8")
         for marker, lines in parts.items():

@@ -98,7 +98,8 @@ def summary(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
         "[s]",
         "iterations",
         "error [m]",
-        "ratio of times",
+        "ratio",
+        "of least times",
     )
     yield f"| {' | '.join(titles)} |"
     yield "|" + "---|" * len(titles)
@@ -154,6 +155,25 @@ def write_csv(found: Sequence[Measured], path: Path) -> None:
                     *errors,
                 ]
             )
+
+
+def read_csv(path: Path) -> list[Measured]:
+    """What `write_csv` wrote."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        return [
+            Measured(
+                setting=Setting(
+                    **{name: row[name] for name in COLUMNS[:3]}, size=float(row["size"]), detail=row["detail"]
+                ),
+                seconds=[float(value) for value in row["seconds"].split()],
+                iterations=int(row["iterations"]),
+                solved=row["solved"] == "1",
+                end=float(row["end_m"]),
+                largest=float(row["largest_m"]),
+                torque=float(row["torque_nm"]),
+            )
+            for row in csv.DictReader(stream)
+        ]
 
 
 def draw(found: Sequence[Measured], tasks: Sequence[str], path: Path) -> None:

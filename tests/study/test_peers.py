@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -89,6 +92,13 @@ def test_the_fastest_mesh_at_a_hundredth_of_the_error_is_compared() -> None:
     assert report.chosen(found, "trot") is fit
     assert list(report.summary(found, ["trot"]))[-1].endswith("| 0.80 | 0.80 |")
     assert report.chosen([theirs, coarse], "trot") is None
+
+
+def test_tables_are_read_as_they_were_written(tmp_path: Path) -> None:
+    found = [measured(CROCODDYL, "FDDP", 2.5, 0.1, 1e-3), measured(OURS, "legendre:3", 4.0, 0.08, math.inf)]
+    report.write_csv(found, tmp_path / "found.csv")
+    read = report.read_csv(tmp_path / "found.csv")
+    assert list(report.everything(read, ["trot"])) == list(report.everything(found, ["trot"]))
 
 
 def test_with_limits_of_torques_the_solver_for_them_is_compared() -> None:
