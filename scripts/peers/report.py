@@ -180,7 +180,7 @@ def draw(found: Sequence[Measured], tasks: Sequence[str], path: Path) -> None:
     """Time against the largest open-loop error, a panel for each task."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
 
     columns = 3
     figure = Figure(figsize=(11.0, 7.0), dpi=130, layout="constrained")
@@ -189,7 +189,7 @@ def draw(found: Sequence[Measured], tasks: Sequence[str], path: Path) -> None:
     for axes, task in zip(panels, tasks, strict=False):
         _panel(axes, found, task)
         axes.xaxis.set_major_locator(FixedLocator(TICKS))
-        axes.xaxis.set_major_formatter(ScalarFormatter())
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
     for axes in panels[len(tasks) :]:
         axes.remove()
