@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 import shlex
 import shutil
 import subprocess
@@ -24,6 +23,7 @@ from pathlib import Path
 
 import click
 
+from scripts.documents import written
 from scripts.measure import machine
 from trajopt.study.sweep.front import FOLDER, load_front
 from trajopt.study.sweep.tables import SETTINGS
@@ -95,12 +95,6 @@ def main(names: tuple[str, ...], resume: bool, only_document: bool) -> None:
         found = machine.disturbance("solo12-jump", REPEATS)
         text = written(text, "pinned", "\n".join(f"    {line}" for line in found) + "\n")
     DOCUMENT.write_text(text, encoding="utf-8")
-
-
-def written(text: str, marker: str, lines: str) -> str:
-    """The text with ``lines`` between the two comments of a marker."""
-    between = re.compile(rf"(?<=<!-- {marker} -->\n).*?(?=<!-- end of {marker} -->)", re.DOTALL)
-    return between.sub(lambda _: f"\n{lines}\n", text)
 
 
 def publish(front: Published, resume: bool) -> None:
