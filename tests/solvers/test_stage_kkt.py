@@ -238,7 +238,8 @@ def test_solves_reach_the_optimum_of_ipopts_own_linear_solver(name):
 @pytest.mark.long
 def test_solves_with_two_threads_end_at_the_same_bits():
     one, two = (
-        solve(problems.load("quadruped-trot"), compile="none", judge=False, threads=threads) for threads in (1, 2)
+        solve(problems.load("quadruped-trot"), compile="none", judge=False, threads=threads)
+        for threads in (1, 2)
     )
     assert one.meta["iterations"] == two.meta["iterations"]
     assert_array_equal(one.q, two.q)
