@@ -133,7 +133,7 @@ def _without_waiting(
     if not late:
         return found, replace(compiled, build_time=time.perf_counter() - begun)
     if stood_in is not None:
-        stood_in |= missing.keys()
+        stood_in.update(missing)
     machine, report = _made(late, "none", hessian)
     failure = ask(folder, [_request(key, *made, hessian) for key, made in missing.items()])
     by_none = {entry_key(point, "none"): found[entry_key(point, WAITING_LEVEL)] for point in ready}
