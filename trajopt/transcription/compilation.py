@@ -31,7 +31,7 @@ from trajopt.transcription import stage_functions
 from trajopt.transcription.background import Request, ask, stand_ins
 from trajopt.transcription.c_compiler import FLAGS, command, compiler, complaint, generate, made_by
 from trajopt.transcription.cache_entries import CACHE_VARIABLE, EntryWriter, cache_directory, intact
-from trajopt.transcription.compiled_point import FUNCTION_NAMES, CompiledPoint, load
+from trajopt.transcription.compiled_point import FUNCTION_NAMES, CompiledPoint, Stored, load
 from trajopt.transcription.stage_functions import PointFunction, derivatives
 
 BACKGROUND = "background"
@@ -188,7 +188,8 @@ def _made(
             job.discard()
     compile_time = 0.0 if level == "none" else time.perf_counter() - built
     report = CompilationReport(level, built - start, compile_time, len(wanted) - len(missing), len(missing))
-    return {key: load(key, [folder / name for name in names]) for key, names in entries.items()}, report
+    made = {job.writer.final: job.functions for job in jobs}
+    return {key: load(key, [folder / name for name in names], made) for key, names in entries.items()}, report
 
 
 def _kinds(point: PointFunction, level: str, hessian: str) -> tuple[str, ...]:
@@ -207,6 +208,7 @@ class _Job:
         self.point, self.kind, self.level = point, kind, level
         self.writer = EntryWriter(folder / key, point.name, level)
         self.c_bytes = 0
+        self.functions: dict[str, Stored] = {}
         self.processes: list[subprocess.Popen[bytes]] = []
 
     def start(self) -> None:
@@ -221,10 +223,12 @@ class _Job:
             ) from None
         made, stored = derivatives(self.point), self._stored()
         for name in reversed(ENTRIES[self.kind]):
-            text = stored.get(name)
-            function = getattr(made, name) if text is None else ca.Function.deserialize(text.read_text())
+            file = stored.get(name)
+            function = getattr(made, name) if file is None else ca.Function.deserialize(file.read_text())
             if self.level == "none":
-                (folder / f"{name}.casadi").write_text(function.serialize(), encoding="utf-8")
+                text = function.serialize()
+                (folder / f"{name}.casadi").write_text(text, encoding="utf-8")
+                self.functions[name] = Stored(text, function)
             else:
                 self._compile(generate(name, function, folder))
 

@@ -30,18 +30,26 @@ class CompiledPoint:
     c_bytes: int
 
 
-def load(key: str, entries: Sequence[Path]) -> CompiledPoint:
-    """A point's functions from its entries: the last one's Hessian, or none where none has one."""
-    sources: dict[str, str | tuple[str, str]] = {}
-    functions: dict[str, ca.Function] = {}
+@dataclass(frozen=True)
+class Stored:
+    """A function, and where the engine finds it: its text, or a library and the name in it."""
+
+    source: str | tuple[str, str]
+    function: ca.Function
+
+
+def load(
+    key: str, entries: Sequence[Path], made: Mapping[Path, Mapping[str, Stored]] | None = None
+) -> CompiledPoint:
+    """A point's functions from its entries: the last one's Hessian, or none where none has one.
+
+    made: functions of entries that this process has just written, which need not be read again.
+    """
+    found: dict[str, Stored] = {}
     for entry in entries:
-        for name in (*FUNCTION_NAMES, "gauss_newton"):
-            library, text = entry / f"{name}.so", entry / f"{name}.casadi"
-            if library.is_file():
-                sources[name], functions[name] = (str(library), name), ca.external(name, str(library))
-            elif text.is_file():
-                sources[name] = text.read_text(encoding="utf-8")
-                functions[name] = ca.Function.deserialize(sources[name])
+        found |= (made or {}).get(entry) or _read(entry)
+    sources = {name: own.source for name, own in found.items()}
+    functions = {name: own.function for name, own in found.items()}
     hessian = "gauss_newton" if "gauss_newton" in sources else "second"
     if hessian not in sources:
         functions[hessian] = _no_hessian(functions["first"])
@@ -53,6 +61,18 @@ def load(key: str, entries: Sequence[Path]) -> CompiledPoint:
         functions[hessian].sparsity_out(0),
         sum(c_bytes(entry) for entry in entries),
     )
+
+
+def _read(entry: Path) -> dict[str, Stored]:
+    found = {}
+    for name in (*FUNCTION_NAMES, "gauss_newton"):
+        library, file = entry / f"{name}.so", entry / f"{name}.casadi"
+        if library.is_file():
+            found[name] = Stored((str(library), name), ca.external(name, str(library)))
+        elif file.is_file():
+            text = file.read_text(encoding="utf-8")
+            found[name] = Stored(text, ca.Function.deserialize(text))
+    return found
 
 
 def _no_hessian(first: ca.Function) -> ca.Function:
