@@ -47,7 +47,8 @@ class _Pattern:
         return key
 
     def close(self) -> tuple[np.ndarray, np.ndarray]:
-        self.sorted = np.unique(np.concatenate(self.keys))
+        keys = np.sort(np.concatenate(self.keys))  # many times faster here than NumPy's unique
+        self.sorted = keys[np.diff(keys, prepend=-1) > 0]
         return (self.sorted // self.width).astype(np.int32), (self.sorted % self.width).astype(np.int32)
 
     def places(self, key: np.ndarray) -> np.ndarray:
