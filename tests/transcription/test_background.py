@@ -25,6 +25,7 @@ from trajopt.transcription.background import ask, same_functions
 from trajopt.transcription.c_compiler import compiler
 from trajopt.transcription.cache_entries import CACHE_VARIABLE, intact
 from trajopt.transcription.compilation import BACKGROUND, WAITING_LEVEL, compile_points, entry_key
+from trajopt.transcription.compiled_point import load
 from trajopt.transcription.transcription import transcribe
 
 SCHEME = "legendre:2"
@@ -142,6 +143,7 @@ def test_first_solve_does_not_wait_and_the_next_is_compiled(cache, own_compiler,
     assert second.meta["compile"] == WAITING_LEVEL
     assert second.meta["functions_pending"] == second.meta["functions_compiled"] == 0
     assert at_rest(cache)
+    assert {entry.name for entry in cache.iterdir()} == {*keys, ".background"}  # nothing is kept twice
     assert leftovers(cache) == []
 
 
@@ -198,6 +200,22 @@ def test_solves_that_belong_together_use_the_same_functions(cache):
         with same_functions():
             assert compile_points(points, BACKGROUND)[1].level == "none"
     assert compile_points(points, BACKGROUND)[1].level == WAITING_LEVEL
+
+
+def test_entry_that_is_removed_after_it_was_looked_at_is_made_again(cache, monkeypatch):
+    points = list(transcribe(reach(), SCHEME, None).points.values())
+    compile_points(points, "none")
+    entry = cache / entry_key(points[0], "none")
+
+    def removed(key, entries, made=None):
+        if made is not None and not made:
+            shutil.rmtree(entry, ignore_errors=True)
+        return load(key, entries, made)
+
+    monkeypatch.setattr(compilation, "load", removed)
+    _, report = compile_points(points, "none")
+    assert report.built == 1
+    assert intact(entry)
 
 
 @needs_proc

@@ -89,11 +89,25 @@ def _answer(room: Room, request: Request) -> None:
             sum(_compiled(room, request, name, writer.temporary) for name in request.names)
         )
         room.failure.unlink(missing_ok=True)
+        for entry in request.entries:
+            _remove_needless(room, room.cache / entry, request.names)
     except (OSError, RuntimeError, TrajoptError, subprocess.TimeoutExpired) as error:
         with contextlib.suppress(OSError):
             room.failure.write_text(" ".join(str(error).split()), encoding="utf-8")
     finally:
         writer.discard()
+
+
+def _remove_needless(room: Room, entry: Path, names: tuple[str, ...]) -> None:
+    """Remove an entry of the virtual machine whose functions are all compiled now, tens of megabytes.
+
+    It vanishes at once: a process that was about to read it builds the graphs again, in about the same time.
+    """
+    if {file.stem for file in entry.glob("*.casadi")} <= set(names):
+        with contextlib.suppress(OSError):  # it has been removed
+            aside = room.unfinished / f"{entry.name}.removed"
+            entry.rename(aside)
+            shutil.rmtree(aside, ignore_errors=True)
 
 
 def _compiled(room: Room, request: Request, name: str, folder: Path) -> int:

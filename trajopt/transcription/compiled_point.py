@@ -43,11 +43,14 @@ def load(
 ) -> CompiledPoint:
     """A point's functions from its entries: the last one's Hessian, or none where none has one.
 
-    made: functions of entries that this process has just written, which need not be read again.
+    made: functions of entries that this process has just written, which need not be read again. Raises
+    FileNotFoundError where an entry was removed meanwhile.
     """
     found: dict[str, Stored] = {}
     for entry in entries:
         found |= (made or {}).get(entry) or _read(entry)
+    # After reading: an entry that is still there was read whole.
+    size = sum(c_bytes(entry) for entry in entries)
     sources = {name: own.source for name, own in found.items()}
     functions = {name: own.function for name, own in found.items()}
     hessian = "gauss_newton" if "gauss_newton" in sources else "second"
@@ -59,7 +62,7 @@ def load(
         {"value": sources["value"], "first": sources["first"], "second": sources[hessian]},
         functions["first"].sparsity_out(3),
         functions[hessian].sparsity_out(0),
-        sum(c_bytes(entry) for entry in entries),
+        size,
     )
 
 
