@@ -123,7 +123,7 @@ def _start(cache: Path) -> None:
     path = [os.path.abspath(folder) for folder in sys.path]
     _started.append(
         subprocess.Popen(
-            [sys.executable, "-P", "-m", _WORKER, str(cache.resolve())],
+            [sys.executable or "python3", "-P", "-m", _WORKER, str(cache.resolve())],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -62,12 +62,16 @@ def made_by(level: str, found: tuple[str, str] | None) -> str:
     return text + _processor() if "-march=native" in flags else text
 
 
-def generate(name: str, function: ca.Function, folder: Path) -> Path:
-    """Write a function's C into a folder, each expression once: a fifth of the code of a Hessian less."""
+def each_once(function: ca.Function) -> ca.Function:
+    """The same function with each expression evaluated once: a fifth of a Hessian's instructions less."""
     inputs = function.sx_in()
-    function = ca.Function(name, inputs, function.call(inputs), {"cse": True})
+    return ca.Function(function.name(), inputs, function.call(inputs), {"cse": True})
+
+
+def generate(name: str, function: ca.Function, folder: Path) -> Path:
+    """Write a function's C into a folder."""
     generator = ca.CodeGenerator(f"{name}.c", {"with_header": False, "avoid_stack": name in _IN_MEMORY})
-    generator.add(function)
+    generator.add(each_once(function))
     generator.generate(f"{folder}{os.sep}")
     return folder / f"{name}.c"
 

@@ -20,7 +20,7 @@ Gauss-Newton's Hessian of costs that are weighted squares, sum_i w_i r_i(z, o)^2
 residuals, whatever the rows: 2 sigma (r_z + r_o J)^T diag(w) (r_z + r_o J), which is positive semidefinite.
 
 Expressions that occur several times are left as they are: to find them takes four times as long as all the
-rest, and pays where C is compiled (`c_compiler.generate`).
+rest, and pays where C is compiled (`c_compiler.each_once`).
 """
 
 from __future__ import annotations
