@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from typing import Any
 
 # Before OpenMP is loaded: rounding depends on the number of threads, `trajopt suite` measures with one.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -10,6 +12,23 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import pytest
 
 pytest.register_assert_rewrite("tests.support", "tests.extremes")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def waiting_for_compilers() -> Iterator[Any]:
+    """By default solves of tests wait for compiled functions: the same bits in each run, and no processes.
+
+    Gives what they do outside tests.
+    """
+    from trajopt.transcription import compilation
+
+    def waiting(points: Any, hessian: str) -> Any:
+        return compilation.compile_points(points, compilation.WAITING_LEVEL, hessian)
+
+    usual = compilation._without_waiting
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compilation, "_without_waiting", waiting)
+        yield usual
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -22,7 +22,8 @@ from trajopt.study.sweep.result import Job, TimedRun
 from trajopt.study.sweep.run import run_job
 from trajopt.study.workers.executor import ProcessPerTaskExecutor
 from trajopt.study.workers.task import announced
-from trajopt.transcription.compilation import CACHE_VARIABLE, LEVELS
+from trajopt.transcription.c_compiler import FLAGS
+from trajopt.transcription.cache_entries import CACHE_VARIABLE
 from trajopt_library import problems
 
 REPETITIONS = 60
@@ -34,7 +35,7 @@ FIGURES = ("wall_time", "function_time", "calibration")
 
 @click.command()
 @click.argument("problem")
-@click.option("--level", "levels", type=click.Choice(LEVELS), multiple=True, default=("none", "quick"))
+@click.option("--level", "levels", type=click.Choice(tuple(FLAGS)), multiple=True, default=("none", "quick"))
 def compilation(problem: str, levels: tuple[str, ...]) -> None:
     """Compile levels: time to build and compile with an empty cache, least time of an evaluation."""
     head("level", "build", "compile", "values", "first derivatives", "second derivatives")

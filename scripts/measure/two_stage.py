@@ -12,6 +12,7 @@ from trajopt.reduced.two_stage import base_rows_problem, recover_torques
 from trajopt.reduced.wrench_distribution import redistribute_wrenches
 from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.solving.warm_start import warm_start
+from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt.transcription.stage_functions import derivatives
 from trajopt_library import problems
 
@@ -42,8 +43,10 @@ def two_stage(solver: str) -> None:
 
 def compare(problem: Problem, solver: str) -> None:
     """Print the table of one problem."""
-    full, first = prepare(problem), prepare(base_rows_problem(problem))
-    whole, motion = solve(problem, solver=solver), solve(base_rows_problem(problem), solver=solver)
+    full, first = (prepare(each, compile=WAITING_LEVEL) for each in (problem, base_rows_problem(problem)))
+    whole, motion = (
+        solve(each, solver=solver, compile=WAITING_LEVEL) for each in (problem, base_rows_problem(problem))
+    )
     begun = time.perf_counter()
     shared = redistribute_wrenches(problem, motion)
     sharing = time.perf_counter() - begun

@@ -18,7 +18,7 @@ from trajopt import Solution, solve
 pytestmark = pytest.mark.long
 
 # So many intervals that building and solving last seconds.
-LONG = ("solve", "solo12-jump", "--set", "distance=0.3", "--intervals", "200")
+LONG = ("solve", "solo12-jump", "--set", "distance=0.3", "--compile", "quick", "--intervals", "200")
 
 
 def trajopt(*arguments: object) -> AtTerminal:

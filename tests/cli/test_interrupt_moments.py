@@ -16,7 +16,7 @@ from tests.support.packages import install
 from tests.support.problems import hop
 from tests.support.processes import LIMIT, environment, needs_proc, processes, run
 from trajopt import solve
-from trajopt.transcription.compilation import CACHE_VARIABLE
+from trajopt.transcription.cache_entries import CACHE_VARIABLE
 
 pytestmark = [pytest.mark.slow, needs_proc]
 

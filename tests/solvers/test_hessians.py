@@ -30,7 +30,8 @@ from trajopt.terms import (
     VelocityCost,
     WrenchCost,
 )
-from trajopt.transcription.compilation import CACHE_VARIABLE, compile_points
+from trajopt.transcription.cache_entries import CACHE_VARIABLE
+from trajopt.transcription.compilation import compile_points
 from trajopt.transcription.guess import perturbed
 from trajopt.transcription.stage_functions import PointFunction, derivatives
 from trajopt_library import robots

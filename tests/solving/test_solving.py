@@ -160,7 +160,7 @@ def test_progress_that_returns_false_interrupts():
         ("threads", 0, "allowed: 1 or more"),
         ("intervals", 0, "allowed: at least 1"),
         ("transcription", "legendre:9", "allowed: legendre:1..4"),
-        ("compile", "hard", "allowed: none, quick, fast"),
+        ("compile", "hard", "allowed: background, none, quick, fast"),
     ],
 )
 def test_setting_that_is_not_allowed_is_refused(setting, value, message):

@@ -17,14 +17,10 @@ from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.problem import Problem
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import FrictionPyramid, TorqueCost
-from trajopt.transcription import compilation
-from trajopt.transcription.compilation import (
-    CACHE_VARIABLE,
-    CompiledPoint,
-    compile_points,
-    effective_level,
-    entry_key,
-)
+from trajopt.transcription.c_compiler import FLAGS, compiler
+from trajopt.transcription.cache_entries import CACHE_VARIABLE
+from trajopt.transcription.compilation import compile_points, effective_level, entry_key
+from trajopt.transcription.compiled_point import CompiledPoint
 from trajopt.transcription.stage_functions import PointFunction
 from trajopt.transcription.transcription import transcribe
 
@@ -49,9 +45,9 @@ def no_compiler(tmp_path, monkeypatch):
     empty.mkdir()
     monkeypatch.setenv("PATH", str(empty))
     monkeypatch.delenv("CC", raising=False)
-    compilation.compiler.cache_clear()
+    compiler.cache_clear()
     yield
-    compilation.compiler.cache_clear()
+    compiler.cache_clear()
 
 
 def points_of(problem: Problem, transcription: str = "legendre:2", intervals: int = 6) -> list[PointFunction]:
@@ -130,7 +126,7 @@ def test_friction_coefficient_is_a_parameter(cache):
 def test_another_mass_and_another_level_are_other_entries(cache):
     light, heavy = points_of(hop()), points_of(hop(robot=hopper(mass=3.5)))
     assert entry_key(light[0], "none") != entry_key(heavy[0], "none")
-    assert len({entry_key(light[0], level) for level in compilation.LEVELS}) == 3
+    assert len({entry_key(light[0], level) for level in FLAGS}) == 3
 
 
 def code_size(compiled: dict[str, CompiledPoint]) -> int:
@@ -151,18 +147,20 @@ def test_without_a_compiler_the_virtual_machine_solves_with_a_warning(cache, no_
 
 
 def test_compiler_of_the_environment_is_preferred(monkeypatch):
-    compilation.compiler.cache_clear()
-    found = compilation.compiler()
+    compiler.cache_clear()
+    found = compiler()
     monkeypatch.setenv("CC", "gcc" if found and "cc" in found[0] else "cc")
-    compilation.compiler.cache_clear()
-    preferred = compilation.compiler()
-    compilation.compiler.cache_clear()
+    compiler.cache_clear()
+    preferred = compiler()
+    compiler.cache_clear()
     assert preferred is not None
     assert Path(preferred[0]).name == os.environ["CC"]
 
 
 def test_unknown_level_is_refused_with_the_list():
-    with pytest.raises(InputError, match="unknown compile level 'O3'; allowed: none, quick, fast"):
+    with pytest.raises(
+        InputError, match="unknown compile level 'O3'; allowed: background, none, quick, fast"
+    ):
         effective_level("O3")
 
 
@@ -181,12 +179,12 @@ def test_failing_compiler_is_told_in_one_line_and_leaves_nothing(cache, tmp_path
     )
     broken.chmod(0o755)
     monkeypatch.setenv("CC", str(broken))
-    compilation.compiler.cache_clear()
+    compiler.cache_clear()
     try:
         with pytest.raises(TrajoptError, match="disk is full; try --compile none"):
             compile_points(points_of(reach()), "quick")
     finally:
-        compilation.compiler.cache_clear()
+        compiler.cache_clear()
     assert list(cache.iterdir()) == []
 
 

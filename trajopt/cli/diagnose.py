@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 @click.argument("file", type=Path)
 @click.option("--problem", metavar="NAME", help="The problem of FILE.  [default: as named in FILE]")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter of --problem.")
-@click.option(
-    "--compile", metavar="LEVEL", help="none, quick or fast.  [default: as FILE was solved, if cached]"
-)
+@click.option("--compile", metavar="LEVEL", help="none, quick or fast.  [default: what is cached]")
 @json_option
 def diagnose_command(
     file: Path, problem: str | None, settings: tuple[str, ...], compile: str | None, as_json: bool

@@ -76,7 +76,12 @@ def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 solver_option = default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp.")
+# Batches of solves wait for compiled functions: it pays, and results do not depend on when they are there.
 compile_option = default_option("--compile", "quick", "LEVEL", "Compilation: none, quick or fast.")
+_compile_beside_option = default_option(
+    "--compile", "background", "LEVEL", "Compilation: none, quick, fast, or quick in the background."
+)
+_threads_option = default_option("--threads", 1, "N", "Threads that evaluate functions.", kind=THREADS)
 grid_options = option_group(
     click.option(
         "--transcription", metavar="NAME", help="Scheme, e.g. legendre:2.  [default: the problem's]"
@@ -87,18 +92,26 @@ grid_options = option_group(
     solver_option,
 )
 tolerance_option = default_option("--tol", 1e-6, "TOL", "Solver tolerance.", to="tolerance")
-function_options = option_group(
-    compile_option,
-    default_option("--threads", 1, "N", "Threads that evaluate functions.", kind=THREADS),
-)
-solver_options = option_group(
-    default_option("--max-iterations", 500, "N", "Iteration limit of a solve.", kind=COUNT),
-    default_option("--max-time", 600.0, "S", "Time limit of a solve, s."),
-    function_options,
-    click.option(
-        "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="Option of the solver."
-    ),
-)
+function_options = option_group(compile_option, _threads_option)
+
+
+def _solver_options(functions: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
+    return option_group(
+        default_option("--max-iterations", 500, "N", "Iteration limit of a solve.", kind=COUNT),
+        default_option("--max-time", 600.0, "S", "Time limit of a solve, s."),
+        functions,
+        click.option(
+            "--solver-option",
+            "solver_options",
+            multiple=True,
+            metavar="NAME=VALUE",
+            help="Option of the solver.",
+        ),
+    )
+
+
+solver_options = _solver_options(option_group(_compile_beside_option, _threads_option))
+batch_solver_options = _solver_options(function_options)
 layout_options = option_group(
     click.option(
         "--side-by-side",

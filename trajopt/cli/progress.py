@@ -79,7 +79,6 @@ def watched(
     before the solver started.
     """
     from trajopt.solving.monitoring import combine_watches
-    from trajopt.view.watching.panel import ConvergencePanel
     from trajopt.view.watching.record import IterationLines, IterationTable
 
     with ExitStack() as stack:
@@ -90,11 +89,13 @@ def watched(
         stack.callback(setattr, interruption, "note", "")
         control = SolveControl(interruption, max_time)
         table = stack.enter_context(IterationTable(log)) if log not in (None, LINES) else None
-        shown = (
-            IterationLines(sys.stderr, title)
-            if log == LINES
-            else stack.enter_context(ConvergencePanel(title, lambda: control.stopping))
-        )
+        shown: Watch | None = None
+        if log == LINES:
+            shown = IterationLines(sys.stderr, title)
+        elif sys.stderr.isatty():  # elsewhere nothing is shown, and Rich is not loaded
+            from trajopt.view.watching.panel import ConvergencePanel
+
+            shown = stack.enter_context(ConvergencePanel(title, lambda: control.stopping))
         try:
             with interruption.raising():
                 yield {"progress": control, "watch": combine_watches(shown, table, viewer)}

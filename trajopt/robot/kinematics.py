@@ -111,11 +111,10 @@ def _held_by_limits(robot: Robot, q: np.ndarray, gradient: np.ndarray) -> np.nda
     (projected Newton: Bertsekas, SIAM J. Control and Optimization 20, 1982).
     """
     held = np.zeros(robot.nv, dtype=bool)
-    for joint in robot.model.joints:
-        if joint.nq == joint.nv == 1:
-            value, slope = q[joint.idx_q], gradient[joint.idx_v]
-            low, high = robot.position_lower[joint.idx_q], robot.position_upper[joint.idx_q]
-            held[joint.idx_v] = (value <= low and slope > 0) or (value >= high and slope < 0)
+    of_q, of_v = robot.scalar_joints
+    value, slope = q[of_q], gradient[of_v]
+    low, high = robot.position_lower[of_q], robot.position_upper[of_q]
+    held[of_v] = ((value <= low) & (slope > 0)) | ((value >= high) & (slope < 0))
     return held
 
 

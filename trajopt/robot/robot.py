@@ -114,10 +114,17 @@ class Robot:
         """Number of velocity coordinates."""
         return int(self.model.nv)
 
-    @property
+    @cached_property
     def n_unactuated(self) -> int:
         """Number of rows without actuator, which come first: the base's 6, 3 or 0, then passive joints."""
         return building.count_unactuated_rows(self.model, self.base, self.passive)
+
+    @cached_property
+    def scalar_joints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of q, and of v, of the joints with one coordinate."""
+        own = [joint for joint in self.model.joints if joint.nq == joint.nv == 1]
+        rows = np.array([[joint.idx_q, joint.idx_v] for joint in own], dtype=int).reshape(-1, 2)
+        return rows[:, 0], rows[:, 1]
 
     @property
     def nu(self) -> int:

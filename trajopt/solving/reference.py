@@ -21,7 +21,7 @@ from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import DEFAULT_SOLVER, solve
-from trajopt.transcription.compilation import DEFAULT_LEVEL
+from trajopt.transcription.compilation import WAITING_LEVEL
 
 # Degree three: order six where controls are smooth; where a limit becomes active or inactive within an
 # interval, only more intervals help.
@@ -149,7 +149,7 @@ def converged_reference(
     agreement: Agreement | None = None,
     max_unknowns: int = MAX_UNKNOWNS,
     max_time: float = MAX_TIME,
-    compile: str = DEFAULT_LEVEL,
+    compile: str = WAITING_LEVEL,
     threads: int = 1,
     start: Start = None,
     progress: Callable[[MeshSolve], None] | None = None,
@@ -164,7 +164,7 @@ def converged_reference(
         agreement: Bounds on objective, motion and durations.
         max_unknowns: Budget of one solve.
         max_time: Budget of all solves together, s.
-        compile: Level of compilation.
+        compile: Level of compilation; many solves pay for waiting.
         threads: For evaluating functions.
         start: Of the first solve, as in `solve`.
         progress: Called with every solve.

@@ -135,7 +135,8 @@ def solve(
         max_time: Limit of the solver's wall time, s.
         seed: Of the noise on the guess.
         perturb: Standard deviation of that noise, scaled units.
-        compile: ``none``, ``quick`` or ``fast``.
+        compile: ``none``, ``quick``, ``fast``, or ``background``: what is compiled already is used, the rest
+            is evaluated on CasADi's virtual machine and compiled beside the solve for the next one.
         hessian: ``exact``, ``gauss-newton`` (of costs that are squares, without curvature of constraints),
             or with IPOPT ``limited-memory`` (a quasi-Newton approximation: no second derivative is compiled).
         threads: For evaluating functions.
@@ -305,6 +306,8 @@ def _solution(
         "compile_time_s": report.compile_time,
         "compile": report.level,
         "functions_compiled": report.built,
+        "functions_pending": report.pending,
+        **({"compile_failure": report.failure} if report.failure else {}),
         "warm_start": prepared.warm is not None,
         **result.figures,
         **origin,

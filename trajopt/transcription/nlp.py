@@ -10,7 +10,8 @@ import numpy as np
 
 from trajopt import _engine
 from trajopt.errors import InputError
-from trajopt.transcription.compilation import DEFAULT_HESSIAN, CompiledPoint
+from trajopt.transcription.compilation import DEFAULT_HESSIAN
+from trajopt.transcription.compiled_point import CompiledPoint
 from trajopt.transcription.sparse_maps import DerivativeMap, hessian_map, jacobian_map
 from trajopt.transcription.transcription import FunctionGroup, Transcription
 
@@ -46,7 +47,8 @@ class _Pattern:
         return key
 
     def close(self) -> tuple[np.ndarray, np.ndarray]:
-        self.sorted = np.unique(np.concatenate(self.keys))
+        keys = np.sort(np.concatenate(self.keys))  # many times faster here than NumPy's unique
+        self.sorted = keys[np.diff(keys, prepend=-1) > 0]
         return (self.sorted // self.width).astype(np.int32), (self.sorted % self.width).astype(np.int32)
 
     def places(self, key: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ velocity by the same rule as the acceleration, A2 = A1 A1, as when q' = v is col
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -85,6 +86,7 @@ def _integrals(points: np.ndarray, ends: np.ndarray, times: int) -> np.ndarray:
     return np.column_stack([basis.integ(times)(ends) for basis in _lagrange(points)])
 
 
+@cache
 def _collocation(family: str, degree: int) -> Scheme:
     c = np.array(ca.collocation_points(degree, family))
     one = np.ones(1)

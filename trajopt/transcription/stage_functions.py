@@ -18,6 +18,9 @@ back from H = gamma_oo and mu = gamma_o,
 
 Gauss-Newton's Hessian of costs that are weighted squares, sum_i w_i r_i(z, o)^2, keeps only the slopes of the
 residuals, whatever the rows: 2 sigma (r_z + r_o J)^T diag(w) (r_z + r_o J), which is positive semidefinite.
+
+Expressions that occur several times are left as they are: to find them takes four times as long as all the
+rest, and pays where C is compiled (`c_compiler.each_once`).
 """
 
 from __future__ import annotations
@@ -30,8 +33,6 @@ import casadi as ca
 
 from trajopt.terms.context import Context
 from trajopt.transcription.robot_layers import robot_layers
-
-_CSE = {"cse": True}
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ class Derivatives:
     def value(self) -> ca.Function:
         """(z, p) -> (L, phi)."""
         cost, phi = self._point.terms(self._z, self._chain.output, self._p)
-        return ca.Function("value", [self._z, self._p], [cost, phi], _CSE)
+        return ca.Function("value", [self._z, self._p], [cost, phi])
 
     @cached_property
     def first(self) -> ca.Function:
@@ -143,7 +144,7 @@ class Derivatives:
         values = self._point.terms(z, output, p)
         gradient = ca.densify(cost_z + ca.mtimes(self._jacobian.T, cost_o))
         rows = phi_z + ca.mtimes(phi_o, self._jacobian)
-        return ca.Function("first", [z, p], [*values, gradient, rows], _CSE)
+        return ca.Function("first", [z, p], [*values, gradient, rows])
 
     @cached_property
     def second(self) -> ca.Function:
@@ -152,7 +153,7 @@ class Derivatives:
         cost, phi = self._point.terms(z, self._o, p)
         gamma, symbols = sigma * cost + ca.dot(lam, phi), (z, self._o, p, sigma, lam)
         hessian = _lagrangian_hessian(gamma, symbols, self._chain, self._jacobian)
-        return ca.Function("second", [z, p, sigma, lam], [ca.tril(hessian)], _CSE)
+        return ca.Function("second", [z, p, sigma, lam], [ca.tril(hessian)])
 
     @cached_property
     def gauss_newton(self) -> ca.Function:
@@ -166,7 +167,7 @@ class Derivatives:
             slope = r_z + ca.mtimes(r_o, self._jacobian)
             hessian = ca.mtimes(slope.T, ca.mtimes(ca.diag(2 * self._sigma * w), slope))
         inputs = [z, p, self._sigma, self._lam]
-        return ca.Function("gauss_newton", inputs, [ca.tril(hessian)], _CSE)
+        return ca.Function("gauss_newton", inputs, [ca.tril(hessian)])
 
     @cached_property
     def _chain(self) -> _Chain:

@@ -28,7 +28,8 @@ from trajopt.study.diagnosis.findings import curvature_report, rank_report, star
 from trajopt.study.diagnosis.nonfinite import first_nonfinite
 from trajopt.study.diagnosis.scaling import scaling
 from trajopt.study.diagnosis.snapshot import Snapshot
-from trajopt.transcription.compilation import LEVELS, in_cache
+from trajopt.transcription.c_compiler import FLAGS
+from trajopt.transcription.compilation import WAITING_LEVEL, in_cache
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.transcription import Transcription, transcribe
 
@@ -50,7 +51,7 @@ def diagnose(
     Args:
         what: A solution or its file, solved or not; or a prepared problem, which is diagnosed at its guess.
         problem: Of the solution; default: the one in the catalogue that the file names, with its parameters.
-        compile: Level of compilation; default: the file's if that is in the cache, else ``none``.
+        compile: Level of compilation; default: the file's or ``quick``, where cached, else ``none``.
 
     Raises:
         InputError: Where the problem is unknown, or has other joints or phases than the solution.
@@ -88,10 +89,10 @@ def _problem_of(solution: Solution) -> Problem:
 
 
 def _cached_level(problem: Problem, mesh: Mesh, level: str) -> str:
-    """The file's level if that is in the cache, else none: a few evaluations do not justify compiling."""
-    if level not in LEVELS:
-        return "none"
-    return level if in_cache(transcribe(problem, mesh=mesh).points.values(), level) else "none"
+    """The file's level if that is in the cache, or the usual: a few evaluations do not justify compiling."""
+    points = transcribe(problem, mesh=mesh).points.values()
+    levels = (own for own in (level, WAITING_LEVEL) if own in FLAGS)
+    return next((own for own in levels if in_cache(points, own)), "none")
 
 
 def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import casadi
 
-from trajopt.transcription.compilation import compiler
+from trajopt.transcription.c_compiler import compiler
 from trajopt.versions import installed_version
 
 UNKNOWN = "unknown"

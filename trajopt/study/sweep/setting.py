@@ -13,7 +13,8 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.solving import DEFAULT_SOLVER
-from trajopt.transcription.compilation import DEFAULT_HESSIAN, DEFAULT_LEVEL, HESSIANS, LEVELS
+from trajopt.transcription.c_compiler import FLAGS
+from trajopt.transcription.compilation import DEFAULT_HESSIAN, HESSIANS, WAITING_LEVEL
 from trajopt.transcription.schemes import SCHEME_NAMES, scheme
 
 # ``own``: the problem's friction terms, of both kinds or none.
@@ -28,7 +29,7 @@ MOST_INTERVALS = 100_000
 WORDS = {
     "solver": tuple(SOLVERS),
     "hessian": HESSIANS,
-    "compile": LEVELS,
+    "compile": tuple(FLAGS),
     "cone": CONES,
     "model": MODELS,
     "start": STARTS,
@@ -53,7 +54,7 @@ class Setting:
     solver: str = DEFAULT_SOLVER
     tolerance: float = 1e-6
     hessian: str = DEFAULT_HESSIAN
-    compile: str = DEFAULT_LEVEL
+    compile: str = WAITING_LEVEL
     cone: str = "own"
     model: str = "full"
     start: str = "cold"
