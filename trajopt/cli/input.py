@@ -81,7 +81,9 @@ compile_option = default_option("--compile", "quick", "LEVEL", "Compilation: non
 _compile_beside_option = default_option(
     "--compile", "background", "LEVEL", "Compilation: none, quick, fast, or quick in the background."
 )
-_threads_option = default_option("--threads", 1, "N", "Threads that evaluate functions.", kind=THREADS)
+_threads_option = default_option(
+    "--threads", 1, "N", "Threads for functions and linear systems.", kind=THREADS
+)
 grid_options = option_group(
     click.option(
         "--transcription", metavar="NAME", help="Scheme, e.g. legendre:2.  [default: the problem's]"

@@ -165,7 +165,7 @@ def converged_reference(
         max_unknowns: Budget of one solve.
         max_time: Budget of all solves together, s.
         compile: Level of compilation; many solves pay for waiting.
-        threads: For evaluating functions.
+        threads: For functions and linear systems.
         start: Of the first solve, as in `solve`.
         progress: Called with every solve.
 

@@ -139,7 +139,7 @@ def solve(
             is evaluated on CasADi's virtual machine and compiled beside the solve for the next one.
         hessian: ``exact``, ``gauss-newton`` (of costs that are squares, without curvature of constraints),
             or with IPOPT ``limited-memory`` (a quasi-Newton approximation: no second derivative is compiled).
-        threads: For evaluating functions.
+        threads: For functions and linear systems; the result is the same, bit by bit.
         options: The solver's own; unknown ones are refused.
         progress: Called at each iteration with its figures; returns False to stop there.
         watch: Called with the guess, each `Iterate` and the end; what it raises becomes a warning.
