@@ -17,8 +17,11 @@ from trajopt import Solution, solve
 
 pytestmark = pytest.mark.long
 
-# So many intervals that building and solving last seconds.
-LONG = ("solve", "solo12-jump", "--set", "distance=0.3", "--compile", "quick", "--intervals", "200")
+# So many intervals that building lasts seconds, and a linear solver with which solving does.
+LONG = (
+    "solve", "solo12-jump", "--set", "distance=0.3", "--compile", "quick",
+    "--solver-option", "linear_solver=mumps", "--intervals", "200",
+)  # fmt: skip
 
 
 def trajopt(*arguments: object) -> AtTerminal:
