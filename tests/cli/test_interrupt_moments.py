@@ -122,7 +122,7 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         ],
     ),
     "solve with a compiler": (
-        ("solve", *SMALL, "--output", "x.npz"),
+        ("solve", *SMALL, "--compile", "quick", "--output", "x.npz"),
         [
             at("compilation:_Job._compile", CANCELLED),
             at("compilation:_Job.finish", CANCELLED),
