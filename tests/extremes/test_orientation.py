@@ -287,12 +287,14 @@ def test_a_guess_that_ends_exactly_opposite_to_its_goal_is_named(axis):
     assert_outcome(failed, lambda: opposite, intervals=4)
 
 
-def test_a_guess_a_degree_off_the_opposite_is_enough():
+@pytest.mark.parametrize("degrees", [0.5, 1.0, 2.0])
+def test_a_guess_a_degree_off_the_opposite_is_enough(degrees: float):
     problem = held_joints(robots.load("solo12"), np.pi * np.array(AXES["yaw"]), 1.0)
     near = problem.initial_q.copy()
-    near[3:7] = pin.Quaternion(pin.exp3(np.array([0.0, 0.0, np.radians(1.0)]))).coeffs()
+    near[3:7] = pin.Quaternion(pin.exp3(np.array([0.0, 0.0, np.radians(degrees)]))).coeffs()
     solution = assert_outcome(Solved(None), lambda: replace(problem, guess=lambda t: near), intervals=10)
-    assert_allclose(turned(solution), [0.0, 0.0, np.pi], atol=1e-2)
+    # There are several optima: in some the legs swing, and the base rolls on its way.
+    assert_allclose(turned(solution)[2], np.pi, atol=1e-2)
 
 
 def pitched(angle: float) -> Problem:

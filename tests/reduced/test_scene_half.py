@@ -226,7 +226,8 @@ def test_a_symmetric_task_may_have_a_better_optimum_that_is_not_its_own_image() 
     robot = biped()
     problem = push(robot, terms=(*usual(robot), AccelerationCost(weight=1.0)))
     made = smallest(problem, keep=("left_abduction", "right_abduction", *ARMS), plane=True)
-    full, own = solved(problem), solved(made.problem)
+    # From a start that is not its own image: iterates from one that is stay so, but for rounding.
+    full, own = solved(problem, perturb=0.01), solved(made.problem)
     # Measured: 0.2693 with a lean to one side against 0.2706.
     assert objective(full) < (1 - SAME_OPTIMUM) * objective(own)
     # It comes in two, each the other's image: the base rolls.

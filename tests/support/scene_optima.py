@@ -12,10 +12,11 @@ SAME_MOTION = 1e-4  # rad, m: where the optimum is flat its minimiser is less sh
 MOST_ITERATIONS = 60
 
 
-def solved(problem: Problem, intervals: int | None = None) -> Solution:
+def solved(problem: Problem, intervals: int | None = None, perturb: float = 0.0) -> Solution:
     solution = trajopt.solve(
         problem,
         intervals=intervals,
+        perturb=perturb,
         compile="none",
         tolerance=SOLVED,
         max_iterations=MOST_ITERATIONS,

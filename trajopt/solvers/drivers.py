@@ -72,10 +72,8 @@ IPOPT_WARM_WITHOUT_MULTIPLIERS: dict[str, Option] = {
 # iterations where it succeeds, but sometimes stalls.
 FATROP_WARM: dict[str, Option] = {"mu_init": 1e-3, "bound_push": 3e-3, "bound_frac": 3e-3}
 
-# IPOPT's option, and its value for the engine's factorisation stage by stage. Its solutions are refined only
-# where the residual asks for it: the first ones have residuals of rounding (docs/solvers.md).
+# IPOPT's option, and its value for the engine's factorisation stage by stage.
 LINEAR_SOLVER, STAGES = "linear_solver", "stages"
-STAGES_OPTIONS: dict[str, Option] = {"min_refinement_steps": 0}
 
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.SOLVED,
@@ -122,7 +120,6 @@ def _ipopt(
         if nlp.hessian == LIMITED_MEMORY:
             raise ValueError(f"{LINEAR_SOLVER}={STAGES} has no place for a Hessian of gradients")
         del chosen[LINEAR_SOLVER]
-        chosen = {**STAGES_OPTIONS, **chosen}
         stage = t.layout.stage_numbers
     raw = _engine.solve_ipopt(
         nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback, lam_g, lam_x, stage
