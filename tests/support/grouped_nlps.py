@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 from scipy import sparse
 
-from tests.support.processes import LIMIT
+from trajopt import _engine
 
 INFINITY = np.inf
 
@@ -74,19 +72,6 @@ def functions(group: Group) -> tuple[ca.Function, ca.Function, ca.Function]:
     )
 
 
-def compiled(function: ca.Function, folder: Path) -> tuple[str, str]:
-    """Library and name of a function as C compiled by the system's compiler."""
-    folder.mkdir(parents=True, exist_ok=True)
-    generator = ca.CodeGenerator(f"{function.name()}.c")
-    generator.add(function)
-    generator.generate(f"{folder}/")
-    source = folder / f"{function.name()}.c"
-    library = source.with_suffix(".so")
-    command = ["gcc", "-O1", "-fPIC", "-shared", str(source), "-o", str(library), "-lm"]
-    subprocess.run(command, check=True, timeout=LIMIT)
-    return str(library), function.name()
-
-
 def _map(entries: dict[tuple[int, int], list[tuple[int, float]]]) -> tuple[np.ndarray, ...]:
     """Targets (row, column), and the CSR of their sources and coefficients."""
     targets = sorted(entries)
@@ -120,12 +105,12 @@ def _hessian_map(pattern: ca.Sparsity, group: Group) -> tuple[np.ndarray, ...]:
     return _map(entries)
 
 
-def arguments(problem: GroupedProblem, folder: Path | None = None, threads: int = 1) -> dict[str, object]:
-    """Keyword arguments of ``_engine.Nlp``; functions are compiled into ``folder`` where it is given."""
+def arguments(problem: GroupedProblem, threads: int = 1) -> dict[str, object]:
+    """Keyword arguments of ``_engine.Nlp``."""
     jacobian, hessian, prepared = set(), set(), []
     linear = problem.linear.tocoo()
     jacobian.update(zip(linear.row.tolist(), linear.col.tolist(), strict=True))
-    for index, group in enumerate(problem.groups):
+    for group in problem.groups:
         made = functions(group)
         first, second = (
             _jacobian_map(made[1].sparsity_out(3), group),
@@ -141,7 +126,7 @@ def arguments(problem: GroupedProblem, folder: Path | None = None, threads: int 
         for rows, curvature in at_stage:
             jacobian.update(rows)
             hessian.update(curvature)
-        sources = [compiled(f, folder / str(index)) if folder else f.serialize() for f in made]
+        sources = [_engine.Tape(function) for function in made]
         prepared.append((group, sources, first, second, at_stage))
     jac_place = {key: place for place, key in enumerate(sorted(jacobian))}
     hess_place = {key: place for place, key in enumerate(sorted(hessian))}

@@ -10,8 +10,7 @@ import numpy as np
 
 from trajopt import _engine
 from trajopt.errors import InputError
-from trajopt.transcription.compilation import DEFAULT_HESSIAN
-from trajopt.transcription.compiled_point import CompiledPoint
+from trajopt.transcription.compilation import DEFAULT_HESSIAN, CompiledPoint
 from trajopt.transcription.sparse_maps import DerivativeMap, hessian_map, jacobian_map
 from trajopt.transcription.transcription import FunctionGroup, Transcription
 
@@ -75,8 +74,8 @@ def assemble(
     for group in transcription.groups:
         point = compiled[id(group.point)]
         offset = transcription.layout.node_offset[group.stages]
-        first = jacobian_map(point.jacobian, group.gather, group.row_scale)
-        second = hessian_map(point.hessian, group.gather)
+        first = jacobian_map(point.first.pattern(3), group.gather, group.row_scale)
+        second = hessian_map(point.second.pattern(0), group.gather)
         first_key = jacobian.add(group.rows[:, first.row], offset[:, None] + first.column[None, :])
         second_key = curvature.add(
             offset[:, None] + second.row[None, :], offset[:, None] + second.column[None, :]
@@ -128,9 +127,9 @@ def _engine_group(
 ) -> dict[str, Any]:
     gather = group.gather
     return {
-        "value": point.sources["value"],
-        "first": point.sources["first"],
-        "second": point.sources["second"],
+        "value": point.value,
+        "first": point.first,
+        "second": point.second,
         "x_offset": np.ascontiguousarray(offset, dtype=np.int32),
         "nloc": gather.shape[1],
         "gather_indptr": gather.indptr.astype(np.int32),

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 from scipy import sparse
+
+# Rows and columns of nonzeros.
+Pattern = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -50,16 +52,16 @@ def _collect(
     )
 
 
-def jacobian_map(pattern: ca.Sparsity, gather: sparse.csr_matrix, row_scale: np.ndarray) -> DerivativeMap:
-    """Map of d phi / dz with ``pattern`` (n_rows, n_z) to scaled rows over the window's variables."""
-    rows, columns = (np.array(part, dtype=np.int64) for part in pattern.get_triplet())
+def jacobian_map(pattern: Pattern, gather: sparse.csr_matrix, row_scale: np.ndarray) -> DerivativeMap:
+    """Map of d phi / dz with ``pattern`` to scaled rows over the window's variables."""
+    rows, columns = (part.astype(np.int64) for part in pattern)
     which, unknown, value = _expand(gather, columns)
     return _collect(rows[which], unknown, which, value * row_scale[rows[which]], gather.shape[1])
 
 
-def hessian_map(pattern: ca.Sparsity, gather: sparse.csr_matrix) -> DerivativeMap:
+def hessian_map(pattern: Pattern, gather: sparse.csr_matrix) -> DerivativeMap:
     """Map of the lower triangle of d2 gamma / dz2 to the lower triangle over the window's variables."""
-    lower = [np.array(part, dtype=np.int64) for part in pattern.get_triplet()]
+    lower = [part.astype(np.int64) for part in pattern]
     off_diagonal = np.flatnonzero(lower[0] != lower[1])
     i = np.concatenate([lower[0], lower[1][off_diagonal]])
     j = np.concatenate([lower[1], lower[0][off_diagonal]])

@@ -3,11 +3,15 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <limits>
+#include <map>
+
+#include "dispatch.hpp"
 
 namespace trajopt {
 
 namespace {
+
+typedef double Vector __attribute__((vector_size(64), may_alias));
 
 double seconds_since(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
@@ -19,16 +23,35 @@ double apply(const Csr& map, int row, const double* values) {
   return sum;
 }
 
-void scatter(const Reals& entries, const Indices& target, Reals& out) {
-  for (std::size_t t = 0; t < target.size(); ++t) out[target[t]] += entries[t];
+const Tape& of(const Group& group, int kind) {
+  return kind == 0 ? *group.value : kind == 1 ? *group.first : *group.second;
+}
+
+const Csr& map_of(const Group& group, int kind) { return kind == 1 ? group.jacobian : group.hessian; }
+
+// The derivative among the outputs of a tape, which is only needed times the map to the NLP's nonzeros.
+int derivative(int kind) { return kind == 1 ? 3 : 0; }
+
+// entries = map * nonzeros, in all lanes.
+TRAJOPT_DISPATCHED void combine(const int* indptr, const int* index, const double* coefficient, int rows,
+                                const int* slot, const Lanes* work, Lanes* entries) {
+  const Vector* w = reinterpret_cast<const Vector*>(work);
+  Vector* out = reinterpret_cast<Vector*>(entries);
+  for (int row = 0; row < rows; ++row) {
+    Vector sum = {};
+    for (int e = indptr[row]; e < indptr[row + 1]; ++e) sum += w[slot[index[e]]] * coefficient[e];
+    out[row] = sum;
+  }
 }
 
 }  // namespace
 
 Nlp::Nlp(Problem problem) : problem_(std::move(problem)), team_(problem_.threads) {
-  workers_.resize(3);
-  outputs_.resize(3);
   for (Kind kind : {kValue, kFirst, kSecond}) prepare(kind);
+  int slots = 0;
+  for (const auto& batches : batches_)
+    for (const Batch& batch : batches) slots = std::max(slots, batch.tape->slots());
+  work_.assign(problem_.threads, std::vector<Lanes>(slots));
   g_.resize(problem_.n_g);
   gradient_.resize(problem_.n_x);
   jacobian_.resize(problem_.jac_row.size());
@@ -36,70 +59,104 @@ Nlp::Nlp(Problem problem) : problem_(std::move(problem)), team_(problem_.threads
 }
 
 void Nlp::prepare(Kind kind) {
-  for (const Group& group : problem_.groups) {
-    const casadi::Function& function = kind == kValue ? group.value : kind == kFirst ? group.first : group.second;
+  std::vector<const Tape*> tapes;
+  std::map<const Tape*, std::vector<int>> groups;
+  for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
+    const Tape& tape = of(problem_.groups[index], kind);
+    if (groups[&tape].empty()) tapes.push_back(&tape);
+    groups[&tape].push_back(static_cast<int>(index));
     Outputs outputs;
-    for (casadi_int i = 0; i < function.n_out(); ++i) {
+    for (int i = 0; i < tape.n_out(); ++i) {
       outputs.offset.push_back(outputs.width);
-      outputs.size.push_back(static_cast<int>(function.nnz_out(i)));
+      outputs.size.push_back(tape.size_out(i));
       outputs.width += outputs.size.back();
     }
-    outputs.data.resize(static_cast<std::size_t>(group.n_stages) * outputs.width);
-    if (kind != kValue) outputs.entries.resize((kind == kFirst ? group.jacobian_target : group.hessian_target).size());
     outputs_[kind].push_back(std::move(outputs));
-    std::vector<Worker> workers(problem_.threads);
-    for (Worker& worker : workers) {
-      worker.function = function;
-      worker.memory = function.checkout();
-      worker.arg.resize(function.sz_arg());
-      worker.res.resize(function.sz_res());
-      worker.iw.resize(function.sz_iw());
-      worker.w.resize(function.sz_w());
-      worker.z.resize(group.gather.rows());
-      worker.lambda.resize(group.n_phi);
+  }
+  for (const Tape* tape : tapes) add_batches(kind, tape, groups[tape]);
+  // The longest first: threads then end at about the same time.
+  std::stable_sort(batches_[kind].begin(), batches_[kind].end(), [](const Batch& one, const Batch& other) {
+    return one.tape->statements() > other.tape->statements();
+  });
+}
+
+void Nlp::add_batches(Kind kind, const Tape* tape, const std::vector<int>& groups) {
+  int lane = kLanes;
+  for (int index : groups) {
+    const Group& group = problem_.groups[index];
+    const std::size_t targets = kind == kValue ? 0 : map_of(group, kind).rows();
+    for (int stage = 0; stage < group.n_stages;) {
+      if (lane == kLanes) {
+        batches_[kind].push_back({tape, {}});
+        lane = 0;
+      }
+      Part part{index, lane, 0, {}, entries_[kind].size()};
+      for (; lane < kLanes && stage < group.n_stages; ++lane, ++stage) part.stage[part.n++] = stage;
+      batches_[kind].back().parts.push_back(part);
+      entries_[kind].resize(entries_[kind].size() + targets);
     }
-    workers_[kind].push_back(std::move(workers));
   }
 }
 
-void Nlp::run_stage(Kind kind, int index, int stage, Worker& worker, const double* x, double sigma,
-                    const double* lambda) {
-  const Group& group = problem_.groups[index];
-  Outputs& outputs = outputs_[kind][index];
-  for (int i = 0; i < group.gather.rows(); ++i) worker.z[i] = apply(group.gather, i, x + group.x_offset[stage]);
-  worker.arg[0] = worker.z.data();
-  worker.arg[1] = group.p.data() + static_cast<std::size_t>(stage) * group.n_p;
-  double weighted = sigma * group.cost_weight[stage];
-  if (kind == kSecond) {
+void Nlp::set_inputs(Kind kind, const Part& part, Lanes* work, const double* x, double sigma,
+                     const double* lambda) const {
+  const Group& group = problem_.groups[part.group];
+  const int n_z = group.gather.rows();
+  for (int k = 0; k < part.n; ++k) {
+    const int stage = part.stage[k], lane = part.lane + k;
+    for (int i = 0; i < n_z; ++i) work[i].at[lane] = apply(group.gather, i, x + group.x_offset[stage]);
+    const double* p = group.p.data() + static_cast<std::size_t>(stage) * group.n_p;
+    for (int i = 0; i < group.n_p; ++i) work[n_z + i].at[lane] = p[i];
+    if (kind != kSecond) continue;
+    Lanes* multipliers = work + n_z + group.n_p;
+    multipliers[0].at[lane] = sigma * group.cost_weight[stage];
     const int* row = group.row.data() + static_cast<std::size_t>(stage) * group.n_phi;
-    for (int j = 0; j < group.n_phi; ++j) worker.lambda[j] = group.row_scale[j] * lambda[row[j]];
-    worker.arg[2] = &weighted;
-    worker.arg[3] = worker.lambda.data();
+    for (int j = 0; j < group.n_phi; ++j) multipliers[1 + j].at[lane] = group.row_scale[j] * lambda[row[j]];
   }
-  double* out = outputs.data.data() + static_cast<std::size_t>(stage) * outputs.width;
-  for (std::size_t i = 0; i < outputs.size.size(); ++i) worker.res[i] = out + outputs.offset[i];
-  const int failed =
-      worker.function(worker.arg.data(), worker.res.data(), worker.iw.data(), worker.w.data(), worker.memory);
-  if (failed) std::fill_n(out, outputs.width, std::numeric_limits<double>::quiet_NaN());
-  if (kind == kValue) return;
-  const Csr& map = kind == kFirst ? group.jacobian : group.hessian;
-  const double* nonzeros = outputs.at(stage, kind == kFirst ? 3 : 0);
-  double* entries = outputs.entries.data() + static_cast<std::size_t>(stage) * map.rows();
-  for (int t = 0; t < map.rows(); ++t) entries[t] = apply(map, t, nonzeros);
 }
 
-void Nlp::run_share(Kind kind, int thread, const double* x, double sigma, const double* lambda) {
-  for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
-    const int n = problem_.groups[index].n_stages;
-    const int from = n * thread / problem_.threads, to = n * (thread + 1) / problem_.threads;
-    for (int stage = from; stage < to; ++stage)
-      run_stage(kind, static_cast<int>(index), stage, workers_[kind][index][thread], x, sigma, lambda);
+void Nlp::keep_outputs(Kind kind, const Part& part, const Tape& tape, const Lanes* work) {
+  Outputs& outputs = outputs_[kind][part.group];
+  for (int output = 0; output < tape.n_out(); ++output) {
+    if (kind != kValue && output == derivative(kind) && !keep_all_) continue;
+    const int* slot = tape.slots_of(output);
+    for (int k = 0; k < part.n; ++k) {
+      double* out = outputs.at(part.stage[k], output);
+      for (int i = 0; i < outputs.size[output]; ++i) out[i] = work[slot[i]].at[part.lane + k];
+    }
+  }
+}
+
+void Nlp::run_batch(Kind kind, const Batch& batch, Lanes* work, const double* x, double sigma,
+                    const double* lambda) {
+  const Tape& tape = *batch.tape;
+  tape.set_constants(work);
+  for (const Part& part : batch.parts) set_inputs(kind, part, work, x, sigma, lambda);
+  const Part& last = batch.parts.back();
+  for (int lane = last.lane + last.n; lane < kLanes; ++lane)  // any point will do
+    for (int i = 0; i < tape.inputs(); ++i) work[i].at[lane] = work[i].at[0];
+  tape.run(work);
+  for (const Part& part : batch.parts) {
+    keep_outputs(kind, part, tape, work);
+    if (kind == kValue) continue;
+    const Csr& map = map_of(problem_.groups[part.group], kind);
+    combine(map.indptr.data(), map.index.data(), map.coefficient.data(), map.rows(), tape.slots_of(derivative(kind)),
+            work, entries_[kind].data() + part.entries);
   }
 }
 
 void Nlp::run(Kind kind, const double* x, double sigma, const double* lambda) {
   const auto start = std::chrono::steady_clock::now();
-  team_.run([&](int thread) { run_share(kind, thread, x, sigma, lambda); });
+  for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
+    Outputs& outputs = outputs_[kind][index];
+    if (keep_all_ || kind != kSecond)
+      outputs.data.resize(static_cast<std::size_t>(problem_.groups[index].n_stages) * outputs.width);
+  }
+  next_ = 0;
+  team_.run([&](int thread) {
+    for (std::size_t i = next_++; i < batches_[kind].size(); i = next_++)
+      run_batch(kind, batches_[kind][i], work_[thread].data(), x, sigma, lambda);
+  });
   timings_[kind].seconds += seconds_since(start);
   ++timings_[kind].count;
 }
@@ -112,7 +169,7 @@ bool Nlp::same_point(Kind kind, const double* x) {
   return false;
 }
 
-void Nlp::scatter_rows(const Outputs& outputs, const Group& group) {
+void Nlp::scatter_rows(Outputs& outputs, const Group& group) {
   for (int stage = 0; stage < group.n_stages; ++stage) {
     const double* phi = outputs.at(stage, 1);
     const int* row = group.row.data() + static_cast<std::size_t>(stage) * group.n_phi;
@@ -137,18 +194,15 @@ void Nlp::update_first(const double* x) {
   run(kFirst, x, 0, nullptr);
   const auto start = std::chrono::steady_clock::now();
   std::fill(gradient_.begin(), gradient_.end(), 0.0);
+  for (std::size_t index = 0; index < problem_.groups.size(); ++index)
+    scatter_gradient(outputs_[kFirst][index], problem_.groups[index]);
   jacobian_ = problem_.jac_constant;
-  for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
-    const Group& group = problem_.groups[index];
-    const Outputs& outputs = outputs_[kFirst][index];
-    scatter(outputs.entries, group.jacobian_target, jacobian_);
-    scatter_gradient(outputs, group);
-  }
+  scatter_entries(kFirst, jacobian_);
   valid_[kFirst] = true;
   timings_[kFirst].seconds += seconds_since(start);
 }
 
-void Nlp::scatter_gradient(const Outputs& outputs, const Group& group) {
+void Nlp::scatter_gradient(Outputs& outputs, const Group& group) {
   if (!outputs.has(2)) return;
   const Csr& gather = group.gather;
   for (int stage = 0; stage < group.n_stages; ++stage) {
@@ -157,6 +211,21 @@ void Nlp::scatter_gradient(const Outputs& outputs, const Group& group) {
     for (int i = 0; weight != 0 && i < gather.rows(); ++i)
       for (int e = gather.indptr[i]; e < gather.indptr[i + 1]; ++e)
         out[gather.index[e]] += weight * gather.coefficient[e] * slope[i];
+  }
+}
+
+void Nlp::scatter_entries(Kind kind, Reals& out) const {
+  for (const Batch& batch : batches_[kind]) {
+    for (const Part& part : batch.parts) {
+      const Group& group = problem_.groups[part.group];
+      const int n = map_of(group, kind).rows();
+      const int* first = (kind == kFirst ? group.jacobian_target : group.hessian_target).data();
+      const Lanes* entries = entries_[kind].data() + part.entries;
+      for (int k = 0; k < part.n; ++k) {
+        const int* target = first + static_cast<std::size_t>(part.stage[k]) * n;
+        for (int t = 0; t < n; ++t) out[target[t]] += entries[t].at[part.lane + k];
+      }
+    }
   }
 }
 
@@ -184,25 +253,33 @@ const Reals& Nlp::hessian(const double* x, double sigma, const double* lambda) {
   run(kSecond, x, sigma, lambda);
   const auto start = std::chrono::steady_clock::now();
   std::fill(hessian_.begin(), hessian_.end(), 0.0);
-  for (std::size_t index = 0; index < problem_.groups.size(); ++index)
-    scatter(outputs_[kSecond][index].entries, problem_.groups[index].hessian_target, hessian_);
+  scatter_entries(kSecond, hessian_);
   timings_[kSecond].seconds += seconds_since(start);
   return hessian_;
 }
 
 std::optional<NonFinite> Nlp::first_nonfinite(const double* x) {
-  static const char* const names[] = {"cost", "rows", "gradient", "jacobian", "hessian"};
   const Reals ones(problem_.n_g, 1.0);
+  std::optional<NonFinite> found;
+  keep_all_ = true;
   for (Kind kind : {kFirst, kSecond}) {
+    if (found) break;
     run(kind, x, 1.0, ones.data());
-    for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
-      const Outputs& outputs = outputs_[kind][index];
-      for (int stage = 0; stage < problem_.groups[index].n_stages; ++stage)
-        for (std::size_t o = 0; o < outputs.size.size(); ++o)
-          for (int i = 0; i < outputs.size[o]; ++i)
-            if (!std::isfinite(outputs.at(stage, static_cast<int>(o))[i]))
-              return NonFinite{static_cast<int>(index), stage, i, kind == kSecond ? names[4] : names[o]};
-    }
+    found = nonfinite_output(kind);
+  }
+  keep_all_ = false;
+  return found;
+}
+
+std::optional<NonFinite> Nlp::nonfinite_output(Kind kind) {
+  static const char* const names[] = {"cost", "rows", "gradient", "jacobian", "hessian"};
+  for (std::size_t index = 0; index < problem_.groups.size(); ++index) {
+    Outputs& outputs = outputs_[kind][index];
+    for (int stage = 0; stage < problem_.groups[index].n_stages; ++stage)
+      for (std::size_t o = 0; o < outputs.size.size(); ++o)
+        for (int i = 0; i < outputs.size[o]; ++i)
+          if (!std::isfinite(outputs.at(stage, static_cast<int>(o))[i]))
+            return NonFinite{static_cast<int>(index), stage, i, kind == kSecond ? names[4] : names[o]};
   }
   return std::nullopt;
 }

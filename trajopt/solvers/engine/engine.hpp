@@ -1,14 +1,15 @@
 // A sparse NLP made of small functions evaluated at many stages; see docs/architecture.md.
 #pragma once
 
-#include <casadi/casadi.hpp>
-
+#include <atomic>
 #include <chrono>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "tape.hpp"
 #include "team.hpp"
 
 namespace trajopt {
@@ -25,7 +26,7 @@ struct Csr {
 
 // One point function at the same place of n stages.
 struct Group {
-  casadi::Function value, first, second;
+  std::shared_ptr<const Tape> value, first, second;
   int n_local = 0, n_stages = 0, n_p = 0, n_phi = 0;
   Indices x_offset;        // (n_stages)
   Csr gather;              // z = gather * window
@@ -76,14 +77,17 @@ class Nlp {
  private:
   enum Kind { kValue = 0, kFirst = 1, kSecond = 2 };
 
-  // A function with the buffers of one thread.
-  struct Worker {
-    casadi::Function function;
-    int memory = 0;
-    std::vector<const double*> arg;
-    std::vector<double*> res;
-    std::vector<casadi_int> iw;
-    Reals w, z, lambda;
+  // Stages of one group in consecutive lanes of a batch.
+  struct Part {
+    int group, lane, n;
+    int stage[kLanes];
+    std::size_t entries;  // where those of the derivative begin
+  };
+
+  // Points at which one tape is run at once.
+  struct Batch {
+    const Tape* tape;
+    std::vector<Part> parts;
   };
 
   // Outputs of a group's function at all its stages, contiguous.
@@ -91,28 +95,34 @@ class Nlp {
     Indices size, offset;
     int width = 0;
     Reals data;
-    Reals entries;  // of the Jacobian or the Hessian, in the order of the targets
     bool has(int output) const { return size[output] > 0; }
-    const double* at(int stage, int output) const {
+    double* at(int stage, int output) {
       return data.data() + static_cast<std::size_t>(stage) * width + offset[output];
     }
   };
 
   void prepare(Kind kind);
+  void add_batches(Kind kind, const Tape* tape, const std::vector<int>& groups);
   void run(Kind kind, const double* x, double sigma, const double* lambda);
-  void run_share(Kind kind, int thread, const double* x, double sigma, const double* lambda);
-  void run_stage(Kind kind, int group, int stage, Worker& worker, const double* x, double sigma,
-                 const double* lambda);
+  void run_batch(Kind kind, const Batch& batch, Lanes* work, const double* x, double sigma, const double* lambda);
+  void set_inputs(Kind kind, const Part& part, Lanes* work, const double* x, double sigma, const double* lambda) const;
+  void keep_outputs(Kind kind, const Part& part, const Tape& tape, const Lanes* work);
+  std::optional<NonFinite> nonfinite_output(Kind kind);
   bool same_point(Kind kind, const double* x);
   void update_value(const double* x);
   void update_first(const double* x);
-  void scatter_rows(const Outputs& outputs, const Group& group);
-  void scatter_gradient(const Outputs& outputs, const Group& group);
+  void scatter_rows(Outputs& outputs, const Group& group);
+  void scatter_gradient(Outputs& outputs, const Group& group);
+  void scatter_entries(Kind kind, Reals& out) const;
 
   Problem problem_;
   Team team_;
-  std::vector<std::vector<std::vector<Worker>>> workers_;  // kind, group, thread
-  std::vector<std::vector<Outputs>> outputs_;              // kind, group
+  std::vector<Batch> batches_[3];
+  std::vector<Outputs> outputs_[3];       // of each group
+  std::vector<Lanes> entries_[3];         // of the Jacobian and the Hessian, targets of one part after the other
+  std::vector<std::vector<Lanes>> work_;  // of each thread
+  std::atomic<std::size_t> next_{0};      // batch that no thread has begun
+  bool keep_all_ = false;                 // outputs besides those that are added up stage by stage
   Reals seen_[2];
   bool valid_[2] = {false, false};
   double f_ = 0;

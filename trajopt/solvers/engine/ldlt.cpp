@@ -4,17 +4,11 @@
 #include <cmath>
 #include <cstddef>
 
+#include "dispatch.hpp"
+
 namespace trajopt {
 
 namespace {
-
-// Compiled for several processors, chosen when the library is loaded.
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-#define TRAJOPT_DISPATCHED __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define TRAJOPT_DISPATCHED
-#endif
-#define TRAJOPT_INLINE inline __attribute__((always_inline))
 
 typedef double Lane __attribute__((vector_size(64), aligned(8), may_alias));
 constexpr int kLane = 8;

@@ -3,11 +3,13 @@
 #include <nanobind/stl/map.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <memory>
 #include <stdexcept>
 
@@ -21,12 +23,15 @@ using namespace trajopt;
 
 namespace {
 
-using Output = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
+template <class Number>
+using Array = nb::ndarray<nb::numpy, Number, nb::ndim<1>>;
+using Output = Array<double>;
 
-Output to_numpy(const Reals& values) {
-  auto* copy = new Reals(values);
-  nb::capsule owner(copy, [](void* p) noexcept { delete static_cast<Reals*>(p); });
-  return Output(copy->data(), {copy->size()}, owner);
+template <class Number>
+Array<Number> to_numpy(const std::vector<Number>& values) {
+  auto* copy = new std::vector<Number>(values);
+  nb::capsule owner(copy, [](void* p) noexcept { delete static_cast<std::vector<Number>*>(p); });
+  return Array<Number>(copy->data(), {copy->size()}, owner);
 }
 
 const double* point(const Nlp& nlp, const RealArray& x) {
@@ -140,6 +145,70 @@ Reals given(const std::optional<RealArray>& multipliers, int size, const char* n
   return reals(*multipliers);
 }
 
+// The function behind a casadi.Function of Python, which must be of the library that this module is linked to.
+const casadi::Function& function_of(const nb::object& given) {
+  require(nb::isinstance(given, nb::module_::import_("casadi").attr("Function")), "a Tape needs a casadi.Function");
+  const nb::object own = given.attr("this");  // SWIG's, an address as a number
+  const void* address = PyLong_AsVoidPtr(nb::steal(PyNumber_Long(own.ptr())).ptr());
+  if (PyErr_Occurred()) throw nb::python_error();
+  return *static_cast<const casadi::Function*>(address);
+}
+
+using Points = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using OutputPoints = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
+
+std::vector<OutputPoints> evaluate(const Tape& tape, const std::vector<Points>& inputs) {
+  require(static_cast<int>(inputs.size()) == tape.n_in(), "a tape needs all its inputs");
+  const std::size_t n = inputs.empty() ? 1 : inputs[0].shape(0);
+  for (int i = 0; i < tape.n_in(); ++i)
+    require(inputs[i].shape(0) == n && static_cast<int>(inputs[i].shape(1)) == tape.size_in(i),
+            "input " + std::to_string(i) + " must have the shape (points, " + std::to_string(tape.size_in(i)) + ")");
+  std::vector<double*> out;
+  std::vector<OutputPoints> result;
+  for (int o = 0; o < tape.n_out(); ++o) {
+    const auto size = static_cast<std::size_t>(tape.size_out(o));
+    out.push_back(new double[n * size]);
+    nb::capsule owner(out.back(), [](void* p) noexcept { delete[] static_cast<double*>(p); });
+    result.emplace_back(out.back(), std::initializer_list<std::size_t>{n, size}, owner);
+  }
+  std::vector<Lanes> work(tape.slots());
+  tape.set_constants(work.data());
+  for (std::size_t first = 0; first < n; first += kLanes) {
+    Lanes* to = work.data();
+    for (const Points& input : inputs)
+      for (std::size_t i = 0; i < input.shape(1); ++i, ++to)
+        for (std::size_t k = 0; k < kLanes; ++k)
+          to->at[k] = input.data()[std::min(first + k, n - 1) * input.shape(1) + i];
+    tape.run(work.data());
+    for (int o = 0; o < tape.n_out(); ++o)
+      for (int i = 0; i < tape.size_out(o); ++i)
+        for (std::size_t k = 0; k < kLanes && first + k < n; ++k)
+          out[o][(first + k) * tape.size_out(o) + i] = work[tape.slots_of(o)[i]].at[k];
+  }
+  return result;
+}
+
+void bind_tape(nb::module_& module) {
+  module.attr("TAPE_VERSION") = Tape::version();
+  nb::class_<Tape>(module, "Tape")
+      .def("__init__", [](Tape* self, const nb::object& function) { new (self) Tape(function_of(function)); })
+      .def_static("read",
+                  [](const nb::bytes& bytes) { return Tape::read(std::string(bytes.c_str(), bytes.size())); })
+      .def("bytes",
+           [](const Tape& tape) {
+             const std::string bytes = tape.bytes();
+             return nb::bytes(bytes.data(), bytes.size());
+           })
+      .def("pattern",
+           [](const Tape& tape, int output) {
+             require(0 <= output && output < tape.n_out(), "a tape has no such output");
+             return std::make_pair(to_numpy(tape.rows(output)), to_numpy(tape.columns(output)));
+           })
+      .def("__call__", &evaluate)
+      .def_prop_ro("statements", &Tape::statements)
+      .def_prop_ro("slots", &Tape::slots);
+}
+
 void bind_nlp(nb::module_& module) {
   nb::class_<Nlp>(module, "Nlp")
       .def("__init__", [](Nlp* self, const nb::kwargs& given) { new (self) Nlp(read_problem(given)); })
@@ -224,6 +293,7 @@ void bind_solvers(nb::module_& module) {
 }  // namespace
 
 NB_MODULE(_engine, module) {
+  bind_tape(module);
   bind_nlp(module);
   bind_solvers(module);
 }

@@ -1,10 +1,9 @@
 #include "read.hpp"
 
-#include <nanobind/stl/pair.h>
-#include <nanobind/stl/string.h>
+#include <nanobind/stl/shared_ptr.h>
 
 #include <algorithm>
-#include <map>
+#include <memory>
 #include <stdexcept>
 
 namespace nb = nanobind;
@@ -52,50 +51,37 @@ Csr read_csr(const Map& given, const char* indptr, const char* index, const char
   return csr;
 }
 
-// Functions already loaded: groups with the same point function share it.
-using Loaded = std::map<std::pair<std::string, std::string>, casadi::Function>;
-
-casadi::Function read_function(const nb::dict& given, const char* name, Loaded& loaded) {
-  const nb::object value = item(given, name);
-  std::pair<std::string, std::string> source;  // text, or library and function
-  require(nb::try_cast(value, source.first) || nb::try_cast(value, source),
-          std::string("'") + name + "' must be a serialised function or (library, name)");
-  const auto found = loaded.find(source);
-  if (found != loaded.end()) return found->second;
-  try {
-    return loaded[source] = source.second.empty() ? casadi::Function::deserialize(source.first)
-                                                  : casadi::external(source.second, source.first);
-  } catch (const std::exception& error) {
-    const std::string text = error.what();
-    throw std::invalid_argument(std::string("'") + name + "' cannot be loaded: " + text.substr(0, text.find('\n')));
-  }
+std::shared_ptr<const Tape> read_tape(const nb::dict& given, const char* name) {
+  std::shared_ptr<Tape> tape;
+  require(nb::try_cast(item(given, name), tape) && tape, std::string("'") + name + "' must be a Tape");
+  return tape;
 }
 
-void require_sizes(const casadi::Function& function, const char* name, const std::vector<int>& in,
+void require_sizes(const Tape& function, const char* name, const std::vector<int>& in,
                    const std::vector<int>& out) {
   const std::string which = std::string("'") + name + "' has ";
   require(function.n_in() == static_cast<int>(in.size()) && function.n_out() == static_cast<int>(out.size()),
           which + std::to_string(function.n_in()) + " inputs and " + std::to_string(function.n_out()) + " outputs");
-  for (std::size_t i = 0; i < in.size(); ++i)
-    require(function.nnz_in(i) == in[i], which + std::to_string(function.nnz_in(i)) + " values as input " +
+  for (int i = 0; i < function.n_in(); ++i)
+    require(function.size_in(i) == in[i], which + std::to_string(function.size_in(i)) + " values as input " +
                                              std::to_string(i) + ", the group gives " + std::to_string(in[i]));
   constexpr int kAny = -1;
-  for (std::size_t i = 0; i < out.size(); ++i)
-    require(out[i] == kAny || function.nnz_out(i) == out[i],
-            which + std::to_string(function.nnz_out(i)) + " values as output " + std::to_string(i) +
+  for (int i = 0; i < function.n_out(); ++i)
+    require(out[i] == kAny || function.size_out(i) == out[i],
+            which + std::to_string(function.size_out(i)) + " values as output " + std::to_string(i) +
                 ", the group wants " + std::to_string(out[i]));
 }
 
 void check_functions(const Group& group) {
   const int nz = group.gather.rows(), np = group.n_p, n = group.n_phi;
   // A group may have no cost.
-  const int cost = group.value.n_out() > 0 && group.value.nnz_out(0) == 0 ? 0 : 1;
-  const int slope = group.first.n_out() > 2 && group.first.nnz_out(2) == 0 ? 0 : nz;
-  require_sizes(group.value, "value", {nz, np}, {cost, n});
-  require_sizes(group.first, "first", {nz, np}, {cost, n, slope, -1});
-  require_sizes(group.second, "second", {nz, np, 1, n}, {-1});
-  require_range(group.jacobian.index, static_cast<int>(group.first.nnz_out(3)), "jac_src");
-  require_range(group.hessian.index, static_cast<int>(group.second.nnz_out(0)), "hess_src");
+  const int cost = group.value->n_out() > 0 && group.value->size_out(0) == 0 ? 0 : 1;
+  const int slope = group.first->n_out() > 2 && group.first->size_out(2) == 0 ? 0 : nz;
+  require_sizes(*group.value, "value", {nz, np}, {cost, n});
+  require_sizes(*group.first, "first", {nz, np}, {cost, n, slope, -1});
+  require_sizes(*group.second, "second", {nz, np, 1, n}, {-1});
+  require_range(group.jacobian.index, group.first->size_out(3), "jac_src");
+  require_range(group.hessian.index, group.second->size_out(0), "hess_src");
 }
 
 // Where the group's functions are evaluated, with which parameters, and where their rows go.
@@ -119,11 +105,11 @@ void read_stages(const nb::dict& given, const Problem& problem, Group& group) {
   require_range(group.row, problem.n_g, "row");
 }
 
-Group read_group(const nb::dict& given, const Problem& problem, Loaded& loaded) {
+Group read_group(const nb::dict& given, const Problem& problem) {
   Group group;
-  group.value = read_function(given, "value", loaded);
-  group.first = read_function(given, "first", loaded);
-  group.second = read_function(given, "second", loaded);
+  group.value = read_tape(given, "value");
+  group.first = read_tape(given, "first");
+  group.second = read_tape(given, "second");
   read_stages(given, problem, group);
   constexpr int kAny = 1 << 30;  // bounded by the functions' own sizes below
   group.jacobian = read_csr(given, "jac_indptr", "jac_src", "jac_coef", kAny);
@@ -143,13 +129,12 @@ Group read_group(const nb::dict& given, const Problem& problem, Loaded& loaded) 
 void read_groups(const nb::kwargs& given, Problem& problem) {
   nb::list groups;
   require(nb::try_cast(item(given, "groups"), groups), "'groups' must be a list");
-  Loaded loaded;
   for (std::size_t index = 0; index < groups.size(); ++index) {
     const std::string which = "group " + std::to_string(index) + ": ";
     nb::dict group;
     require(nb::try_cast(groups[index], group), which + "must be a dict");
     try {
-      problem.groups.push_back(read_group(group, problem, loaded));
+      problem.groups.push_back(read_group(group, problem));
     } catch (const std::invalid_argument& error) {
       throw std::invalid_argument(which + error.what());
     }

@@ -1,0 +1,200 @@
+#include "tape_graph.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <stdexcept>
+#include <string>
+#include <unordered_map>
+#include <utility>
+
+namespace trajopt {
+
+namespace {
+
+// Mispredicted branches at the ends of runs cost more with a smaller window, memory with a larger one.
+constexpr std::size_t kWindow = 2048;
+
+struct Expression {
+  int kind, operation, other, a, b;
+  std::uint64_t constant;
+  bool operator==(const Expression& e) const {
+    return kind == e.kind && operation == e.operation && other == e.other && a == e.a && b == e.b && constant == e.constant;
+  }
+};
+
+struct Hash {
+  std::size_t operator()(const Expression& e) const {
+    std::uint64_t hash = 0;
+    for (std::uint64_t part : {static_cast<std::uint64_t>(e.kind), static_cast<std::uint64_t>(e.operation), static_cast<std::uint64_t>(e.other),
+                               static_cast<std::uint64_t>(e.a), static_cast<std::uint64_t>(e.b), e.constant})
+      hash = (hash ^ part) * 0x9E3779B97F4A7C15u;
+    return hash ^ (hash >> 29);
+  }
+};
+
+// Numbers values so that equal expressions have equal numbers.
+class Numbering {
+ public:
+  Numbering(std::vector<Value>& values, std::size_t expected) : values_(values) {
+    values_.reserve(expected);
+    known_.reserve(expected);
+  }
+
+  int input(int which, int element) { return number({Value::kInput, which, element, -1, -1, 0, 0}); }
+  int constant(double value) { return number({Value::kConstant, 0, -1, -1, -1, value, 0}); }
+  int statement(int operation, int a, int b) {
+    switch (operation) {
+      case casadi::OP_SQ: return of(kMultiply, a, a);
+      case casadi::OP_TWICE: return of(kAdd, a, a);
+      case casadi::OP_MUL: return of(kMultiply, std::min(a, b), std::max(a, b));
+      case casadi::OP_ADD: return of(kAdd, std::min(a, b), std::max(a, b));
+      case casadi::OP_SUB: return of(kSubtract, a, b);
+      case casadi::OP_NEG: return of(kNegate, a, -1);
+      default: return number({Value::kStatement, kOther, a, b, -1, 0, operation});
+    }
+  }
+
+ private:
+  int of(std::int32_t operation, int a, int b) { return number({Value::kStatement, operation, a, b, -1, 0, 0}); }
+
+  int number(const Value& value) {
+    Expression key{value.kind, value.operation, value.other, value.a, value.b, 0};
+    std::memcpy(&key.constant, &value.constant, sizeof key.constant);
+    const auto [found, added] = known_.emplace(key, static_cast<int>(values_.size()));
+    if (added) values_.push_back(value);
+    return found->second;
+  }
+
+  std::vector<Value>& values_;
+  std::unordered_map<Expression, int, Hash> known_;
+};
+
+[[noreturn]] void refuse(const casadi::Function& function, const std::string& what) {
+  throw std::invalid_argument("function '" + function.name() + "' has " + what + ": only scalar operations can be run");
+}
+
+int operands(const casadi::Function& function, int operation) {
+  if (casadi::casadi_math<double>::is_unary(operation)) return 1;
+  if (casadi::casadi_math<double>::is_binary(operation)) return 2;
+  refuse(function, "operation " + std::to_string(operation));
+}
+
+}  // namespace
+
+TapeGraph::TapeGraph(const casadi::Function& function) {
+  if (!function.is_a("SXFunction")) refuse(function, "the type " + function.class_name());
+  std::vector<std::size_t> first_result;
+  std::size_t n_results = 0;
+  for (casadi_int i = 0; i < function.n_out(); ++i) {
+    first_result.push_back(n_results);
+    n_results += static_cast<std::size_t>(function.nnz_out(i));
+  }
+  results.assign(n_results, -1);
+  const casadi_int count = function.n_instructions();
+  std::vector<int> place(static_cast<std::size_t>(function.sz_w()), -1);
+  Numbering number(values, static_cast<std::size_t>(count));
+  for (casadi_int k = 0; k < count; ++k) {
+    const int operation = static_cast<int>(function.instruction_id(k));
+    const std::vector<casadi_int> in = function.instruction_input(k), out = function.instruction_output(k);
+    int value = -1;
+    if (operation == casadi::OP_OUTPUT) {
+      results[first_result[out[0]] + static_cast<std::size_t>(out[1])] = place[in[0]];
+      continue;
+    } else if (operation == casadi::OP_INPUT) {
+      value = number.input(static_cast<int>(in[0]), static_cast<int>(in[1]));
+    } else if (operation == casadi::OP_CONST) {
+      value = number.constant(function.instruction_constant(k));
+    } else {
+      const int n = operands(function, operation);
+      value = number.statement(operation, place[in[0]], n == 2 ? place[in[1]] : -1);
+    }
+    place[out[0]] = value;
+  }
+  for (int& result : results)
+    if (result < 0) result = number.constant(0);
+}
+
+void TapeGraph::fuse() {
+  std::vector<int> uses(values.size(), 0);
+  std::vector<char> needed(values.size(), 0);
+  const auto need = [&](int value) {
+    if (value < 0) return;
+    needed[value] = 1;
+    ++uses[value];
+  };
+  for (int result : results) need(result);
+  for (std::size_t i = values.size(); i-- > 0;) {
+    if (!needed[i] || values[i].kind != Value::kStatement) continue;
+    for (int operand : {values[i].a, values[i].b}) need(operand);
+  }
+  const auto absorbed = [&](int value) {
+    return values[value].kind == Value::kStatement && values[value].operation == kMultiply && uses[value] == 1;
+  };
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    Value& sum = values[i];
+    if (!needed[i] || sum.kind != Value::kStatement || (sum.operation != kAdd && sum.operation != kSubtract) ||
+        sum.a == sum.b)
+      continue;
+    // Of two products the later one: the other has been waiting in memory anyway.
+    const bool left = absorbed(sum.a), right = absorbed(sum.b) && !(left && sum.a > sum.b);
+    if (!left && !right) continue;
+    const int product = right ? sum.b : sum.a, other = right ? sum.a : sum.b;
+    const auto operation = sum.operation == kAdd ? kMultiplyAdd : right ? kMultiplyFrom : kMultiplyLess;
+    sum = {Value::kStatement, operation, values[product].a, values[product].b, other, 0, 0};
+    needed[product] = 0;
+  }
+  std::vector<int> kept(values.size(), -1);
+  std::size_t n = 0;
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    if (!needed[i]) continue;
+    Value value = values[i];
+    if (value.kind == Value::kStatement)
+      for (int* operand : {&value.a, &value.b, &value.c})
+        if (*operand >= 0) *operand = kept[*operand];
+    kept[i] = static_cast<int>(n);
+    values[n++] = value;
+  }
+  values.resize(n);
+  for (int& result : results) result = kept[result];
+}
+
+std::vector<int> TapeGraph::scheduled() const {
+  std::vector<int> statements, waits_for(values.size(), 0), first_user(values.size() + 1, 0);
+  const auto is_statement = [&](int value) { return value >= 0 && values[value].kind == Value::kStatement; };
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    if (values[i].kind != Value::kStatement) continue;
+    statements.push_back(static_cast<int>(i));
+    for (int operand : {values[i].a, values[i].b, values[i].c})
+      if (is_statement(operand)) ++waits_for[i], ++first_user[operand + 1];
+  }
+  for (std::size_t i = 0; i < values.size(); ++i) first_user[i + 1] += first_user[i];
+  std::vector<int> users(first_user.back()), filled(first_user);
+  for (int i : statements)
+    for (int operand : {values[i].a, values[i].b, values[i].c})
+      if (is_statement(operand)) users[filled[operand]++] = i;
+
+  std::vector<int> order, ready[kOperations];
+  order.reserve(statements.size());
+  std::vector<char> admitted(values.size(), 0);
+  std::size_t next = 0;
+  const auto make_ready = [&](int i) { ready[values[i].operation].push_back(i); };
+  while (order.size() < statements.size()) {
+    for (; next < statements.size() && next - order.size() < kWindow; ++next) {
+      admitted[statements[next]] = 1;
+      if (waits_for[statements[next]] == 0) make_ready(statements[next]);
+    }
+    auto most = std::max_element(std::begin(ready), std::end(ready),
+                                 [](const auto& one, const auto& other) { return one.size() < other.size(); });
+    std::vector<int> now;
+    now.swap(*most);
+    std::sort(now.begin(), now.end());
+    for (int i : now) {
+      order.push_back(i);
+      for (int u = first_user[i]; u < first_user[i + 1]; ++u)
+        if (--waits_for[users[u]] == 0 && admitted[users[u]]) make_ready(users[u]);
+    }
+  }
+  return order;
+}
+
+}  // namespace trajopt
