@@ -14,23 +14,6 @@ import pytest
 pytest.register_assert_rewrite("tests.support", "tests.extremes")
 
 
-@pytest.fixture(autouse=True, scope="session")
-def waiting_for_compilers() -> Iterator[Any]:
-    """By default solves of tests wait for compiled functions: the same bits in each run, and no processes.
-
-    Gives what they do outside tests.
-    """
-    from trajopt.transcription import compilation
-
-    def waiting(points: Any, hessian: str) -> Any:
-        return compilation.compile_points(points, compilation.WAITING_LEVEL, hessian)
-
-    usual = compilation._without_waiting
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilation, "_without_waiting", waiting)
-        yield usual
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark as ``quick`` what is neither ``long`` nor ``slow``."""
     for item in items:

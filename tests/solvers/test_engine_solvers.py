@@ -76,10 +76,10 @@ def test_a_solution_is_stationary_with_its_multipliers(nlp, problem, solver):
     assert_allclose(slope, 0, atol=10 * SOLVED)
 
 
-def test_solving_with_compiled_functions_and_threads_ends_at_the_same_point(nlp, problem, solver, tmp_path):
-    compiled = _engine.Nlp(**arguments(problem, tmp_path, threads=2))
+def test_solving_with_threads_ends_at_the_same_point(nlp, problem, solver):
+    parallel = _engine.Nlp(**arguments(problem, threads=2))
     expected = SOLVERS[solver](nlp, problem)["x"]
-    assert_allclose(SOLVERS[solver](compiled, problem)["x"], expected, atol=SAME_SOLUTION)
+    assert_allclose(SOLVERS[solver](parallel, problem)["x"], expected, atol=SAME_SOLUTION)
 
 
 def test_nothing_is_printed(nlp, problem, solver, capfd):

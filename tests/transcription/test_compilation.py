@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -9,25 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_array_equal
 
 from tests.support.problems import hop, hopper, reach
 from tests.support.processes import LIMIT, environment
-from trajopt.errors import InputError, TrajoptError
+from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.solving.solving import prepare, solve
+from trajopt.solving.solving import prepare
 from trajopt.terms import FrictionPyramid, TorqueCost
-from trajopt.transcription.c_compiler import FLAGS, compiler
 from trajopt.transcription.cache_entries import CACHE_VARIABLE
-from trajopt.transcription.compilation import compile_points, effective_level, entry_key
-from trajopt.transcription.compiled_point import CompiledPoint
+from trajopt.transcription.compilation import compile_points, entry_key, in_cache
 from trajopt.transcription.stage_functions import PointFunction
 from trajopt.transcription.transcription import transcribe
-
-# Virtual machine and -O1 evaluate one graph in one order, entries up to 1e3.
-SAME = {"rtol": 1e-12, "atol": 1e-12}
-# Code may not grow with the degree of the scheme; it is the same to the byte today.
-CODE_GROWTH = 1.5
 
 
 @pytest.fixture
@@ -38,16 +32,8 @@ def cache(tmp_path, monkeypatch) -> Path:
     return folder
 
 
-@pytest.fixture
-def no_compiler(tmp_path, monkeypatch):
-    """A machine without a C compiler."""
-    empty = tmp_path / "bin"
-    empty.mkdir()
-    monkeypatch.setenv("PATH", str(empty))
-    monkeypatch.delenv("CC", raising=False)
-    compiler.cache_clear()
-    yield
-    compiler.cache_clear()
+# Code may not grow with the degree of the scheme.
+CODE_GROWTH = 1.0
 
 
 def points_of(problem: Problem, transcription: str = "legendre:2", intervals: int = 6) -> list[PointFunction]:
@@ -59,53 +45,27 @@ def entries(folder: Path) -> set[str]:
     return {entry.name for entry in folder.iterdir() if not entry.name.startswith(".")}
 
 
-def numbers(problem: Problem, level: str) -> list[np.ndarray]:
-    made = prepare(problem, transcription="legendre:1", intervals=5, compile=level)
-    x = made.guess + 0.1
-    multipliers = np.linspace(-1, 1, made.transcription.n_rows)
-    nlp = made.nlp.engine
-    return [
-        np.atleast_1d(nlp.f(x)),
-        nlp.g(x),
-        nlp.gradient(x),
-        nlp.jacobian(x),
-        nlp.hessian(x, 1.0, multipliers),
-    ]
-
-
-@pytest.mark.parametrize("level", ["quick", "fast"])
-def test_compiled_levels_give_the_numbers_of_the_virtual_machine(level, cache):
-    problem = reach(gravity=True, terms=(TorqueCost(weight=1.0),))
-    for one, two in zip(numbers(problem, "none"), numbers(problem, level), strict=True):
-        assert_allclose(one, two, **SAME)
-
-
-def test_compiled_code_leaves_the_arithmetic_of_its_process_alone(cache):
-    numbers(reach(gravity=True, terms=(TorqueCost(weight=1.0),)), "fast")
-    smallest = np.nextafter(np.zeros(8), 1.0)
-    assert np.all(smallest * np.ones(8) > 0)  # subnormal numbers are not flushed to zero
-
-
 def test_second_time_everything_comes_from_the_cache(cache):
     points = points_of(hop())
-    _, first = compile_points(points, "none")
+    compiled, first = compile_points(points)
     made = entries(cache)
-    compiled, second = compile_points(points, "none")
-    assert (first.cached, first.built) == (0, len(made))
-    assert (second.cached, second.built) == (len(made), 0)
-    assert entries(cache) == set(compiled) == made
+    _, second = compile_points(points)
+    assert (first.cached, first.built) == (0, 3 * len(compiled))
+    assert (second.cached, second.built) == (first.built, 0)
+    assert entries(cache) == made
+    assert {entry.split(".")[0] for entry in made} == set(compiled)
 
 
 def test_landing_after_stance_shares_its_code(cache):
     points = points_of(hop())
     assert {"stance", "flight", "landing"} < {point.name for point in points}
-    compiled, _ = compile_points(points, "none")
+    compiled, _ = compile_points(points)
     assert len(compiled) < len(points)
 
 
 @pytest.mark.long
 def test_parameters_scheme_and_intervals_add_no_entry(cache):
-    compile_points(points_of(hop()), "none")
+    compile_points(points_of(hop()))
     made = entries(cache)
     terms = [TorqueCost(weight=7.0) if isinstance(term, TorqueCost) else term for term in hop().terms]
     for changed in (
@@ -113,112 +73,100 @@ def test_parameters_scheme_and_intervals_add_no_entry(cache):
         points_of(hop(), "radau:3", 11),
         points_of(hop(), "trapezoidal", 5),
     ):
-        _, report = compile_points(changed, "none")
+        _, report = compile_points(changed)
         assert report.built == 0
     assert entries(cache) == made
 
 
 def test_friction_coefficient_is_a_parameter(cache):
     first, second = (points_of(hop(terms=(FrictionPyramid(friction=mu),))) for mu in (0.4, 0.9))
-    assert [entry_key(point, "none") for point in first] == [entry_key(point, "none") for point in second]
+    assert [entry_key(point) for point in first] == [entry_key(point) for point in second]
 
 
-def test_another_mass_and_another_level_are_other_entries(cache):
+def test_another_mass_is_another_entry():
     light, heavy = points_of(hop()), points_of(hop(robot=hopper(mass=3.5)))
-    assert entry_key(light[0], "none") != entry_key(heavy[0], "none")
-    assert len({entry_key(light[0], level) for level in FLAGS}) == 3
+    assert entry_key(light[0]) != entry_key(heavy[0])
 
 
-def code_size(compiled: dict[str, CompiledPoint]) -> int:
-    return sum(point.c_bytes for point in compiled.values())
-
-
-@pytest.mark.slow
 def test_code_does_not_grow_with_the_degree(cache):
-    sizes = [code_size(compile_points(points_of(hop(terms=()), f"legendre:{s}"), "quick")[0]) for s in (1, 3)]
+    sizes = [statements(points_of(hop(terms=()), f"legendre:{s}")) for s in (1, 3)]
     assert 0 < sizes[1] <= CODE_GROWTH * sizes[0]
 
 
-def test_without_a_compiler_the_virtual_machine_solves_with_a_warning(cache, no_compiler):
-    with pytest.warns(UserWarning, match="no C compiler found"):
-        solution = solve(reach(), transcription="legendre:2", compile="quick")
-    assert solution.converged
-    assert solution.meta["compile"] == "none"
+def statements(points: list[PointFunction]) -> int:
+    compiled, _ = compile_points(points)
+    return sum(
+        tape.statements for point in compiled.values() for tape in (point.value, point.first, point.second)
+    )
 
 
-def test_compiler_of_the_environment_is_preferred(monkeypatch):
-    compiler.cache_clear()
-    found = compiler()
-    monkeypatch.setenv("CC", "gcc" if found and "cc" in found[0] else "cc")
-    compiler.cache_clear()
-    preferred = compiler()
-    compiler.cache_clear()
-    assert preferred is not None
-    assert Path(preferred[0]).name == os.environ["CC"]
+def test_functions_from_the_cache_give_the_same_bits(cache):
+    made, read = (prepare(hop(), transcription="legendre:2", intervals=6).nlp.engine for _ in range(2))
+    x = np.linspace(-1, 1, made.n_x)
+    multipliers = np.cos(np.arange(made.n_g))
+    assert_array_equal(read.g(x), made.g(x))
+    assert_array_equal(read.jacobian(x), made.jacobian(x))
+    assert_array_equal(read.hessian(x, 1.0, multipliers), made.hessian(x, 1.0, multipliers))
 
 
-def test_unknown_level_is_refused_with_the_list():
-    with pytest.raises(
-        InputError, match="unknown compile level 'O3'; allowed: background, none, quick, fast"
-    ):
-        effective_level("O3")
+def test_other_hessians_take_what_the_exact_one_has_left(cache):
+    points = points_of(hop())
+    _, exact = compile_points(points)
+    _, no_second = compile_points(points, "limited-memory")
+    _, gauss_newton = compile_points(points, "gauss-newton")
+    assert (no_second.built, no_second.cached) == (0, exact.built * 2 // 3)
+    assert (gauss_newton.built, gauss_newton.cached) == (exact.built // 3, exact.built * 2 // 3)
+    assert in_cache(points)
 
 
 def test_cache_folder_that_cannot_be_written_is_refused_in_one_line(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("not a folder")
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file" / "cache"))
     with pytest.raises(InputError, match=f"cannot write the cache folder .*set {CACHE_VARIABLE}") as refused:
-        compile_points(points_of(reach()), "none")
+        compile_points(points_of(reach()))
     assert "\n" not in str(refused.value)
 
 
-def test_failing_compiler_is_told_in_one_line_and_leaves_nothing(cache, tmp_path, monkeypatch):
-    broken = tmp_path / "broken-cc"
-    broken.write_text(
-        "#!/bin/sh\ncase $1 in --version) echo broken 1;; *) echo disk is full >&2; exit 3;; esac\n"
-    )
-    broken.chmod(0o755)
-    monkeypatch.setenv("CC", str(broken))
-    compiler.cache_clear()
-    try:
-        with pytest.raises(TrajoptError, match="disk is full; try --compile none"):
-            compile_points(points_of(reach()), "quick")
-    finally:
-        compiler.cache_clear()
-    assert list(cache.iterdir()) == []
+def cut_off(entry: Path) -> None:
+    entry.write_bytes(entry.read_bytes()[:-10])
 
 
-def damage_library(entry: Path) -> None:
-    library = entry / "first.so"
-    library.write_bytes(library.read_bytes()[:5000])
+def change_a_byte(entry: Path) -> None:
+    text = bytearray(entry.read_bytes())
+    text[len(text) // 2] ^= 1
+    entry.write_bytes(text)
 
 
-def damage_description(entry: Path) -> None:
-    (entry / "entry.json").write_text('{"c_bytes": ')
+def empty(entry: Path) -> None:
+    entry.write_bytes(b"")
 
 
-def lose_file(entry: Path) -> None:
-    (entry / "value.so").unlink()
-
-
-@pytest.mark.parametrize("damage", [damage_library, damage_description, lose_file])
+@pytest.mark.parametrize("damage", [cut_off, change_a_byte, empty, Path.unlink])
 def test_damaged_entry_is_made_anew(cache, damage):
     points = points_of(reach())
-    compiled, _ = compile_points(points, "quick")
-    key = next(iter(compiled))
-    damage(cache / key)
-    again, report = compile_points(points, "quick")
-    assert (report.built, report.cached) == (1, len(compiled) - 1)
-    assert set(again) == entries(cache)
-    assert compile_points(points, "quick")[1].built == 0
-    assert [entry for entry in cache.iterdir() if entry.name.startswith(".")] == []
+    _, first = compile_points(points)
+    damage(cache / sorted(entries(cache))[0])
+    assert not in_cache(points)
+    _, report = compile_points(points)
+    assert (report.built, report.cached) == (1, first.built - 1)
+    assert compile_points(points)[1].built == 0
+
+
+def test_full_disk_is_told_in_one_line_and_leaves_nothing(cache, monkeypatch):
+    def full(path: Path, content: bytes) -> int:
+        path.touch()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match=r"cannot write the cache folder .*No space left on device"):
+        compile_points(points_of(reach()))
+    assert list(cache.iterdir()) == []
 
 
 COMPILE = """
 from tests.support.problems import reach
 from trajopt import solve
-solution = solve(reach(), transcription="legendre:2", compile="quick")
-print(solution.meta["status"], solution.meta["compile"])
+print(solve(reach(), transcription="legendre:2").meta["status"])
 """
 
 
@@ -232,6 +180,6 @@ def test_two_processes_may_fill_an_empty_cache_at_once(cache):
     ]
     for process in processes:
         out, error = process.communicate(timeout=LIMIT)
-        assert out.split() == ["solved", "quick"], error
+        assert out.split() == ["solved"], error
     assert [entry for entry in cache.iterdir() if entry.name.startswith(".")] == []
-    assert compile_points(points_of(reach()), "quick")[1].built == 0
+    assert compile_points(points_of(reach()))[1].built == 0
