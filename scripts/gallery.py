@@ -1,6 +1,6 @@
 """A gallery of the suite's solutions: a strip of pictures of each, as a page for code hosts and one to play.
 
-trajopt suite --compile none --output-dir out
+trajopt suite --output-dir out
 uv run python -m scripts.gallery --solutions out -o docs/gallery
 uv run python -m scripts.gallery --solutions out -o gallery --pages      # and index.html, whose tiles play
 """
@@ -157,7 +157,7 @@ def readme(entries: Sequence[Entry]) -> str:
         f"{len(entries)} of the library's motions, each on one of its robots, solved with default parameters"
         " from the default guess. Time runs from left to right; red arrows are contact forces.",
         "",
-        "    trajopt suite --compile none --output-dir out",
+        "    trajopt suite --output-dir out",
         "    uv run python -m scripts.gallery --solutions out -o docs/gallery",
         "",
         "makes this page, with one robot for each problem; with `--pages` also an `index.html` whose pictures"

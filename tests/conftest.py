@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from typing import Any
 
 # Before OpenMP is loaded: rounding depends on the number of threads, `trajopt suite` measures with one.
 os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -3,13 +3,36 @@
 from collections.abc import Callable, Mapping
 from typing import Any, TypedDict
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 Reals = NDArray[np.float64]
 Indices = NDArray[np.int32]
-Source = str | tuple[str, str]
-"""Text of ``casadi.Function.serialize()``, or (shared library, name) of a compiled function."""
+# Changes with what a function becomes as a tape.
+TAPE_VERSION: str
+
+class Tape:
+    """A function of scalar operations as a straight line of statements, run at eight points at once.
+
+    Each expression is evaluated once; a product that is used once, in a sum, is rounded with it where the
+    processor can. Raises ValueError for a function that is no SX function.
+    """
+
+    def __init__(self, function: ca.Function) -> None: ...
+    @staticmethod
+    def read(content: bytes, /) -> Tape:
+        """The tape that `bytes` has written. Raises ValueError for anything else."""
+    def bytes(self) -> bytes: ...
+    def pattern(self, output: int, /) -> tuple[Indices, Indices]:
+        """Rows and columns of an output's values."""
+    def __call__(self, inputs: list[Reals], /) -> list[Reals]:
+        """Values of each output (points, nonzeros) for inputs (points, nonzeros)."""
+    @property
+    def statements(self) -> int: ...
+    @property
+    def slots(self) -> int:
+        """Intermediate values that are kept at a time, with inputs, constants and outputs."""
 
 class Group(TypedDict):
     """One point function at n stages, on ``z = gather x[x_offset[k] : x_offset[k] + nloc]``.
@@ -21,9 +44,9 @@ class Group(TypedDict):
     ``jac_indptr[t] <= e < jac_indptr[t + 1]``, with the scale of rows in ``jac_coef``; so does the Hessian.
     """
 
-    value: Source
-    first: Source
-    second: Source
+    value: Tape
+    first: Tape
+    second: Tape
     x_offset: Indices
     nloc: int
     gather_indptr: Indices

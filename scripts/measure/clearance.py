@@ -15,7 +15,7 @@ from trajopt.solving.exchange import Exchange, Look, along
 from trajopt.solving.solving import solve
 
 ROUNDS = 8
-GRID = {"transcription": "legendre:3", "intervals": 20, "compile": "none", "judge": False}
+GRID = {"transcription": "legendre:3", "intervals": 20, "judge": False}
 
 
 @dataclass

@@ -11,7 +11,6 @@ from scripts.measure.shared import head, row
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import MOST_ROUNDS, solve_graded
 from trajopt.study.choosing.solve_to import solve_to_accuracy
-from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt_library import problems
 
 MOTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
@@ -32,7 +31,7 @@ def grades() -> None:
         problem = problems.load(name, **values)
         motion = " ".join([name, *(f"{key}={value}" for key, value in values.items())])
         for word, rounds in (("draft", 1), ("default", MOST_ROUNDS)):
-            found = solve_graded(problem, max_rounds=rounds, compile=WAITING_LEVEL)
+            found = solve_graded(problem, max_rounds=rounds)
             row(motion, word, f"{found.spent:.2f}", *_figures(found.solution))
         fine = solve_to_accuracy(problem, FINE)
         row(motion, "fine", f"{fine.spent:.2f}", *_figures(fine.solution))

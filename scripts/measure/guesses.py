@@ -16,7 +16,6 @@ from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import body_problem, footholds_of
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solving.solving import prepare
-from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt.transcription.guess import perturbed
 from trajopt_library import problems
 
@@ -57,7 +56,7 @@ def guesses(seeds: int, solver: str) -> None:
     titles = ("status", "iterations", "time s", "cost", "perturbed: solved", "median")
     head("problem", "guess", *titles)
     for name, guess, problem in (*jumps(solver), *walks()):
-        prepared = prepare(problem, compile=WAITING_LEVEL)
+        prepared = prepare(problem)
         first = timed(prepared, solver=solver, stop=LIMITS)
         starts = (perturbed(prepared.transcription, prepared.guess, seed, NOISE) for seed in range(seeds))
         found = [timed(prepared, start, solver, LIMITS) for start in starts]
@@ -73,7 +72,7 @@ def jumps(solver: str) -> Iterator[tuple[str, str, Problem]]:
         name = " ".join(f"{key}={value}" for key, value in values.items())
         problem = problems.load("solo12-jump", **values)
         yield name, "default", problem
-        reduced = solve(body_problem(problem), solver=solver, compile=WAITING_LEVEL)
+        reduced = solve(body_problem(problem), solver=solver)
         note = f"one body ({reduced.meta['iterations']} iterations, {reduced.meta['wall_time_s']:.2f} s)"
         yield name, note, replace(problem, guess=guess_from_srb(problem, reduced))
         yield name, "standing still", standing_still(problem)

@@ -8,7 +8,6 @@ import click
 
 from scripts.measure.shared import head, row
 from trajopt.solving.graded import Graded, solve_graded
-from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt_library import problems
 
 # Problem, its other parameters, the one that decides: its infeasible and its feasible value.
@@ -33,9 +32,7 @@ def infeasible(max_time: float) -> None:
     head("problem", "infeasible", "verdict", "iterations", "s", "feasible", "verdict", "s", "ratio")
     for name, fixed, parameter, bad, good in SETTINGS:
         found, partner = (
-            solve_graded(
-                problems.load(name, **fixed, **{parameter: value}), max_time=max_time, compile=WAITING_LEVEL
-            )
+            solve_graded(problems.load(name, **fixed, **{parameter: value}), max_time=max_time)
             for value in (bad, good)
         )
         title = " ".join([name, *(f"{key}={value}" for key, value in fixed.items())])

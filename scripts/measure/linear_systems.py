@@ -11,7 +11,6 @@ from scripts.measure.shared import head, median, row
 from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import LINEAR_SOLVER, STAGES
 from trajopt.solving.solving import solve
-from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt_library import problems
 
 # Problem, its parameters, and the mesh; None for the problem's own.
@@ -86,7 +85,6 @@ def in_turns(
                 transcription=scheme,
                 intervals=intervals,
                 judge=False,
-                compile=WAITING_LEVEL,
                 **way,
             ).meta
             times[i].append(1e3 * found["wall_time_s"] / found["iterations"])

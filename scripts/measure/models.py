@@ -20,7 +20,6 @@ from trajopt.dynamics.virtual_base import to_free_flyer
 from trajopt.reduced.base_conversion import with_virtual_base
 from trajopt.terms import Cost, PowerCost, TimeCost
 from trajopt.terms.objectives import REST_OF_LINEAR
-from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt_library import problems
 
 ORDERS = ("ZYX", "YXZ")
@@ -92,7 +91,7 @@ def models(only: str, solver: str) -> None:
     head("compared", "model", "variables", "rows", "iterations", "solver s", "objective", "check")
     for what, model, build in all_models():
         if only.lower() in what.lower():
-            found = solve(build(), solver=solver, compile=WAITING_LEVEL)
+            found = solve(build(), solver=solver)
             objective = f"{found.meta['objective']:.5g}" if found.success else found.meta["status"]
             row(what, model, *_sizes(found), objective, _verdict(found))
 
@@ -124,7 +123,6 @@ def bases(yaw: float, transcription: str, intervals: int, solver: str) -> None:
                 intervals=intervals,
                 solver=solver,
                 max_iterations=300,
-                compile=WAITING_LEVEL,
             )
             paths.append(base_path(found))
             apart = np.linalg.norm(paths[-1] - paths[0], axis=1).max()

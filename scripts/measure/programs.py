@@ -26,7 +26,6 @@ from trajopt.solvers.sqp import Sqp, SqpOutcome
 from trajopt.solvers.sqp_point import Evaluator
 from trajopt.solvers.sqp_settings import SqpSettings
 from trajopt.solving.solving import prepare
-from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt.transcription.nlp import Nlp
 from trajopt_library import problems
 
@@ -158,7 +157,7 @@ def programs(names: tuple[str, ...]) -> None:
     head("problem, Hessian", "program", "solver", "status", "ms", "iterations", "missed")
     for name in names or ("solo12-jump", "hopper-hop", "quadruped-trot"):
         for hessian in ("exact", "gauss-newton"):
-            prepared = prepare(problems.load(name), hessian=hessian, compile=WAITING_LEVEL)
+            prepared = prepare(problems.load(name), hessian=hessian)
             for label, program in along_a_solve(prepared.nlp, prepared.guess):
                 for solver, ready in SOLVERS.items():
                     row(f"{name}, {hessian}", label, solver, *_figures(program, ready))

@@ -16,7 +16,6 @@ from trajopt.reduced.scenes.goals import scene
 from trajopt.reduced.scenes.smallest import Scene
 from trajopt.robot.building import reference_posture
 from trajopt.robot.data import robot_file
-from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt_library import problems, robots
 from trajopt_library.robots import talos
 
@@ -135,7 +134,7 @@ def scenes(solver: str) -> None:
     head("scene", "variant", *titles)
     for name, intervals, members in variants():
         for what, problem, made in members:
-            found = solve(problem, intervals=intervals, solver=solver, compile=WAITING_LEVEL)
+            found = solve(problem, intervals=intervals, solver=solver)
             meta, report = found.meta, check(found if made is None else made.lift(found))
             row(name, what, meta["variables"], meta["constraints"], meta["iterations"],
                 f"{meta['wall_time_s']:.2f}", f"{meta['objective']:.8f}", meta["status"],

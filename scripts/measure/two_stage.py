@@ -12,8 +12,7 @@ from trajopt.reduced.two_stage import base_rows_problem, recover_torques
 from trajopt.reduced.wrench_distribution import redistribute_wrenches
 from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.solving.warm_start import warm_start
-from trajopt.transcription.compilation import WAITING_LEVEL
-from trajopt.transcription.stage_functions import derivatives
+from trajopt.transcription.stage_functions import Derivatives
 from trajopt_library import problems
 
 CASES = (
@@ -43,10 +42,8 @@ def two_stage(solver: str) -> None:
 
 def compare(problem: Problem, solver: str) -> None:
     """Print the table of one problem."""
-    full, first = (prepare(each, compile=WAITING_LEVEL) for each in (problem, base_rows_problem(problem)))
-    whole, motion = (
-        solve(each, solver=solver, compile=WAITING_LEVEL) for each in (problem, base_rows_problem(problem))
-    )
+    full, first = (prepare(each) for each in (problem, base_rows_problem(problem)))
+    whole, motion = (solve(each, solver=solver) for each in (problem, base_rows_problem(problem)))
     begun = time.perf_counter()
     shared = redistribute_wrenches(problem, motion)
     sharing = time.perf_counter() - begun
@@ -71,5 +68,5 @@ def compare(problem: Problem, solver: str) -> None:
 def instructions(prepared: PreparedProblem) -> str:
     """SX instructions of values, first and second derivatives of the largest point function."""
     largest = max((group.point for group in prepared.transcription.groups), key=lambda point: point.n_z)
-    made = derivatives(largest)
+    made = Derivatives(largest)
     return " / ".join(f"{f.n_instructions():,}" for f in (made.value, made.first, made.second))

@@ -16,7 +16,6 @@ from scripts.measure.shared import head, row, solver_option
 from trajopt import Solution
 from trajopt.solving.monitoring import Iterate, Watch
 from trajopt.solving.solving import PreparedProblem, prepare, solve_prepared
-from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt.view.replay.browser import chromium
 from trajopt.view.replay.show import replay
 from trajopt.view.watching.history import History
@@ -81,7 +80,7 @@ def watching(problem: str, repeat: int, solver: str) -> None:
     The callback is the part of the solver's time that the watch spends in the solver's thread. Ends with an
     error if watching changes the iterations.
     """
-    prepared = prepare(problems.load(problem), compile=WAITING_LEVEL)
+    prepared = prepare(problems.load(problem))
     rounds = [{mode: watched(prepared, solver, mode) for mode in MODES} for _ in range(repeat)]
     counts = {found[0] for own in rounds for found in own.values()}
     if len(counts) > 1:

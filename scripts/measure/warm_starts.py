@@ -16,7 +16,6 @@ from scripts.measure.shared import Timed, head, median, row, solver_option, time
 from trajopt import solve, solve_ladder
 from trajopt.solving.ladder import total_effort
 from trajopt.solving.solving import prepare
-from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt_library import problems
 
 Grid = tuple[str | None, int | None]
@@ -89,14 +88,11 @@ def warm_starts(repeat: int, only: str, solver: str) -> None:
             solver=solver,
             transcription=case.coarse[0],
             intervals=case.coarse[1],
-            compile=WAITING_LEVEL,
         )
         after = problems.load(case.problem, **case.after)
         runs = []
         for start in (None, first):
-            prepared = prepare(
-                after, transcription=case.grid[0], intervals=case.grid[1], start=start, compile=WAITING_LEVEL
-            )
+            prepared = prepare(after, transcription=case.grid[0], intervals=case.grid[1], start=start)
             runs.append([timed(prepared, solver=solver) for _ in range(repeat)])
         cold, warm = runs
         differ = warm[0].result.objective / cold[0].result.objective - 1
@@ -105,9 +101,7 @@ def warm_starts(repeat: int, only: str, solver: str) -> None:
     head("problem", "grids", "finest grid alone", "all grids", "of it")
     for name, rungs in STILL:
         if only in name:
-            found = solve_ladder(
-                standing_still(problems.load(name)), rungs, compare=True, solver=solver, compile=WAITING_LEVEL
-            )
+            found = solve_ladder(standing_still(problems.load(name)), rungs, compare=True, solver=solver)
             assert found.cold is not None
             both = (total_effort([found.cold]), found.to_dict()["total"])
             own = (f"{figures['iterations']}, {figures['wall_time_s']:.2f} s" for figures in both)

@@ -23,7 +23,6 @@ from trajopt.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import LINEAR_SOLVER
 from trajopt.solving.solving import PreparedProblem, prepare, solve_prepared
-from trajopt.transcription.compilation import WAITING_LEVEL
 
 _SOLVED: dict[tuple[str, str, int, str], Solution] = {}
 
@@ -36,7 +35,7 @@ def _problem(task: str) -> Problem:
 @cache
 def _prepared(task: str, scheme: str, intervals: int) -> PreparedProblem:
     problem = _problem(task)
-    return prepare(problem, mesh=problems.mesh(problem, scheme, intervals), compile=WAITING_LEVEL)
+    return prepare(problem, mesh=problems.mesh(problem, scheme, intervals))
 
 
 def describe(task: str) -> dict[str, Any]:

@@ -69,7 +69,7 @@ def two_phases() -> Solution:
 
 @lru_cache
 def landed() -> Solution:
-    solution = trajopt.solve(landing(impact=True), compile="none", intervals=24)
+    solution = trajopt.solve(landing(impact=True), intervals=24)
     assert solution.converged
     return solution
 
@@ -99,7 +99,7 @@ def test_true_motions_have_no_error(which):
 
 
 def test_cubic_of_least_acceleration_is_exact_between_points_too():
-    found = measure(trajopt.solve(reach(), compile="none", intervals=4))
+    found = measure(trajopt.solve(reach(), intervals=4))
     assert found.interval_error < ROUNDING
     assert found.collocation_error < EXACT
     assert found.position_gap < ROUNDING
@@ -109,9 +109,7 @@ def test_cubic_of_least_acceleration_is_exact_between_points_too():
 def test_local_error_falls_with_the_order_and_one_more_of_the_step(scheme, order):
     errors, whole = [], []
     for intervals in (6, 12):
-        plan = trajopt.solve(
-            reach(gravity=True), transcription=scheme, intervals=intervals, compile="none", tolerance=1e-10
-        )
+        plan = trajopt.solve(reach(gravity=True), transcription=scheme, intervals=intervals, tolerance=1e-10)
         assert plan.converged
         found = measure(plan)
         errors.append(found.interval_error)
@@ -121,7 +119,7 @@ def test_local_error_falls_with_the_order_and_one_more_of_the_step(scheme, order
 
 
 def test_local_error_in_stance_falls_with_the_fifth_power_of_the_step():
-    plans = [trajopt.solve(lean(), intervals=n, compile="none", tolerance=1e-10) for n in (4, 8)]
+    plans = [trajopt.solve(lean(), intervals=n, tolerance=1e-10) for n in (4, 8)]
     coarse, fine = (interval_errors(plan).max() for plan in plans)
     assert np.log2(coarse / fine) == pytest.approx(5, abs=ORDER)
 
@@ -129,7 +127,7 @@ def test_local_error_in_stance_falls_with_the_fifth_power_of_the_step():
 def test_intervals_of_unequal_width_and_phases_of_other_schemes_are_measured():
     widths = (0.4, 0.3, 0.2, 0.1)
     phases = [PhaseMesh(scheme=name, widths=widths) for name in ("legendre:1", "legendre:3", "radau:2")]
-    plan = trajopt.solve(landing(), mesh=Mesh(phases=tuple(phases)), compile="none")
+    plan = trajopt.solve(landing(), mesh=Mesh(phases=tuple(phases)))
     assert plan.converged
     found = measure(plan)
     assert found.interval_errors.shape == (12,)
@@ -184,7 +182,7 @@ def test_whole_motion_carries_the_error_of_one_phase_into_the_next():
 
 def test_pendulum_is_measured_where_its_mass_is():
     robot = one_joint_arm(gravity=True)
-    found = measure(trajopt.solve(reach(gravity=True), compile="none", intervals=8))
+    found = measure(trajopt.solve(reach(gravity=True), intervals=8))
     lever = np.linalg.norm(robot.model.inertias[1].lever)
     assert found.open_loop == pytest.approx(found.open_loop_joints * lever, rel=1e-3)
     assert found.open_loop_orientation is None
@@ -198,7 +196,7 @@ def test_arm_is_measured_at_its_farthest_point():
 
 
 def test_source_of_velocity_is_exact_where_its_rates_are_polynomials():
-    found = measure(trajopt.solve(still(), compile="none", intervals=6))
+    found = measure(trajopt.solve(still(), intervals=6))
     assert found.open_loop < 1e-6
     assert found.violations["friction"] == 0.0
     assert found.contact_error > 0  # between points the foot is held to the scheme's order alone
@@ -207,7 +205,7 @@ def test_source_of_velocity_is_exact_where_its_rates_are_polynomials():
 @pytest.mark.parametrize("coordinates", ["excess", "minimal"])
 def test_both_coordinates_of_a_hop_are_measured(coordinates):
     problem = problems.load("hopper-hop", coordinates=coordinates)
-    plan = trajopt.solve(problem, compile="none", fixed_mesh=True)
+    plan = trajopt.solve(problem, fixed_mesh=True)
     assert plan.converged
     found = measure(plan)
     assert found.open_loop < 0.05

@@ -60,9 +60,9 @@ def test_local_states_are_inverted(kind):
 def test_interpolation_is_that_of_the_symbolic_coordinates(scheme):
     """The same polynomials, read and evaluated by the transcription's own symbolic coordinates."""
     if scheme == "velocity":
-        plan = trajopt.solve(still(), compile="none", intervals=4)
+        plan = trajopt.solve(still(), intervals=4)
     else:
-        plan = trajopt.solve(hop(), compile="none", intervals=6, transcription=scheme, max_iterations=5)
+        plan = trajopt.solve(hop(), intervals=6, transcription=scheme, max_iterations=5)
     other = SymbolicInterpolation(plan)
     fractions = np.array([0.0, 0.3, 0.75, 1.0])
     for number in (0, plan.n_intervals - 1):
@@ -78,7 +78,7 @@ def test_interpolation_is_that_of_the_symbolic_coordinates(scheme):
 
 def test_interpolation_passes_through_the_samples():
     """Through a at points alone: there the file's own polynomial of a begins, and q and v have another."""
-    plan = trajopt.solve(landing(), compile="none", intervals=8)
+    plan = trajopt.solve(landing(), intervals=8)
     for number, rows in enumerate(plan.intervals):
         start, end = plan.interval_t[number]
         own = slice(rows.start, rows.stop)
@@ -108,7 +108,7 @@ def test_torque_that_breaks_its_limit_between_points_alone_is_found():
 @pytest.mark.long
 def test_positions_velocities_and_depths_are_looked_at_between_samples():
     """Limits of positions hold at nodes: on a coarse mesh a joint passes its limit between them."""
-    plan = trajopt.solve(landing(), compile="none", intervals=8)
+    plan = trajopt.solve(landing(), intervals=8)
     assert trajopt.check(plan).position_excess < 1e-6 < measure(plan).violations["position"]
     slower = with_meta(plan, velocity_limit=(0.5 * np.abs(plan.v).max(axis=0)).tolist())
     assert measure(slower).violations["velocity"] >= 1.0 - 1e-9
@@ -139,13 +139,13 @@ def test_friction_between_points_is_over_the_weight():
 
 
 def test_drift_of_feet_between_points_is_at_least_that_at_samples():
-    plan = trajopt.solve(landing(), compile="none", intervals=6)
+    plan = trajopt.solve(landing(), intervals=6)
     found = measure(plan)
     assert found.foot_drift >= trajopt.check(plan).foot_drift * (1 - 1e-9)
 
 
 def test_units_of_prismatic_and_revolute_rows_are_force_and_moment():
-    model = trajopt.solve(landing(), compile="none", max_iterations=0, intervals=6).model
+    model = trajopt.solve(landing(), max_iterations=0, intervals=6).model
     units = NaturalUnits.of(model)
     force, moment = units.weight, units.weight * units.length
     assert_allclose(units.generalized_force(model), [force] * 3 + [moment] * 3 + [moment, force])
@@ -206,7 +206,7 @@ def test_torques_are_compared_over_weight_times_reach():
 
 def test_motions_on_different_meshes_agree_to_their_errors():
     coarse, fine = (
-        trajopt.solve(reach(gravity=True), compile="none", intervals=n, transcription=scheme)
+        trajopt.solve(reach(gravity=True), intervals=n, transcription=scheme)
         for n, scheme in ((8, "legendre:2"), (16, "radau:3"))
     )
     assert compare(coarse, fine).distance < 1e-4

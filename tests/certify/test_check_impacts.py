@@ -23,7 +23,7 @@ COARSE = Tolerances(between=0.05)
 
 @lru_cache
 def landed() -> Solution:
-    solution = trajopt.solve(landing(impact=True), compile="none", intervals=16, transcription="legendre:3")
+    solution = trajopt.solve(landing(impact=True), intervals=16, transcription="legendre:3")
     assert solution.converged
     return solution
 
@@ -39,7 +39,7 @@ def test_impact_of_a_solution_meets_its_law_and_loses_energy():
 
 
 def test_figures_of_impacts_are_none_without_one():
-    report = trajopt.check(trajopt.solve(landing(), compile="none", intervals=10))
+    report = trajopt.check(trajopt.solve(landing(), intervals=10))
     assert report.impact_residual is None
     assert report.impact_friction_margin is None
     assert report.state_jump == 0.0
@@ -72,7 +72,7 @@ def test_impact_at_a_sample_within_an_interval_is_refused():
 
 
 def test_statics_of_a_velocity_source_are_judged_not_its_dynamics():
-    solution = trajopt.solve(still(), compile="none", intervals=10)
+    solution = trajopt.solve(still(), intervals=10)
     assert solution.converged
     assert solution.meta["actuation"] == "velocity"
     report = trajopt.check(solution)
@@ -86,8 +86,7 @@ def test_open_loop_of_a_velocity_source_follows_its_rates():
     keep = [term for term in arm.terms if type(term).__name__ in ("FramePose", "PositionLimits")]
     problem = replace(arm, actuation="velocity", terms=(trajopt.terms.VelocityCost(weight=1.0), *keep))
     coarse, fine = (
-        trajopt.check(trajopt.solve(problem, compile="none", intervals=n, transcription="legendre:3"))
-        for n in (4, 8)
+        trajopt.check(trajopt.solve(problem, intervals=n, transcription="legendre:3")) for n in (4, 8)
     )
     assert coarse.open_loop_joints < 1e-8
     assert fine.ok

@@ -29,7 +29,7 @@ FACTOR = 2.0
 
 @pytest.fixture(scope="module", params=["legendre:2", "legendre:4", "radau:3"])
 def plan(request: pytest.FixtureRequest) -> Solution:
-    return trajopt.solve(landing(), compile="none", intervals=8, transcription=request.param)
+    return trajopt.solve(landing(), intervals=8, transcription=request.param)
 
 
 def test_worst_of_two_hundred_samples_is_found_with_a_few(plan):
@@ -59,7 +59,7 @@ def test_places_are_those_of_the_worst_values(plan):
 
 @pytest.mark.parametrize("problem", [landing(), hop(), reach(gravity=True)], ids=["landing", "hop", "reach"])
 def test_local_errors_are_those_of_an_integration(problem):
-    plan = trajopt.solve(problem, compile="none", intervals=12).normalized()
+    plan = trajopt.solve(problem, intervals=12).normalized()
     found = local_errors(plan, InterpolatedMotion.of(plan)).position
     expected = interval_errors(plan)
     large = expected > 1e-2 * expected.max()
@@ -68,8 +68,6 @@ def test_local_errors_are_those_of_an_integration(problem):
 
 
 def test_local_errors_of_uneven_meshes_are_in_the_order_of_the_intervals():
-    plan = trajopt.solve(
-        landing(), compile="none", transcription="legendre:2,legendre:2,legendre:3", intervals=8
-    )
+    plan = trajopt.solve(landing(), transcription="legendre:2,legendre:2,legendre:3", intervals=8)
     found = local_errors(plan.normalized(), InterpolatedMotion.of(plan.normalized())).position
     assert np.argmax(found) == np.argmax(interval_errors(plan))

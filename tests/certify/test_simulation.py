@@ -41,7 +41,7 @@ def stand() -> Solution:
 
 @pytest.fixture(scope="module")
 def jump() -> Solution:
-    return solve(problems.load("solo12-jump"), intervals=30, compile="none")
+    return solve(problems.load("solo12-jump"), intervals=30)
 
 
 def tilted(degrees: float, friction: float) -> dict[str, object]:
@@ -208,7 +208,7 @@ def test_push_moves_the_base_to_its_side(stand):
 
 
 def test_push_on_a_planar_robot_is_within_its_plane():
-    plan = solve(problems.load("hopper-hop"), intervals=12, compile="none")
+    plan = solve(problems.load("hopper-hop"), intervals=12)
     ahead = simulate(plan, push=5.0).record.qpos - simulate(plan).record.qpos
     assert np.abs(ahead[:, 0]).max() > 1e-3
 
@@ -290,7 +290,7 @@ def test_robot_without_torques_falls(stand):
 
 
 def test_grasp_holds_what_the_plan_holds():
-    plan = solve(problems.load("ur5-pull"), intervals=12, compile="none")
+    plan = solve(problems.load("ur5-pull"), intervals=12)
     found = simulate(plan)
     pulling = found.reference.phase == 2
     planned = sample_quantities(plan).position[-1, 0]
@@ -302,7 +302,7 @@ def test_grasp_holds_what_the_plan_holds():
 
 
 def test_carried_object_is_felt():
-    plan = solve(problems.load("arm-pick-place"), compile="none", fixed_mesh=True)
+    plan = solve(problems.load("arm-pick-place"), fixed_mesh=True)
     found = simulate(plan).report
     light = replace(plan, meta={key: value for key, value in plan.meta.items() if key != "payloads"})
     without = simulate(light).report
@@ -311,7 +311,7 @@ def test_carried_object_is_felt():
 
 
 def test_cycles_follow_each_other_as_images():
-    plan = solve(problems.load("hopper-gait"), compile="none", fixed_mesh=True)
+    plan = solve(problems.load("hopper-gait"), fixed_mesh=True)
     reference = reference_of(plan, SimulationSettings(cycles=3))
     count, described = len(reference.t) // 3, plan.meta["periodicity"]
     duration = float(plan.t[-1] - plan.t[0])
@@ -328,7 +328,7 @@ def test_cycles_follow_each_other_as_images():
 
 
 def test_half_a_cycle_is_followed_by_its_mirror_image():
-    plan = solve(problems.load("quadruped-trot", cycle="half"), compile="none", fixed_mesh=True)
+    plan = solve(problems.load("quadruped-trot", cycle="half"), fixed_mesh=True)
     found = simulate(plan, cycles=1)
     reference, half = found.reference, len(found.reference.t) // 2
     np.testing.assert_array_equal(reference.active[0], ~reference.active[half])
@@ -340,7 +340,7 @@ def test_half_a_cycle_is_followed_by_its_mirror_image():
 @pytest.mark.parametrize("robot", ["solo12", "go2", "anymal_c"])
 @pytest.mark.parametrize("problem", ["quadruped-jump-forward", "quadruped-trot"])
 def test_jumps_and_trots_end_within_five_centimetres(problem, robot):
-    report = simulate(solve(problems.load(problem, robot=robot), compile="none", fixed_mesh=True)).report
+    report = simulate(solve(problems.load(problem, robot=robot), fixed_mesh=True)).report
     assert not report.fell
     assert report.base_error_end < AT_THE_END
     assert report.passed

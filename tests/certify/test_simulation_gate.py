@@ -30,7 +30,7 @@ pytest.importorskip("mujoco")
 MOST_BASE_ERROR = 0.05
 # The same distance from two files: rounding.
 ROUNDING = 1e-9
-SETTINGS = SuiteSettings(compile="none", simulate=True)
+SETTINGS = SuiteSettings(simulate=True)
 ROBOTS = ("solo12", "go2", "anymal_c")
 
 
@@ -139,7 +139,7 @@ def test_a_fall_fails_a_suite_unless_the_data_know_of_it(
     records.open(resume=False)
     records.add(outcome)  # taken over below: nothing is solved here
     arguments = ["suite", "--problems", "hopper-hop", "--robots", "hopper", "--simulate", "--json"]
-    arguments += ["--compile", "none", "--output-dir", str(tmp_path), "--resume"]
+    arguments += ["--output-dir", str(tmp_path), "--resume"]
     if before is not None:
         entry = replace(data.entry_of(outcome, SETTINGS), physics=before)
         data.write_bands(tmp_path / "bands.csv", {entry.name: entry}, {})

@@ -18,13 +18,13 @@ from trajopt.cli.report import to_json
 from trajopt.problem import catalogue
 
 # A small hop on a coarse grid: solved within a second, its foot drift is beyond a check's tolerance.
-HOP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12", "--compile", "quick")
+HOP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12")
 # No leg can push so far in so short a time.
 IMPOSSIBLE = ("--set", "distance=1", "--set", "flight=0.05", "--set", "stance=0.05")
 KEYS = {
     "problem", "robot", "success", "status", "advice", "iterations", "objective", "variables", "constraints",
     "max_violation", "worst_blocks", "wall_time_s", "function_time_s", "build_time_s", "compile_time_s",
-    "accuracy", "file", "solver", "transcription", "intervals", "tolerance", "seed", "perturb", "compile",
+    "accuracy", "file", "solver", "transcription", "intervals", "tolerance", "seed", "perturb",
     "parameters", "warm_start",
 }  # fmt: skip
 
@@ -205,8 +205,8 @@ BAD = {
     "seed": ((*HOP, "--seed", "-1"), ["'--seed'", "-1"]),
     "iterations": ((*HOP, "--max-iterations", "1e3"), ["'--max-iterations'", "whole number"]),
     "time": ((*HOP, "--max-time", "0"), ["max_time is 0 s"]),
-    "compile level": ((*HOP, "--compile", "ultra"), ["ultra", "none, quick, fast"]),
     "threads": ((*HOP, "--threads", "0"), ["'--threads'"]),
+    "old option": ((*HOP, "--compile", "ultra"), ["'--compile'", "ultra", "quick"]),
     "solver option form": ((*HOP, "--solver-option", "tol"), ["--solver-option 'tol'"]),
     "solver option nan": ((*HOP, "--solver-option", "tol=nan"), ["tol is nan"]),
     "ipopt option": ((*HOP, "--solver-option", "mu_strateg=x"), ["ipopt", "mu_strateg"]),
@@ -225,6 +225,14 @@ def test_bad_input_is_one_line_and_two(
     monkeypatch.chdir(tmp_path)
     assert_refused(invoke(*arguments), *words)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_level_of_a_compiler_has_no_effect_but_a_note(tmp_path: Path) -> None:
+    result = invoke(*HOP, "--compile", "quick", "--draft", "--output", str(tmp_path / "hop.npz"))
+    assert result.exit_code == 0
+    assert result.stderr.splitlines()[0] == (
+        "note: functions need no C compiler any more: --compile has no effect"
+    )
 
 
 def test_output_is_refused_before_anything_else_of_the_solve(tmp_path: Path) -> None:
@@ -290,7 +298,7 @@ def test_numbers_that_are_not_finite_are_null_in_json() -> None:
 
 def test_a_log_replaces_neither_the_solution_nor_the_start(hop_file: Path, tmp_path: Path) -> None:
     before = hop_file.read_bytes()
-    solve = ("solve", "hopper-hop", "--compile", "none", "--log", hop_file)
+    solve = ("solve", "hopper-hop", "--log", hop_file)
     assert_refused(invoke(*solve, "-o", hop_file), "written twice")
     assert_refused(invoke(*solve, "-o", tmp_path / "new.npz", "--start", hop_file), "is an input file")
     assert hop_file.read_bytes() == before
@@ -300,16 +308,12 @@ def test_a_log_replaces_neither_the_solution_nor_the_start(hop_file: Path, tmp_p
 @pytest.mark.long
 def test_solve_without_a_mesh_tells_the_grade_and_passes_the_check(tmp_path: Path) -> None:
     target = tmp_path / "reach.npz"
-    result = invoke("solve", "ur5-reach", "--compile", "none", "--output", target)
+    result = invoke("solve", "ur5-reach", "--output", target)
     assert result.exit_code == 0, result.output
     assert "grade: holds at any time; the grade is reached" in result.stdout
     assert invoke("check", target).exit_code == 0
-    draft = strict(
-        invoke("solve", "ur5-reach", "--compile", "none", "--draft", "--json", "-o", target).stdout
-    )
+    draft = strict(invoke("solve", "ur5-reach", "--draft", "--json", "-o", target).stdout)
     assert len(draft["graded"]["rounds"]) == 1
-    fixed = strict(
-        invoke("solve", "ur5-reach", "--compile", "none", "--fixed-mesh", "--json", "-o", target).stdout
-    )
+    fixed = strict(invoke("solve", "ur5-reach", "--fixed-mesh", "--json", "-o", target).stdout)
     assert fixed["intervals"] == 30
     assert_refused(invoke("solve", "ur5-reach", "--draft", "--fixed-mesh"), "--draft and a mesh")

@@ -9,7 +9,7 @@ import pytest
 
 from trajopt.cli.commands import main
 
-GRID = ("--intervals", "6", "--compile", "none")
+GRID = ("--intervals", "6")
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -75,7 +75,7 @@ def test_the_problem_of_a_file_may_be_named(capsys, folder):
 def test_bad_input_is_one_line_and_status_2(capsys, folder, words, message):
     file = folder / "small.npz"
     if not file.exists():
-        run(capsys, "solve", "ur5-reach", "--intervals", "2", "--compile", "none", "--output", str(file))
+        run(capsys, "solve", "ur5-reach", "--intervals", "2", "--output", str(file))
     status, out, err = run(capsys, "diagnose", *(str(file) if word == "FILE" else word for word in words))
     assert (status, out) == (2, "")
     assert message in err
@@ -88,7 +88,7 @@ def test_a_file_of_a_problem_that_nobody_knows_is_refused(capsys, folder):
     from trajopt.solution.solution import Solution
 
     file = folder / "known.npz"
-    run(capsys, "solve", "ur5-reach", "--intervals", "2", "--compile", "none", "--output", str(file))
+    run(capsys, "solve", "ur5-reach", "--intervals", "2", "--output", str(file))
     known = Solution.load(file)
     foreign = replace(known, meta={**known.meta, "problem": "my-own"}).save(folder / "foreign.npz")
     status, _, err = run(capsys, "diagnose", str(foreign))

@@ -50,7 +50,7 @@ def test_a_name_tells_the_settings_that_change_the_motion(case: str) -> None:
 @pytest.mark.long
 def test_other_settings_do_not_overwrite_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    hop = ("solve", "hopper-hop", "--compile", "none", "--intervals", "9")
+    hop = ("solve", "hopper-hop", "--intervals", "9")
     for more in ((), ("--set", "distance=0.1")):
         assert invoke(*hop, *more).exit_code == 1  # the mesh is coarse
     first, second = (Path(f"hopper-hop{part}-intervals=9.npz") for part in ("", "-distance=0.1"))

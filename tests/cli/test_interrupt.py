@@ -19,7 +19,7 @@ pytestmark = pytest.mark.long
 
 # So many intervals that building lasts seconds, and a linear solver with which solving does.
 LONG = (
-    "solve", "solo12-jump", "--set", "distance=0.3", "--compile", "quick",
+    "solve", "solo12-jump", "--set", "distance=0.3",
     "--solver-option", "linear_solver=mumps", "--intervals", "200",
 )  # fmt: skip
 
@@ -86,7 +86,7 @@ def on_screen(text: str) -> tuple[list[str], int]:
 
 @pytest.fixture(scope="module")
 def solution_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return solve(hop(), compile="none", intervals=8).save(tmp_path_factory.mktemp("solution") / "hop.npz")
+    return solve(hop(), intervals=8).save(tmp_path_factory.mktemp("solution") / "hop.npz")
 
 
 def test_ctrl_c_ends_a_live_replay_with_zero(solution_file: Path) -> None:

@@ -21,8 +21,8 @@ from trajopt.transcription.cache_entries import CACHE_VARIABLE
 pytestmark = [pytest.mark.slow, needs_proc]
 
 SMALL = ("hopper-hop", "--intervals", "12")
-WATCH = ("solve", "hopper-hop", "--draft", "--compile", "none", "--output", "x.npz", "--watch")
-SWEPT = ("--compile", "none", "--repeats", "0", "--reference", "0", "--intervals", "4,5")
+WATCH = ("solve", "hopper-hop", "--draft", "--output", "x.npz", "--watch")
+SWEPT = ("--repeats", "0", "--reference", "0", "--intervals", "4,5")
 HOP = "hop.npz"
 REPLAY = ("replay", HOP, "--no-open")
 SOLVED, UNSOLVED, CANCELLED = 0, 1, 130
@@ -121,16 +121,16 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
             at("viewer:Viewer.wait", SOLVED),
         ],
     ),
-    "solve with a compiler": (
-        ("solve", *SMALL, "--compile", "quick", "--output", "x.npz"),
+    "solve while functions are compiled": (
+        ("solve", *SMALL, "--output", "x.npz"),
         [
-            at("compilation:_Job._compile", CANCELLED),
-            at("compilation:_Job.finish", CANCELLED),
-            at("compilation:_Job.discard", CANCELLED),
+            at("compilation:_Compiler._tape", CANCELLED),
+            at("compilation:_Compiler._tape", CANCELLED, count=3),
+            at("cache_entries:write_entry", CANCELLED),
         ],
     ),
     "continue": (
-        ("continue", *SMALL, "--compile", "none", "--vary", "distance=0.1:0.2:2", "--output-dir", "out"),
+        ("continue", *SMALL, "--vary", "distance=0.1:0.2:2", "--output-dir", "out"),
         [
             at("progress:SolveControl.__call__", UNSOLVED, count=2),
             at("solving:prepare", UNSOLVED, count=2),
@@ -148,7 +148,7 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         ],
     ),
     "suite": (
-        ("suite", "--problems", "t-reach,t-hanging", "--compile", "none", "--jobs", "2"),
+        ("suite", "--problems", "t-reach,t-hanging", "--jobs", "2"),
         [
             at("pool:run_all", CANCELLED),
             at("executor:first_ended", CANCELLED, event="return"),
@@ -172,7 +172,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = tmp_path_factory.mktemp("moments")
     install(suite_problems, found)
     install(sweep_problems, found)
-    solve(hop(), compile="none", intervals=8).save(found / HOP)
+    solve(hop(), intervals=8).save(found / HOP)
     return found
 
 

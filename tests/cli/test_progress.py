@@ -59,7 +59,7 @@ def small() -> Problem:
 
 
 def seen_by(watch: Callable[[Iterate], None], **settings: object) -> None:
-    solve(small(), transcription="legendre:1", compile="none", watch=watch, **settings)
+    solve(small(), transcription="legendre:1", watch=watch, **settings)
 
 
 def test_one_block_is_a_decade_of_eight():
@@ -183,7 +183,7 @@ def test_every_solve_of_a_ladder_says_which_it_is():
             labels.append(iterate.label)
             assert history.rows == []
 
-    solve_ladder(small(), [("legendre:1", 8), ("legendre:1", 12)], compare=True, compile="none", watch=watch)
+    solve_ladder(small(), [("legendre:1", 8), ("legendre:1", 12)], compare=True, watch=watch)
     assert labels == ["rung 1 of 2", "rung 2 of 2", "from the default guess"]
     assert history.number == 3
 
@@ -239,7 +239,7 @@ def test_an_interrupt_in_a_watch_stops_the_solver():
         if iterate.stage == "iteration" and iterate.figures["iteration"] == 2:
             raise KeyboardInterrupt
 
-    found = solve(small(), transcription="legendre:1", compile="none", watch=interrupt)
+    found = solve(small(), transcription="legendre:1", watch=interrupt)
     assert found.meta["status"] == "interrupted"
 
 

@@ -15,7 +15,7 @@ from trajopt import Solution
 # or 9 accelerations and on four or two feet 12 or 6 forces.
 WHOLE = 13 * 37 + 9 * 2 * (18 + 12) + 3 * 2 * 18
 HALF = 13 * 18 + 9 * 2 * (9 + 6) + 3 * 2 * 9
-JUMP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12", "--compile", "none")
+JUMP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12")
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_smallest_solves_the_same_silently_and_json_has_the_scene(tmp_path: Path
 @pytest.mark.slow
 def test_a_lifted_motion_that_misses_the_check_is_solved_for_the_whole_robot(tmp_path: Path) -> None:
     file = tmp_path / "jump.npz"
-    result = invoke("solve", "solo12-jump", "--smallest", "--compile", "none", "--output", file)
+    result = invoke("solve", "solo12-jump", "--smallest", "--output", file)
     assert result.exit_code == 0, result.output
     assert "whole robot: solved from the reduced motion" in result.stdout
     assert invoke("check", file).exit_code == 0

@@ -23,7 +23,7 @@ from tests.support.processes import (
 )
 from trajopt.study.suite import data
 
-FAST = ("--compile", "none")
+FAST = ()
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -29,12 +29,12 @@ BLANK = 5.0
 
 @pytest.fixture(scope="module")
 def leap() -> Solution:
-    return trajopt.solve(hop(), intervals=12, compile="none")
+    return trajopt.solve(hop(), intervals=12)
 
 
 @pytest.fixture(scope="module")
 def arm() -> Solution:
-    return trajopt.solve(problems.load("arm-reach", robot="ur5"), intervals=6, compile="none")
+    return trajopt.solve(problems.load("arm-reach", robot="ur5"), intervals=6)
 
 
 @pytest.fixture

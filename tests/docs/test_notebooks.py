@@ -28,7 +28,7 @@ LARGEST = 200_000
 
 @pytest.fixture(scope="module")
 def solution() -> Solution:
-    return trajopt.solve(reach(), intervals=4, compile="none")
+    return trajopt.solve(reach(), intervals=4)
 
 
 def test_there_is_a_notebook_for_an_arm_a_jump_and_a_gait() -> None:

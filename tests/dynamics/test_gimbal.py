@@ -171,11 +171,11 @@ def tumbling(robot: Robot, q: np.ndarray, v: np.ndarray):
 def test_a_converged_plan_through_the_lock_is_no_success():
     """In the sagittal plane angles pass the lock without noticing: the solver converges, the status tells."""
     problem = thrown()
-    turning = trajopt.solve(problem, intervals=12, compile="none")
+    turning = trajopt.solve(problem, intervals=12)
     assert turning.converged
     assert trajopt.check(turning).gimbal_margin is None
     assert "gimbal_margin" not in turning.meta
-    solution = trajopt.solve(with_virtual_base(problem), intervals=12, compile="none")
+    solution = trajopt.solve(with_virtual_base(problem), intervals=12)
     assert (solution.meta["status"], solution.success) == (Status.SINGULAR_BASE.word, False)
     assert solution.meta["gimbal_margin"] == 0
     assert solution.meta["max_violation"] < 1e-5
@@ -184,7 +184,7 @@ def test_a_converged_plan_through_the_lock_is_no_success():
     assert report.gimbal_margin == 0
     assert "gimbal_margin" in report.failures(AT_POINTS)
     assert "margin to gimbal lock" in str(report)
-    other = trajopt.solve(with_virtual_base(problem, "YXZ"), intervals=12, compile="none")
+    other = trajopt.solve(with_virtual_base(problem, "YXZ"), intervals=12)
     assert other.converged, other.meta["advice"]
     assert other.meta["gimbal_margin"] > 0.9
 
@@ -193,7 +193,7 @@ def test_a_converged_plan_through_the_lock_is_no_success():
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_half_a_flip_solves_with_the_quaternion(solver):
     flip = problems.load("solo12-flip")
-    solution = trajopt.solve(flip, solver=solver, intervals=30, compile="none")
+    solution = trajopt.solve(flip, solver=solver, intervals=30)
     assert solution.converged, solution.meta["advice"]
     assert solution.meta["iterations"] <= 60
     assert trajopt.check(solution).within(AT_POINTS)
@@ -209,23 +209,19 @@ def test_half_a_flip_solves_with_the_quaternion(solver):
 @pytest.mark.parametrize("yaw", [-1.2, 0.0])
 def test_flips_of_other_angles_solve_from_their_own_guess(pitch, yaw):
     flip = problems.load("solo12-flip", pitch=pitch, yaw=yaw)
-    solution = trajopt.solve(flip, intervals=20, compile="none")
+    solution = trajopt.solve(flip, intervals=20)
     assert solution.converged, solution.meta["advice"]
     assert solution.meta["iterations"] <= 60
 
 
 @pytest.mark.slow
 def test_half_a_flip_fails_with_yaw_pitch_roll_and_agrees_with_another_order():
-    turning = trajopt.solve(problems.load("solo12-flip"), intervals=30, compile="none")
-    failed = trajopt.solve(
-        problems.load("solo12-flip", base="virtual"), intervals=30, compile="none", max_iterations=150
-    )
+    turning = trajopt.solve(problems.load("solo12-flip"), intervals=30)
+    failed = trajopt.solve(problems.load("solo12-flip", base="virtual"), intervals=30, max_iterations=150)
     assert not failed.success
     assert failed.meta["gimbal_margin"] < LEAST_MARGIN
     assert "gimbal_margin" in trajopt.check(failed).failures(AT_POINTS)
-    other = trajopt.solve(
-        problems.load("solo12-flip", base="virtual", order="YXZ"), intervals=30, compile="none"
-    )
+    other = trajopt.solve(problems.load("solo12-flip", base="virtual", order="YXZ"), intervals=30)
     assert other.converged, other.meta["advice"]
     assert other.meta["objective"] == pytest.approx(turning.meta["objective"], rel=SAME_OBJECTIVE)
     assert trajopt.check(other).within(AT_POINTS)

@@ -264,7 +264,7 @@ def both(problem: Problem, order: str, **options: object) -> tuple[Solution, Sol
 
 @pytest.mark.parametrize("order", ["ZYX", "YXZ"])
 def test_the_same_problem_has_the_same_optimum_on_both_bases(order):
-    turning, jointed = both(lean(), order, transcription="legendre:3", compile="none")
+    turning, jointed = both(lean(), order, transcription="legendre:3")
     assert jointed.meta["objective"] == pytest.approx(turning.meta["objective"], rel=SAME_OBJECTIVE)
     np.testing.assert_allclose(free_flyer_path(jointed)[:, :3], turning.q[:, :3], atol=SAME_PATH)
     np.testing.assert_allclose(jointed.tau, turning.tau, atol=SAME_PATH * hopper().weight)
@@ -274,7 +274,7 @@ def test_the_same_problem_has_the_same_optimum_on_both_bases(order):
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_plans_on_virtual_joints_pass_the_check_and_the_free_flyers_dynamics(solver, tmp_path):
     problem = with_virtual_base(problems.load("solo12-jump", distance=0.1, yaw=0.3))
-    solution = trajopt.solve(problem, solver=solver, intervals=30, compile="none")
+    solution = trajopt.solve(problem, solver=solver, intervals=30)
     assert solution.converged, solution.meta["advice"]
     solution.save(tmp_path / "jump.npz")
     report = trajopt.check(tmp_path / "jump.npz")
@@ -318,7 +318,7 @@ def test_costs_of_the_joints_alone_need_no_conversion():
 @pytest.mark.parametrize("yaw", [0.0, 0.6])
 def test_the_same_jump_on_both_bases_agrees(yaw):
     jump = problems.load("solo12-jump", distance=0.2, yaw=yaw)
-    turning, jointed = both(jump, "ZYX", intervals=30, compile="none")
+    turning, jointed = both(jump, "ZYX", intervals=30)
     assert jointed.meta["objective"] == pytest.approx(turning.meta["objective"], rel=JUMP_OBJECTIVE)
     np.testing.assert_allclose(free_flyer_path(jointed)[:, :3], turning.q[:, :3], atol=JUMP_PATH)
     assert trajopt.check(jointed).within(AT_POINTS)
@@ -327,11 +327,11 @@ def test_the_same_jump_on_both_bases_agrees(yaw):
 
 def test_a_skeleton_shows_no_virtual_joints(tmp_path):
     problem = with_virtual_base(lean())
-    solution = trajopt.solve(problem, compile="none", max_iterations=0, fixed_mesh=True)
+    solution = trajopt.solve(problem, max_iterations=0, fixed_mesh=True)
     shown = draw_skeleton(meshcat.Visualizer(window=Recorder()), solution)
     still = draw_skeleton(
         meshcat.Visualizer(window=Recorder()),
-        trajopt.solve(lean(), compile="none", max_iterations=0, fixed_mesh=True),
+        trajopt.solve(lean(), max_iterations=0, fixed_mesh=True),
     )
     assert {joint - 5 for joint in shown.points} == set(still.points)
     for joint, points in still.points.items():

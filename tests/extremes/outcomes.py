@@ -89,7 +89,7 @@ def assert_outcome(
     settings: as `trajopt.solving.solve` takes them; without compilation unless they say otherwise.
     Raises CellError.
     """
-    settings = {"compile": "none", "max_time": SOLVER_LIMIT, **settings}
+    settings = {"max_time": SOLVER_LIMIT, **settings}
     found = in_process(lambda: _cell(expected, make, settings), hard_limit)
     if isinstance(found, str):
         print(found)

@@ -122,7 +122,7 @@ def test_one_interval_of_degree_one_says_too_much_of_a_swing():
     make = lambda: steps(robots.load("solo12"), sets, duration=0.1, clearance=0.0)  # noqa: E731
     failed = Failed(Status.ITERATION_LIMIT, Status.STEP_FAILED, advice=CAUSE)
     solution = assert_outcome(failed, make, transcription="legendre:1", intervals=4, max_iterations=60)
-    found = in_process(lambda: str(diagnose(solution, make(), compile="none")))
+    found = in_process(lambda: str(diagnose(solution, make())))
     assert "contact_landing" in found
 
 

@@ -98,7 +98,7 @@ PLACES: dict[str, tuple[str, Make]] = {
 def refused(cause: str, make: Callable[[], Problem]) -> None:
     """As `assert_outcome` with `Refused`, but in this process: nothing here is solved."""
     with pytest.raises(InputError, match=cause) as caught:
-        prepare(make(), intervals=2, compile="none")
+        prepare(make(), intervals=2)
     assert caught.value.allowed
     assert "\n" not in str(caught.value)
 

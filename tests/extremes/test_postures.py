@@ -77,7 +77,7 @@ def test_pose_at_full_stretch_stops_at_it_and_names_its_rows():
     stuck = Failed(Status.STEP_FAILED, Status.ITERATION_LIMIT, advice=CAUSE)
     solution = assert_outcome(stuck, make, transcription="legendre:3", max_iterations=100)
     np.testing.assert_allclose(solution.q[-1][2], 0.0, atol=1e-5)  # the elbow is straight, all the same
-    found = in_process(lambda: str(diagnose(solution, make(), compile="none")))
+    found = in_process(lambda: str(diagnose(solution, make())))
     assert "frame_pose" in found
 
 
@@ -162,7 +162,7 @@ def test_feet_at_the_hips_fail_with_their_rows_named():
     make = lambda: stance(robot, start, intervals=3)  # noqa: E731
     stuck = Failed(Status.ITERATION_LIMIT, Status.STEP_FAILED, block="contact_acceleration")
     solution = assert_outcome(stuck, make, max_iterations=30)
-    found = in_process(lambda: str(diagnose(solution, make(), compile="none")))
+    found = in_process(lambda: str(diagnose(solution, make())))
     assert "postures there are singular" in found
 
 

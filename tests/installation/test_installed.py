@@ -22,7 +22,7 @@ import scripts
 import trajopt
 
 assert problems.MINE and robots.MINE and scripts.MINE
-solution = trajopt.solve(trajopt.load("solo12-jump", distance=0.3), compile="none")
+solution = trajopt.solve(trajopt.load("solo12-jump", distance=0.3))
 assert solution.success
 assert trajopt.check(solution).ok
 print(trajopt.robot("go2").name)
@@ -53,7 +53,7 @@ def folder(tmp_path: Path) -> Path:
 def solves_both_ways(folder: Path, scripts: Path) -> None:
     """Solve from a script and from the command line, with the programs in ``scripts``."""
     assert run(folder, scripts / "python", "mine.py") == "go2\n"
-    run(folder, scripts / "trajopt", "solve", "solo12-jump", "--compile", "none", "-o", "jump.npz")
+    run(folder, scripts / "trajopt", "solve", "solo12-jump", "-o", "jump.npz")
     assert (folder / "jump.npz").is_file()
 
 

@@ -159,7 +159,7 @@ def test_contacts_of_a_problem_lie_on_the_parallel_surface_and_its_file_has_the_
 
 def test_on_level_ground_a_radius_moves_the_whole_problem_up():
     problem = hop(terms=(*hop().terms, SwingClearance(height=0.03, terrain=FlatGround())))
-    point, ball = (prepare(one, compile="none") for one in (problem, raised(problem, RADIUS)))
+    point, ball = (prepare(one) for one in (problem, raised(problem, RADIUS)))
     assert len(point.guess) == len(ball.guess)
     noise = 0.05 * np.random.default_rng(1).normal(size=len(point.guess))
     for shift in (0.0, noise):
@@ -179,7 +179,7 @@ def test_on_level_ground_a_radius_moves_the_whole_problem_up():
 
 
 def solved(problem: Problem) -> Solution:
-    solution = solve(problem, compile="none")
+    solution = solve(problem)
     assert solution.converged, solution.meta["advice"]
     return solution
 

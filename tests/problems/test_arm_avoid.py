@@ -68,7 +68,7 @@ def test_guess_starts_and_ends_at_rest_at_the_ends(robot):
 @pytest.mark.parametrize("robot", ["ur5", "irb1600"])
 def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
     built = problem(robot)
-    solution = solve_graded(built, fixed_mesh=True, compile="none")
+    solution = solve_graded(built, fixed_mesh=True)
     assert solution.success, solution.meta["advice"]
     report, exchange = check(solution), Exchange(built)
     assert report.ok, report.failures()
@@ -83,7 +83,7 @@ def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["panda", "kinova", *OTHERS])
 def test_other_arms_get_past_too(robot):
-    solution = solve_graded(problem(robot), compile="none")
+    solution = solve_graded(problem(robot))
     assert solution.success, solution.meta["advice"]
     assert check(solution).ok
     assert check(solution).obstacle_distance > built_margin(robot) - BETWEEN
@@ -93,14 +93,14 @@ def test_other_arms_get_past_too(robot):
 def test_motion_keeps_no_more_than_the_margin():
     built = problem("ur5")
     exchange = Exchange(built)
-    distances = exchange.look(solve_graded(built, fixed_mesh=True, compile="none")).distances
+    distances = exchange.look(solve_graded(built, fixed_mesh=True)).distances
     scene = exchange.bodies.scene
     least = distances[:, scene.n_ground : scene.n_outer].min()
     assert built_margin("ur5") - TOO_NEAR < least < built_margin("ur5") + BETWEEN
 
 
 def test_motion_that_knows_no_obstacle_collides():
-    solution = solve_on_mesh(problem("ur5"), compile="none")
+    solution = solve_on_mesh(problem("ur5"))
     assert check(solution).obstacle_distance < -0.01
 
 

@@ -48,7 +48,7 @@ def test_unphysical_parameters_are_refused() -> None:
 @pytest.mark.parametrize("values", [{}, {"steps": 3, "length": -0.15, "turn": 0.15}])
 def test_walk_solves_from_its_own_guess_passes_the_check_and_ends_at_rest(values: dict[str, float]) -> None:
     problem = problems.load("biped-walk", **values)
-    solution = trajopt.solve(problem, compile="quick", fixed_mesh=True)
+    solution = trajopt.solve(problem, fixed_mesh=True)
     assert solution.converged, solution.meta["advice"]
     assert solution.meta["iterations"] <= MOST_ITERATIONS
     assert not trajopt.check(solution).failures(AT_POINTS)

@@ -34,7 +34,6 @@ def solved(name: str, intervals: int, **parameters: float) -> Solution:
     return solve(
         problem,
         intervals=intervals,
-        compile="none",
         tolerance=TOLERANCE if name == "ur5-pull" else 1e-6,
         max_iterations=MOST_ITERATIONS,
     )

@@ -20,7 +20,7 @@ from trajopt.study.suite.run import measure_case
 from trajopt.study.suite.settings import SuiteSettings
 
 DATA = ROOT / "tests" / "data" / "suite.csv"
-SETTINGS = SuiteSettings(compile="none")
+SETTINGS = SuiteSettings()
 CASES = all_cases(families())
 # Iterations on all meshes that a pair may take at most to be run here.
 MOST_ITERATIONS = 300

@@ -225,8 +225,8 @@ def test_what_cannot_be_commanded_is_refused() -> None:
 @pytest.mark.slow
 def test_trot_solves_as_a_whole_cycle_and_as_half_of_one() -> None:
     problem = problems.load("quadruped-trot")
-    whole = trajopt.solve(problem, compile="quick", fixed_mesh=True)
-    half = trajopt.solve(problems.load("quadruped-trot", cycle="half"), compile="quick", fixed_mesh=True)
+    whole = trajopt.solve(problem, fixed_mesh=True)
+    half = trajopt.solve(problems.load("quadruped-trot", cycle="half"), fixed_mesh=True)
     for solution in (whole, half):
         assert solution.converged, solution.meta["advice"]
         assert solution.meta["iterations"] <= MOST_ITERATIONS
@@ -244,7 +244,7 @@ def test_trot_solves_as_a_whole_cycle_and_as_half_of_one() -> None:
 @pytest.mark.slow
 def test_start_and_stop_solve_and_meet_in_one_state() -> None:
     start, stop = (problems.load(f"quadruped-{kind}") for kind in ("start", "stop"))
-    solutions = [trajopt.solve(problem, compile="quick", fixed_mesh=True) for problem in (start, stop)]
+    solutions = [trajopt.solve(problem, fixed_mesh=True) for problem in (start, stop)]
     for solution in solutions:
         assert solution.converged, solution.meta["advice"]
         assert solution.meta["iterations"] <= MOST_ITERATIONS

@@ -268,7 +268,7 @@ def test_a_walk_over_waves_lands_on_them_and_swings_over_them() -> None:
     problem = problems.load("quadruped-waves", gait="walk", cycles=2, way=0.15)
     ground = problem.terrain
     assert isinstance(ground, SmoothTerrain)
-    solution = trajopt.solve(problem, compile="none", fixed_mesh=True)
+    solution = trajopt.solve(problem, fixed_mesh=True)
     assert solution.converged, solution.meta["advice"]
     report = trajopt.check(solution)
     assert report.within(AT_POINTS), report.failures(AT_POINTS)
@@ -304,7 +304,7 @@ def is_node(t: float, begins: np.ndarray, index: int, counts: list[int], problem
 @pytest.mark.slow
 def test_a_trot_up_stairs_keeps_off_edges() -> None:
     problem = problems.load("quadruped-stairs", steps=2)
-    solution = trajopt.solve(problem, compile="none", intervals=LEAST_GRID * len(problem.schedule.phases))
+    solution = trajopt.solve(problem, intervals=LEAST_GRID * len(problem.schedule.phases))
     assert solution.converged, solution.meta["advice"]
     report = trajopt.check(solution)
     assert report.within(AT_POINTS), report.failures(AT_POINTS)

@@ -50,7 +50,7 @@ MOST_ITERATIONS = 60
 def jump() -> tuple[Problem, Solution]:
     """A jump of Solo12 with a turn, and its solution on one body."""
     problem = problems.load("solo12-jump", distance=0.3, yaw=0.5)
-    return problem, trajopt.solve(body_problem(problem), intervals=30, compile="none")
+    return problem, trajopt.solve(body_problem(problem), intervals=30)
 
 
 def composite(robot: Robot) -> tuple[float, np.ndarray, np.ndarray]:

@@ -45,7 +45,7 @@ from trajopt.terms import (
     WrenchCost,
 )
 from trajopt.transcription.guess import initial_guess
-from trajopt.transcription.stage_functions import derivatives
+from trajopt.transcription.stage_functions import Derivatives
 from trajopt.transcription.transcription import transcribe
 from trajopt_library import problems
 
@@ -135,14 +135,14 @@ def test_compiled_graph_of_stage_one_has_no_actuated_rows() -> None:
     actuated = problem.robot.nu
     assert one.layers[-1].numel_out(0) == full.layers[-1].numel_out(0) - actuated
     sizes = [
-        [getattr(derivatives(point), name).n_instructions() for name in ("first", "second")]
+        [getattr(Derivatives(point), name).n_instructions() for name in ("first", "second")]
         for point in (full, one)
     ]
     assert all(small < 0.95 * large for large, small in zip(*sizes, strict=True))
 
 
 def test_recovered_torques_reproduce_the_motion_in_forward_dynamics() -> None:
-    solution = trajopt.solve(base_rows_problem(hop()), compile="none", fixed_mesh=True)
+    solution = trajopt.solve(base_rows_problem(hop()), fixed_mesh=True)
     assert solution.converged
     torque, report = recover_torques(hop(), solution)
     assert report.base_residual < 1e-5  # what a solver leaves at 1e-6 in natural units
@@ -320,7 +320,7 @@ def test_foreign_solutions_and_problems_without_torques_are_refused() -> None:
 @pytest.mark.slow
 def test_stage_one_costs_more_than_the_full_jump_and_sharing_anew_brings_it_nearer() -> None:
     problem = problems.load("solo12-jump", effort=2.2)
-    settings = {"intervals": 30, "compile": "quick"}
+    settings = {"intervals": 30}
     full = trajopt.solve(problem, **settings, fixed_mesh=True)
     motion = trajopt.solve(base_rows_problem(problem), **settings, fixed_mesh=True)
     assert full.converged
@@ -340,6 +340,6 @@ def test_stage_one_costs_more_than_the_full_jump_and_sharing_anew_brings_it_near
 
 def test_prepared_sizes_are_those_of_the_full_problem_because_torques_are_no_unknowns() -> None:
     problem = hop()
-    full, one = (prepare(p, compile="none") for p in (problem, base_rows_problem(problem)))
+    full, one = (prepare(p) for p in (problem, base_rows_problem(problem)))
     assert one.transcription.layout.n_unknowns == full.transcription.layout.n_unknowns
     assert one.transcription.n_rows == full.transcription.n_rows - 2 * problem.robot.nu * 8

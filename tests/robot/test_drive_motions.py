@@ -143,8 +143,7 @@ def test_terms_of_drives_need_drives(term):
 
 def test_envelope_binds_and_costs_what_a_quadratic_programme_says():
     free, bound = (
-        trajopt.solve(driven_reach(SLOW, limits), compile="none", intervals=INTERVALS)
-        for limits in ((), (DriveLimits(),))
+        trajopt.solve(driven_reach(SLOW, limits), intervals=INTERVALS) for limits in ((), (DriveLimits(),))
     )
     assert free.converged
     assert bound.converged
@@ -167,7 +166,7 @@ def test_least_time_with_friction_is_that_of_full_torque_helped_by_friction_when
     problem = driven_reach(drive, (DriveLimits(),), TimeCost)
     phase = replace(problem.schedule.phases[0], duration_bounds=(0.1, 3.0))
     problem = replace(problem, schedule=Schedule((phase,)))
-    solution = trajopt.solve(problem, compile="none", intervals=INTERVALS, transcription="legendre:1")
+    solution = trajopt.solve(problem, intervals=INTERVALS, transcription="legendre:1")
     assert solution.converged
     model = one_joint_arm().model
     inertia = pin.crba(model, model.createData(), np.zeros(1))[0, 0]
@@ -185,8 +184,7 @@ def test_joint_side_and_motor_side_limits_give_one_motion():
     """`EffortLimits` of n tau_m on the joint side and `DriveLimits` of tau_m on the motor side."""
     drive = Drive(gear_ratio=-50.0, rotor_inertia=2e-5, torque_limit=0.12)
     solutions = [
-        trajopt.solve(driven_reach(drive, (term,)), compile="none", intervals=20)
-        for term in (EffortLimits(), DriveLimits())
+        trajopt.solve(driven_reach(drive, (term,)), intervals=20) for term in (EffortLimits(), DriveLimits())
     ]
     first, second = solutions
     assert first.meta["objective"] == pytest.approx(second.meta["objective"], rel=SOLVED)
@@ -196,8 +194,7 @@ def test_joint_side_and_motor_side_limits_give_one_motion():
 def test_motor_torque_cost_is_the_torque_cost_in_other_units():
     drive = Drive(gear_ratio=50.0, rotor_inertia=2e-5, torque_limit=0.3)
     joint, motor = (
-        trajopt.solve(driven_reach(drive, (), cost), compile="none", intervals=10)
-        for cost in (TorqueCost, MotorTorqueCost)
+        trajopt.solve(driven_reach(drive, (), cost), intervals=10) for cost in (TorqueCost, MotorTorqueCost)
     )
     units = Units(one_joint_arm().with_drives({"joint": drive}))
     factor = (units.torque / drive.joint_torque_limit) ** 2
@@ -206,7 +203,7 @@ def test_motor_torque_cost_is_the_torque_cost_in_other_units():
 
 
 def test_file_keeps_the_drives_and_refuses_wrong_ones(tmp_path):
-    solution = trajopt.solve(driven_reach(SLOW, (DriveLimits(),)), compile="none", intervals=5)
+    solution = trajopt.solve(driven_reach(SLOW, (DriveLimits(),)), intervals=5)
     solution.save(tmp_path / "reach.npz")
     loaded = trajopt.Solution.load(tmp_path / "reach.npz")
     assert Drive.from_meta(loaded.meta["drives"][0]) == SLOW
@@ -224,7 +221,7 @@ def test_file_keeps_the_drives_and_refuses_wrong_ones(tmp_path):
 
 
 def test_check_of_a_robot_without_drives_has_no_figures_of_them():
-    report = trajopt.check(trajopt.solve(reach(), compile="none", intervals=5))
+    report = trajopt.check(trajopt.solve(reach(), intervals=5))
     assert report.drive_torque_excess is None
     assert report.drive_voltage_excess is None
 

@@ -236,10 +236,10 @@ def standing_problem(robot: Robot, contacts: tuple[str, ...], q: np.ndarray, v: 
 def test_one_stance_has_the_same_optimum_in_minimal_and_in_excess_coordinates(name):
     mode = mode_of(name)
     q, push = mode.robot.reference, np.random.default_rng(5).uniform(-0.5, 0.5, mode.robot.nv)
-    small = solve(standing_problem(mode.robot, (), q, push), compile="none")
+    small = solve(standing_problem(mode.robot, (), q, push))
     contact = mode.floating.contact(mode.contact)
     lifted_q, lifted_v, _ = mode.lifted(q, push)
-    large = solve(standing_problem(mode.floating, (contact.name,), lifted_q, lifted_v), compile="none")
+    large = solve(standing_problem(mode.floating, (contact.name,), lifted_q, lifted_v))
     assert small.converged, small.meta["advice"]
     assert large.converged, large.meta["advice"]
     for found in (small, large):  # nothing keeps Bolt's other foot above the ground here

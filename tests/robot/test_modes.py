@@ -48,7 +48,7 @@ MET = 1e-5
 @lru_cache
 def solved(coordinates: str, touchdown: str = "soft", solver: str = "ipopt") -> Solution:
     problem = problems.load("hopper-hop", coordinates=coordinates, touchdown=touchdown)
-    solution = trajopt.solve(problem, compile="none", intervals=INTERVALS, solver=solver)
+    solution = trajopt.solve(problem, intervals=INTERVALS, solver=solver)
     assert solution.converged
     return solution
 
@@ -69,7 +69,7 @@ def test_optima_of_both_coordinates_approach_each_other_with_the_grid():
     apart = []
     for intervals in (40, 80):
         problem = [problems.load("hopper-hop", coordinates=name) for name in ("excess", "minimal")]
-        found = [trajopt.solve(p, compile="none", intervals=intervals).meta["objective"] for p in problem]
+        found = [trajopt.solve(p, intervals=intervals).meta["objective"] for p in problem]
         apart.append(abs(found[1] / found[0] - 1))
     assert apart[1] < apart[0] / 4
 
@@ -122,7 +122,7 @@ def hop_of_the_plane() -> trajopt.Problem:
 
 @pytest.mark.parametrize("build", [standing_hop, hop_of_the_plane])
 def test_derivatives_of_the_whole_nlp_equal_differences(build):
-    nlp = prepare(build(), intervals=4, compile="none").nlp
+    nlp = prepare(build(), intervals=4).nlp
     assert_derivatives(nlp, seed=2)
     t = nlp.transcription
     jacobian = Matrices(nlp).jacobian(random_unknowns(t, 3))
@@ -132,7 +132,7 @@ def test_derivatives_of_the_whole_nlp_equal_differences(build):
 
 
 def test_nodes_have_the_size_of_their_mode_and_end_in_the_whole_robot():
-    layout = prepare(hop_of_the_plane(), intervals=4, compile="none").transcription.layout
+    layout = prepare(hop_of_the_plane(), intervals=4).transcription.layout
     sizes = [layout.form_of(phase).size for phase in range(3)]
     assert sizes == [6, 10, 6]
     assert layout.forms[-1].size == 10
@@ -141,7 +141,7 @@ def test_nodes_have_the_size_of_their_mode_and_end_in_the_whole_robot():
 
 
 def test_embedded_contacts_have_neither_forces_nor_rows():
-    t = prepare(hop_of_the_plane(), intervals=4, compile="none").transcription
+    t = prepare(hop_of_the_plane(), intervals=4).transcription
     assert t.layout.n_wrench(0) == t.layout.n_wrench(2) == 0
     assert "contact_acceleration" not in t.rows.names
     assert "friction_pyramid" in t.rows.names
@@ -150,8 +150,8 @@ def test_embedded_contacts_have_neither_forces_nor_rows():
 @pytest.mark.long
 def test_hop_in_space_agrees_in_both_coordinates():
     # On 16 intervals excess coordinates have an optimum more, whose foot drifts by 4 mm.
-    minimal = trajopt.solve(standing_hop(), compile="none", intervals=24)
-    excess = trajopt.solve(replace(standing_hop(), modes={}), compile="none", intervals=24)
+    minimal = trajopt.solve(standing_hop(), intervals=24)
+    excess = trajopt.solve(replace(standing_hop(), modes={}), intervals=24)
     assert [minimal.converged, excess.converged] == [True, True]
     for solution in (minimal, excess):
         assert trajopt.check(solution).within(AT_POINTS)
@@ -187,7 +187,7 @@ def test_mode_away_from_its_foothold_is_refused():
 def test_limits_and_postures_of_the_whole_robot_mean_the_same_joints_in_a_mode():
     """The small hopper's mode has its joints in another order: shank, hip."""
     limit = EffortLimits(limit=np.array([10.0, 50.0]))
-    t = prepare(replace(standing_hop(), terms=(limit,)), intervals=6, compile="none").transcription
+    t = prepare(replace(standing_hop(), terms=(limit,)), intervals=6).transcription
     torque = hop().robot.weight * hop().robot.length
     effort = t.rows.block == t.rows.names.index("effort_limits")
     phase = np.array([t.layout.phase_at(int(k)) for k in t.rows.stage])
@@ -201,13 +201,13 @@ def test_limits_and_postures_of_the_whole_robot_mean_the_same_joints_in_a_mode()
 
 
 def guess_cost(problem: trajopt.Problem) -> float:
-    prepared = prepare(problem, intervals=6, compile="none")
+    prepared = prepare(problem, intervals=6)
     return float(prepared.nlp.engine.f(prepared.guess))
 
 
 def test_effort_limit_of_wrong_length_is_refused():
     with pytest.raises(InputError, match=r"values of shape \(3,\) for the actuated joints; allowed: \(2,\)"):
-        prepare(hop(terms=(EffortLimits(limit=np.ones(3)),)), intervals=4, compile="none")
+        prepare(hop(terms=(EffortLimits(limit=np.ones(3)),)), intervals=4)
 
 
 def test_start_that_moves_the_contact_of_its_mode_is_refused():
@@ -266,10 +266,10 @@ def test_other_contacts_keep_their_rows_beside_an_embedded_one():
     problem = two_legs()
     stance = stance_mode(problem.robot, "FL_FOOT")
     minimal = replace(problem, modes={"double": stance, "single": stance})
-    t = prepare(minimal, intervals=6, compile="none").transcription
+    t = prepare(minimal, intervals=6).transcription
     assert t.layout.n_wrench(0) == 3  # of the other foot
     assert t.layout.n_wrench(1) == 0
-    excess = prepare(problem, intervals=6, compile="none").transcription
+    excess = prepare(problem, intervals=6).transcription
 
     def count(found: Transcription, name: str) -> int:
         return int(np.sum(found.rows.block == found.rows.names.index(name)))
@@ -277,7 +277,7 @@ def test_other_contacts_keep_their_rows_beside_an_embedded_one():
     for name in ("swing_clearance", "friction_cone"):
         assert count(t, name) == count(excess, name)
     assert count(t, "contact_acceleration") < count(excess, "contact_acceleration")
-    solutions = [solve_on_mesh(p, intervals=6, compile="none", tolerance=1e-8) for p in (problem, minimal)]
+    solutions = [solve_on_mesh(p, intervals=6, tolerance=1e-8) for p in (problem, minimal)]
     assert [solution.converged for solution in solutions] == [True, True]
     objectives = [solution.meta["objective"] for solution in solutions]
     assert objectives[1] == pytest.approx(objectives[0], rel=SAME_OPTIMUM)
@@ -294,6 +294,6 @@ def test_statics_of_a_velocity_source_hold_in_a_mode():
         terms=terms,
         actuation="velocity",
     )
-    solution = trajopt.solve(still, intervals=6, compile="none")
+    solution = trajopt.solve(still, intervals=6)
     assert solution.converged
     assert trajopt.check(solution).within(AT_POINTS)

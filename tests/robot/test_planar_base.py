@@ -111,7 +111,7 @@ def hop(robot: Robot) -> Problem:
 @pytest.mark.parametrize("make", [go2, solo])
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_a_planar_quadruped_hops_and_passes_its_check(make, solver):
-    solution = trajopt.solve(hop(make("planar")), solver=solver, compile="none", fixed_mesh=True)
+    solution = trajopt.solve(hop(make("planar")), solver=solver, fixed_mesh=True)
     assert solution.converged, solution.meta["advice"]
     assert solution.meta["iterations"] <= 60
     report = trajopt.check(solution)
@@ -131,7 +131,7 @@ def in_space(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, n
 
 def test_a_plan_in_the_plane_obeys_the_free_flyers_dynamics():
     solution, floating = (
-        trajopt.solve(hop(solo("planar")), compile="none", fixed_mesh=True),
+        trajopt.solve(hop(solo("planar")), fixed_mesh=True),
         solo("freeflyer"),
     )
     model, data = floating.model, floating.model.createData()

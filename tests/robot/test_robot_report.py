@@ -238,7 +238,7 @@ def test_a_chain_is_guessed_to_be_bolted_down(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["puppy", "ur5", "hopper"])
 def test_a_robot_at_rest_stays_where_it_is(name: str) -> None:
     robot = puppy() if name == "puppy" else robots.load(name)
-    solution = trajopt.solve(rest(robot), compile="none", fixed_mesh=True)
+    solution = trajopt.solve(rest(robot), fixed_mesh=True)
     assert solution.converged
     assert np.abs(solution.v).max() < 1e-3
     if robot.base != "fixed":

@@ -67,7 +67,7 @@ VARIANTS = {
 
 
 def nlp_of(name: str, scheme: str = "legendre:2") -> Nlp:
-    return prepare(VARIANTS[name](), transcription=scheme, intervals=6, compile="none").nlp
+    return prepare(VARIANTS[name](), transcription=scheme, intervals=6).nlp
 
 
 @pytest.mark.long
@@ -123,7 +123,7 @@ def test_velocity_source_has_neither_rates_nor_torques_nor_accelerations():
     arm = replace(
         reach(terms=(VelocityCost(weight=1.0),)), terms=(VelocityCost(weight=1.0),), actuation="velocity"
     )
-    names = prepare(arm, compile="none", intervals=4).transcription.rows.names
+    names = prepare(arm, intervals=4).transcription.rows.names
     assert names == ("defect",)
 
 
@@ -137,14 +137,14 @@ def test_velocity_source_has_neither_rates_nor_torques_nor_accelerations():
 )
 def test_terms_that_a_velocity_source_cannot_have_are_refused(term, lacks):
     with pytest.raises(InputError, match=f"asks for {lacks}, which a source of velocity does not have"):
-        prepare(replace(still(), terms=(term,)), compile="none", intervals=2)
+        prepare(replace(still(), terms=(term,)), intervals=2)
 
 
 def test_acceleration_source_has_accelerations_but_no_torques():
     problem = replace(reach(), actuation="acceleration")
-    assert trajopt.solve(problem, compile="none", fixed_mesh=True).converged
+    assert trajopt.solve(problem, fixed_mesh=True).converged
     with pytest.raises(InputError, match="asks for torques, which a source of acceleration does not have"):
-        trajopt.solve(replace(problem, terms=(TorqueCost(weight=1.0),)), compile="none", fixed_mesh=True)
+        trajopt.solve(replace(problem, terms=(TorqueCost(weight=1.0),)), fixed_mesh=True)
 
 
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
@@ -156,9 +156,7 @@ def test_minimum_time_of_a_double_integrator_is_that_of_full_torque_both_ways(so
     terms = (TimeCost(weight=1.0), EffortLimits(limit=np.array([torque])))
     problem = reach(terms=terms)
     phase = replace(problem.schedule.phases[0], duration_bounds=(0.05, 3.0))
-    solution = trajopt.solve(
-        replace(problem, schedule=Schedule((phase,))), compile="none", intervals=20, solver=solver
-    )
+    solution = trajopt.solve(replace(problem, schedule=Schedule((phase,))), intervals=20, solver=solver)
     assert solution.converged
     exact = 2 * math.sqrt(inertia * REACH / torque)
     assert solution.meta["durations"] == pytest.approx([exact], rel=SWITCH)
@@ -170,27 +168,25 @@ def test_velocity_limits_hold_at_nodes_of_a_free_duration():
     robot = replace(one_joint_arm(), velocity_limit=np.array([2.0]))
     problem = reach(terms=(TimeCost(weight=1.0), AccelerationCost(weight=1e-3), VelocityLimits()))
     phase = replace(problem.schedule.phases[0], duration_bounds=(0.05, 3.0))
-    solution = trajopt.solve(
-        replace(problem, robot=robot, schedule=Schedule((phase,))), compile="none", intervals=12
-    )
+    solution = trajopt.solve(replace(problem, robot=robot, schedule=Schedule((phase,))), intervals=12)
     assert solution.converged
     assert np.abs(solution.v).max() == pytest.approx(2.0, rel=SOLVED)
 
 
 def test_duration_keeps_within_its_bounds_and_a_fixed_one_is_a_free_one_without_room():
-    fixed = trajopt.solve(landing(), compile="none", intervals=10)
+    fixed = trajopt.solve(landing(), intervals=10)
     narrow = tuple(
         replace(phase, duration_bounds=(phase.duration, phase.duration))
         for phase in landing().schedule.phases
     )
-    free = trajopt.solve(replace(landing(), schedule=Schedule(narrow)), compile="none", intervals=10)
+    free = trajopt.solve(replace(landing(), schedule=Schedule(narrow)), intervals=10)
     assert [fixed.converged, free.converged] == [True, True]
     assert free.meta["objective"] == pytest.approx(fixed.meta["objective"], rel=SOLVED)
     assert_allclose(free.q, fixed.q, atol=1e-3)
 
 
 def test_start_that_moves_keeps_its_velocity_whatever_the_duration():
-    solution = trajopt.solve(moving_start(), compile="none", intervals=6)
+    solution = trajopt.solve(moving_start(), intervals=6)
     assert solution.converged
     assert_allclose(solution.v[0], moving_start().initial_v, atol=SOLVED)
     assert solution.meta["durations"][0] != pytest.approx(0.1)
@@ -199,7 +195,7 @@ def test_start_that_moves_keeps_its_velocity_whatever_the_duration():
 @pytest.mark.long
 def test_impact_obeys_its_law_and_loses_energy():
     problem = landing(impact=True)
-    solution = trajopt.solve(problem, compile="none", intervals=16)
+    solution = trajopt.solve(problem, intervals=16)
     assert solution.converged
     model, after = solution.model, int(solution.impact_index[0])
     q, before, behind = solution.q[after], solution.v[after - 1], solution.v[after]
@@ -217,8 +213,8 @@ def test_impact_obeys_its_law_and_loses_energy():
 @pytest.mark.long
 def test_landing_with_an_impact_is_never_worse_than_at_zero_velocity():
     """Zero foot velocity is an impact without impulse: a larger set of motions."""
-    soft = trajopt.solve(landing(), compile="none", intervals=16)
-    hard = trajopt.solve(replace(landing(impact=True), terms=hop().terms), compile="none", intervals=16)
+    soft = trajopt.solve(landing(), intervals=16)
+    hard = trajopt.solve(replace(landing(impact=True), terms=hop().terms), intervals=16)
     assert hard.meta["objective"] < soft.meta["objective"]
 
 
@@ -252,9 +248,9 @@ def test_kinematic_reach_of_an_arm_solves_with_less_than_a_dynamic_one():
     kinematic = replace(
         dynamic, actuation="velocity", terms=(VelocityCost(weight=1.0), VelocityLimits(), *keep)
     )
-    sizes = [prepare(p, compile="none").transcription.layout.n_unknowns for p in (dynamic, kinematic)]
+    sizes = [prepare(p).transcription.layout.n_unknowns for p in (dynamic, kinematic)]
     assert sizes[1] < sizes[0]
-    solution = trajopt.solve(kinematic, compile="none", fixed_mesh=True)
+    solution = trajopt.solve(kinematic, fixed_mesh=True)
     assert solution.converged
     # Least squares of rates between two postures is a straight line in the joints.
     line = np.linspace(solution.q[0], solution.q[-1], 31)
@@ -269,7 +265,7 @@ def test_scheme_that_states_the_balance_of_a_velocity_source_twice_is_refused():
 
 def bounded(problem: Problem, scheme: str = "legendre:1") -> dict[int, tuple[bool, bool]]:
     """Nodes with bounds or rows of limits: of positions, of rates; the start left out."""
-    t = prepare(problem, transcription=scheme, intervals=6, compile="none").transcription
+    t = prepare(problem, transcription=scheme, intervals=6).transcription
     found = {}
     for k, form in enumerate(t.layout.forms[1:], start=1):
         finite = np.isfinite(t.upper_x[t.layout.node(k)])
@@ -320,7 +316,7 @@ def test_frame_height_acts_at_one_node_of_its_phase(fraction):
     for impact in (False, True):
         raised = FrameHeight(frame=FOOT, height=0.02, phase="flight", fraction=fraction)
         problem = hop(schedule=phases(free=False, impact=impact), terms=(raised,))
-        rows = prepare(problem, intervals=6, compile="none").transcription.rows
+        rows = prepare(problem, intervals=6).transcription.rows
         assert np.sum(rows.block == rows.names.index("frame_height")) == 1
 
 

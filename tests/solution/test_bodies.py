@@ -34,7 +34,7 @@ def still(**meta: object) -> Solution:
 
 
 def test_solution_of_a_problem_holds_the_robots_shapes(tmp_path):
-    solution = solve(rest(ROBOT), compile="none")
+    solution = solve(rest(ROBOT))
     loaded = Solution.load(solution.save(tmp_path / "rest.npz"))
     expected, found = robot_shapes(ROBOT), bodies_of(loaded.meta["bodies"])
     assert found.describe() == expected.describe()
@@ -43,7 +43,7 @@ def test_solution_of_a_problem_holds_the_robots_shapes(tmp_path):
 
 
 def test_robot_without_shapes_has_none_in_its_solution():
-    solution = solve(rest(robots.load("irb1600")), compile="none")
+    solution = solve(rest(robots.load("irb1600")))
     assert "bodies" not in solution.meta
     assert check(solution).link_depth is None
 

@@ -23,7 +23,7 @@ def go_on(_: dict, __: object) -> bool:
 
 
 def test_feasible_point_is_found_from_a_start_far_away():
-    prepared = prepare(hop(), compile="none")
+    prepared = prepare(hop())
     start = perturbed(prepared.transcription, prepared.guess, 1, 0.3)
     assert row_violations(prepared.nlp, start).max() > CLEAR
     found = least_violation(prepared.nlp, start, go_on, **LIMITS)
@@ -34,16 +34,16 @@ def test_feasible_point_is_found_from_a_start_far_away():
 
 @pytest.mark.parametrize("share", [0.5, 0.8])
 def test_torque_below_the_least_is_certified_and_a_larger_one_is_not(share):
-    prepared = prepare(limited_reach(share * LEAST_TORQUE), compile="none")
+    prepared = prepare(limited_reach(share * LEAST_TORQUE))
     found = least_violation(prepared.nlp, prepared.guess, go_on, **LIMITS)
     assert found.infeasible
     assert not found.feasible
-    enough = prepare(limited_reach(1.5 * LEAST_TORQUE), compile="none")
+    enough = prepare(limited_reach(1.5 * LEAST_TORQUE))
     assert least_violation(enough.nlp, enough.guess, go_on, **LIMITS).feasible
 
 
 def test_rows_give_way_by_what_they_lack_and_prices_bound_the_multipliers():
-    prepared = prepare(limited_reach(0.5 * LEAST_TORQUE), compile="none")
+    prepared = prepare(limited_reach(0.5 * LEAST_TORQUE))
     found = least_violation(prepared.nlp, prepared.guess, go_on, **LIMITS)
     missed = row_violations(prepared.nlp, found.x)[: prepared.transcription.n_rows]
     assert np.all(missed <= found.gives + BARRIER)
@@ -53,7 +53,7 @@ def test_rows_give_way_by_what_they_lack_and_prices_bound_the_multipliers():
 
 
 def test_limits_and_the_callback_stop_it_without_a_verdict():
-    prepared = prepare(limited_reach(0.5 * LEAST_TORQUE), compile="none")
+    prepared = prepare(limited_reach(0.5 * LEAST_TORQUE))
     short = least_violation(prepared.nlp, prepared.guess, go_on, max_iterations=3, max_time=60.0)
     assert short.iterations <= 3
     assert not short.stopped
@@ -67,7 +67,7 @@ def test_limits_and_the_callback_stop_it_without_a_verdict():
 
 
 def test_variables_that_a_callback_reads_are_those_of_the_problem():
-    prepared = prepare(limited_reach(0.5 * LEAST_TORQUE), compile="none")
+    prepared = prepare(limited_reach(0.5 * LEAST_TORQUE))
     sizes = set()
 
     def look(_, read):

@@ -31,7 +31,7 @@ from trajopt.solvers.drivers import run_solver
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solving.solving import prepare
 name, intervals, limit, seeds = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4])
-prepared = prepare(problems.load(name), intervals=intervals, compile="none")
+prepared = prepare(problems.load(name), intervals=intervals)
 found = []
 for sigma in (30.0, 100.0):
     for seed in range(seeds):

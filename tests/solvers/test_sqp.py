@@ -46,7 +46,7 @@ def swing() -> Problem:
 
 
 def ready(problem: Problem, **options: object) -> PreparedProblem:
-    return prepare(problem, compile="none", **options)
+    return prepare(problem, **options)
 
 
 def kkt(nlp: Nlp, x: np.ndarray, lam_g: np.ndarray, lam_x: np.ndarray) -> tuple[float, float, float]:
@@ -123,9 +123,9 @@ def test_a_start_from_a_solution_with_its_multipliers_takes_no_step():
 
 @pytest.mark.long
 def test_after_a_small_change_a_start_from_the_solution_takes_fewer_steps():
-    first = solve(lean(), solver="sqp", compile="none")
+    first = solve(lean(), solver="sqp")
     changed = replace(lean(), initial_v=1.02 * lean().initial_v)
-    cold, warm = (solve(changed, solver="sqp", compile="none", start=s) for s in (None, first))
+    cold, warm = (solve(changed, solver="sqp", start=s) for s in (None, first))
     assert cold.converged
     assert warm.converged
     assert warm.meta["iterations"] < cold.meta["iterations"]
@@ -134,7 +134,7 @@ def test_after_a_small_change_a_start_from_the_solution_takes_fewer_steps():
 
 def test_contradicting_limits_are_reported_as_infeasible_near_their_least_violation():
     weak = reach(terms=(AccelerationCost(weight=1.0), EffortLimits(limit=np.array([0.05]))))
-    solution = solve(weak, solver="sqp", compile="none")
+    solution = solve(weak, solver="sqp")
     assert (solution.success, solution.meta["status"]) == (False, "infeasible")
     assert solution.meta["solver_status"] == "Infeasible"
     assert np.isfinite(solution.q).all()
@@ -161,7 +161,7 @@ def test_early_stops_at_the_first_step_whose_rows_hold_as_well_as_asked():
     found = sqp(prepared, options={"early": EARLY}, callback=watch)
     assert found.status is Status.EARLY
     assert found.primal == seen[-1] <= EARLY < min(seen[:-1])
-    solution = solve(lean(), solver="sqp", compile="none", options={"early": EARLY})
+    solution = solve(lean(), solver="sqp", options={"early": EARLY})
     assert (solution.success, solution.meta["status"]) == (False, "early")
     assert "not optimal" in solution.meta["advice"]
 

@@ -227,8 +227,7 @@ CASES = {
 def test_solves_reach_the_optimum_of_ipopts_own_linear_solver(name):
     family, values = CASES[name]
     own, usual = (
-        solve(problems.load(family, **values), compile="none", judge=False, options=options)
-        for options in (STAGES, MUMPS)
+        solve(problems.load(family, **values), judge=False, options=options) for options in (STAGES, MUMPS)
     )
     assert own.converged
     assert own.meta["iterations"] <= 1.1 * usual.meta["iterations"]
@@ -237,10 +236,7 @@ def test_solves_reach_the_optimum_of_ipopts_own_linear_solver(name):
 
 @pytest.mark.long
 def test_solves_with_two_threads_end_at_the_same_bits():
-    one, two = (
-        solve(problems.load("quadruped-trot"), compile="none", judge=False, threads=threads)
-        for threads in (1, 2)
-    )
+    one, two = (solve(problems.load("quadruped-trot"), judge=False, threads=threads) for threads in (1, 2))
     assert one.meta["iterations"] == two.meta["iterations"]
     assert_array_equal(one.q, two.q)
     assert_array_equal(one.tau, two.tau)
@@ -248,7 +244,7 @@ def test_solves_with_two_threads_end_at_the_same_bits():
 
 def test_fewer_free_variables_than_rows_still_end():
     found = solve(
-        problems.load("ur5-reach", duration=0.05), intervals=1, transcription="legendre:1", compile="none",
+        problems.load("ur5-reach", duration=0.05), intervals=1, transcription="legendre:1",
         judge=False, options=STAGES,
     )  # fmt: skip
     assert not found.converged
@@ -256,4 +252,4 @@ def test_fewer_free_variables_than_rows_still_end():
 
 def test_hessian_of_gradients_is_refused():
     with pytest.raises(InputError, match="linear_solver=stages"):
-        solve(problems.load("ur5-reach"), hessian="limited-memory", compile="none", options=STAGES)
+        solve(problems.load("ur5-reach"), hessian="limited-memory", options=STAGES)

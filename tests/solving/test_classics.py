@@ -55,7 +55,7 @@ def build():
 def solved(name: str, **parameters: object) -> tuple[Problem, Solution]:
     """A problem and its solution from its own guess."""
     problem = problems.load(name, **parameters)
-    return problem, solve(problem, compile="none")
+    return problem, solve(problem)
 
 
 # Swing-ups
@@ -113,7 +113,7 @@ def test_the_least_time_of_the_double_pendulum_takes_all_the_torque():
 def test_swing_ups_are_solved_from_perturbed_guesses(name):
     problem = problems.load(name)
     for seed in SEEDS:
-        assert solve(problem, compile="none", perturb=NOISE, seed=seed).converged
+        assert solve(problem, perturb=NOISE, seed=seed).converged
 
 
 def test_another_pendulum_swings_up_by_name_of_its_file(tmp_path):
@@ -149,7 +149,7 @@ def test_goals_of_a_hop_are_met_better_than_by_least_effort():
     reached = {}
     for goal in ("effort", "height", "distance", "time"):
         problem = problems.load("hopper-hop", goal=goal)
-        solution = solve(problem, compile="none", intervals=24)
+        solution = solve(problem, intervals=24)
         assert solution.converged
         reached[goal] = (solution.q[:, 1].max(), solution.q[-1, 0] - solution.q[0, 0], solution.t[-1])
     assert reached["height"][0] > reached["effort"][0] + 0.2
@@ -159,7 +159,7 @@ def test_goals_of_a_hop_are_met_better_than_by_least_effort():
 
 def test_the_farthest_hop_ends_in_the_reference_posture_wherever_it_lands():
     problem = problems.load("hopper-hop", goal="distance")
-    solution = solve(problem, compile="none", intervals=60)
+    solution = solve(problem, intervals=60)
     assert check(solution).within(AT_POINTS)
     foot = contact_positions(problem.robot, solution.q[-1])["foot"]
     standing = contact_positions(problem.robot, problem.robot.reference)["foot"]

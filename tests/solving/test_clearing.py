@@ -36,14 +36,14 @@ def least(problem: Problem, solution: Solution) -> float:
 
 def test_clear_motion_is_solved_once():
     problem = past(swing(), FAR)
-    solution = solve_graded(problem, fixed_mesh=True, compile="none")
-    assert solution.meta["constraints"] == solve(swing(), compile="none").meta["constraints"]
+    solution = solve_graded(problem, fixed_mesh=True)
+    assert solution.meta["constraints"] == solve(swing()).meta["constraints"]
     assert check(solution).obstacle_distance > 1
 
 
 def test_motion_through_the_ball_is_led_past_it_at_the_margin():
     problem, solution = avoided()
-    assert least(problem, solve(problem, compile="none")) < -0.05
+    assert least(problem, solve(problem)) < -0.05
     assert solution.success
     report = check(solution)
     assert report.ok, report.failures()
@@ -54,9 +54,9 @@ def test_motion_through_the_ball_is_led_past_it_at_the_margin():
 
 def test_pole_is_not_passed_between_points():
     problem = past(swing(), POLE)
-    slipped = solve(problem, compile="none")
+    slipped = solve(problem)
     assert least(problem, slipped) < -0.1
-    solution = solve_graded(problem, fixed_mesh=True, compile="none")
+    solution = solve_graded(problem, fixed_mesh=True)
     assert solution.success
     assert least(problem, solution) > -TOO_NEAR
     assert check(solution).ok
@@ -68,7 +68,7 @@ def test_obstacle_in_the_way_is_passed_on_the_side_of_the_guess(side):
     bent = np.array([0.45, 1.2 * side, 0.0])
     guess = PosturePath(model=rods().model, postures=(START, bent, END), durations=(0.75, 0.75))
     problem = past(swing(guess=guess), POLE)
-    solution = solve_graded(problem, fixed_mesh=True, compile="none")
+    solution = solve_graded(problem, fixed_mesh=True)
     assert solution.success
     assert least(problem, solution) > -TOO_NEAR
     elbow = solution.q[:, 1]
@@ -83,8 +83,8 @@ def test_links_keep_clear_of_each_other():
         self_collision=True,
         margin=0.028,
     )
-    assert least(problem, solve(problem, compile="none")) < -5 * TOO_NEAR
-    solution = solve_graded(problem, fixed_mesh=True, compile="none")
+    assert least(problem, solve(problem)) < -5 * TOO_NEAR
+    solution = solve_graded(problem, fixed_mesh=True)
     assert solution.success
     assert -TOO_NEAR < least(problem, solution) < TOO_NEAR
     report = check(solution)
@@ -96,15 +96,15 @@ def test_without_self_collision_links_may_come_near():
     robot = replace(rods(), reference=np.array([0.0, 1.0, 1.0]))
     ends = np.array([0.0, 1.2, 2.7]), np.array([0.0, 2.6, 1.4])
     problem = past(swing(*ends, robot=robot), self_collision=False, margin=0.028)
-    solution = solve_graded(problem, fixed_mesh=True, compile="none")
+    solution = solve_graded(problem, fixed_mesh=True)
     assert solution.meta["objective"] == pytest.approx(
-        solve(swing(*ends, robot=robot), compile="none").meta["objective"], rel=EQUAL
+        solve(swing(*ends, robot=robot)).meta["objective"], rel=EQUAL
     )
 
 
 def test_motion_that_is_not_solved_is_returned_as_it_is():
     problem = past(swing(), BALL)
-    solution = solve_graded(problem, fixed_mesh=True, compile="none", max_iterations=0)
+    solution = solve_graded(problem, fixed_mesh=True, max_iterations=0)
     assert not solution.success
 
 
@@ -112,7 +112,7 @@ def test_goal_in_an_obstacle_is_refused_before_anything_is_solved():
     over = replace(BALL, centre=np.array([1.3, 0.0, 0.5]))
     iterations = []
     with pytest.raises(InputError, match=r"'joint2' in q of terminal_state is .* m from 'ball'"):
-        solve_graded(past(swing(), over), compile="none", progress=iterations.append)
+        solve_graded(past(swing(), over), progress=iterations.append)
     assert not iterations
 
 
@@ -120,7 +120,7 @@ def test_way_that_is_barred_is_returned_with_what_is_missing():
     """A ball in the way of the first link, which turns about a fixed axis."""
     barred = replace(BALL, centre=np.array([0.15, 0.0, 0.3]))
     problem = past(swing(), barred)
-    solution = solve_graded(problem, fixed_mesh=True, compile="none", max_iterations=60)
+    solution = solve_graded(problem, fixed_mesh=True, max_iterations=60)
     exchange = Exchange(problem)
     assert ("joint0", "ball") in exchange.missing(exchange.look(solution))
     assert "obstacle_distance" in check(solution).failures()
@@ -149,7 +149,7 @@ def depth_in_ground(robot: Robot, solution: Solution) -> float:
 @pytest.mark.slow
 def test_knees_of_a_far_jump_stay_out_of_the_ground():
     problem = trajopt.load("solo12-jump", distance=0.8)
-    grid = {"transcription": "legendre:3", "intervals": 20, "compile": "none"}
+    grid = {"transcription": "legendre:3", "intervals": 20}
     assert depth_in_ground(problem.robot, solve(problem, **grid)) > 0.1
     solution = solve_graded(problem, **grid)
     assert solution.converged

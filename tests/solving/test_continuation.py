@@ -50,7 +50,7 @@ def swing(goal: float) -> Problem:
 
 
 def swings(values: tuple[float, ...] = VALUES, **settings: object) -> Continuation:
-    return continuation(swing, values, compile="none", **settings)
+    return continuation(swing, values, **settings)
 
 
 # Sequences
@@ -89,7 +89,7 @@ def test_without_comparison_nothing_is_said_of_savings():
 
 
 def test_the_first_value_starts_from_a_solution_given(tmp_path):
-    file = trajopt.solve(swing(0.1), compile="none", fixed_mesh=True).save(tmp_path / "start.npz")
+    file = trajopt.solve(swing(0.1), fixed_mesh=True).save(tmp_path / "start.npz")
     found = swings(start=file)
     assert found.steps[0].solution.meta["warm_start"] is True
     assert found.steps[0].origin is None
@@ -137,7 +137,7 @@ def test_every_step_is_reported():
 
 def test_functions_are_compiled_once_for_all_values(tmp_path, monkeypatch):
     monkeypatch.setenv("TRAJOPT_CACHE_DIR", str(tmp_path))
-    found = continuation(swing, VALUES, compile="none")
+    found = continuation(swing, VALUES)
     compiled = [step.solution.meta["functions_compiled"] for step in found.steps]
     assert compiled[0] > 0
     assert compiled[1:] == [0, 0]
@@ -148,7 +148,6 @@ def test_a_sequence_of_reaches_compiles_once_and_takes_fewer_iterations(tmp_path
     found = continuation(
         lambda value: problems.load("ur5-reach", x=value),
         (0.3, 0.33, 0.36),
-        compile="none",
         intervals=12,
         compare=True,
     )
@@ -168,7 +167,7 @@ def turning(goal: float) -> Problem:
 
 @pytest.mark.long
 def test_motions_of_a_sequence_pass_obstacles_and_hold_at_any_time():
-    found = continuation(turning, (1.0, 1.1, 1.2), compile="none")
+    found = continuation(turning, (1.0, 1.1, 1.2))
     assert found.success
     assert found.solved == (1.0, 1.1, 1.2)
     for solution in found.solutions.values():
@@ -183,7 +182,7 @@ def test_motions_of_a_sequence_pass_obstacles_and_hold_at_any_time():
 
 @pytest.mark.long
 def test_motion_that_holds_only_at_its_points_is_no_success_of_a_sequence():
-    found = continuation(swing, (0.2, 0.5), transcription="legendre:1", intervals=2, compile="none")
+    found = continuation(swing, (0.2, 0.5), transcription="legendre:1", intervals=2)
     assert [step.solution.meta["status"] for step in found.steps] == ["coarse_grid", "coarse_grid"]
     assert found.solutions.keys() == {0.2, 0.5}
     assert found.solved == ()
@@ -211,9 +210,7 @@ def test_halvings_that_are_no_count_are_refused(halvings):
 
 
 def test_a_ladder_ends_at_the_optimum_of_its_finest_grid():
-    ladder = solve_ladder(
-        swing(1.0), [("legendre:1", 5), ("radau:3", 9), (None, None)], compare=True, compile="none"
-    )
+    ladder = solve_ladder(swing(1.0), [("legendre:1", 5), ("radau:3", 9), (None, None)], compare=True)
     grids = [(one.meta["transcription"], one.n_intervals) for one in ladder.rungs]
     assert grids == [("legendre:1", 5), ("radau:3", 9), ("legendre:2", 10)]
     assert [one.meta["warm_start"] for one in ladder.rungs] == [False, True, True]
@@ -228,25 +225,21 @@ def test_a_ladder_ends_at_the_optimum_of_its_finest_grid():
 
 @pytest.mark.long
 def test_a_ladder_passes_obstacles_on_its_finest_grid():
-    ladder = solve_ladder(turning(1.2), [("legendre:2", 10), ("legendre:2", 30)], compile="none")
+    ladder = solve_ladder(turning(1.2), [("legendre:2", 10), ("legendre:2", 30)])
     report = check(ladder.solution)
     assert report.ok, report.failures()
     assert ladder.solution.success
     rows = ladder.solution.meta["constraints"]
-    assert rows > solve(rods_swing(), compile="none").meta["constraints"]
+    assert rows > solve(rods_swing()).meta["constraints"]
 
 
 def test_a_rung_that_fails_starts_nothing():
-    ladder = solve_ladder(
-        swing(3.0), [("legendre:2", 8), ("legendre:2", 9)], compile="none", max_iterations=1
-    )
+    ladder = solve_ladder(swing(3.0), [("legendre:2", 8), ("legendre:2", 9)], max_iterations=1)
     assert [one.meta["warm_start"] for one in ladder.rungs] == [False, False]
 
 
 def test_a_user_who_stops_a_rung_stops_the_ladder():
-    ladder = solve_ladder(
-        swing(1.0), [("legendre:1", 5)] * 3, compile="none", compare=True, progress=lambda _: False
-    )
+    ladder = solve_ladder(swing(1.0), [("legendre:1", 5)] * 3, compare=True, progress=lambda _: False)
     assert len(ladder.rungs) == 1
     assert ladder.cold is None
 
@@ -377,9 +370,7 @@ def test_nearest_value_is_just_below_the_largest_that_the_torque_allows():
 
     largest = torque * REACH_TIME**2 / (4 * inertia())
     seen: list[float] = []
-    step = nearest(
-        turn, 0.1 * largest, 2 * largest, compile="none", on_step=lambda one: seen.append(one.value)
-    )
+    step = nearest(turn, 0.1 * largest, 2 * largest, on_step=lambda one: seen.append(one.value))
     assert step is not None
     assert step.solution.converged
     assert len(seen) == NEAREST_SOLVES
@@ -390,21 +381,19 @@ def test_nearest_value_is_just_below_the_largest_that_the_torque_allows():
 
 
 def test_nearest_is_the_value_asked_for_where_that_is_solved_from_the_first():
-    step = nearest(swing, 0.2, 0.5, compile="none")
+    step = nearest(swing, 0.2, 0.5)
     assert step is not None
     assert step.value == 0.5
     assert step.solution.meta["warm_start"] is True
 
 
 def test_nearest_is_nothing_where_the_first_value_is_not_solved():
-    assert nearest(swing, 2.0, 3.0, compile="none", max_iterations=1) is None
+    assert nearest(swing, 2.0, 3.0, max_iterations=1) is None
 
 
 def test_a_user_who_stops_a_solve_stops_the_search():
     seen: list[float] = []
-    found = nearest(
-        swing, 0.2, 0.5, compile="none", progress=lambda _: False, on_step=lambda one: seen.append(one.value)
-    )
+    found = nearest(swing, 0.2, 0.5, progress=lambda _: False, on_step=lambda one: seen.append(one.value))
     assert found is None
     assert seen == [0.2]
 
@@ -412,7 +401,7 @@ def test_a_user_who_stops_a_solve_stops_the_search():
 @pytest.mark.long
 def test_command_line_says_and_writes_the_nearest_value(tmp_path):
     target = tmp_path / "short-duration=0.1.npz"
-    short = ("--set", "duration=0.1", "--intervals", "8", "--compile", "none")
+    short = ("--set", "duration=0.1", "--intervals", "8")
     result = invoke("solve", "ur5-reach", *short, "--nearest", "duration", "--output", target, "--json")
     assert result.exit_code == 1, result.output
     found = json.loads(result.stdout)

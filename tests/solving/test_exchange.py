@@ -30,7 +30,7 @@ PAIR = ("joint2", "ball")
 
 @lru_cache
 def straight() -> Solution:
-    return solve(past(swing(), BALL, FAR), compile="none")
+    return solve(past(swing(), BALL, FAR))
 
 
 def begun(problem: Problem, solution: Solution) -> tuple[Exchange, Look]:
@@ -71,7 +71,7 @@ def test_only_pairs_that_came_too_near_have_rows_and_only_where_they_are_near():
 
 def test_moment_between_points_where_a_pair_is_nearest_has_a_row():
     problem = past(swing(), POLE)
-    exchange, look = begun(problem, solve(problem, compile="none"))
+    exchange, look = begun(problem, solve(problem))
     regular = {m for m, own in zip(look.moments, look.regular, strict=True) if own}
     short = (look.distances - exchange.bodies.margins)[:, exchange.bodies.pairs.index(("joint2", "pole"))]
     assert look.moments[int(np.argmin(short))] in exchange.moments["joint2", "pole"]
@@ -108,7 +108,7 @@ def test_without_rows_the_last_motion_starts_and_then_the_guess():
 
 def test_every_node_is_looked_at_once():
     problem = landing(free=True)
-    solution = solve(problem, transcription="radau:2", intervals=9, compile="none")
+    solution = solve(problem, transcription="radau:2", intervals=9)
     moments = Exchange(problem).look(solution).moments
     bounds = [solution.interval_t[solution.intervals_of(phase)][[0, -1], [0, 1]] for phase in range(3)]
     times = [bounds[phase] @ [1 - fraction, fraction] for phase, fraction in moments]
@@ -119,10 +119,7 @@ def test_every_node_is_looked_at_once():
 
 
 def test_faster_intervals_are_looked_at_more_often():
-    counts = [
-        len(Exchange(past(swing(), FAR)).look(solve(swing(), compile="none", intervals=n)).moments)
-        for n in (3, 100)
-    ]
+    counts = [len(Exchange(past(swing(), FAR)).look(solve(swing(), intervals=n)).moments) for n in (3, 100)]
     assert counts[0] > float(np.abs(END - START).max()) / LOOK_STEP
     assert counts[1] == pytest.approx(100 * (LOOKS + 3), rel=0.02)
 
@@ -227,7 +224,7 @@ def test_corners_of_the_motion_that_was_too_near_have_rows_too():
 
 
 def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
-    free, solution = hop(), solve(hop(), compile="none")
+    free, solution = hop(), solve(hop())
     data, places = free.robot.model.createData(), []
     for q in solution.q:
         pin.framesForwardKinematics(free.robot.model, data, q)
@@ -244,7 +241,7 @@ def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
 
 
 def test_a_foot_that_its_contact_holds_on_the_ground_has_no_rows_there():
-    free, solution = hop(), solve(hop(), compile="none")
+    free, solution = hop(), solve(hop())
     toe = LinkShape.sphere("toe", FOOT, np.zeros(3), 0.01)  # it stands 1 cm deep
     shank = LinkShape.capsule("shank", FOOT, np.zeros(3), 0.1 * np.eye(3)[2], 0.01)  # and may lie down
     problem = replace(free, terms=(*free.terms, Clearance(shapes=(toe, shank))))

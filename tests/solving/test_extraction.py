@@ -27,7 +27,7 @@ SCHEMES = ("legendre:2", "radau:2", "hermite-simpson")
 
 @lru_cache
 def solved(name: str) -> Solution:
-    return solve(hop(), transcription=name, intervals=INTERVALS, compile="none", tolerance=1e-8)
+    return solve(hop(), transcription=name, intervals=INTERVALS, tolerance=1e-8)
 
 
 def by_interval(solution: Solution, name: str) -> np.ndarray:

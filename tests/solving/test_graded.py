@@ -19,7 +19,7 @@ pytestmark = pytest.mark.long
 
 
 def test_motion_is_refined_until_it_holds_at_any_time():
-    found = solve_graded(landing(), compile="none")
+    found = solve_graded(landing())
     assert found.reached, found.why
     assert found.solution.success
     assert trajopt.check(found.solution).within(GRADE)
@@ -29,25 +29,25 @@ def test_motion_is_refined_until_it_holds_at_any_time():
 
 
 def test_solve_without_a_mesh_solves_to_the_grade_and_a_draft_only_once():
-    draft = trajopt.solve(landing(), compile="none", draft=True)
+    draft = trajopt.solve(landing(), draft=True)
     assert len(draft.meta["graded"]["rounds"]) == 1
     assert mesh_of(draft) == first_mesh(landing())
     assert draft.converged
-    assert trajopt.solve(landing(), compile="none").success
+    assert trajopt.solve(landing()).success
 
 
 def test_named_mesh_is_solved_once():
-    plan = trajopt.solve(reach(gravity=True), compile="none", intervals=4)
+    plan = trajopt.solve(reach(gravity=True), intervals=4)
     assert plan.n_intervals == 4
     assert len(plan.meta["graded"]["rounds"]) == 1
-    own = trajopt.solve(reach(gravity=True), compile="none", fixed_mesh=True)
+    own = trajopt.solve(reach(gravity=True), fixed_mesh=True)
     assert own.n_intervals == reach(gravity=True).default_intervals
     with pytest.raises(InputError, match="a draft and a mesh are both asked for"):
         trajopt.solve(reach(), intervals=4, draft=True)
 
 
 def test_motion_that_holds_only_at_its_points_says_what_breaks_and_where():
-    found = solve_graded(landing(), compile="none", mesh=Mesh.uniform("legendre:1", (3, 3, 3)), max_rounds=1)
+    found = solve_graded(landing(), mesh=Mesh.uniform("legendre:1", (3, 3, 3)), max_rounds=1)
     assert not found.reached
     assert found.solution.converged
     assert found.solution.meta["status"] == "coarse_grid"
@@ -57,13 +57,13 @@ def test_motion_that_holds_only_at_its_points_says_what_breaks_and_where():
 
 
 def test_limit_of_rounds_ends_with_the_best_motion():
-    found = solve_graded(landing(), compile="none", mesh=Mesh.uniform("legendre:1", (3, 3, 3)), max_rounds=2)
+    found = solve_graded(landing(), mesh=Mesh.uniform("legendre:1", (3, 3, 3)), max_rounds=2)
     assert len(found.rounds) == 2
     assert found.why == "2 rounds were not enough" or found.reached
 
 
 def test_examination_compares_intervals_with_their_tolerances():
-    plan = trajopt.solve(hop(), compile="none", intervals=8)
+    plan = trajopt.solve(hop(), intervals=8)
     found = examine(plan)
     assert found.broken.shape == (plan.n_intervals,)
     assert found.drift.shape == (len(plan.phases),)

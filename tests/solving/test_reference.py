@@ -64,7 +64,7 @@ def either_way(sign: float) -> Problem:
 
 def test_reference_agrees_and_says_how_it_was_found():
     seen = []
-    found = converged_reference(swing(), compile="none", progress=seen.append)
+    found = converged_reference(swing(), progress=seen.append)
     assert tuple(seen) == found.rungs
     assert [rung.scheme for rung in found.rungs[:2]] == ["legendre:2", "legendre:3"]
     assert [rung.intervals for rung in found.rungs[:3]] == [10, 10, 20]
@@ -79,24 +79,19 @@ def test_reference_agrees_and_says_how_it_was_found():
 
 def test_reference_of_least_acceleration_is_the_cubic():
     """12 theta^2 / T^3 is the least integral of the squared acceleration from rest to rest."""
-    found = converged_reference(reach(), compile="none")
+    found = converged_reference(reach())
     plan = found.solution
     s = plan.t / plan.t[-1]
     assert_allclose(plan.q[:, 0], plan.q[-1, 0] * (3 * s**2 - 2 * s**3), atol=1e-9)
-    coarse = trajopt.solve(reach(), compile="none", intervals=3)
+    coarse = trajopt.solve(reach(), intervals=3)
     assert measure(coarse, plan).distance < 1e-9
     assert abs(measure(coarse, plan).objective_gap) < 1e-9
 
 
 @pytest.mark.long
 def test_distance_to_the_reference_falls_with_the_step():
-    found = converged_reference(
-        lean(), compile="none", agreement=Agreement(objective=1e-7, distance=1e-4)
-    ).solution
-    gaps = [
-        measure(trajopt.solve(lean(), compile="none", transcription="legendre:1", intervals=n), found)
-        for n in (4, 8)
-    ]
+    found = converged_reference(lean(), agreement=Agreement(objective=1e-7, distance=1e-4)).solution
+    gaps = [measure(trajopt.solve(lean(), transcription="legendre:1", intervals=n), found) for n in (4, 8)]
     assert gaps[1].distance < 0.5 * gaps[0].distance
     assert gaps[1].open_loop < 0.5 * gaps[0].open_loop
 
@@ -105,10 +100,10 @@ def test_budget_ends_the_climb_and_names_the_agreement():
     strict = Agreement(objective=1e-15, distance=1e-15)
     words = r"more than 600 variables; the last two meshes agree to .* m"
     with pytest.raises(NoReferenceError, match=words) as caught:
-        converged_reference(swing(), compile="none", agreement=strict, max_unknowns=600)
+        converged_reference(swing(), agreement=strict, max_unknowns=600)
     assert len(caught.value.rungs) > 2
     with pytest.raises(NoReferenceError, match=TIME):
-        converged_reference(swing(), compile="none", agreement=strict, max_time=0.2)
+        converged_reference(swing(), agreement=strict, max_time=0.2)
 
 
 def test_mesh_that_is_not_solved_is_named():
@@ -116,7 +111,7 @@ def test_mesh_that_is_not_solved_is_named():
         frame="universe", axis=(0, 0, 1), direction=(0, 0, -1), angle=0.1, phase="reach",
     )))  # fmt: skip
     with pytest.raises(NoReferenceError, match="legendre:2 with 10 intervals is not solved"):
-        converged_reference(goal, compile="none")
+        converged_reference(goal)
 
 
 def test_bad_bounds_are_refused():
@@ -127,30 +122,27 @@ def test_bad_bounds_are_refused():
     with pytest.raises(InputError, match="max_time is -1"):
         converged_reference(reach(), max_time=-1.0)
     with pytest.raises(InputError, match="unknown transcription"):
-        converged_reference(reach(), compile="none", scheme="legendre:9")
+        converged_reference(reach(), scheme="legendre:9")
 
 
 def test_solutions_in_different_optima_are_told_from_those_on_different_meshes():
-    left, right = (
-        trajopt.solve(either_way(sign), compile="none", intervals=n) for sign, n in ((-1.0, 6), (1.0, 12))
-    )
+    left, right = (trajopt.solve(either_way(sign), intervals=n) for sign, n in ((-1.0, 6), (1.0, 12)))
     assert left.converged
     assert right.converged
     assert left.q[-1, 0] < 0 < right.q[-1, 0]
-    settings = {"compile": "none"}
-    assert in_other_optimum(either_way(-1.0), left, right, **settings)
-    finer = trajopt.solve(either_way(1.0), compile="none", intervals=24)
-    assert not in_other_optimum(either_way(1.0), right, finer, **settings)
+    assert in_other_optimum(either_way(-1.0), left, right)
+    finer = trajopt.solve(either_way(1.0), intervals=24)
+    assert not in_other_optimum(either_way(1.0), right, finer)
 
 
 @pytest.mark.long
 def test_commands_make_a_reference_and_check_against_it(tmp_path):
     made, plan = tmp_path / "reference.npz", tmp_path / "plan.npz"
-    result = invoke("reference", "ur5-reach", "--compile", "none", "--output", made, "--json")
+    result = invoke("reference", "ur5-reach", "--output", made, "--json")
     assert result.exit_code == 0
     assert json.loads(result.stdout)["file"] == str(made)
     assert "30 intervals" in result.stderr
-    assert invoke("solve", "ur5-reach", "--compile", "none", "--output", plan).exit_code == 0
+    assert invoke("solve", "ur5-reach", "--output", plan).exit_code == 0
     plain = json.loads(invoke("check", plan, "--json").stdout)
     full = json.loads(invoke("check", plan, "--reference", made, "--json").stdout)
     found = full.pop("accuracy")
@@ -165,7 +157,7 @@ def test_commands_make_a_reference_and_check_against_it(tmp_path):
 
 def test_command_that_finds_none_writes_no_file(tmp_path):
     made = tmp_path / "reference.npz"
-    arguments = ["reference", "ur5-reach", "--compile", "none", "--distance", "1e-15", "--max-time", "0.5"]
+    arguments = ["reference", "ur5-reach", "--distance", "1e-15", "--max-time", "0.5"]
     result = invoke(*arguments, "--output", made)
     assert result.exit_code == 1
     assert re.search(TIME, result.stderr)

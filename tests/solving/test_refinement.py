@@ -136,7 +136,7 @@ def test_no_mesh_is_without_end(local, phase, least):
 @pytest.mark.long
 def test_refined_motion_is_as_accurate_as_measured_anew_from_its_file(tmp_path):
     target = 1e-4
-    found = solve_graded(hop(), accuracy=target, mesh=Mesh.uniform("legendre:2", (3, 3, 3)), compile="none")
+    found = solve_graded(hop(), accuracy=target, mesh=Mesh.uniform("legendre:2", (3, 3, 3)))
     assert found.reached
     assert found.solution.success
     again = measure(found.solution.save(tmp_path / "hop.npz"))
@@ -151,16 +151,16 @@ def test_refined_motion_is_as_accurate_as_measured_anew_from_its_file(tmp_path):
 @pytest.mark.long
 def test_refinement_needs_fewer_variables_than_a_uniform_mesh_for_the_same_error():
     problem = problems.load("hopper-hop")
-    uniform = solve(problem, compile="none")
+    uniform = solve(problem)
     error = max(phase_errors(measure(uniform)))
-    found = solve_graded(problem, accuracy=error, compile="none")
+    found = solve_graded(problem, accuracy=error)
     assert found.reached
     assert found.solution.meta["variables"] <= FEWER * uniform.meta["variables"]
 
 
 def test_mesh_that_meets_the_target_is_left_alone():
     mesh = Mesh.uniform("legendre:4", [10])
-    found = solve_graded(reach(), accuracy=1e-3, mesh=mesh, compile="none")
+    found = solve_graded(reach(), accuracy=1e-3, mesh=mesh)
     assert found.reached
     assert len(found.rounds) == 1
     assert found.rounds[0].mesh == mesh
@@ -168,19 +168,19 @@ def test_mesh_that_meets_the_target_is_left_alone():
 
 @pytest.mark.long
 def test_solution_at_hand_is_measured_and_its_own_mesh_refined():
-    coarse = solve(hop(), intervals=6, compile="none")
-    found = solve_graded(hop(), accuracy=1e-4, first=coarse, compile="none")
+    coarse = solve(hop(), intervals=6)
+    found = solve_graded(hop(), accuracy=1e-4, first=coarse)
     assert found.reached
     assert found.rounds[0].mesh == mesh_of(coarse)
     assert found.rounds[0].errors == phase_errors(measure(coarse))
-    enough = solve_graded(hop(), accuracy=10 * found.error, first=found.solution, compile="none")
+    enough = solve_graded(hop(), accuracy=10 * found.error, first=found.solution)
     assert len(enough.rounds) == 1
-    failed = solve(hop(), intervals=6, compile="none", max_iterations=1)
-    assert not solve_graded(hop(), first=failed, compile="none").reached
+    failed = solve(hop(), intervals=6, max_iterations=1)
+    assert not solve_graded(hop(), first=failed).reached
 
 
 def test_target_below_rounding_is_not_reached_and_says_why():
-    found = solve_graded(reach(), accuracy=1e-300, compile="none", max_rounds=2)
+    found = solve_graded(reach(), accuracy=1e-300, max_rounds=2)
     assert not found.reached
     assert found.why == "2 rounds were not enough"
     assert found.solution.success  # the grade is: only the accuracy is not
@@ -189,14 +189,14 @@ def test_target_below_rounding_is_not_reached_and_says_why():
 
 def test_limit_of_unknowns_stops_with_the_best_solution(monkeypatch):
     monkeypatch.setattr(refinement, "MOST_VARIABLES", 300)
-    found = solve_graded(hop(), accuracy=1e-8, compile="none")
+    found = solve_graded(hop(), accuracy=1e-8)
     assert not found.reached
     assert "more than 300 variables" in found.why
     assert found.solution.converged
 
 
 def test_problem_without_a_solution_is_told_as_such():
-    found = solve_graded(hop(), accuracy=1e-3, compile="none", max_iterations=1)
+    found = solve_graded(hop(), accuracy=1e-3, max_iterations=1)
     assert not found.reached
     assert not found.solution.success
     assert found.why == "a mesh was not solved: iteration limit"
@@ -204,13 +204,11 @@ def test_problem_without_a_solution_is_told_as_such():
 
 
 def test_budget_ends_the_rounds_with_the_best_motion():
-    found = solve_graded(
-        hop(), accuracy=1e-9, max_time=1e-6, compile="none", mesh=Mesh.uniform("legendre:1", (3, 3, 3))
-    )
+    found = solve_graded(hop(), accuracy=1e-9, max_time=1e-6, mesh=Mesh.uniform("legendre:1", (3, 3, 3)))
     assert len(found.rounds) <= 2
     assert {own.status for own in found.rounds} == {"time_limit"}
-    first = solve(hop(), intervals=6, compile="none")
-    kept = solve_graded(hop(), first=first, accuracy=1e-9, max_time=first.meta["wall_time_s"], compile="none")
+    first = solve(hop(), intervals=6)
+    kept = solve_graded(hop(), first=first, accuracy=1e-9, max_time=first.meta["wall_time_s"])
     assert kept.why == "the time is used"
     assert len(kept.rounds) == 1
     assert kept.solution.converged
@@ -219,7 +217,7 @@ def test_budget_ends_the_rounds_with_the_best_motion():
 @pytest.mark.parametrize("target", [0.0, -1e-3, float("nan"), float("inf"), "1e-3"])
 def test_targets_that_are_no_length_are_refused(target):
     with pytest.raises(InputError, match=r"accuracy is .* m; allowed: finite and > 0"):
-        solve_graded(reach(), accuracy=target, compile="none")
+        solve_graded(reach(), accuracy=target)
 
 
 def test_tolerance_follows_the_target_within_what_solvers_reach():

@@ -36,7 +36,7 @@ def minimum_acceleration(t: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_minimum_acceleration_motion_is_the_known_cubic(name, order, solver):
     intervals = 20
-    solution = solve(reach(), transcription=name, intervals=intervals, solver=solver, compile="none")
+    solution = solve(reach(), transcription=name, intervals=intervals, solver=solver)
     assert solution.converged
     allowed = CONSTANT / intervals**order + SOLVED
     assert_allclose(solution.q[:, 0], minimum_acceleration(solution.t), atol=allowed)
@@ -48,7 +48,7 @@ def test_minimum_acceleration_motion_is_the_known_cubic(name, order, solver):
 def swing(**options: object) -> float:
     """Least squared torque against gravity: nonlinear, with no closed form."""
     costs = (TorqueCost(weight=1.0), VelocityCost(weight=0.1))
-    solution = solve(reach(gravity=True, terms=costs), compile="none", tolerance=1e-9, **options)
+    solution = solve(reach(gravity=True, terms=costs), tolerance=1e-9, **options)
     assert solution.converged
     return solution.meta["objective"]
 
@@ -63,7 +63,7 @@ def test_every_transcription_ends_at_one_optimum(name, order):
 
 
 def test_not_converging_is_a_status_with_advice_and_no_exception():
-    solution = solve(hop(), transcription="legendre:1", max_iterations=1, compile="none")
+    solution = solve(hop(), transcription="legendre:1", max_iterations=1)
     assert not solution.success
     assert solution.meta["status"] == "iteration_limit"
     assert "--max-iterations" in solution.meta["advice"]
@@ -76,7 +76,7 @@ def test_not_converging_is_a_status_with_advice_and_no_exception():
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_goal_beyond_the_torque_limit_is_not_a_success(solver):
     weak = reach(terms=(AccelerationCost(weight=1.0), EffortLimits(limit=np.array([0.05]))))
-    solution = solve(weak, transcription="legendre:2", solver=solver, compile="none", max_iterations=200)
+    solution = solve(weak, transcription="legendre:2", solver=solver, max_iterations=200)
     assert not solution.success
     assert solution.meta["status"] in ("infeasible", "step_failed", "iteration_limit")
     assert solution.meta["max_violation"] > 1e-3
@@ -92,7 +92,7 @@ def broken_after(problem: Problem, time: float) -> Problem:
 def test_guess_that_is_not_finite_is_refused_with_its_time():
     problem = broken_after(reach(gravity=True, terms=(TorqueCost(weight=1.0),)), 0.41)
     with pytest.raises(InputError, match=r"guess of problem 'reach' at t = 0\.4\d+ s is not finite"):
-        solve(problem, transcription="legendre:1", intervals=8, compile="none")
+        solve(problem, transcription="legendre:1", intervals=8)
 
 
 def test_function_that_is_not_finite_is_a_status_that_names_the_place():
@@ -100,7 +100,7 @@ def test_function_that_is_not_finite_is_a_status_that_names_the_place():
     turned = hop().robot.reference.copy()
     turned[3:7] = [0.0, 0.0, 1.0, 0.0]
     problem = hop(terms=(TorqueCost(weight=1.0), TerminalState(q=turned)))
-    solution = solve(problem, transcription="legendre:1", compile="none")
+    solution = solve(problem, transcription="legendre:1")
     assert solution.meta["status"] == "not_finite"
     assert solution.meta["advice"].startswith(Status.NOT_FINITE.advice)
     assert solution.meta["advice"].endswith("rows of block 'terminal_state' in phase 'landing', node 8")
@@ -109,24 +109,30 @@ def test_function_that_is_not_finite_is_a_status_that_names_the_place():
     assert solution.meta["worst_blocks"][0]["violation"] is None
 
 
+def test_the_level_of_a_compiler_has_no_effect_but_a_warning():
+    with pytest.warns(DeprecationWarning, match="compile has no effect"):
+        old = solve(reach(), intervals=4, compile="quick")
+    assert old.meta["objective"] == solve(reach(), intervals=4).meta["objective"]
+
+
 def test_solution_knows_its_size_and_how_it_was_made():
-    solution = solve(reach(), transcription="radau:2", intervals=6, compile="none", tolerance=1e-5)
-    made = prepare(reach(), transcription="radau:2", intervals=6, compile="none")
+    solution = solve(reach(), transcription="radau:2", intervals=6, tolerance=1e-5)
+    made = prepare(reach(), transcription="radau:2", intervals=6)
     assert solution.meta["variables"] == made.transcription.layout.n_unknowns == 7 * 2 + 6 * 2
     assert solution.meta["constraints"] == made.transcription.n_rows == 6 * 2 + 2
-    assert (solution.meta["solver"], solution.meta["compile"]) == ("ipopt", "none")
+    assert solution.meta["solver"] == "ipopt"
     assert (solution.meta["tolerance"], solution.meta["perturb"]) == (1e-5, 0.0)
     assert solution.meta["max_violation"] < 1e-5
 
 
 def test_defaults_are_the_problems_own():
-    solution = solve(reach(), compile="none")
+    solution = solve(reach())
     assert solution.meta["transcription"] == "legendre:2"
     assert solution.n_intervals == 10
 
 
 def test_perturbed_starts_are_reproducible_and_reach_the_same_optimum():
-    options = {"transcription": "legendre:2", "compile": "none", "perturb": 0.2}
+    options = {"transcription": "legendre:2", "perturb": 0.2}
     once, again, other = (solve(reach(), seed=seed, **options) for seed in (1, 1, 2))
     assert_array_equal(once.q, again.q)
     assert_allclose(once.q, other.q, atol=SOLVED)
@@ -140,7 +146,7 @@ def test_progress_that_returns_false_interrupts():
         seen.append(info["iteration"])
         return len(seen) < 3
 
-    solution = solve(hop(), transcription="legendre:1", compile="none", progress=progress)
+    solution = solve(hop(), transcription="legendre:1", progress=progress)
     assert solution.meta["status"] == "interrupted"
     assert seen == [0, 1, 2]
 
@@ -160,10 +166,9 @@ def test_progress_that_returns_false_interrupts():
         ("threads", 0, "allowed: 1 or more"),
         ("intervals", 0, "allowed: at least 1"),
         ("transcription", "legendre:9", "allowed: legendre:1..4"),
-        ("compile", "hard", "allowed: background, none, quick, fast"),
     ],
 )
 def test_setting_that_is_not_allowed_is_refused(setting, value, message):
     with pytest.raises(InputError) as refused:
-        solve(reach(), **{"perturb": 0.1, "compile": "none", setting: value})
+        solve(reach(), **{"perturb": 0.1, setting: value})
     assert message in str(refused.value)

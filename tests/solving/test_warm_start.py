@@ -121,7 +121,7 @@ def test_rows_on_a_finer_grid_are_violated_by_the_collocation_error(name):
     found = []
     for intervals in (8, 16):
         solution = solved(swing(), name, intervals).solution
-        fine = prepare(swing(), transcription=name, intervals=2 * intervals, compile="none")
+        fine = prepare(swing(), transcription=name, intervals=2 * intervals)
         start = warm_start(fine.transcription, solution)
         gaps = np.concatenate(fine.transcription.gap_rows)
         found.append(float(row_violations(fine.nlp, start.x)[gaps].max()))
@@ -133,11 +133,11 @@ def test_states_between_schemes_agree_to_the_collocation_error():
     errors = []
     for intervals in (6, 12):
         start = warm_start(
-            prepare(swing(), transcription="radau:3", intervals=7, compile="none").transcription,
+            prepare(swing(), transcription="radau:3", intervals=7).transcription,
             solved(swing(), "legendre:2", intervals).solution,
         )
         reference = solved(swing(), "legendre:3", 30)
-        fine = prepare(swing(), transcription="radau:3", intervals=7, compile="none").transcription
+        fine = prepare(swing(), transcription="radau:3", intervals=7).transcription
         exact = warm_start(fine, reference.solution)
         nodes = np.concatenate([np.arange(2) + fine.layout.node(k).start for k in range(8)])
         errors.append(np.abs(start.x - exact.x)[nodes].max())
@@ -148,8 +148,8 @@ def test_states_between_schemes_agree_to_the_collocation_error():
 
 def test_another_duration_scales_rates_and_accelerations():
     slower = replace(reach(), schedule=Schedule((Phase(name="reach", duration=2 * REACH_TIME),)))
-    coarse = trajopt.solve(reach(), compile="none", fixed_mesh=True)
-    t = prepare(slower, transcription="legendre:3", intervals=9, compile="none").transcription
+    coarse = trajopt.solve(reach(), fixed_mesh=True)
+    t = prepare(slower, transcription="legendre:3", intervals=9).transcription
     motion = extract(t, warm_start(t, coarse).x, {})
     s = motion.t / (2 * REACH_TIME)
     # The known optimum, a cubic (see test_solving), is the same in every duration; linear acceleration
@@ -165,7 +165,7 @@ def test_free_durations_start_as_the_solutions_within_their_bounds():
         phases = hop().schedule.phases
         flight = replace(phases[1], duration=nominal, duration_bounds=bounds)
         problem = hop(schedule=Schedule((phases[0], flight, phases[2])))
-        t = prepare(problem, transcription="legendre:2", intervals=10, compile="none").transcription
+        t = prepare(problem, transcription="legendre:2", intervals=10).transcription
         found = extract(t, warm_start(t, solution).x, {})
         assert found.meta["durations"] == pytest.approx([0.3, expected, 0.3])
         for row in [rows[0] for rows in found.intervals if found.phase[rows[0]] == 1][1:]:
@@ -182,7 +182,7 @@ def motion_rate(solution: Solution, t: float, step: float) -> np.ndarray:
 
 def test_the_start_is_the_problems_own():
     moved = hop(initial_v=np.array([0.1, 0, 0, 0, 0, 0, 0, 0.0]))
-    t = prepare(moved, transcription="legendre:2", intervals=8, compile="none").transcription
+    t = prepare(moved, transcription="legendre:2", intervals=8).transcription
     start = warm_start(t, solved_hop().solution)
     fixed = t.lower_x == t.upper_x
     assert_array_equal(start.x[fixed], t.lower_x[fixed])
@@ -203,10 +203,8 @@ def test_soft_and_hard_landings_start_from_each_other():
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_solve_started_at_its_solution_ends_there(solver):
     # The SQP does not find this hop from a guess that stands.
-    first = trajopt.solve(
-        hop(), compile="none", solver="ipopt" if solver == "sqp" else solver, fixed_mesh=True
-    )
-    again = trajopt.solve(hop(), compile="none", solver=solver, start=first, fixed_mesh=True)
+    first = trajopt.solve(hop(), solver="ipopt" if solver == "sqp" else solver, fixed_mesh=True)
+    again = trajopt.solve(hop(), solver=solver, start=first, fixed_mesh=True)
     assert again.converged
     assert again.meta["warm_start"] is True
     assert first.meta["warm_start"] is False
@@ -217,13 +215,10 @@ def test_a_solve_started_at_its_solution_ends_there(solver):
 
 
 def test_multipliers_of_fatrop_start_ipopt():
-    first = trajopt.solve(hop(), compile="none", solver="fatrop", tolerance=1e-8, fixed_mesh=True)
-    again = trajopt.solve(hop(), compile="none", start=first, fixed_mesh=True)
+    first = trajopt.solve(hop(), solver="fatrop", tolerance=1e-8, fixed_mesh=True)
+    again = trajopt.solve(hop(), start=first, fixed_mesh=True)
     assert again.converged
-    assert (
-        again.meta["iterations"]
-        <= trajopt.solve(hop(), compile="none", fixed_mesh=True).meta["iterations"] / 2
-    )
+    assert again.meta["iterations"] <= trajopt.solve(hop(), fixed_mesh=True).meta["iterations"] / 2
 
 
 def test_multipliers_on_a_finer_grid_are_near_those_found_there():
@@ -239,23 +234,20 @@ def test_multipliers_on_a_finer_grid_are_near_those_found_there():
 
 
 def test_multipliers_survive_the_file(tmp_path):
-    solution = trajopt.solve(hop(), compile="none", fixed_mesh=True)
+    solution = trajopt.solve(hop(), fixed_mesh=True)
     loaded = Solution.load(solution.save(tmp_path / "hop.npz"))
     assert_array_equal(loaded.row_multiplier, solution.row_multiplier)
     assert_array_equal(loaded.bound_multiplier, solution.bound_multiplier)
-    assert (
-        trajopt.solve(hop(), compile="none", start=tmp_path / "hop.npz", fixed_mesh=True).meta["iterations"]
-        <= 1
-    )
+    assert trajopt.solve(hop(), start=tmp_path / "hop.npz", fixed_mesh=True).meta["iterations"] <= 1
 
 
 def test_a_solution_without_multipliers_starts_too(tmp_path):
-    first = trajopt.solve(hop(), compile="none", fixed_mesh=True)
+    first = trajopt.solve(hop(), fixed_mesh=True)
     bare = replace(first, row_multiplier=None, row_place=None, bound_multiplier=None)
     loaded = Solution.load(bare.save(tmp_path / "hop.npz"))
     t = solved_hop().transcription
     assert warm_start(t, loaded).multipliers is None
-    again = trajopt.solve(hop(), compile="none", start=loaded, fixed_mesh=True)
+    again = trajopt.solve(hop(), start=loaded, fixed_mesh=True)
     assert again.converged
     assert again.meta["iterations"] < first.meta["iterations"]
 
@@ -263,8 +255,8 @@ def test_a_solution_without_multipliers_starts_too(tmp_path):
 def test_multipliers_of_other_terms_are_left_out():
     other = reach(gravity=True, terms=(AccelerationCost(weight=1.0), TorqueCost(weight=0.1)))
     first = solved(swing(), "legendre:2", 10)
-    t = prepare(other, transcription="legendre:2", intervals=12, compile="none").transcription
+    t = prepare(other, transcription="legendre:2", intervals=12).transcription
     assert warm_start(t, first.solution).multipliers is not None
     free = replace(other, schedule=Schedule((Phase(name="reach", duration=0.8, duration_bounds=(0.5, 1.0)),)))
-    t = prepare(free, transcription="legendre:2", intervals=12, compile="none").transcription
+    t = prepare(free, transcription="legendre:2", intervals=12).transcription
     assert warm_start(t, first.solution).multipliers is None  # its nodes have a clock more

@@ -19,7 +19,7 @@ from trajopt.terms import FrameHeight, TorqueCost
 
 
 def test_another_robot_is_refused():
-    t = prepare(reach(), compile="none").transcription
+    t = prepare(reach()).transcription
     with pytest.raises(InputError, match=r"'hopper' has other joints than 'arm'"):
         warm_start(t, solved_hop().solution)
 
@@ -27,7 +27,7 @@ def test_another_robot_is_refused():
 def test_other_phases_are_refused():
     stand = hop(schedule=Schedule((Phase(name="stance", duration=0.3, contacts=(FOOT,)),)),
                 terms=(TorqueCost(weight=1.0),))  # fmt: skip
-    t = prepare(stand, intervals=4, compile="none").transcription
+    t = prepare(stand, intervals=4).transcription
     with pytest.raises(InputError, match="phases"):
         warm_start(t, solved_hop().solution)
 
@@ -36,19 +36,19 @@ def test_phases_of_other_names_are_mapped_by_order():
     phases = tuple(replace(phase, name=f"{phase.name} again") for phase in hop().schedule.phases)
     terms = tuple(term for term in hop().terms if not isinstance(term, FrameHeight))
     renamed = hop(schedule=Schedule(phases), terms=terms)
-    t = prepare(renamed, transcription="legendre:2", intervals=8, compile="none").transcription
+    t = prepare(renamed, transcription="legendre:2", intervals=8).transcription
     assert_allclose(warm_start(t, solved_hop().solution).x, solved_hop().result.x, atol=SAME_STATE)
 
 
 @pytest.mark.parametrize("start", [5, {}, b"file"])
 def test_a_start_that_is_no_solution_is_refused(start):
     with pytest.raises(InputError, match="is not a solution; allowed: a Solution or the path"):
-        trajopt.solve(reach(), compile="none", start=start, fixed_mesh=True)
+        trajopt.solve(reach(), start=start, fixed_mesh=True)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(SolutionFileError, match="does not exist"):
-        trajopt.solve(reach(), compile="none", start=tmp_path / "none.npz", fixed_mesh=True)
+        trajopt.solve(reach(), start=tmp_path / "none.npz", fixed_mesh=True)
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,6 @@ def front(tmp_path):
         "natural_time_s": 0.2,
         "length_m": 0.4,
         "tolerance": 1e-6,
-        "compile": "quick",
         "cone": "own",
         "model": "full",
         "start": "cold",
@@ -127,14 +126,14 @@ def test_settings_for_a_budget_come_fastest_first(front):
 def test_what_a_solve_took_corrects_what_is_predicted_of_the_others(front, monkeypatch):
     """On a machine that seems a million times slower than it is the fastest setting tells how fast it is."""
     monkeypatch.setattr(Load, "seconds", lambda self, loads=1: 1e6 * load_front(front).calibration)
-    found = solve_within(reach(), 60.0, front=front, compile="none")
+    found = solve_within(reach(), 60.0, front=front)
     assert len(found.rounds) > 1
     assert found.choices[-1].measured.relative_error == 1e-6
 
 
 @pytest.mark.parametrize("target", [1e-2, 1e-5])
 def test_accuracy_is_reached_as_measured_anew(front, tmp_path, target):
-    found = solve_to_accuracy(hop(), target, front=front, compile="none")
+    found = solve_to_accuracy(hop(), target, front=front)
     assert found.reached
     assert max(phase_errors(measure(found.solution.save(tmp_path / "hop.npz")))) <= target
     assert found.solution.meta["aimed"]["wanted"] == target
@@ -142,7 +141,7 @@ def test_accuracy_is_reached_as_measured_anew(front, tmp_path, target):
 
 
 def test_choice_that_falls_short_is_refined_from_its_solution(front):
-    found = solve_to_accuracy(hop(), 1e-7, front=front, compile="none")
+    found = solve_to_accuracy(hop(), 1e-7, front=front)
     assert found.reached
     assert found.rounds[0].mesh == found.choices[0].mesh
     assert found.rounds[0].error > 1e-7
@@ -150,7 +149,7 @@ def test_choice_that_falls_short_is_refined_from_its_solution(front):
 
 
 def test_budget_is_kept_and_what_is_left_is_used(front):
-    found = solve_within(reach(), 60.0, front=front, compile="none")
+    found = solve_within(reach(), 60.0, front=front)
     assert found.reached
     assert found.spent <= 60.0
     assert found.choices[-1].measured.relative_error == 1e-6
@@ -158,7 +157,7 @@ def test_budget_is_kept_and_what_is_left_is_used(front):
 
 
 def test_budget_too_small_for_any_solve_says_so(front):
-    found = solve_within(hop(), 1e-6, front=front, compile="none")
+    found = solve_within(hop(), 1e-6, front=front)
     assert not found.reached
     assert found.why == "nothing was solved in that time"
     assert found.solution.meta["status"] == "time_limit"
@@ -195,7 +194,7 @@ def test_times_are_read_with_their_units(text, seconds):
 
 
 def run(*arguments):
-    return invoke("solve", "hopper-hop", "--compile", "none", *arguments)
+    return invoke("solve", "hopper-hop", *arguments)
 
 
 def test_command_reaches_an_accuracy_and_reports_it(front, tmp_path):

@@ -136,7 +136,7 @@ def corner_stance(count: int) -> Problem:
 def test_points_of_one_body_are_found_where_their_rows_are_all_kept(monkeypatch, count, excess):
     """Two points on a line hold each other along it; four corners have twelve rows of rank six."""
     keep_all_rows(monkeypatch)
-    prepared = prepare(corner_stance(count), compile="none")
+    prepared = prepare(corner_stance(count))
     found = diagnose(prepared)
     assert found.status is None
     at_a_point = [group for group in found.dependent if set(group.blocks) == {"contact_acceleration"}]
@@ -146,7 +146,7 @@ def test_points_of_one_body_are_found_where_their_rows_are_all_kept(monkeypatch,
 
 
 def test_forces_that_no_cost_tells_apart_have_no_curvature():
-    found = diagnose(prepare(corner_stance(4), compile="none"))
+    found = diagnose(prepare(corner_stance(4)))
     assert found.contacts[0].redundant
     assert found.curvature is not None
     assert not found.curvature.holds
@@ -158,7 +158,7 @@ def test_a_goal_that_is_stated_twice_is_named():
     problem = reach()
     goal = TerminalState(q=np.array([REACH]))
     twice = replace(problem, terms=(*problem.terms, goal))
-    found = diagnose(prepare(twice, compile="none"))
+    found = diagnose(prepare(twice))
     (group,) = found.dependent
     assert group.excess == 1
     assert set(group.rows) == {"terminal_state [joint position (1)]", "terminal_state [joint position (2)]"}
@@ -172,7 +172,7 @@ def test_active_limits_are_those_that_the_torques_of_the_solution_reach():
     """With the least acceleration the torque falls linearly from its largest value: cut off at 0.8 of it."""
     limit = 0.8 * 6 * REACH / REACH_TIME**2 * inertia()
     problem = limited_reach(limit)
-    solution = trajopt.solve(problem, compile="none", fixed_mesh=True)
+    solution = trajopt.solve(problem, fixed_mesh=True)
     found = diagnose(solution, problem)
     tau = solution.tau[solution.collocation, 0]
     sides = {active.side: active for active in found.limits if active.block == "effort_limits"}
@@ -208,7 +208,7 @@ def least_violation(snapshot: Snapshot) -> float:
 def test_a_goal_that_torques_do_not_reach_is_named_with_them():
     """The least torque that gets there in time switches once: 4 I angle / T^2. Here is half of it."""
     problem = limited_reach(0.5 * 4 * REACH / REACH_TIME**2 * inertia())
-    solution = trajopt.solve(problem, compile="none", fixed_mesh=True)
+    solution = trajopt.solve(problem, fixed_mesh=True)
     assert not solution.success
     found = diagnose(solution, problem)
     assert found.conflict is not None
@@ -223,7 +223,7 @@ def test_a_goal_that_torques_do_not_reach_is_named_with_them():
 
 def test_an_iterate_that_is_only_early_is_not_called_a_conflict():
     problem = hop()
-    solution = trajopt.solve(problem, compile="none", max_iterations=2, fixed_mesh=True)
+    solution = trajopt.solve(problem, max_iterations=2, fixed_mesh=True)
     found = diagnose(solution, problem)
     assert found.status == "iteration_limit"
     assert found.conflict is not None
@@ -233,7 +233,7 @@ def test_an_iterate_that_is_only_early_is_not_called_a_conflict():
 
 
 def test_a_problem_without_a_cost_has_directions_without_curvature():
-    found = diagnose(prepare(reach(terms=()), compile="none"))
+    found = diagnose(prepare(reach(terms=())))
     assert found.curvature is not None
     assert not found.curvature.holds
     assert "joint acceleration" in found.curvature.smallest_along[0].unknowns[0]
@@ -250,7 +250,7 @@ class Badly(PointConstraint):
 
 def test_rows_over_a_wrong_unit_are_told():
     problem = reach(terms=(AccelerationCost(weight=1.0), Badly()))
-    found = diagnose(prepare(problem, compile="none"))
+    found = diagnose(prepare(problem))
     assert found.scaling is not None
     (block,) = found.scaling.worst_blocks
     assert block.block == "badly"
@@ -264,10 +264,10 @@ def test_a_start_on_a_limit_is_told():
     q = robot.reference.copy()
     q[-1] = robot.position_upper[-1]
     q[2] -= contact_positions(robot, q)[FOOT][2]
-    start = diagnose(prepare(replace(problem, initial_q=q), compile="none")).start
+    start = diagnose(prepare(replace(problem, initial_q=q))).start
     assert start == (f"the start has shank exactly on its upper limit {q[-1]:.4g}",)
     without = tuple(term for term in problem.terms if not isinstance(term, PositionLimits))
-    assert diagnose(prepare(replace(problem, initial_q=q, terms=without), compile="none")).start == ()
+    assert diagnose(prepare(replace(problem, initial_q=q, terms=without))).start == ()
 
 
 def test_contact_ranks_fall_where_legs_are_straight():
@@ -286,7 +286,7 @@ def test_contact_ranks_fall_where_legs_are_straight():
 
 def test_a_mesh_that_is_too_coarse_is_named_with_its_phase():
     problem = reach(gravity=True, terms=(TorqueCost(weight=1.0),))
-    solution = trajopt.solve(problem, transcription="semi-implicit-euler", intervals=4, compile="none")
+    solution = trajopt.solve(problem, transcription="semi-implicit-euler", intervals=4)
     found = diagnose(solution, problem)
     assert found.local_error is not None
     assert found.local_error["reach"] > 1e-3
@@ -294,7 +294,7 @@ def test_a_mesh_that_is_too_coarse_is_named_with_its_phase():
 
 
 def test_a_guess_is_diagnosed_without_a_solve():
-    prepared: PreparedProblem = prepare(hop(), compile="none")
+    prepared: PreparedProblem = prepare(hop())
     found = diagnose(prepared)
     assert found.status is None
     assert found.nonfinite is None

@@ -95,7 +95,7 @@ def test_rows_are_named_by_contact_axis_and_state():
     ],
 )
 def test_every_unknown_and_row_has_a_name(name, values, expected):
-    prepared = prepare(problems.load(name, **values), intervals=8, compile="none")
+    prepared = prepare(problems.load(name, **values), intervals=8)
     snapshot = Snapshot(nlp=prepared.nlp, x=prepared.guess)
     names = snapshot.names
     assert all(label.owner and label.quantity for label in names.unknown_labels)

@@ -59,7 +59,7 @@ class RootOfHeight(NodeConstraint):
 
 def with_term(term: object) -> Diagnosis:
     problem = hop()
-    return diagnose(prepare(replace(problem, terms=(*problem.terms, term)), compile="none"))
+    return diagnose(prepare(replace(problem, terms=(*problem.terms, term))))
 
 
 def test_a_root_of_a_negative_number_names_term_place_and_joint():
@@ -96,7 +96,7 @@ def test_a_node_term_is_found_at_its_node():
 
 
 def test_an_unknown_that_is_no_number_is_named_itself():
-    prepared = prepare(hop(), compile="none")
+    prepared = prepare(hop())
     names = diagnose(prepared)
     assert names.nonfinite is None
     wrong = prepared.guess.copy()
@@ -115,7 +115,7 @@ def test_an_unknown_that_is_no_number_is_named_itself():
 def test_a_solve_that_cannot_start_is_diagnosed_from_its_solution():
     problem = reach()
     broken = replace(problem, terms=(*problem.terms, RootOfPosition(least=0.2)))
-    solution = solve(broken, compile="none")
+    solution = solve(broken)
     assert solution.meta["status"] == "not_finite"
     found = diagnose(solution, broken)
     assert found.nonfinite is not None

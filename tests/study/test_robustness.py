@@ -24,7 +24,7 @@ from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.workers.display import TaskDisplay
 
-STARTS = SuiteSettings(compile="none", perturbed=3)
+STARTS = SuiteSettings(perturbed=3)
 CASE = Case(problem="t-reach", robot="arm", takes_robot=False)
 # Single precision of what is recorded of a motion.
 SINGLE = 1e-6
@@ -39,7 +39,7 @@ def problems(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 def motions(values: list[float]) -> list[str]:
     """Motions of one joint that stands still at these angles."""
-    solution = solve(reach(), intervals=2, compile="none")
+    solution = solve(reach(), intervals=2)
     return [described(replace(solution, q=np.full_like(solution.q, value))) for value in values]
 
 
@@ -87,7 +87,7 @@ def test_configurations_embed_without_their_double_cover(robot):
 
 
 def test_solves_of_one_problem_from_two_starts_are_one_optimum():
-    runs = [solve(hop(), compile="none", seed=seed, perturb=0.05, fixed_mesh=True) for seed in (0, 1)]
+    runs = [solve(hop(), seed=seed, perturb=0.05, fixed_mesh=True) for seed in (0, 1)]
     assert all(run.converged for run in runs)
     objectives = [run.meta["objective"] for run in runs]
     apart = distances([described(run) for run in runs])[0, 1]

@@ -28,7 +28,7 @@ from trajopt.study.workers.display import TaskDisplay
 
 pytestmark = pytest.mark.long
 
-VIRTUAL_MACHINE = SuiteSettings(compile="none")
+VIRTUAL_MACHINE = SuiteSettings()
 STARTS = replace(VIRTUAL_MACHINE, perturbed=3)
 # Seconds until a hanging build is killed: nothing else runs there.
 BUILD = 2.0
@@ -157,9 +157,7 @@ def test_a_failed_solve_has_its_mode(problem: str, changes: dict[str, Any], mode
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_the_primal_figure_is_the_largest_violation_of_a_row(solver: str):
     """The solver's own figure, against all rows evaluated anew at the iterate it left."""
-    solution = solve(
-        suite_problems.coarse(), solver=solver, max_iterations=3, compile="none", fixed_mesh=True
-    )
+    solution = solve(suite_problems.coarse(), solver=solver, max_iterations=3, fixed_mesh=True)
     assert solution.meta["status"] == "iteration_limit"
     assert solution.meta["primal_infeasibility"] == pytest.approx(solution.meta["max_violation"], rel=SLACK)
 
@@ -210,7 +208,7 @@ def test_a_pair_is_solved_as_the_library_solves_it(fixed_mesh: bool, tmp_path: P
     outcome = run_pairs(["t-coarse"], settings, folder=tmp_path)["t-coarse"]
     for start in (outcome.own, *outcome.starts):
         noise = {} if start.seed is None else {"seed": start.seed, "perturb": 0.2}
-        solution = solve(suite_problems.coarse(), compile="none", **noise, fixed_mesh=fixed_mesh)
+        solution = solve(suite_problems.coarse(), **noise, fixed_mesh=fixed_mesh)
         assert start.iterations == sum(one["iterations"] for one in solution.meta["graded"]["rounds"])
         assert start.objective == pytest.approx(solution.meta["objective"], rel=SAME)
         assert start.solved == solution.success

@@ -24,7 +24,7 @@ from trajopt.study.suite.run import attempt
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.suite.versions import versions
 
-VIRTUAL_MACHINE = SuiteSettings(compile="none")
+VIRTUAL_MACHINE = SuiteSettings()
 STARTS = replace(VIRTUAL_MACHINE, perturbed=3)
 
 
@@ -33,7 +33,7 @@ STARTS = replace(VIRTUAL_MACHINE, perturbed=3)
 
 def test_the_worst_figure_is_beyond_where_the_check_fails():
     for problem in (reach(), suite_problems.coarse()):
-        own = attempt(solve(problem, compile="none", fixed_mesh=True), None, legged=False)
+        own = attempt(solve(problem, fixed_mesh=True), None, legged=False)
         assert own.figure
         assert (own.used > 1) == (own.mode == CHECK)
         assert own.solved == (own.mode == "")
@@ -155,7 +155,6 @@ def test_a_foreign_table_is_one_line(text: str, tmp_path: Path):
         ({"sigma": 1e3}, "perturb is 1000; allowed: 0 to"),
         ({"solver": "snopt"}, "unknown solver 'snopt'; allowed: ipopt, fatrop"),
         ({"max_time": 0.0}, "max_time is 0 s; allowed: > 0"),
-        ({"compile": "slow"}, "unknown compile level 'slow'; allowed: none, quick, fast"),
     ],
 )
 def test_a_bad_setting_is_one_line(changes: dict[str, Any], words: str):

@@ -120,10 +120,10 @@ def test_the_default_plan_holds_the_grid_each_factor_and_no_setting_twice():
     assert plan.settings[0] == plan.base == own
     assert own.cone == "smooth"
     assert len(set(plan.settings)) == len(plan.settings)
-    assert [note.split(":")[0] for note in plan.left_out] == ["compile fast"]
+    assert plan.left_out == ()
     for axis, words in WORDS.items():
         tried = {getattr(setting, axis) for setting in plan.settings}
-        assert tried >= set(words) - {"own", "fast"}
+        assert tried >= set(words) - {"own"}
     grids = {(setting.transcription, setting.intervals) for setting in plan.settings}
     least = len(problem.schedule.phases)
     counts = {max(least, round(share * problem.default_intervals)) for share in (0.2, 0.5, 1, 2)}
@@ -154,8 +154,8 @@ def test_a_full_plan_is_the_product():
 
 
 def test_a_fixed_axis_holds_in_the_default_plan():
-    plan = make_plan(hop(), {"compile": ["none"], "transcription": ["legendre:1"]})
-    assert {setting.compile for setting in plan.settings} == {"none"}
+    plan = make_plan(hop(), {"hessian": ["gauss-newton"], "transcription": ["legendre:1"]})
+    assert {setting.hessian for setting in plan.settings} == {"gauss-newton"}
     assert {setting.transcription for setting in plan.settings} == {"legendre:1"}
     assert {setting.solver for setting in plan.settings} == set(WORDS["solver"])
 

@@ -72,19 +72,19 @@ def weighed() -> Problem:
     return sweep_problems.weighed(gravity=1.0)
 
 
-QUICK = ("--compile", "none", "--repeats", 1)
+QUICK = ("--repeats", 1)
 
 
 # Runs
 
 
 def test_a_run_is_what_the_library_solves(tmp_path: Path):
-    setting = Setting(transcription="legendre:2", intervals=6, compile="none")
+    setting = Setting(transcription="legendre:2", intervals=6)
     for start in (0, 3):
         job = Job(setting=setting.name, start=start)
         found = run_setting(weighed(), setting, job, REQUEST, tmp_path / "run.npz")
         noise = {"seed": start, "perturb": REQUEST.sigma} if start else {}
-        known = solve(weighed(), intervals=6, compile="none", **noise)
+        known = solve(weighed(), intervals=6, **noise)
         assert (found.iterations, found.variables) == (known.meta["iterations"], known.meta["variables"])
         assert found.objective == pytest.approx(known.meta["objective"], rel=SAME)
         np.testing.assert_array_equal(Solution.load(tmp_path / "run.npz").q, known.q)
@@ -93,10 +93,10 @@ def test_a_run_is_what_the_library_solves(tmp_path: Path):
 
 
 def test_a_warm_start_costs_what_made_it(tmp_path: Path):
-    setting = Setting(transcription="legendre:2", intervals=8, compile="none", start="warm")
+    setting = Setting(transcription="legendre:2", intervals=8, start="warm")
     found = run_setting(weighed(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
-    coarse = solve(weighed(), intervals=4, compile="none")
-    fine = solve(weighed(), intervals=8, compile="none", start=coarse)
+    coarse = solve(weighed(), intervals=4)
+    fine = solve(weighed(), intervals=8, start=coarse)
     assert found.iterations == coarse.meta["iterations"] + fine.meta["iterations"]
     assert found.start_time > 0
     assert found.time == found.wall_time + found.start_time
@@ -105,14 +105,14 @@ def test_a_warm_start_costs_what_made_it(tmp_path: Path):
 
 def test_two_stages_are_judged_by_the_whole_problem(tmp_path: Path):
     """Objective of the full problem, computed by another way: torques as unknowns of no NLP."""
-    setting = Setting(transcription="legendre:2", intervals=8, compile="none", model="two-stage")
+    setting = Setting(transcription="legendre:2", intervals=8, model="two-stage")
     found = run_setting(hop(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
     assert found.success
     assert found.stage_two_time > 0
-    full = solve(hop(), intervals=8, compile="none")
+    full = solve(hop(), intervals=8)
     assert found.objective >= full.meta["objective"]
     assert objective_of(hop(), setting, full) == pytest.approx(full.meta["objective"], rel=RESAMPLED)
-    first = solve(base_rows_problem(hop()), intervals=8, compile="none")
+    first = solve(base_rows_problem(hop()), intervals=8)
     assert found.objective != pytest.approx(first.meta["objective"])
     np.testing.assert_allclose(with_torques(hop(), first).tau, Solution.load(tmp_path / "run.npz").tau)
 
@@ -128,7 +128,7 @@ def test_a_setting_that_does_not_fit_is_refused(tmp_path: Path):
 
 def test_a_lost_run_loses_no_other(tmp_path: Path):
     """Settings are lost on their grids from every start, and given up after two lost runs or a refusal."""
-    grids = {"intervals": [3, 4, 7, 11, 13], "compile": ["none"]}
+    grids = {"intervals": [3, 4, 7, 11, 13]}
     plan = make_plan(sweep_problems.losing(), grids)
     asked = SweepRequest(
         problem="s-losing", values={}, repeats=2, max_time=1.0, build_time=SHORT, reference_time=0.0
@@ -242,7 +242,7 @@ def test_an_unsolved_default_has_exit_status_one(tmp_path: Path):
 
 def swept(folder: Path) -> tuple[str, ...]:
     """Arguments of a sweep of many settings into a folder."""
-    measured = ("--compile", "none", "--repeats", "1", "--reference", "0", "--output-dir", str(folder))
+    measured = ("--repeats", "1", "--reference", "0", "--output-dir", str(folder))
     return ("s-reach", *measured, "--intervals", "4,5,6,7,8,9")
 
 

@@ -16,11 +16,11 @@ from trajopt.study.diagnosis.snapshot import Snapshot
 def solved(name: str) -> tuple[Problem, Solution]:
     problem = {"reach": reach, "lean": lean, "hop": hop, "solo": solo_hop}[name]()
     intervals = {"hop": 8, "solo": 9}.get(name)
-    return problem, trajopt.solve(problem, intervals=intervals, compile="none")
+    return problem, trajopt.solve(problem, intervals=intervals)
 
 
 def snapshot_of(problem: Problem, solution: Solution) -> Snapshot:
     from trajopt.solution.grid import mesh_of
     from trajopt.study.diagnosis.diagnose import at_solution
 
-    return at_solution(prepare(problem, mesh=mesh_of(solution), compile="none"), solution)
+    return at_solution(prepare(problem, mesh=mesh_of(solution)), solution)

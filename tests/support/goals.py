@@ -18,7 +18,7 @@ from trajopt.transcription.schemes import scheme
 
 def objective(problem: Problem, x: np.ndarray | None = None, **settings: object) -> float:
     """The NLP's objective at its guess, or at scaled unknowns."""
-    prepared = prepare(problem, intervals=6, compile="none", **settings)
+    prepared = prepare(problem, intervals=6, **settings)
     value = prepared.nlp.engine.f(prepared.guess if x is None else x)
     return float(value) * prepared.transcription.objective_unit
 
@@ -41,7 +41,7 @@ def wandering(robot: Robot):
 
 def sampled(problem: Problem) -> tuple[Solution, np.ndarray]:
     """The guess as samples, and as unknowns."""
-    prepared = prepare(problem, intervals=6, compile="none")
+    prepared = prepare(problem, intervals=6)
     return extract(prepared.transcription, prepared.guess, {"success": False}), prepared.guess
 
 

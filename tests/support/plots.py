@@ -26,7 +26,7 @@ def jump() -> Solution:
         Phase(name="flight", duration=0.2),
         Phase(name="landing", duration=0.3, contacts=("foot",), impact=True),
     )
-    return solve(hop("surface", schedule=Schedule(phases)), compile="none", fixed_mesh=True)
+    return solve(hop("surface", schedule=Schedule(phases)), fixed_mesh=True)
 
 
 @lru_cache

@@ -17,7 +17,6 @@ def solved(problem: Problem, intervals: int | None = None, perturb: float = 0.0)
         problem,
         intervals=intervals,
         perturb=perturb,
-        compile="none",
         tolerance=SOLVED,
         max_iterations=MOST_ITERATIONS,
         fixed_mesh=True,

@@ -29,7 +29,7 @@ class Solved:
 
 
 def solved(problem: Problem, scheme: str, intervals: int) -> Solved:
-    prepared = prepare(problem, transcription=scheme, intervals=intervals, compile="none")
+    prepared = prepare(problem, transcription=scheme, intervals=intervals)
     result = run_solver(prepared.nlp, prepared.guess, "ipopt", StoppingCriteria(), {}, lambda *_: True)
     t = prepared.transcription
     meta = {"success": True, "status": "solved", "solver": "ipopt"}

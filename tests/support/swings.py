@@ -72,4 +72,4 @@ def past(problem: Problem, *obstacles: Obstacle, **changes: object) -> Problem:
 def avoided() -> tuple[Problem, Solution]:
     """The swing past the ball, solved until it is clear."""
     problem = past(swing(), BALL, FAR)
-    return problem, solve_graded(problem, fixed_mesh=True, compile="none")
+    return problem, solve_graded(problem, fixed_mesh=True)

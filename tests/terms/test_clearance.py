@@ -69,7 +69,7 @@ def test_motion_at_less_than_the_margin_is_no_success():
     """The links pass beside a ball at half the margin, and can do nothing about it in their plane."""
     thickness = max(shape.radius for shape in robot_capsules(rods()))
     beside = replace(POLE, centre=POLE.centre + np.array([0.0, thickness + POLE.radius + MARGIN / 2, 0.0]))
-    draft = solve_graded(past(swing(), beside), draft=True, compile="none")
+    draft = solve_graded(past(swing(), beside), draft=True)
     assert draft.converged
     assert not draft.success
     assert draft.meta["status"] == "coarse_grid"

@@ -88,7 +88,7 @@ def test_height_is_counted_at_the_middle_of_its_phase_and_distance_at_the_end():
     direction = np.array([1.0, 2.0, 0.5])
     height = FrameHeightCost(weight=2.0, frame=FOOT, phase="flight", fraction=0.5)
     distance = DistanceCost(weight=3.0, frame=FOOT, direction=tuple(direction))
-    prepared = prepare(problem, intervals=6, compile="none")
+    prepared = prepare(problem, intervals=6)
     layout = prepared.transcription.layout
     flight = layout.intervals_of(1)
     middle = layout.node_times[flight[0] + round(len(flight) / 2)]
@@ -163,7 +163,7 @@ def _goals_problem(name: str):
             TrackingCost(weight=1.0, reference=lambda t: arm.reference + t),
             TimeCost(weight=1.0),
         )
-    prepared = prepare(problem, intervals=6, compile="none")
+    prepared = prepare(problem, intervals=6)
     return prepared, prepared.guess, prepared.nlp.engine
 
 
@@ -244,7 +244,7 @@ def test_goals_of_half_a_robot_are_those_of_the_whole():
     problem = push_with_goals()
     made = smallest(problem, keep=("left_abduction", "right_abduction", "left_arm", "right_arm"), plane=True)
     assert made.report.is_exact
-    whole, half = (solve(own, compile="none", tolerance=1e-8) for own in (problem, made.problem))
+    whole, half = (solve(own, tolerance=1e-8) for own in (problem, made.problem))
     assert whole.converged
     assert half.converged
     assert_allclose(half.meta["objective"], whole.meta["objective"], rtol=SAME_OPTIMUM)
@@ -307,7 +307,7 @@ def test_bad_terms_are_refused(make):
 )
 def test_a_reference_of_another_robot_or_with_gaps_is_refused(reference):
     with pytest.raises(InputError):
-        prepare(reach(terms=(TrackingCost(weight=1.0, reference=reference),)), intervals=6, compile="none")
+        prepare(reach(terms=(TrackingCost(weight=1.0, reference=reference),)), intervals=6)
 
 
 def test_a_cost_at_nodes_of_an_unknown_phase_is_refused():

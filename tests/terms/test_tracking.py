@@ -96,7 +96,7 @@ def test_another_reference_is_the_same_function_with_other_parameters():
     for shift in (0.0, 0.1):
         reference = key_frames(hopper(), [0.0, 1.0], np.tile(hopper().reference + shift * AHEAD, (2, 1)))
         problem = with_terms(hop(), TrackingCost(weight=1.0, reference=reference))
-        groups.append(prepare(problem, intervals=6, compile="none").transcription.groups)
+        groups.append(prepare(problem, intervals=6).transcription.groups)
     first, second = groups
     assert [group.point.text for group in first] == [group.point.text for group in second]
     assert any(not np.array_equal(a.parameters, b.parameters) for a, b in zip(first, second, strict=True))

@@ -82,7 +82,7 @@ def test_a_hop_onto_a_step_lands_inside_its_face_and_cuts_no_edge(solver):
     step = PiecewiseTerrain.steps([0.08], 1.0, at=(0.08, 0.0), margin=0.03)
     face = step.face("beyond")
     problem = hop_onto(0.08, 0.2, step, face)
-    solution = solve(problem, compile="none", solver=solver)
+    solution = solve(problem, solver=solver)
     assert solution.converged, solution.meta["advice"]
     report = check(solution)
     assert report.within(AT_POINTS), report.failures(AT_POINTS)
@@ -96,7 +96,7 @@ def test_foot_that_wants_off_the_patch_stays_at_its_margin():
     flat = PiecewiseTerrain(faces=(Patch.rectangle((0, 0, 0), (4.0, 4.0), name="ground"),))
     patch = Patch.rectangle((0.4, 0.0, 0.0), (0.3, 0.4), margin=0.03)
     problem = hop_onto(0.0, 0.2, flat, patch)
-    solution = solve(problem, compile="none")
+    solution = solve(problem)
     assert solution.converged, solution.meta["advice"]
     assert patch.inside(landed_at(solution, problem.robot, 2)["foot"]) == pytest.approx(0.03, abs=SOLVED)
 

@@ -25,7 +25,7 @@ def test_profile_is_one_in_the_middle_and_flat_at_the_ends():
 @pytest.mark.long
 def test_objective_of_a_hop_has_a_limit_on_finer_meshes():
     hop = problems.load("hopper-hop")
-    coarse = trajopt.solve(hop, compile="none", intervals=50)
-    fine = trajopt.solve(hop, compile="none", intervals=100, start=coarse)
+    coarse = trajopt.solve(hop, intervals=50)
+    fine = trajopt.solve(hop, intervals=100, start=coarse)
     assert fine.converged
     assert fine.meta["objective"] == pytest.approx(coarse.meta["objective"], rel=CONVERGED)

@@ -223,7 +223,7 @@ def test_a_hop_lands_on_smooth_ground_with_forces_in_the_cone_of_its_normal(fric
         initial_q=start,
         guess=lambda t: start,
     )
-    solution = solve(problem, compile="none")
+    solution = solve(problem)
     assert solution.converged, solution.meta["advice"]
     report = check(solution)
     assert report.landing_height < SOLVED

@@ -168,7 +168,7 @@ def tumbling() -> Problem:
 @pytest.mark.parametrize("name", SCHEME_ORDERS)
 def test_transcription_holds_on_the_propagated_states(name):
     count = 8
-    prepared = prepare(tumbling(), transcription=name, intervals=count, compile="none")
+    prepared = prepare(tumbling(), transcription=name, intervals=count)
     layout = prepared.transcription.layout
     propagation = Interval(scheme(name)).propagate(count)
     x = np.zeros(layout.n_unknowns)

@@ -34,7 +34,7 @@ UNEVEN = Mesh(
 
 @pytest.fixture(scope="module")
 def uneven():
-    return solve(hop(), mesh=UNEVEN, compile="none")
+    return solve(hop(), mesh=UNEVEN)
 
 
 @pytest.mark.long
@@ -61,7 +61,7 @@ def test_file_tells_its_mesh(uneven, tmp_path):
 
 
 def test_mesh_of_a_file_without_one_follows_from_its_times():
-    even = solve(hop(), transcription="legendre:2", intervals=12, compile="none", max_iterations=0)
+    even = solve(hop(), transcription="legendre:2", intervals=12, max_iterations=0)
     meta = {key: value for key, value in even.meta.items() if key != "mesh"}
     old = Solution(**{**vars_of(even), "meta": meta})
     assert mesh_of(old) == mesh_of(even) == Mesh.uniform("legendre:2", hop().schedule.intervals(12))
@@ -72,7 +72,7 @@ def vars_of(solution):
 
 
 def test_derivatives_on_an_uneven_mesh_are_those_of_differences():
-    prepared = prepare(hop(), mesh=UNEVEN, compile="none")
+    prepared = prepare(hop(), mesh=UNEVEN)
     engine, x = prepared.nlp.engine, prepared.guess
     direction = np.random.default_rng(0).normal(size=x.size)
     ahead, behind = (np.array(engine.g(x + sign * STEP * direction)) for sign in (1, -1))
@@ -93,15 +93,15 @@ def test_mesh_of_equal_widths_is_the_uniform_transcription():
 @pytest.mark.long
 def test_solution_on_a_split_mesh_starts_where_the_coarse_one_ends(uneven):
     split = Mesh(phases=tuple(phase.split([2] * phase.count) for phase in UNEVEN.phases))
-    cold = solve(hop(), mesh=split, compile="none")
-    warm = solve(hop(), mesh=split, compile="none", start=uneven)
+    cold = solve(hop(), mesh=split)
+    warm = solve(hop(), mesh=split, start=uneven)
     assert warm.converged
     assert warm.meta["iterations"] < cold.meta["iterations"]
     assert warm.meta["objective"] == pytest.approx(cold.meta["objective"], rel=1e-4)
 
 
 def test_multipliers_of_an_uneven_mesh_return_to_their_own_mesh(uneven):
-    again = solve(hop(), mesh=UNEVEN, compile="none", start=uneven)
+    again = solve(hop(), mesh=UNEVEN, start=uneven)
     assert again.converged
     assert again.meta["iterations"] <= 2
 
@@ -115,7 +115,7 @@ def test_one_scheme_for_each_phase_is_named_with_commas():
 
 def test_velocity_source_takes_an_uneven_mesh():
     mesh = Mesh(phases=(PhaseMesh(scheme="radau:2", widths=(0.2, 0.3, 0.5)),) * len(lean().schedule.phases))
-    found = solve(lean(), mesh=mesh, compile="none")
+    found = solve(lean(), mesh=mesh)
     assert found.converged
     assert found.n_intervals == 3 * len(lean().schedule.phases)
 

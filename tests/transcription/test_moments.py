@@ -58,7 +58,7 @@ def height(problem: Problem, term: PlaneSide, index: int, q: np.ndarray) -> floa
 
 def rows_of(problem: Problem, solution: Solution, names: set[str]) -> list[tuple[int, int, float]]:
     """(term, moment, scaled row) of a solution of a problem without these terms."""
-    prepared = prepare(problem, mesh=None, start=solution, compile="none", **grid_of(solution))
+    prepared = prepare(problem, mesh=None, start=solution, **grid_of(solution))
     t = prepared.transcription
     values = np.asarray(prepared.nlp.engine.g(prepared.guess))
     own = [k for k in range(t.n_rows) if t.rows.names[t.rows.block[k]] in names]
@@ -78,7 +78,7 @@ def grid_of(solution: Solution) -> dict[str, object]:
 @pytest.mark.parametrize("scheme", SCHEME_ORDERS)
 def test_a_row_is_that_of_the_interpolated_motion(scheme):
     problem = landing(free=True)
-    solution = solve(problem, transcription=scheme, intervals=9, compile="none")
+    solution = solve(problem, transcription=scheme, intervals=9)
     terms = [term for phase in problem.schedule.names for term in sides(phase)]
     motion, length = SolutionMotion(solution), problem.robot.length
     for number, index, value in rows_of(with_terms(problem, *terms), solution, {"clearance"}):
@@ -90,7 +90,7 @@ def test_a_row_is_that_of_the_interpolated_motion(scheme):
 
 def test_joint_and_force_rows_are_those_of_the_motion_in_true_time():
     problem = landing(free=True)
-    solution = solve(problem, transcription="legendre:3", intervals=9, compile="none")
+    solution = solve(problem, transcription="legendre:3", intervals=9)
     ones = np.column_stack([-np.ones(5), np.full(5, -3.0)])
     terms = [
         JointSide(phase="flight", fractions=FRACTIONS, parameters=ones, joint="hip", rate=True),
@@ -115,13 +115,13 @@ def test_joint_and_force_rows_are_those_of_the_motion_in_true_time():
 @pytest.mark.parametrize("scheme", ["legendre:2", "radau:3", "hermite-simpson"])
 def test_derivatives_equal_differences(scheme):
     problem = with_terms(hop(), *sides("stance"), *sides("landing", 1))
-    assert_derivatives(prepare(problem, transcription=scheme, intervals=6, compile="none").nlp, seed=2)
+    assert_derivatives(prepare(problem, transcription=scheme, intervals=6).nlp, seed=2)
 
 
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop", "sqp"])
 def test_a_bound_holds_at_the_moment_with_every_solver(solver):
     free = reach()
-    limit = 0.5 * float(solve(free, compile="none").v[:, 0].max())
+    limit = 0.5 * float(solve(free).v[:, 0].max())
     term = JointSide(
         phase="reach",
         fractions=np.linspace(0.05, 0.95, 37),
@@ -129,9 +129,7 @@ def test_a_bound_holds_at_the_moment_with_every_solver(solver):
         joint="joint",
         rate=True,
     )
-    solution = solve(
-        with_terms(free, term), compile="none", solver=solver, transcription="legendre:3", intervals=6
-    )
+    solution = solve(with_terms(free, term), solver=solver, transcription="legendre:3", intervals=6)
     assert solution.success
     motion = SolutionMotion(solution)
     rates = [motion.in_phase(0, float(s), 0.5).v[0] for s in term.fractions]
@@ -140,7 +138,7 @@ def test_a_bound_holds_at_the_moment_with_every_solver(solver):
 
 def test_moments_at_a_fixed_start_are_left_out_and_nodes_belong_to_the_later_interval():
     problem = with_terms(hop(), *sides("stance")[:1])
-    transcribed = prepare(problem, compile="none").transcription
+    transcribed = prepare(problem).transcription
     found = moments_by_stage(problem, transcribed.layout)
     assert 0.0 not in [m.fraction for m in found.get(0, [])]
     assert sum(len(own) for own in found.values()) == len(FRACTIONS) - 1
@@ -158,7 +156,7 @@ def plane(**changes: object) -> PlaneSide:
 
 
 def refused(term: MomentConstraint) -> None:
-    prepare(with_terms(hop(), term), compile="none")
+    prepare(with_terms(hop(), term))
 
 
 ONE = {"phase": "flight", "fractions": [0.2]}

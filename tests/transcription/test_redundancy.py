@@ -28,7 +28,7 @@ INDEPENDENT = 1e-6
 
 def smallest_singular_value(problem: Problem) -> float:
     """Of the equality rows near the guess."""
-    nlp = prepare(problem, intervals=6, compile="none").nlp
+    nlp = prepare(problem, intervals=6).nlp
     t = nlp.transcription
     x = trajopt.transcription.guess.perturbed(t, trajopt.transcription.guess.initial_guess(t), 0, 1e-2)
     shape = (t.n_rows, len(x))
@@ -47,7 +47,7 @@ def test_feet_on_legs_in_parallel_planes_keep_two_lateral_rows():
 def test_hop_on_redundant_feet_has_independent_rows_and_solves():
     problem = solo_hop()
     assert smallest_singular_value(problem) > INDEPENDENT
-    solution = trajopt.solve(problem, intervals=20, compile="none")
+    solution = trajopt.solve(problem, intervals=20)
     assert solution.converged
     assert solution.meta["iterations"] <= 60
     assert solution.meta["redundant_contact_rows"] == {
@@ -101,7 +101,7 @@ def test_foot_of_corners_moves_its_robot_like_a_sole():
         stance = Schedule((Phase(name="stance", duration=0.5, contacts=names),))
         problem = hop("surface", robot=robot, schedule=stance, terms=terms)
         assert smallest_singular_value(problem) > INDEPENDENT
-        solution = trajopt.solve(problem, intervals=8, compile="none")
+        solution = trajopt.solve(problem, intervals=8)
         assert solution.converged
         assert trajopt.check(solution).contact_acceleration < 1e-6  # of all twelve rows
         optima.append(solution.meta["objective"])

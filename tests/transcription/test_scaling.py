@@ -26,7 +26,7 @@ EVALUATIONS = 4.0
 
 
 def prepared(name: str, intervals: int) -> PreparedProblem:
-    return prepare(problems.load(name), intervals=intervals, compile="none")
+    return prepare(problems.load(name), intervals=intervals)
 
 
 @pytest.mark.long

@@ -30,7 +30,7 @@ ALL_COSTS = (TorqueCost(weight=1.0), AccelerationCost(weight=0.1), EffortLimits(
 @lru_cache
 def nlp_of(name: str, transcription: str) -> Nlp:
     problem = PROBLEMS[name]() if name in PROBLEMS else problems.load(name)
-    return prepare(problem, transcription=transcription, intervals=6, compile="none").nlp
+    return prepare(problem, transcription=transcription, intervals=6).nlp
 
 
 @pytest.mark.long
@@ -167,7 +167,7 @@ def heavier(problem: Problem, factor: float) -> Problem:
 
 
 def test_optimum_in_natural_units_does_not_depend_on_the_mass():
-    options = {"transcription": "legendre:2", "intervals": 8, "compile": "none", "tolerance": 1e-8}
+    options = {"transcription": "legendre:2", "intervals": 8, "tolerance": 1e-8}
     light, heavy = (solve(problem, **options) for problem in (lean(), heavier(lean(), 40.0)))
     assert [light.converged, heavy.converged] == [True, True]
     assert heavy.meta["objective"] == pytest.approx(light.meta["objective"], rel=1e-6)

@@ -49,7 +49,7 @@ MIDDLE = 0.25
 @pytest.fixture(scope="module")
 def jump() -> Solution:
     problem = families()["solo12-jump"].load({})
-    return trajopt.solve(problem, intervals=INTERVALS, compile="none")
+    return trajopt.solve(problem, intervals=INTERVALS)
 
 
 @pytest.fixture(scope="module")

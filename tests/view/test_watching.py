@@ -46,7 +46,7 @@ def kept(problem: Problem, **settings: Any) -> list[Iterate]:
         assert iterate.unknowns is not None
         found.append(iterate)
 
-    settings = {"transcription": "legendre:2", "compile": "none", **settings}
+    settings = {"transcription": "legendre:2", **settings}
     solve(problem, watch=keep, **settings, fixed_mesh=True)
     return found
 
@@ -78,7 +78,7 @@ def test_configurations_at_nodes_are_those_of_the_solution(name: str):
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_watching_changes_neither_iterations_nor_result(solver: str):
-    settings: dict[str, Any] = {"solver": solver, "transcription": "legendre:2", "compile": "none"}
+    settings: dict[str, Any] = {"solver": solver, "transcription": "legendre:2"}
     alone = solve(lean(), **settings, fixed_mesh=True)
     with Viewer() as viewer:
         watched = solve(lean(), watch=viewer, **settings, fixed_mesh=True)
@@ -107,16 +107,16 @@ def test_a_watch_sees_guess_every_iteration_and_the_end(solver: str):
 
 def test_the_end_is_the_solution_and_the_guess_the_start():
     found: list[Iterate] = []
-    solution = solve(hop(), compile="none", watch=found.append, intervals=12)
+    solution = solve(hop(), watch=found.append, intervals=12)
     assert_array_equal(found[-1].solution().q, solution.q)
-    again = solve(hop(), compile="none", max_iterations=0, intervals=12, watch=found.append)
+    again = solve(hop(), max_iterations=0, intervals=12, watch=found.append)
     assert again.meta["iterations"] == 0
     assert_allclose(found[0].solution().t, again.t, atol=ROUNDING)
 
 
 def test_unknowns_that_were_not_read_in_time_are_refused():
     found: list[Iterate] = []
-    solve(hop(), compile="none", watch=found.append, max_iterations=2, fixed_mesh=True)
+    solve(hop(), watch=found.append, max_iterations=2, fixed_mesh=True)
     with pytest.raises(RuntimeError, match="during its callback only"):
         _ = found[1].unknowns
 
@@ -326,7 +326,7 @@ def test_a_viewer_whose_server_dies_is_one_warning_and_the_solve_goes_on():
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = solve(hop(), compile="none", watch=watch, fixed_mesh=True)
+        found = solve(hop(), watch=watch, fixed_mesh=True)
         viewer.flush(LIMIT)
         viewer.close()
     assert found.converged
@@ -346,7 +346,7 @@ def test_heavy_meshes_have_poses_of_bones(monkeypatch: pytest.MonkeyPatch):
     }
 
 
-SMALL = ("hopper-hop", "--compile", "none", "--intervals", "12")
+SMALL = ("hopper-hop", "--intervals", "12")
 
 
 @pytest.mark.parametrize(

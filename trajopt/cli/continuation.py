@@ -11,13 +11,13 @@ from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.input import (
     NOT_REACHED,
     WholeNumber,
-    batch_solver_options,
     default_option,
     grid_options,
     import_in_background,
     json_option,
     options_of,
     parse_settings,
+    solver_options,
     tolerance_option,
 )
 from trajopt.cli.progress import watched
@@ -51,7 +51,7 @@ VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 )
 @grid_options
 @tolerance_option
-@batch_solver_options
+@solver_options
 @watch_options
 @json_option
 def continue_command(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import chosen_problem, json_option
+from trajopt.cli.input import chosen_problem, compile_option, json_option
 from trajopt.cli.report import to_json
 from trajopt.errors import InputError, TrajoptError
 
@@ -20,11 +20,9 @@ if TYPE_CHECKING:
 @click.argument("file", type=Path)
 @click.option("--problem", metavar="NAME", help="The problem of FILE.  [default: as named in FILE]")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter of --problem.")
-@click.option("--compile", metavar="LEVEL", help="none, quick or fast.  [default: what is cached]")
+@compile_option
 @json_option
-def diagnose_command(
-    file: Path, problem: str | None, settings: tuple[str, ...], compile: str | None, as_json: bool
-) -> None:
+def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...], as_json: bool) -> None:
     """Say why FILE failed, or what makes its problem hard, and what to try.
 
     Reports rank and condition of the constraints by phase, linearly dependent constraints, curvature,
@@ -35,9 +33,7 @@ def diagnose_command(
 
     if settings and problem is None:
         raise InputError("--set is given without a problem", "allowed: with --problem NAME")
-    diagnosis = diagnose(
-        file, None if problem is None else chosen_problem(problem, settings), compile=compile
-    )
+    diagnosis = diagnose(file, None if problem is None else chosen_problem(problem, settings))
     click.echo(to_json(diagnosis.to_dict()) if as_json else str(diagnosis))
 
 

@@ -12,7 +12,7 @@ from trajopt.errors import InputError
 
 # Arguments of commands that do not change the motion.
 SAME_MOTION = {
-    "problem", "output", "output_dir", "vary", "as_json", "watch", "log", "diagnosed", "explain", "compile",
+    "problem", "output", "output_dir", "vary", "as_json", "watch", "log", "diagnosed", "explain",
     "threads", "compare", "nearest",
 }  # fmt: skip
 # Arguments whose values are NAME=VALUE already.
@@ -33,7 +33,7 @@ def name_of_settings(context: click.Context, *last: str) -> str:
     """
     words = [context.params["problem"]]
     for option in context.command.params:
-        value = context.params[str(option.name)]
+        value = context.params.get(str(option.name))  # none of one without a value
         if option.name not in SAME_MOTION and value and value != option.get_default(context):
             words += _words(option, value)
     name = UNSAFE.sub("_", "-".join((*words, *last)).replace(" ", ""))

@@ -29,7 +29,6 @@ SOLVER_SETTINGS = (
     "tolerance",
     "max_iterations",
     "max_time",
-    "compile",
     "threads",
     "options",
 )

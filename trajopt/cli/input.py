@@ -74,12 +74,21 @@ def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command
     return decorate
 
 
+def _without_effect(context: click.Context, option: click.Parameter, value: str | None) -> None:
+    """Say that an option of earlier versions has no effect."""
+    if value is not None:
+        click.echo("note: functions need no C compiler any more: --compile has no effect", err=True)
+
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 solver_option = default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp.")
-# Batches of solves wait for compiled functions: it pays, and results do not depend on when they are there.
-compile_option = default_option("--compile", "quick", "LEVEL", "Compilation: none, quick or fast.")
-_compile_beside_option = default_option(
-    "--compile", "background", "LEVEL", "Compilation: none, quick, fast, or quick in the background."
+compile_option = click.option(
+    "--compile",
+    type=click.Choice(("none", "quick", "fast", "background")),
+    expose_value=False,
+    hidden=True,
+    callback=_without_effect,
+    help="No effect: was the level of a C compiler.",
 )
 _threads_option = default_option(
     "--threads", 1, "N", "Threads for functions and linear systems.", kind=THREADS
@@ -97,23 +106,14 @@ tolerance_option = default_option("--tol", 1e-6, "TOL", "Solver tolerance.", to=
 function_options = option_group(compile_option, _threads_option)
 
 
-def _solver_options(functions: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
-    return option_group(
-        default_option("--max-iterations", 500, "N", "Iteration limit of a solve.", kind=COUNT),
-        default_option("--max-time", 600.0, "S", "Time limit of a solve, s."),
-        functions,
-        click.option(
-            "--solver-option",
-            "solver_options",
-            multiple=True,
-            metavar="NAME=VALUE",
-            help="Option of the solver.",
-        ),
-    )
-
-
-solver_options = _solver_options(option_group(_compile_beside_option, _threads_option))
-batch_solver_options = _solver_options(function_options)
+solver_options = option_group(
+    default_option("--max-iterations", 500, "N", "Iteration limit of a solve.", kind=COUNT),
+    default_option("--max-time", 600.0, "S", "Time limit of a solve, s."),
+    function_options,
+    click.option(
+        "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="Option of the solver."
+    ),
+)
 layout_options = option_group(
     click.option(
         "--side-by-side",

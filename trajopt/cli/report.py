@@ -38,14 +38,12 @@ FROM_META = (
     "function_time_s",
     "build_time_s",
     "compile_time_s",
-    "functions_pending",
     "solver",
     "transcription",
     "tolerance",
     "seed",
     "perturb",
     "warm_start",
-    "compile",
     "parameters",
 )
 
@@ -142,8 +140,6 @@ def solve_summary(solution: Solution, report: CheckReport | None, file: Path | N
         f"build {meta['build_time_s']:.2f} s, compile {meta['compile_time_s']:.2f} s"
     )
     lines.append(_line("times", times))
-    if meta.get("functions_pending"):
-        lines.append(_line("compile", _pending(meta)))
     if report is not None:
         lines.append(_line("accuracy", _accuracy_line(report)))
     lines += [_line("note", note) for note in notes]
@@ -155,13 +151,6 @@ def solve_summary(solution: Solution, report: CheckReport | None, file: Path | N
     elif not meta["success"]:
         lines.append(_line("next", "the same command with --diagnose"))
     return "\n".join(lines)
-
-
-def _pending(meta: dict[str, Any]) -> str:
-    """What the background compiles, and why that failed before."""
-    failure = meta.get("compile_failure")
-    before = f" (the last attempt failed: {failure})" if failure else ""
-    return f"functions are compiled in the background, for the next solve{before}"
 
 
 def _verdict(meta: dict[str, Any]) -> str:

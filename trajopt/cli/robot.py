@@ -53,7 +53,7 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
         from trajopt.solving.solving import solve
         from trajopt.view.replay.show import replay
 
-        shown = replay(solve(rest(loaded), compile="none"), html=html)
+        shown = replay(solve(rest(loaded)), html=html)
         click.echo(f"  page       {html}: {shown.size / 1e6:.1f} MB", err=as_json)
 
 

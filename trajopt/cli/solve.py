@@ -29,7 +29,6 @@ from trajopt.cli.warm import solve_warm, warm_options
 from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
 from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.output import check_apart, check_solution_output
-from trajopt.transcription.background import same_functions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,7 +65,6 @@ if TYPE_CHECKING:
     help="Solution file.  [default: PROBLEM-SETTINGS.npz]",
 )
 @json_option
-@same_functions()
 def solve_command(
     problem: str,
     settings: tuple[str, ...],

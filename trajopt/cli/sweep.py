@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import COUNT, NOT_REACHED, THREADS, default_option, json_option, parse_settings
+from trajopt.cli.input import (
+    COUNT,
+    NOT_REACHED,
+    THREADS,
+    compile_option,
+    default_option,
+    json_option,
+    parse_settings,
+)
 from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, to_json
 from trajopt.solving.interruption import CANCELLED
@@ -52,7 +60,7 @@ NUMBER_LIST = _values(float, "numbers")
 @click.option("--solver", callback=WORD_LIST, metavar="A,B", help="ipopt, fatrop, sqp.")
 @click.option("--tol", "tolerance", callback=NUMBER_LIST, metavar="T,U", help="Tolerances.")
 @click.option("--hessian", callback=WORD_LIST, metavar="A,B", help="exact, gauss-newton, limited-memory.")
-@click.option("--compile", callback=WORD_LIST, metavar="A,B", help="none, quick, fast.")
+@compile_option
 @click.option("--cone", callback=WORD_LIST, metavar="A,B", help="smooth, pyramid: of point contacts.")
 @click.option("--model", callback=WORD_LIST, metavar="A,B", help="full, two-stage: torques after the motion.")
 @click.option("--start", callback=WORD_LIST, metavar="A,B", help="cold, warm: start from half the intervals.")

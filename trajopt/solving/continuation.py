@@ -15,7 +15,6 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve_graded
 from trajopt.solving.ladder import FROM_DEFAULT_GUESS, GridLevel, solve_figures, total_effort
 from trajopt.solving.rounds import Graded
-from trajopt.transcription.compilation import WAITING_LEVEL
 from trajopt.transcription.transcription import chosen_mesh
 
 MAX_HALVINGS = 4
@@ -99,7 +98,7 @@ def continuation(
     """Solve ``load(value)`` for every value in turn, each from the last solution.
 
     Every value is solved to the grade, as by `trajopt.solve`: on the mesh of the last solution, refined where
-    it misses, and with its rows for bodies. Functions are compiled and waited for once where a parameter
+    it misses, and with its rows for bodies. Functions are compiled once where a parameter
     changes numbers alone.
 
     Args:
@@ -117,7 +116,6 @@ def continuation(
     Raises:
         InputError: As ``load`` and `trajopt.solve` do.
     """
-    settings.setdefault("compile", WAITING_LEVEL)
     asked = _numbers(values)
     if not isinstance(max_halvings, int) or isinstance(max_halvings, bool) or max_halvings < 0:
         raise InputError(f"max_halvings is {max_halvings!r}", "allowed: a whole number of at least 0")

@@ -21,7 +21,6 @@ from trajopt.solving.exchange import Exchange
 from trajopt.solving.refinement import USUAL_SCHEME, Refinement
 from trajopt.solving.rounds import Graded, Round
 from trajopt.solving.solving import solve as solve_on_mesh
-from trajopt.transcription.background import same_functions
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.transcription import chosen_mesh
 
@@ -98,7 +97,6 @@ def solve(
     return solve_graded(problem, max_rounds=1 if draft else MOST_ROUNDS, **settings).solution
 
 
-@same_functions()
 def solve_graded(
     problem: Problem,
     *,

@@ -21,7 +21,6 @@ from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import DEFAULT_SOLVER, solve
-from trajopt.transcription.compilation import WAITING_LEVEL
 
 # Degree three: order six where controls are smooth; where a limit becomes active or inactive within an
 # interval, only more intervals help.
@@ -149,7 +148,6 @@ def converged_reference(
     agreement: Agreement | None = None,
     max_unknowns: int = MAX_UNKNOWNS,
     max_time: float = MAX_TIME,
-    compile: str = WAITING_LEVEL,
     threads: int = 1,
     start: Start = None,
     progress: Callable[[MeshSolve], None] | None = None,
@@ -159,12 +157,11 @@ def converged_reference(
     Args:
         problem: What to solve.
         scheme: Of all meshes but the first.
-        solver: As in `solve`, like ``compile`` and ``threads``.
+        solver: As in `solve`, like ``threads``.
         tolerance: The solver's.
         agreement: Bounds on objective, motion and durations.
         max_unknowns: Budget of one solve.
         max_time: Budget of all solves together, s.
-        compile: Level of compilation; many solves pay for waiting.
         threads: For functions and linear systems.
         start: Of the first solve, as in `solve`.
         progress: Called with every solve.
@@ -179,7 +176,7 @@ def converged_reference(
             raise InputError(f"{name} is {value:g}", "allowed: > 0")
     climb = _Climb(
         problem=problem,
-        settings={"solver": solver, "tolerance": tolerance, "compile": compile, "threads": threads},
+        settings={"solver": solver, "tolerance": tolerance, "threads": threads},
         scheme=scheme,
         max_unknowns=max_unknowns,
         deadline=time.monotonic() + max_time,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +36,6 @@ from trajopt.solving.verdicts import (
 from trajopt.solving.warm_start import warm_start
 from trajopt.transcription.compilation import (
     DEFAULT_HESSIAN,
-    DEFAULT_LEVEL,
     CompilationReport,
     compile_points,
     entry_key,
@@ -52,7 +52,7 @@ MAX_PERTURBATION = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedProblem:
-    """A problem ready to be solved from its guess; ``build_time`` in s is all but the C compiler."""
+    """A problem ready to be solved from its guess; ``build_time`` in s is all but compilation."""
 
     transcription: Transcription
     nlp: Nlp
@@ -68,7 +68,6 @@ def prepare(
     transcription: str | None = None,
     intervals: int | None = None,
     mesh: Mesh | None = None,
-    compile: str = DEFAULT_LEVEL,
     hessian: str = DEFAULT_HESSIAN,
     threads: int = 1,
     start: Solution | str | Path | None = None,
@@ -80,8 +79,8 @@ def prepare(
     begun = time.perf_counter()
     transcribed = transcribe(problem, transcription, intervals, mesh)
     points = transcribed.points
-    compiled, report = compile_points(points.values(), compile, hessian)
-    by_point = {key: compiled[entry_key(point, report.level)] for key, point in points.items()}
+    compiled, report = compile_points(points.values(), hessian)
+    by_point = {key: compiled[entry_key(point)] for key, point in points.items()}
     nlp = assemble(transcribed, by_point, threads, hessian)
     if start is None:
         guess, warm = initial_guess(transcribed), None
@@ -111,7 +110,7 @@ def solve(
     max_time: float = 600.0,
     seed: int = 0,
     perturb: float = 0.0,
-    compile: str = DEFAULT_LEVEL,
+    compile: str | None = None,
     hessian: str = DEFAULT_HESSIAN,
     threads: int = 1,
     options: Mapping[str, Option] | None = None,
@@ -135,8 +134,7 @@ def solve(
         max_time: Limit of the solver's wall time, s.
         seed: Of the noise on the guess.
         perturb: Standard deviation of that noise, scaled units.
-        compile: ``none``, ``quick``, ``fast``, or ``background``: what is compiled already is used, the rest
-            is evaluated on CasADi's virtual machine and compiled beside the solve for the next one.
+        compile: No effect: was the level of a C compiler.
         hessian: ``exact``, ``gauss-newton`` (of costs that are squares, without curvature of constraints),
             or with IPOPT ``limited-memory`` (a quasi-Newton approximation: no second derivative is compiled).
         threads: For functions and linear systems; the result is the same, bit by bit.
@@ -155,13 +153,15 @@ def solve(
     Raises:
         InputError: For a value that is not allowed.
     """
+    if compile is not None:
+        text = "functions need no C compiler any more: compile has no effect"
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
     check_settings(solver, tolerance, max_iterations, max_time, perturb, seed, hessian)
     prepared = prepare(
         problem,
         transcription=transcription,
         intervals=intervals,
         mesh=mesh,
-        compile=compile,
         hessian=hessian,
         threads=threads,
         start=start,
@@ -304,10 +304,7 @@ def _solution(
         "function_time_s": result.function_time,
         "build_time_s": prepared.build_time,
         "compile_time_s": report.compile_time,
-        "compile": report.level,
         "functions_compiled": report.built,
-        "functions_pending": report.pending,
-        **({"compile_failure": report.failure} if report.failure else {}),
         "warm_start": prepared.warm is not None,
         **result.figures,
         **origin,

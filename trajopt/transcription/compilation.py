@@ -133,8 +133,3 @@ def _no_hessian(point: PointFunction) -> ca.Function:
     n_z, n_p = point.n_z, point.terms.numel_in(2)
     inputs = [ca.SX.sym("z", n_z), ca.SX.sym("p", n_p), ca.SX.sym("sigma"), ca.SX.sym("lam", point.n_rows)]
     return ca.Function("second", inputs, [ca.SX(n_z, n_z)])
-
-
-WAITING_LEVEL = BACKGROUND = DEFAULT_LEVEL = "none"
-LEVELS = ("none", "quick", "fast", "background")
-FLAGS = {}

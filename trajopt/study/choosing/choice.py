@@ -108,16 +108,13 @@ def machine_speed(front: Front) -> float:
 
 
 def _allowed(problem: Problem, front: Front, where: SettingFilter | None) -> SettingFilter:
-    """Settings that the problem can take: its own terms, the whole model, a cold start.
-
-    The compile level is the caller's choice for all solves.
-    """
+    """Settings that the problem can take: its own terms, the whole model, a cold start."""
     own = front.default.setting
-    plain = (own.cone, "full", "cold", own.compile)
+    plain = (own.cone, "full", "cold")
     refused = "fatrop" if problem.periodicity is not None else None
 
     def allowed(setting: Setting) -> bool:
-        usual = (setting.cone, setting.model, setting.start, setting.compile) == plain
+        usual = (setting.cone, setting.model, setting.start) == plain
         return usual and setting.solver != refused and (where is None or where(setting))
 
     return allowed

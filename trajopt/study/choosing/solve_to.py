@@ -17,8 +17,6 @@ from trajopt.solving.rounds import INTERRUPTED, Round, largest_error
 from trajopt.solving.solving import solve
 from trajopt.study.choosing.choice import ChosenSetting, choices_by_time, choose_for_accuracy
 from trajopt.study.sweep.front import SettingFilter
-from trajopt.transcription.background import same_functions
-from trajopt.transcription.compilation import BACKGROUND, WAITING_LEVEL
 
 # A setting is tried if its predicted time is below this fraction of the time left: predictions err.
 MOST_SHARE = 0.8
@@ -99,7 +97,6 @@ def solve_to_accuracy(
     )
 
 
-@same_functions()
 def solve_within(
     problem: Problem,
     budget: float,
@@ -117,8 +114,6 @@ def solve_within(
     """
     require_positive("budget", budget, "s")
     settings.pop("max_time", None)
-    if settings.get("compile", BACKGROUND) == BACKGROUND:  # predictions are those of compiled functions
-        settings["compile"] = WAITING_LEVEL
     remaining = choices_by_time(problem, front=front, where=where)
     tried: list[ChosenSetting] = []
     rounds: list[Round] = []

@@ -28,10 +28,7 @@ from trajopt.study.diagnosis.findings import curvature_report, rank_report, star
 from trajopt.study.diagnosis.nonfinite import first_nonfinite
 from trajopt.study.diagnosis.scaling import scaling
 from trajopt.study.diagnosis.snapshot import Snapshot
-from trajopt.transcription.c_compiler import FLAGS
-from trajopt.transcription.compilation import WAITING_LEVEL, in_cache
-from trajopt.transcription.mesh import Mesh
-from trajopt.transcription.transcription import Transcription, transcribe
+from trajopt.transcription.transcription import Transcription
 
 # Rows count as violated beyond this, or ten times the solve's tolerance, as in a solve.
 TRUSTED = 10.0
@@ -43,15 +40,12 @@ SAME = 1e-4
 def diagnose(
     what: Solution | PreparedProblem | str | Path,
     problem: Problem | None = None,
-    *,
-    compile: str | None = None,
 ) -> Diagnosis:
     """Diagnose an NLP at an iterate.
 
     Args:
         what: A solution or its file, solved or not; or a prepared problem, which is diagnosed at its guess.
         problem: Of the solution; default: the one in the catalogue that the file names, with its parameters.
-        compile: Level of compilation; default: the file's or ``quick``, where cached, else ``none``.
 
     Raises:
         InputError: Where the problem is unknown, or has other joints or phases than the solution.
@@ -63,9 +57,7 @@ def diagnose(
     solution = solution_of(what)
     source = str(what) if isinstance(what, str | Path) else "solution"
     rebuilt = _problem_of(solution) if problem is None else problem
-    mesh = mesh_of(solution)
-    level = compile or _cached_level(rebuilt, mesh, str(solution.meta.get("compile", "none")))
-    prepared = prepare(rebuilt, mesh=mesh, compile=level)
+    prepared = prepare(rebuilt, mesh=mesh_of(solution))
     return _diagnosed(at_solution(prepared, solution), solution, source)
 
 
@@ -86,13 +78,6 @@ def _problem_of(solution: Solution) -> Problem:
     except InputError:  # a derived value may be outside the parameter's range
         asked = {key: value for key, value in values.items() if own[key].default is not None}
         return family.load(asked)
-
-
-def _cached_level(problem: Problem, mesh: Mesh, level: str) -> str:
-    """The file's level if that is in the cache, or the usual: a few evaluations do not justify compiling."""
-    points = transcribe(problem, mesh=mesh).points.values()
-    levels = (own for own in (level, WAITING_LEVEL) if own in FLAGS)
-    return next((own for own in levels if in_cache(points, own)), "none")
 
 
 def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:

@@ -9,7 +9,7 @@ import numpy as np
 
 from trajopt.terms.context_symbols import Place
 from trajopt.transcription.names import NlpNames, Site
-from trajopt.transcription.stage_functions import PointFunction, derivatives, point_function
+from trajopt.transcription.stage_functions import Derivatives, PointFunction, point_function
 from trajopt.transcription.timeline import NodeLayout
 
 Evaluation = Callable[[np.ndarray], np.ndarray]
@@ -46,7 +46,7 @@ def value_function(function: PointFunction, parameters: np.ndarray) -> Evaluatio
 
 def derivative_function(function: PointFunction, parameters: np.ndarray) -> Evaluation:
     """All its first and second derivatives in one column."""
-    made = derivatives(function)
+    made = Derivatives(function)
     first, second, ones = made.first, made.second, np.ones(function.n_rows)
 
     def slopes(z: np.ndarray) -> np.ndarray:

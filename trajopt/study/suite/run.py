@@ -93,7 +93,6 @@ def run_stages(
         "tolerance": settings.tolerance,
         "max_iterations": settings.max_iterations,
         "max_time": settings.max_time,
-        "compile": settings.compile,
         "progress": progress,
     }
     if own:

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from trajopt.errors import InputError
 from trajopt.solving.solving import check_settings
-from trajopt.transcription.c_compiler import FLAGS
-from trajopt.transcription.compilation import WAITING_LEVEL
 
 # Noise on the guess: a tenth of the natural units, metres of leg or half a dozen degrees.
 DEFAULT_SIGMA = 0.1
@@ -33,7 +31,6 @@ class SuiteSettings:
     tolerance: float = 1e-6
     max_iterations: int = 500
     max_time: float = DEFAULT_MAX_TIME
-    compile: str = WAITING_LEVEL
     simulate: bool = False
     fixed_mesh: bool = False
 
@@ -42,8 +39,6 @@ class SuiteSettings:
             raise InputError(f"perturbed is {self.perturbed}", f"allowed: 0 to {MOST_STARTS}")
         if not (math.isfinite(self.sigma) and self.sigma > 0):
             raise InputError(f"sigma is {self.sigma:g}", "allowed: > 0")
-        if self.compile not in FLAGS:
-            raise InputError(f"unknown compile level '{self.compile}'", f"allowed: {', '.join(FLAGS)}")
         check_settings(self.solver, self.tolerance, self.max_iterations, self.max_time, self.sigma, 0)
 
     @property

@@ -1,4 +1,4 @@
-"""Versions of libraries, solvers and the compiler, on which a result depends besides the problem."""
+"""Versions of libraries and solvers, on which a result depends besides the problem."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 
 import casadi
 
-from trajopt.transcription.c_compiler import compiler
 from trajopt.versions import installed_version
 
 UNKNOWN = "unknown"
@@ -16,7 +15,6 @@ UNKNOWN = "unknown"
 
 def versions() -> dict[str, str]:
     """Names and versions; IPOPT and FATROP are those of CasADi's wheel."""
-    found = compiler()
     return {
         "trajopt": installed_version("trajopt"),
         "casadi": installed_version("casadi"),
@@ -24,7 +22,6 @@ def versions() -> dict[str, str]:
         "pin": installed_version("pin"),
         "numpy": installed_version("numpy"),
         "python": platform.python_version(),
-        "compiler": UNKNOWN if found is None else found[1],
         "machine": platform.machine(),
     }
 

@@ -75,7 +75,7 @@ class Sweep:
         self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(request.starts)) - repeated
 
     def run(self) -> None:
-        """Everything that is not recorded yet; compilers have all cores."""
+        """Everything that is not recorded yet; functions are compiled before."""
         with self._tasks(1) as self._executor:
             self._compile()
         with self._tasks(len(self._cores), self._cores) as self._executor:
@@ -212,9 +212,9 @@ class Sweep:
         known, file = self._records.found.reference, self._records.reference_file
         if known is not None and (file.exists() or not known["ok"]):
             return
-        request, level = self._request, self._plan.base.compile
+        request = self._request
         limit = request.reference_time + request.build_time
-        values = self._values("reference", limit, solve_reference, request, level, file)
+        values = self._values("reference", limit, solve_reference, request, file)
         ok = values["kind"] == DONE
         text = values["text"] if ok else values["detail"]
         self._records.add(reference={"ok": ok, "text": text})

@@ -35,8 +35,6 @@ JOINED = (
     (0.5, "legendre:4"),
     (1.0, "legendre:4 1e-8"),
 )
-# A level that is tried by default only on robots without a free base.
-SLOW_COMPILER = "fast"
 GRID = ("transcription", "intervals")
 AXES = (*GRID, "tolerance", *WORDS)
 # A product of more settings is a mistake, or takes a week.
@@ -146,14 +144,8 @@ def _alternatives(problem: Problem, base: Setting, notes: list[str]) -> dict[str
         "solver": WORDS["solver"],
         "tolerance": TOLERANCES,
         "hessian": HESSIANS,
-        "compile": WORDS["compile"],
         "start": STARTS,
     }
-    if problem.robot.base != "fixed":
-        found["compile"] = tuple(level for level in found["compile"] if level != SLOW_COMPILER)
-        notes.append(
-            f"compile {SLOW_COMPILER}: the compiler takes minutes for a free base; --also {SLOW_COMPILER}"
-        )
     special: dict[str, tuple[str, ...]] = {"cone": ("smooth", "pyramid"), "model": ("two-stage",)}
     for axis, values in special.items():
         try:

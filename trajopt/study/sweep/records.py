@@ -44,7 +44,7 @@ class SweepRequest:
 
     repeats: perturbed starts besides the default guess, with seeds 1 to repeats, the same for every setting.
     sigma: their noise in scaled units. max_iterations, max_time (s): of one solve. build_time: s beyond that
-    time, for graphs, transcription and the C compiler on a busy machine, after which a run is ended.
+    time, for graphs, transcription and compilation on a busy machine, after which a run is ended.
     reference_time: time limit of the reference, s; 0 for none. Raises InputError for invalid values.
     """
 

@@ -27,9 +27,9 @@ class TimedRun(Job):
 
     wall_time, function_time: the solver's. start_time: of the solve that
     made a warm start. stage_two_time: torques after the motion. build_time, compile_time: graphs and
-    transcription, the C compiler. iterations: of all solves. objective: the problem's own, even if a variant
+    transcription, compilation. iterations: of all solves. objective: the problem's own, even if a variant
     was solved. calibration: time of the load beside the run (`calibration`), s. cpu_share: fraction of the
-    time, without the compiler's, in which the process had its core. disturbed: either is out of bounds.
+    time, without compilation, in which the process had its core. disturbed: either is out of bounds.
     detail: why it was refused, lost or not solved.
     """
 

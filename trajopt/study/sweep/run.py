@@ -71,7 +71,7 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
         objective = objective_of(asked, setting, solution)
     if solution.converged:
         replace(solution, meta={**meta, "objective": objective}).save(file)
-    # The first solve pays for graphs and the compiler, not the others.
+    # The first solve pays for graphs and compilation, not the others.
     compile_time = first.total("compile_time_s")
     return TimedRun(
         **asdict(job),
@@ -100,7 +100,7 @@ def compiled(request: SweepRequest, setting: Setting) -> dict[str, Any]:
     asked = with_cone(request.load(), setting.cone)
     first = base_rows_problem(asked) if setting.model == "two-stage" else asked
     points = transcribe(first, setting.transcription, setting.intervals).points
-    _, report = compile_points(points.values(), setting.compile, setting.hessian)
+    _, report = compile_points(points.values(), setting.hessian)
     return {
         "build_time": report.build_time,
         "compile_time": report.compile_time,
@@ -108,9 +108,9 @@ def compiled(request: SweepRequest, setting: Setting) -> dict[str, Any]:
     }
 
 
-def solve_reference(request: SweepRequest, compile: str, file: Path) -> dict[str, Any]:
+def solve_reference(request: SweepRequest, file: Path) -> dict[str, Any]:
     """Write the converged reference; returns its description. Raises TrajoptError if none is found."""
-    found = converged_reference(request.load(), max_time=request.reference_time, compile=compile)
+    found = converged_reference(request.load(), max_time=request.reference_time)
     found.solution.save(file)
     return {"text": str(found)}
 
@@ -140,7 +140,6 @@ def _solve(problem: Problem, setting: Setting, job: Job, request: SweepRequest) 
         "solver": setting.solver,
         "tolerance": setting.tolerance,
         "hessian": setting.hessian,
-        "compile": setting.compile,
         "max_iterations": request.max_iterations,
         "max_time": request.max_time,
     }
@@ -170,7 +169,5 @@ def with_torques(problem: Problem, solution: Solution) -> Solution:
 
 def objective_of(problem: Problem, setting: Setting, solution: Solution) -> float:
     """The problem's objective at a solution of another one with the same variables."""
-    prepared = prepare(
-        problem, transcription=setting.transcription, intervals=setting.intervals, compile="none"
-    )
+    prepared = prepare(problem, transcription=setting.transcription, intervals=setting.intervals)
     return float(prepared.nlp.engine.f(warm_start(prepared.transcription, solution).x))

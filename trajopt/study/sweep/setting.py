@@ -13,8 +13,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.solving import DEFAULT_SOLVER
-from trajopt.transcription.c_compiler import FLAGS
-from trajopt.transcription.compilation import DEFAULT_HESSIAN, HESSIANS, WAITING_LEVEL
+from trajopt.transcription.compilation import DEFAULT_HESSIAN, HESSIANS
 from trajopt.transcription.schemes import SCHEME_NAMES, scheme
 
 # ``own``: the problem's friction terms, of both kinds or none.
@@ -29,7 +28,6 @@ MOST_INTERVALS = 100_000
 WORDS = {
     "solver": tuple(SOLVERS),
     "hessian": HESSIANS,
-    "compile": tuple(FLAGS),
     "cone": CONES,
     "model": MODELS,
     "start": STARTS,
@@ -54,7 +52,6 @@ class Setting:
     solver: str = DEFAULT_SOLVER
     tolerance: float = 1e-6
     hessian: str = DEFAULT_HESSIAN
-    compile: str = WAITING_LEVEL
     cone: str = "own"
     model: str = "full"
     start: str = "cold"
@@ -77,7 +74,7 @@ class Setting:
     @property
     def functions(self) -> str:
         """The values that determine its compiled functions, in words: no scheme, step or interval count."""
-        return " ".join((self.compile, self.hessian, self.cone, self.model))
+        return " ".join((self.hessian, self.cone, self.model))
 
     def words(self) -> dict[str, str]:
         """Each axis in a word; the grid is one."""
