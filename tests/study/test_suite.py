@@ -28,8 +28,8 @@ from trajopt.study.workers.display import TaskDisplay
 
 pytestmark = pytest.mark.long
 
-VIRTUAL_MACHINE = SuiteSettings()
-STARTS = replace(VIRTUAL_MACHINE, perturbed=3)
+PLAIN = SuiteSettings()
+STARTS = replace(PLAIN, perturbed=3)
 # Seconds until a hanging build is killed: nothing else runs there.
 BUILD = 2.0
 # Objectives of one start, solved here and in another process: the same arithmetic.
@@ -148,7 +148,7 @@ def test_every_status_has_a_mode(status: Status):
     ],
 )
 def test_a_failed_solve_has_its_mode(problem: str, changes: dict[str, Any], mode: str, detail: str):
-    outcome = measure_case(case(problem), replace(VIRTUAL_MACHINE, **changes))
+    outcome = measure_case(case(problem), replace(PLAIN, **changes))
     assert outcome.mode == mode
     assert outcome.detail.startswith(detail)
     assert outcome.ok == (mode == "")
@@ -164,7 +164,7 @@ def test_the_primal_figure_is_the_largest_violation_of_a_row(solver: str):
 
 def test_a_problem_that_cannot_be_built_is_an_error_here():
     with pytest.raises(InputError, match="moon"):
-        measure_case(case("t-refused"), VIRTUAL_MACHINE)
+        measure_case(case("t-refused"), PLAIN)
 
 
 # Processes
@@ -178,7 +178,7 @@ def test_a_lost_process_loses_no_other_pair():
         "t-killed": "crash: SIGKILL (out of memory?)",
         "t-without-memory": "crash: out of memory",
     }
-    found = run_pairs([*errors, "t-reach"], VIRTUAL_MACHINE)
+    found = run_pairs([*errors, "t-reach"], PLAIN)
     assert found.pop("t-reach").ok
     assert {name: (outcome.mode, outcome.detail) for name, outcome in found.items()} == {
         name: ("error", text) for name, text in errors.items()
@@ -204,7 +204,7 @@ def test_a_lost_start_leaves_the_others():
 @pytest.mark.parametrize("fixed_mesh", [True, False])
 def test_a_pair_is_solved_as_the_library_solves_it(fixed_mesh: bool, tmp_path: Path):
     """Own guess and starts against `trajopt.solve`; the file that is written is the solution's."""
-    settings = replace(VIRTUAL_MACHINE, perturbed=2, sigma=0.2, fixed_mesh=fixed_mesh)
+    settings = replace(PLAIN, perturbed=2, sigma=0.2, fixed_mesh=fixed_mesh)
     outcome = run_pairs(["t-coarse"], settings, folder=tmp_path)["t-coarse"]
     for start in (outcome.own, *outcome.starts):
         noise = {} if start.seed is None else {"seed": start.seed, "perturb": 0.2}

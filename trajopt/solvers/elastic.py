@@ -243,9 +243,9 @@ def _prices(centre: np.ndarray, n_slacks: int, prox: float, diagonal: np.ndarray
         np.concatenate([centre, on_slacks]),
     ]
     return {
-        "value": value.serialize(),
-        "first": first.serialize(),
-        "second": second.serialize(),
+        "value": _engine.Tape(value),
+        "first": _engine.Tape(first),
+        "second": _engine.Tape(second),
         "x_offset": np.arange(n, dtype=np.int32),
         "nloc": 1,
         "gather_indptr": np.array([0, 1], dtype=np.int32),
