@@ -29,7 +29,7 @@ SAME_FORCE = 1e-4  # parts of a force: the optimum is flat, its minimiser less s
 
 @lru_cache
 def solved(name: str, intervals: int, **parameters: float) -> Solution:
-    """The problem's solution from its own guess, evaluated on CasADi's virtual machine."""
+    """The problem's solution from its own guess."""
     problem = problems.load(name, **parameters)
     return solve(
         problem,

@@ -1,7 +1,6 @@
 """Every problem of the library on one robot, and every robot on one problem, against their regression data.
 
 The subset is chosen by a rule (`representatives`); ``trajopt suite --compare tests/data/suite.csv`` runs all.
-Functions run on CasADi's virtual machine: compiling those of a pair takes longer than solving it once.
 """
 
 from __future__ import annotations

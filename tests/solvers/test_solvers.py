@@ -22,8 +22,6 @@ from trajopt_library import problems
 
 pytestmark = pytest.mark.long
 
-# Two evaluations of one graph, by the virtual machine and by compiled C, entries up to 1e3.
-SAME = {"rtol": 1e-12, "atol": 1e-10}
 # Two solvers that stop at a tolerance of 1e-6 agree on the objective to this.
 AGREEMENT = 1e-4
 # The same solver on the same functions, at a tolerance of 1e-9.

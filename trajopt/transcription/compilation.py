@@ -86,16 +86,6 @@ def compile_points(
     return made, compiler.report()
 
 
-def in_cache(points: Iterable[PointFunction]) -> bool:
-    """Whether the exact derivatives of all points are in the cache."""
-    names = (_entry(entry_key(point), name) for point in points for name in _FUNCTIONS[DEFAULT_HESSIAN])
-    return all(read_entry(name) is not None for name in names)
-
-
-def _entry(key: str, function: str) -> str:
-    return f"{key}.{function}"
-
-
 class _Compiler:
     """Makes what the cache lacks, and counts."""
 
@@ -106,7 +96,7 @@ class _Compiler:
     def tapes(self, point: PointFunction, key: str, functions: Iterable[str]) -> list[_engine.Tape]:
         """Tapes of a point's functions, with the entries that were missing written."""
         derivatives = Derivatives(point)
-        return [self._tape(derivatives, name, _entry(key, name)) for name in functions]
+        return [self._tape(derivatives, name, f"{key}.{name}") for name in functions]
 
     def _tape(self, derivatives: Derivatives, function: str, entry: str) -> _engine.Tape:
         content = read_entry(entry)
