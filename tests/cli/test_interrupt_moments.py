@@ -122,7 +122,7 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         ],
     ),
     "solve while functions are compiled": (
-        ("solve", *SMALL, "--output", "x.npz"),
+        ("solve", *SMALL, "--hessian", "gauss-newton", "--output", "x.npz"),
         [
             at("compilation:_Compiler._tape", CANCELLED),
             at("compilation:_Compiler._tape", CANCELLED, count=3),

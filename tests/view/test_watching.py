@@ -352,7 +352,7 @@ SMALL = ("hopper-hop", "--intervals", "12")
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("solve", *SMALL[:3], "--ladder", "legendre:1@8,legendre:2@12"),
+        ("solve", SMALL[0], "--ladder", "legendre:1@8,legendre:2@12"),
         ("continue", *SMALL, "--vary", "distance=0.1:0.2:2"),
     ],
     ids=["ladder", "continue"],

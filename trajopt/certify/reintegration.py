@@ -24,6 +24,7 @@ from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.certify.contact.impact import impact
 from trajopt.certify.payloads import carrying_model
+from trajopt.certify.runge_kutta import integrate
 from trajopt.certify.sliding import SlidingDynamics
 from trajopt.dynamics.base_joint import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
 from trajopt.errors import InputError
@@ -196,8 +197,6 @@ def _run(
     rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray, relative_error: float
 ) -> np.ndarray | None:
     """Integrate from 0 to 1, or return None if that takes too many evaluations or is not finite."""
-    from scipy.integrate import DOP853  # takes longer to load than all the rest
-
     left = itertools.count(MAX_EVALUATIONS, -1)
 
     def counted(fraction: float, state: np.ndarray) -> np.ndarray:
@@ -208,12 +207,9 @@ def _run(
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             absolute = ABSOLUTE_SHARE * relative_error
-            method = DOP853(counted, 0.0, state, 1.0, rtol=relative_error, atol=absolute)
-            while method.status == "running":
-                method.step()
+            return integrate(counted, state, relative=relative_error, absolute=absolute)
     except (ValueError, np.linalg.LinAlgError, _RunAwayError):
         return None
-    return method.y if method.status == "finished" and np.isfinite(method.y).all() else None
 
 
 def phase_dynamics(solution: Solution, row: int) -> PhaseDynamics:

@@ -13,7 +13,6 @@ from trajopt.cli.input import (
     WholeNumber,
     default_option,
     grid_options,
-    import_in_background,
     json_option,
     options_of,
     parse_settings,
@@ -91,7 +90,6 @@ def continue_command(
     targets = {value: file_of_settings(context, f"{name}={value:.9g}") for value in values}
     known = None if start is None else solution_of(start)
     arguments |= {"options": options_of(solver_options), "start": known}
-    import_in_background("scipy.integrate")
     viewer = open_viewer(watch)
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
     most = (arguments["max_time"] + BESIDE) * len(values) * each

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 import re
-import threading
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -132,11 +130,6 @@ def chosen_problem(name: str, settings: Sequence[str]) -> Problem:
     from trajopt.problem.family import choose
 
     return choose(families(), name).load(parse_settings(settings, "--set"))
-
-
-def import_in_background(module: str) -> None:
-    """Import a slow module in a thread while the solver, outside Python, runs."""
-    threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
 
 
 def parse_settings(settings: Sequence[str], option: str) -> dict[str, str]:

@@ -17,7 +17,6 @@ from trajopt.cli.input import (
     chosen_problem,
     default_option,
     grid_options,
-    import_in_background,
     json_option,
     options_of,
     solver_options,
@@ -126,7 +125,6 @@ def solve_command(
     if not (smallest or keep):
         scene = None  # only explained
     asked = scene.problem if scene else loaded
-    import_in_background("scipy.integrate")  # the check's integrator
     solve_chosen = _way_of_solving(arguments)
     viewer = open_viewer(watch)
     arguments |= {"title": problem, "options": options, "viewer": viewer}
