@@ -206,7 +206,7 @@ BAD = {
     "iterations": ((*HOP, "--max-iterations", "1e3"), ["'--max-iterations'", "whole number"]),
     "time": ((*HOP, "--max-time", "0"), ["max_time is 0 s"]),
     "threads": ((*HOP, "--threads", "0"), ["'--threads'"]),
-    "old option": ((*HOP, "--compile", "ultra"), ["'--compile'", "ultra", "quick"]),
+    "compile level": ((*HOP, "--compile", "ultra"), ["ultra", "none, quick, fast"]),
     "solver option form": ((*HOP, "--solver-option", "tol"), ["--solver-option 'tol'"]),
     "solver option nan": ((*HOP, "--solver-option", "tol=nan"), ["tol is nan"]),
     "ipopt option": ((*HOP, "--solver-option", "mu_strateg=x"), ["ipopt", "mu_strateg"]),
@@ -227,12 +227,24 @@ def test_bad_input_is_one_line_and_two(
     assert not list(tmp_path.iterdir())
 
 
-def test_the_level_of_a_compiler_has_no_effect_but_a_note(tmp_path: Path) -> None:
-    result = invoke("solve", "hopper-hop", "--compile", "quick", "--output", str(tmp_path / "hop.npz"))
-    assert result.exit_code == 0
-    assert result.stderr.splitlines()[0] == (
-        "note: functions need no C compiler any more: --compile has no effect"
-    )
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("solve", "ur5-reach", "--intervals", "4", "--output", "x.npz", "--compile", "background"),
+        ("sweep", "ur5-reach", "--list", "--compile", "none,quick"),
+        ("suite", "--list", "--compile", "fast"),
+    ],
+)
+def test_compile_has_no_effect_but_a_note(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    note = "note: functions are no longer compiled by a C compiler: --compile has no effect\n"
+    with_it, without = invoke(*arguments), invoke(*arguments[:-2])
+    assert with_it.exit_code == without.exit_code
+    assert with_it.stderr.count(note) == 1
+    assert note not in without.stderr
+    assert "--compile" not in invoke(arguments[0], "--help").stdout
 
 
 def test_output_is_refused_before_anything_else_of_the_solve(tmp_path: Path) -> None:

@@ -23,8 +23,6 @@ from tests.support.processes import (
 )
 from trajopt.study.suite import data
 
-FAST = ()
-
 
 @pytest.fixture(scope="module", autouse=True)
 def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
@@ -78,7 +76,7 @@ def test_bad_input_is_one_line(arguments: tuple[str, ...], words: str):
 
 @pytest.mark.long
 def test_results_are_printed_written_resumed_and_compared(tmp_path: Path):
-    run = ("--problems", "t-reach", "t-refused", "--perturbed", 2, *FAST, "--output-dir", tmp_path / "out")
+    run = ("--problems", "t-reach", "t-refused", "--perturbed", 2, "--output-dir", tmp_path / "out")
     bands = tmp_path / "bands.csv"
     first = suite(*run, "--json", "--update", bands)
     found = json.loads(first.stdout)
@@ -112,7 +110,7 @@ def test_results_are_printed_written_resumed_and_compared(tmp_path: Path):
 
 def running(package: Path) -> Running:
     """``trajopt suite`` in a process of its own on a good pair and one that hangs."""
-    arguments = ("suite", "--problems", "t-reach,t-hanging", "--json", *FAST, "--jobs", "2")
+    arguments = ("suite", "--problems", "t-reach,t-hanging", "--json", "--jobs", "2")
     process = Running(*TRAJOPT, *arguments, env=environment(package))
     assert process.line().startswith("1/2 t-reach@arm: solved")
     assert task_processes(package)

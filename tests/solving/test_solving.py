@@ -109,12 +109,6 @@ def test_function_that_is_not_finite_is_a_status_that_names_the_place():
     assert solution.meta["worst_blocks"][0]["violation"] is None
 
 
-def test_the_level_of_a_compiler_has_no_effect_but_a_warning():
-    with pytest.warns(DeprecationWarning, match="compile has no effect"):
-        old = solve(reach(), intervals=4, compile="quick")
-    assert old.meta["objective"] == solve(reach(), intervals=4).meta["objective"]
-
-
 def test_solution_knows_its_size_and_how_it_was_made():
     solution = solve(reach(), transcription="radau:2", intervals=6, tolerance=1e-5)
     made = prepare(reach(), transcription="radau:2", intervals=6)

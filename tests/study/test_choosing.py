@@ -131,6 +131,14 @@ def test_what_a_solve_took_corrects_what_is_predicted_of_the_others(front, monke
     assert found.choices[-1].measured.relative_error == 1e-6
 
 
+def test_a_table_with_compile_levels_is_read_at_that_of_its_default(front, tmp_path):
+    header, *lines = front.read_text().splitlines()
+    old = [f"{header},compile", *(f"{line},{level}" for line in lines for level in ("none", "quick"))]
+    old = [line.replace(",1,none", ",0,none") for line in old]
+    (tmp_path / "old.csv").write_text("\n".join(old) + "\n")
+    assert load_front(tmp_path / "old.csv") == load_front(front)
+
+
 @pytest.mark.parametrize("target", [1e-2, 1e-5])
 def test_accuracy_is_reached_as_measured_anew(front, tmp_path, target):
     found = solve_to_accuracy(hop(), target, front=front)

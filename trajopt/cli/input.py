@@ -45,6 +45,7 @@ COUNT = WholeNumber(0, LARGEST_INTEGER)
 # A finer mesh takes tens of gigabytes before solving starts; the least number depends on the problem.
 GRID = WholeNumber(-LARGEST_INTEGER, 100_000)
 THREADS = WholeNumber(1, 1024)
+FORMER_LEVELS = ("none", "quick", "fast", "background")
 
 
 def default_option(
@@ -72,22 +73,20 @@ def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command
     return decorate
 
 
-def _without_effect(context: click.Context, option: click.Parameter, value: str | None) -> None:
-    """Say that an option of earlier versions has no effect."""
-    if value is not None:
-        click.echo("note: functions need no C compiler any more: --compile has no effect", err=True)
+def _note_no_compiler(context: click.Context, option: click.Parameter, levels: str | None) -> None:
+    """What is left of ``--compile``, which earlier versions had: one line."""
+    if levels is None:
+        return
+    for level in levels.split(","):
+        if level not in FORMER_LEVELS:
+            allowed = ", ".join(FORMER_LEVELS)
+            raise click.BadParameter(f"unknown compile level '{level}'; allowed: {allowed}", context, option)
+    click.echo("note: functions are no longer compiled by a C compiler: --compile has no effect", err=True)
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 solver_option = default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp.")
-compile_option = click.option(
-    "--compile",
-    type=click.Choice(("none", "quick", "fast", "background")),
-    expose_value=False,
-    hidden=True,
-    callback=_without_effect,
-    help="No effect: was the level of a C compiler.",
-)
+compile_option = click.option("--compile", callback=_note_no_compiler, hidden=True, expose_value=False)
 _threads_option = default_option(
     "--threads", 1, "N", "Threads for functions and linear systems.", kind=THREADS
 )

@@ -10,6 +10,7 @@ from typing import Any
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
+from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.graded import solve_graded
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.transcription import chosen_mesh
@@ -61,6 +62,7 @@ def total_effort(solutions: Sequence[Solution]) -> dict[str, Any]:
     return {key: sum(own[key] for own in rounds) for key in ("iterations", "wall_time_s")}
 
 
+@accepts_compile
 def solve_ladder(
     problem: Problem,
     ladder: Sequence[GridLevel],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,7 +109,6 @@ def solve(
     max_time: float = 600.0,
     seed: int = 0,
     perturb: float = 0.0,
-    compile: str | None = None,
     hessian: str = DEFAULT_HESSIAN,
     threads: int = 1,
     options: Mapping[str, Option] | None = None,
@@ -134,7 +132,6 @@ def solve(
         max_time: Limit of the solver's wall time, s.
         seed: Of the noise on the guess.
         perturb: Standard deviation of that noise, scaled units.
-        compile: No effect: was the level of a C compiler.
         hessian: ``exact``, ``gauss-newton`` (of costs that are squares, without curvature of constraints),
             or with IPOPT ``limited-memory`` (a quasi-Newton approximation: no second derivative is compiled).
         threads: For functions and linear systems; the result is the same, bit by bit.
@@ -153,9 +150,6 @@ def solve(
     Raises:
         InputError: For a value that is not allowed.
     """
-    if compile is not None:
-        text = "functions need no C compiler any more: compile has no effect"
-        warnings.warn(text, DeprecationWarning, stacklevel=2)
     check_settings(solver, tolerance, max_iterations, max_time, perturb, seed, hessian)
     prepared = prepare(
         problem,

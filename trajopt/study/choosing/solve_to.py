@@ -12,6 +12,7 @@ from trajopt.problem import Problem
 from trajopt.solution.descriptions import jsonable
 from trajopt.solution.solution import Solution
 from trajopt.solvers.result import LEAST_TIME
+from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.graded import MOST_ROUNDS, USUAL_TOLERANCE, solve_graded
 from trajopt.solving.rounds import INTERRUPTED, Round, largest_error
 from trajopt.solving.solving import solve
@@ -71,6 +72,7 @@ class TargetSolve:
         }
 
 
+@accepts_compile
 def solve_to_accuracy(
     problem: Problem,
     accuracy: float,
@@ -97,6 +99,7 @@ def solve_to_accuracy(
     )
 
 
+@accepts_compile
 def solve_within(
     problem: Problem,
     budget: float,

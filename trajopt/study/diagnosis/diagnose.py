@@ -15,6 +15,7 @@ from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
+from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.solving.verdicts import STILL_FEASIBLE, finite_or_none
@@ -37,6 +38,7 @@ WORST = 5
 SAME = 1e-4
 
 
+@accepts_compile
 def diagnose(
     what: Solution | PreparedProblem | str | Path,
     problem: Problem | None = None,

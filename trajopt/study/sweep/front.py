@@ -117,6 +117,9 @@ def load_front(name: str | Path) -> Front:
         raise InputError(
             f"cannot read the front {path}: {reason}", f"allowed: settings.csv of a sweep, or one of {known}"
         ) from None
+    own = next((row.get("compile") for row in rows if row.get("is_default") == "1"), None)
+    # Tables of earlier versions have settings of several compile levels: only the default's still exists.
+    rows = [row for row in rows if row.get("compile") == own]
     found = [(row, _measured(path, row)) for row in rows if _is_complete(row)]
     default = next((point for row, point in found if row.get("is_default") == "1"), None)
     if default is None:
