@@ -40,15 +40,16 @@ os.environ["OMP_NUM_THREADS"] = "1"  # before Crocoddyl loads OpenMP; problems s
 from scripts.documents import written  # noqa: E402
 from scripts.peers import crocoddyl_half as theirs  # noqa: E402
 from scripts.peers import report  # noqa: E402
-from scripts.peers.report import CROCODDYL, EXAMPLE, OURS, Measured, Setting  # noqa: E402
+from scripts.peers.report import CROCODDYL, EXAMPLE, MUMPS, OURS, STAGES, TWO, Measured, Setting  # noqa: E402
 from scripts.peers.tasks import SOLO_JUMP, TASKS  # noqa: E402
 
 DOCUMENT = ROOT / "docs" / "peers.md"
 FOLDER = ROOT / "docs" / "peers"
 STEPS = (20.0, 10.0, 5.0, 2.5)
 MESHES = {"legendre:1": (4, 8), "legendre:2": (4, 8), "legendre:3": (2, 3, 4, 5, 6), "legendre:4": (2, 3, 4)}
-# Meshes solved with MUMPS, too.
+# Meshes solved with MUMPS, too, and schemes solved on two threads, too.
 BOTH = (("legendre:3", 4), ("legendre:4", 3))
+ACCURATE = ("legendre:3", "legendre:4")
 # Most iterations, of the examples and of the jump of Solo12.
 MOST, MOST_OF_SOLO = 100, 1000
 # A solve that takes longer, s, is not repeated.
@@ -80,7 +81,8 @@ class Ours:
             "task": s.task,
             "scheme": s.method,
             "intervals": int(s.size),
-            "linear_solver": s.detail,
+            "linear_solver": MUMPS if s.detail == MUMPS else STAGES,
+            "threads": 2 if s.detail == TWO else 1,
         }
         if not measured.seconds:
             self.ask(do="solve", **what)
@@ -118,11 +120,11 @@ def settings(task: str) -> Iterator[Setting]:
         if TASKS[task] is not SOLO_JUMP
     ]
     own = [
-        Setting(**many, method=scheme, size=count, detail=solver)
+        Setting(**many, method=scheme, size=count, detail=detail)
         for scheme, counts in MESHES.items()
         for count in counts
-        for solver in ("stages", "mumps")
-        if solver == "stages" or (scheme, count) in BOTH
+        for detail in (STAGES, TWO, MUMPS)
+        if detail == STAGES or (scheme in ACCURATE and (detail == TWO or (scheme, count) in BOTH))
     ]
     for pair in zip_longest(own, known):
         yield from (setting for setting in pair if setting is not None)

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 OURS, CROCODDYL = "trajopt", "Crocoddyl"
+# Of ours: the factorisation of its own on one thread and on two, and another.
+STAGES, TWO, MUMPS = "stages", "2 threads", "mumps"
 # What the examples run; with limits of torques that matter, their solver for these.
 EXAMPLE, LIMITED, EXAMPLE_STEP = "FDDP", "BoxFDDP", 10.0
 # Errors of ours are at most this part of Crocoddyl's.
@@ -29,7 +31,7 @@ THEIRS = "#cc0000"
 class Setting:
     """How a task is solved: ``method`` is a scheme or a solver, ``size`` intervals a phase or ms a knot.
 
-    detail: the linear solver of ours, or the number of threads.
+    detail: the linear solver of ours or its threads (`STAGES`, `TWO`, `MUMPS`), or the number of theirs.
     """
 
     task: str
@@ -80,11 +82,18 @@ def example(found: Sequence[Measured], task: str) -> Measured:
     return by_method.get(LIMITED, by_method[EXAMPLE])
 
 
-def chosen(found: Sequence[Measured], task: str) -> Measured | None:
+def chosen(found: Sequence[Measured], task: str, detail: str = STAGES) -> Measured | None:
     """The fastest of ours whose largest error is a hundredth of the example's at the end, or less."""
     bound = PART * example(found, task).end
-    ours = [m for m in _of(found, task=task, side=OURS, detail="stages") if m.solved and m.largest <= bound]
+    ours = [m for m in _of(found, task=task, side=OURS, detail=detail) if m.solved and m.largest <= bound]
     return min(ours, key=lambda m: m.median, default=None)
+
+
+def _two_threads(found: Sequence[Measured], task: str) -> str:
+    """Ratio of times on two threads each; empty where that was not measured."""
+    ours = chosen(found, task, TWO)
+    theirs = _of(found, task=task, side=CROCODDYL, method=EXAMPLE, size=EXAMPLE_STEP, detail="2")
+    return f"{ours.ratios(theirs[0])[0]:.2f}" if ours and theirs else ""
 
 
 def summary(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
@@ -100,6 +109,7 @@ def summary(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
         "error [m]",
         "ratio",
         "of least times",
+        "two threads each",
     )
     yield f"| {' | '.join(titles)} |"
     yield "|" + "---|" * len(titles)
@@ -107,7 +117,7 @@ def summary(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
         theirs, ours = example(found, task), chosen(found, task)
         cells = [task, f"{theirs.median:.3f}", f"{theirs.iterations}", f"{theirs.end:.1e}"]
         if ours is None:
-            missing = [""] * 5
+            missing = [""] * 6
             yield f"| {' | '.join([*cells, 'none reaches a hundredth', *missing])} |"
             continue
         cells += [
@@ -116,7 +126,7 @@ def summary(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
             f"{ours.iterations}",
             f"{ours.largest:.1e}",
         ]
-        cells += [f"{ratio:.2f}" for ratio in ours.ratios(theirs)]
+        cells += [f"{ratio:.2f}" for ratio in ours.ratios(theirs)] + [_two_threads(found, task)]
         yield f"| {' | '.join(cells)} |"
 
 
@@ -200,7 +210,7 @@ def draw(found: Sequence[Measured], tasks: Sequence[str], path: Path) -> None:
 
 def _panel(axes: Any, found: Sequence[Measured], task: str) -> None:
     for method, colour in COLOURS.items():
-        known = _known(_of(found, task=task, side=OURS, method=method, detail="stages"))
+        known = _known(_of(found, task=task, side=OURS, method=method, detail=STAGES))
         _curve(axes, known, colour, "o", f"ours, {method}", "{:g}")
     for method, marker in (("FDDP", "s"), ("BoxFDDP", "^"), ("mim SQP", "D")):
         known = _known(_of(found, task=task, side=CROCODDYL, method=method, detail="1"))

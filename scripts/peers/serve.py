@@ -1,7 +1,8 @@
 """Our half of a comparison: requests as lines of JSON on stdin, answers on stdout, one at a time.
 
 {"do": "describe", "task": "walk"}                                         robot: masses, posture
-{"do": "solve", "task": "walk", "scheme": "legendre:3", "intervals": 4, "linear_solver": "stages"}
+{"do": "solve", "task": "walk", "scheme": "legendre:3", "intervals": 4, "linear_solver": "stages",
+ "threads": 1}
 {"do": "open-loop", ...}                                                   errors of the last of these solves
 
 Functions are compiled, and problems transcribed, before the first solve that needs them: no time counts that.
@@ -24,7 +25,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import LINEAR_SOLVER
 from trajopt.solving.solving import PreparedProblem, prepare, solve_prepared
 
-_SOLVED: dict[tuple[str, str, int, str], Solution] = {}
+_SOLVED: dict[tuple[str, str, int, str, int], Solution] = {}
 
 
 @cache
@@ -33,9 +34,9 @@ def _problem(task: str) -> Problem:
 
 
 @cache
-def _prepared(task: str, scheme: str, intervals: int) -> PreparedProblem:
+def _prepared(task: str, scheme: str, intervals: int, threads: int) -> PreparedProblem:
     problem = _problem(task)
-    return prepare(problem, mesh=problems.mesh(problem, scheme, intervals))
+    return prepare(problem, mesh=problems.mesh(problem, scheme, intervals), threads=threads)
 
 
 def describe(task: str) -> dict[str, Any]:
@@ -45,12 +46,12 @@ def describe(task: str) -> dict[str, Any]:
     return {"masses": masses, "posture": robot.reference.tolist()}
 
 
-def solve(task: str, scheme: str, intervals: int, linear_solver: str) -> dict[str, Any]:
+def solve(task: str, scheme: str, intervals: int, linear_solver: str, threads: int) -> dict[str, Any]:
     """Time of the solver in s, its iterations, and whether the problem is solved."""
-    prepared = _prepared(task, scheme, intervals)
+    prepared = _prepared(task, scheme, intervals, threads)
     options = {LINEAR_SOLVER: linear_solver}
     found = solve_prepared(prepared, prepared.guess, origin={}, judge=False, options=options)
-    _SOLVED[task, scheme, intervals, linear_solver] = found
+    _SOLVED[task, scheme, intervals, linear_solver, threads] = found
     return {
         "seconds": found.meta["wall_time_s"],
         "iterations": found.meta["iterations"],
@@ -58,9 +59,9 @@ def solve(task: str, scheme: str, intervals: int, linear_solver: str) -> dict[st
     }
 
 
-def open_loop(task: str, scheme: str, intervals: int, linear_solver: str) -> dict[str, Any]:
+def open_loop(task: str, scheme: str, intervals: int, linear_solver: str, threads: int) -> dict[str, Any]:
     """Errors of the base's position in m, at the end and the largest at nodes; largest torque, N m."""
-    plan = _SOLVED[task, scheme, intervals, linear_solver]
+    plan = _SOLVED[task, scheme, intervals, linear_solver, threads]
     errors = []
     for rows, state in zip(plan.intervals, integrated_states(plan, range(plan.n_intervals)), strict=False):
         apart = np.inf if state is None else state_distance(plan.model, plan.q[rows.stop - 1], state[0])[0]

@@ -87,7 +87,7 @@ def test_the_fastest_mesh_at_a_hundredth_of_the_error_is_compared() -> None:
     )
     found = [theirs, coarse, fine, fit]
     assert report.chosen(found, "trot") is fit
-    assert list(report.summary(found, ["trot"]))[-1].endswith("| 0.80 | 0.80 |")
+    assert list(report.summary(found, ["trot"]))[-1].endswith("| 0.80 | 0.80 |  |")
     assert report.chosen([theirs, coarse], "trot") is None
 
 
