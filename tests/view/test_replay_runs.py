@@ -14,6 +14,7 @@ from tests.support.replay_pages import STANCE, objects_of, placements_of, scene_
 from tests.support.synthetic_motions import arm_motion, sampled, with_meta
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.schedule.targets import Target
+from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.terms import FramePose, TerminalState
 from trajopt.view.replay.copies import MOST_GHOSTS, ghost_frames
@@ -173,7 +174,7 @@ def test_ghosts_stand_as_the_robot_does_where_phases_change(bones, tmp_path):
     assert frames == changes
     data, places = far.model.createData(), placements_of(page)
     for number, frame in enumerate(frames):
-        pin.forwardKinematics(far.model, data, far.interpolate(motion.t[frame]))
+        pin.forwardKinematics(far.model, data, geodesic_configurations(far, motion.t[frame]))
         for joint in range(1, far.model.njoints):
             path = joint_path(far.model, joint).replace("robot/", f"ghosts/pose{number}/")
             assert_allclose(places[path], data.oMi[joint].homogeneous, atol=SINGLE_PRECISION)

@@ -35,7 +35,6 @@ from trajopt.certify.samples import largest, largest_known, sample_quantities
 from trajopt.certify.traces import Found, Occurrence, Traces, phase_names, worst_of
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.solution.input import SolutionOrFile, consistent_solution
-from trajopt.solution.interpolation import InterpolatedMotion
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
@@ -94,7 +93,7 @@ class Examination:
 def examine(given: Solution, tolerances: Tolerances = GRADE, *, integrate: bool = False) -> Examination:
     """Check a consistent solution, and compare intervals and phases with ``tolerances``; see `check`."""
     plan = given.normalized()  # the norm error of rotations has its own figure and must not affect others
-    motion, samples = InterpolatedMotion.of(plan), sample_quantities(plan)
+    motion, samples = plan.polynomials, sample_quantities(plan)
     surfaces, local = touched_surfaces(plan, samples.position), local_errors(plan, motion)
     starts = ContactStarts.of(plan, samples, surfaces)
     bodies, apart = FileBodies.of(plan)

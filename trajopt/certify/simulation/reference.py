@@ -114,7 +114,7 @@ def _polynomials(plan: Solution, values: np.ndarray, t: np.ndarray) -> np.ndarra
     found = np.zeros((len(t), values.shape[1]))
     for number in np.unique(index):
         start, end = plan.interval_t[number]
-        _, fractions = collocation_fractions(plan, number)
+        _, fractions = collocation_fractions(plan.arrays, number)
         coefficients = lagrange_coefficients(fractions, values[of_point == number])
         rows = index == number
         s = (t[rows] - start) / (end - start)
