@@ -6,9 +6,8 @@ import importlib
 import pkgutil
 from functools import lru_cache
 
-from trajopt.problem.family import Family, choose
-from trajopt.problem.problem import Problem
-from trajopt.robot.robot import Robot
+from trajopt.problem import Family, Problem, choose
+from trajopt.robot import Robot
 from trajopt_library import robots
 
 

@@ -9,16 +9,20 @@ from itertools import product
 import numpy as np
 import pinocchio as pin
 
-from trajopt.problem import Problem
-from trajopt.problem.family import Family, Parameter
-from trajopt.robot import Robot
-from trajopt.robot.collision.description import robot_shapes
-from trajopt.robot.collision.link_capsules import robot_capsules
-from trajopt.robot.collision.near import CollisionScene
-from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
-from trajopt.robot.kinematics import frame_pose, inverse_kinematics
+from trajopt.problem import Family, Parameter, Problem
+from trajopt.robot import (
+    BoxObstacle,
+    CapsuleObstacle,
+    CollisionScene,
+    Obstacle,
+    Robot,
+    frame_pose,
+    inverse_kinematics,
+    robot_capsules,
+    robot_shapes,
+)
 from trajopt.terms import AccelerationCost, Clearance, TorqueCost
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain import smooth_step
 
 from . import arms, common
 

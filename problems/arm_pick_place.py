@@ -9,16 +9,13 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
+from trajopt.dynamics import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.robot import Robot
-from trajopt.robot.contact import Contact
-from trajopt.robot.payload import Payload
+from trajopt.problem import Family, Problem
+from trajopt.robot import Contact, Payload, Robot
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import AccelerationCost, FramePose, FrameVelocity, Term, TerminalRest, TimeCost, TorqueCost
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 
 from . import arms, common
 

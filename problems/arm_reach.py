@@ -8,9 +8,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family, Parameter
-from trajopt.robot.kinematics import inverse_kinematics
+from trajopt.problem import Family, Parameter, Problem
+from trajopt.robot import inverse_kinematics
 from trajopt.terms import AccelerationCost, TorqueCost
 
 from . import arms, common

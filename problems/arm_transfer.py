@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
+from trajopt.problem import Family, Problem
 from trajopt.robot import Robot
 from trajopt.terms import AccelerationCost, Term, TimeCost, TorqueCost
 

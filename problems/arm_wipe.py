@@ -10,15 +10,11 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.robot.contact import Contact
-from trajopt.robot.kinematics import inverse_kinematics
-from trajopt.schedule import Phase, Schedule
-from trajopt.schedule.schedule import Motion
+from trajopt.problem import Family, Problem
+from trajopt.robot import Contact, inverse_kinematics
+from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import AccelerationCost, NormalForce, TorqueCost
-from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain import Surface, smooth_step
 
 from . import arms, common
 from .strokes import Facing, RestOnStroke, Stroke, StrokeMotion

@@ -12,12 +12,9 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Parameter
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import Posture, frame_pose, inverse_kinematics
-from trajopt.schedule import Phase, Schedule
-from trajopt.schedule.schedule import Motion
+from trajopt.problem import Parameter, Problem
+from trajopt.robot import Posture, Robot, frame_pose, inverse_kinematics
+from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import DriveLimits, EffortLimits, FramePose, Term, TerminalRest
 from trajopt_library import robots
 

@@ -10,14 +10,12 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.robot.legs import biped_legs
+from trajopt.dynamics import contact_jacobian, gravity_of
+from trajopt.guesses import legged_guess
+from trajopt.problem import Family, Problem
+from trajopt.robot import Robot, biped_legs
 from trajopt.schedule import Phase, Schedule
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 
 from . import bipeds, common
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.problem.periodicity import Periodicity
-from trajopt.robot.legs import biped_legs
-from trajopt.schedule.named_gaits import BIPED, gait_of
+from trajopt.problem import Family, Periodicity, Problem
+from trajopt.robot import biped_legs
+from trajopt.schedule import BIPED, gait_of
 
 from . import bipeds, common, gait_common
 from .gait_common import Style

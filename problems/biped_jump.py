@@ -12,9 +12,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
+from trajopt.dynamics import gravity_of
+from trajopt.problem import Family, Problem
 
 from . import bipeds, common, quadruped_jump
 from .gait_common import near

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.reduced.legged_guess import legged_guess
+from trajopt.guesses import legged_guess
+from trajopt.problem import Family, Problem
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import FrameHeight
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 
 from . import bipeds, common, pushing
 

@@ -5,15 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.reduced.base_path import BaseWaypoint
-from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.legs import biped_legs
-from trajopt.terrain import PiecewiseTerrain
-from trajopt.terrain.swing_path import swing_path
+from trajopt.guesses import BaseWaypoint, legged_guess
+from trajopt.problem import Family, Problem
+from trajopt.robot import Robot, biped_legs, contact_positions
+from trajopt.terrain import PiecewiseTerrain, swing_path
 
 from . import bipeds, common
 

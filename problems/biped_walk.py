@@ -11,17 +11,15 @@ import math
 import pinocchio as pin
 
 from trajopt import reduced
-from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family, Parameter
-from trajopt.reduced.foot_motion import guess_from_lip
-from trajopt.reduced.footsteps import FootstepPlan, Walk
-from trajopt.reduced.lip import Pendulum
+from trajopt.guesses import guess_from_lip
+from trajopt.problem import Family, Parameter, Problem
+from trajopt.reduced import FootstepPlan, Pendulum, Walk
 from trajopt.robot import Robot
-from trajopt.schedule.schedule import Motion
+from trajopt.schedule import Motion
 from trajopt.terms import TerminalRest
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 
 from . import bipeds, common
 

@@ -7,11 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from trajopt.reduced.base_path import BaseWaypoint
-from trajopt.robot import Robot
-from trajopt.robot.legs import biped_legs
-from trajopt.schedule import Schedule
-from trajopt.schedule.placing import footholds_at
+from trajopt.guesses import BaseWaypoint
+from trajopt.robot import Robot, biped_legs
+from trajopt.schedule import Schedule, footholds_at
 from trajopt_library import robots
 
 from . import common

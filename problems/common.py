@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Choice, Parameter
-from trajopt.reduced.base_path import hermite as hermite
-from trajopt.robot import Robot
-from trajopt.robot.legs import quadruped_legs
-from trajopt.schedule import Phase, Schedule
-from trajopt.schedule.schedule import Motion
+from trajopt.guesses import hermite as hermite
+from trajopt.problem import Choice, Parameter, Problem
+from trajopt.robot import Robot, quadruped_legs
+from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import (
+    Actuation,
     EffortLimits,
     FrictionPyramid,
     PositionLimits,
@@ -32,10 +30,7 @@ from trajopt.terms import (
     effort_costs,
     swing_clearance,
 )
-from trajopt.terms.context_symbols import Actuation
-from trajopt.terrain import Terrain
-from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain import FlatGround, Terrain, smooth_step
 from trajopt_library import robots
 
 # Least height of a foot over the ground in mid-flight, m.

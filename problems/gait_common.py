@@ -7,17 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.problem import Problem
-from trajopt.problem.family import Parameter
-from trajopt.reduced.gait_guess import Pace, commanded_motion, plan_of_cycle
+from trajopt.dynamics import gravity_of
+from trajopt.guesses import Pace, commanded_motion, plan_of_cycle
+from trajopt.problem import Parameter, Problem
 from trajopt.robot import Robot
-from trajopt.schedule import Schedule
-from trajopt.schedule.gaits import Gait
-from trajopt.schedule.schedule import Motion
-from trajopt.terms import Term, TrackingCost, goal_terms, swing_arcs
-from trajopt.terms.objectives import REST
-from trajopt.terrain.flat import FlatGround
+from trajopt.schedule import Gait, Motion, Schedule
+from trajopt.terms import REST, Term, TrackingCost, goal_terms, swing_arcs
+from trajopt.terrain import FlatGround
 
 from . import common
 

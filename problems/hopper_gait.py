@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.problem.periodicity import Periodicity
+from trajopt.dynamics import gravity_of
+from trajopt.problem import Family, Periodicity, Problem
 from trajopt.robot import Robot
-from trajopt.schedule.schedule import Motion
+from trajopt.schedule import Motion
 from trajopt.terms import goal_terms
-from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain import FlatGround, smooth_step
 
 from . import common, hoppers
 from .gait_common import Style, forward

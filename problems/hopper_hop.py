@@ -9,16 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.robot import Robot
-from trajopt.robot.stance.minimal_coordinates import StanceMode, stance_mode
-from trajopt.schedule import Schedule
-from trajopt.schedule.schedule import Motion
+from trajopt.problem import Family, Problem
+from trajopt.robot import Robot, StanceMode, stance_mode
+from trajopt.schedule import Motion, Schedule
 from trajopt.terms import ImpulseCost, TerminalPosture, TerminalRest, TerminalState, effort_costs, goal_terms
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 
 from . import common, hoppers
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.robot.kinematics import contact_positions, inverse_kinematics
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot, contact_positions, inverse_kinematics
 from trajopt_library import robots
 
 ROBOTS = ("hopper", "hopper_space")

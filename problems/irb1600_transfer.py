@@ -8,10 +8,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family, Parameter
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import inverse_kinematics_branches
+from trajopt.problem import Family, Parameter, Problem
+from trajopt.robot import Robot, inverse_kinematics_branches
 from trajopt.terms import AccelerationCost, MotorTorqueCost
 from trajopt_library.robots import irb1600
 

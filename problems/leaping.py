@@ -12,14 +12,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.dynamics import gravity_of
+from trajopt.guesses import BaseWaypoint, legged_guess
 from trajopt.problem import Problem
-from trajopt.reduced.base_path import BaseWaypoint
-from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import contact_positions, frame_pose
-from trajopt.robot.legs import leg_joints
-from trajopt.schedule.placing import footholds_at
+from trajopt.robot import Robot, contact_positions, frame_pose, leg_joints
+from trajopt.schedule import footholds_at
 from trajopt.terms import FramesAbove, Term, effort_costs, goal_terms
 from trajopt.terrain import Terrain
 

@@ -9,10 +9,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
+from trajopt.dynamics import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import Posture, contact_poses, contact_targets, inverse_kinematics
+from trajopt.robot import Posture, Robot, contact_poses, contact_targets, inverse_kinematics
 
 from .common import displaced
 

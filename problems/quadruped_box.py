@@ -8,11 +8,8 @@ from typing import Literal
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.robot import Robot
-from trajopt.robot.collision.description import robot_shapes
-from trajopt.robot.kinematics import contact_positions
+from trajopt.problem import Family, Problem
+from trajopt.robot import Robot, contact_positions, robot_shapes
 from trajopt.terrain import FlatGround, PiecewiseTerrain
 
 from . import common, leaping, pushing

@@ -14,18 +14,13 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.reduced.base_path import BaseWaypoint
-from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.legs import quadruped_legs
-from trajopt.schedule import Schedule
-from trajopt.schedule.placing import footholds_at
+from trajopt.dynamics import gravity_of
+from trajopt.guesses import BaseWaypoint, legged_guess
+from trajopt.problem import Family, Problem
+from trajopt.robot import Robot, contact_positions, quadruped_legs
+from trajopt.schedule import Schedule, footholds_at
 from trajopt.terms import FrameDirection, Term
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 
 from . import common, leaping, pushing
 

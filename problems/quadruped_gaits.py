@@ -10,13 +10,10 @@ from functools import partial
 from typing import Any
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.problem.periodicity import Periodicity
-from trajopt.reduced.gait_guess import Pace, commanded_motion
-from trajopt.robot import Robot
-from trajopt.robot.legs import quadruped_legs
-from trajopt.schedule.named_gaits import QUADRUPED, gait_of
+from trajopt.guesses import Pace, commanded_motion
+from trajopt.problem import Family, Periodicity, Problem
+from trajopt.robot import Robot, quadruped_legs
+from trajopt.schedule import QUADRUPED, gait_of
 from trajopt_library import robots
 
 from . import common, gait_common

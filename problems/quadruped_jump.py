@@ -7,11 +7,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Literal
 
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
+from trajopt.problem import Family, Problem
 from trajopt.robot import Robot
 from trajopt.terms import FrameHeight
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 
 from . import common, leaping, pushing
 

@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.reduced.base_path import BaseWaypoint
-from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import frame_pose
+from trajopt.guesses import BaseWaypoint, legged_guess
+from trajopt.problem import Family, Problem
+from trajopt.robot import Robot, frame_pose
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import TimeCost
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 
 from . import common, leaping, pushing
 

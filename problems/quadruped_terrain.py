@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Choice, Family, Parameter
-from trajopt.robot.legs import quadruped_legs
-from trajopt.terrain import FlatGround, Patch, PiecewiseTerrain, SmoothTerrain, Terrain, Wave
-from trajopt.terrain.piecewise import REACH
+from trajopt.problem import Choice, Family, Parameter, Problem
+from trajopt.robot import quadruped_legs
+from trajopt.terrain import REACH, FlatGround, Patch, PiecewiseTerrain, SmoothTerrain, Terrain, Wave
 
 from . import common
 from .gait_common import ROBOTS

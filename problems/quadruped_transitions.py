@@ -13,15 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.problem import Problem
-from trajopt.problem.family import Choice, Family
-from trajopt.reduced.gait_guess import GaitPlan, Pace, plan_of_part
+from trajopt.guesses import GaitPlan, Pace, plan_of_part
+from trajopt.problem import Choice, Family, Problem
 from trajopt.robot import Robot
-from trajopt.schedule import Phase, Schedule
-from trajopt.schedule.gait_transitions import transition
-from trajopt.schedule.named_gaits import QUADRUPED, gait_of
+from trajopt.schedule import QUADRUPED, Phase, Schedule, gait_of, transition
 from trajopt.terms import TerminalRest, TerminalState, TerminalVelocity, swing_arcs
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 
 from . import common, gait_common
 from .gait_common import HIGHER, ROBOTS, STYLES, gait_costs

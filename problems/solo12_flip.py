@@ -7,16 +7,13 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import ORDERS
-from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.reduced.base_conversion import with_virtual_base
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import contact_positions, inverse_kinematics
-from trajopt.schedule.schedule import Motion
+from trajopt.dynamics import ORDERS, STANDARD_GRAVITY
+from trajopt.problem import Family, Problem
+from trajopt.reduced import with_virtual_base
+from trajopt.robot import Robot, contact_positions, inverse_kinematics
+from trajopt.schedule import Motion
 from trajopt.terms import FrameHeight, FramePose
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 from trajopt_library import robots
 from trajopt_library.robots.solo12 import BASE
 

@@ -7,18 +7,14 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
+from trajopt.dynamics import STANDARD_GRAVITY
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.reduced.base_path import BaseWaypoint, WaypointPath
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import contact_positions, inverse_kinematics
-from trajopt.schedule import Schedule
-from trajopt.schedule.placing import footholds_at
-from trajopt.schedule.schedule import Motion
+from trajopt.guesses import BaseWaypoint, WaypointPath
+from trajopt.problem import Family, Problem
+from trajopt.robot import Robot, contact_positions, inverse_kinematics
+from trajopt.schedule import Motion, Schedule, footholds_at
 from trajopt.terms import DriveLimits, FrameHeight, ImpulseCost, Term
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 from trajopt_library import robots
 from trajopt_library.robots import solo12
 

@@ -7,13 +7,12 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
+from trajopt.dynamics import STANDARD_GRAVITY
+from trajopt.problem import Family, Problem
 from trajopt.robot import Robot
-from trajopt.schedule.placing import footholds_at
+from trajopt.schedule import footholds_at
 from trajopt.terms import FrameHeight, FrictionCone
-from trajopt.terrain.flat import FlatGround
+from trajopt.terrain import FlatGround
 from trajopt_library import robots
 from trajopt_library.robots.solo12 import BASE
 

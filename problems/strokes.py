@@ -9,10 +9,9 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.robot.units import Units
-from trajopt.terms import Context, NodeConstraint, NodePlace, PointConstraint, Rows
-from trajopt.terms.terminal import free_directions
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.robot import Units
+from trajopt.terms import Context, NodeConstraint, NodePlace, PointConstraint, Rows, free_directions
+from trajopt.terrain import smooth_step
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.manifold import Coordinates
+from trajopt.dynamics import Coordinates
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
+from trajopt.problem import Family, Problem
 from trajopt.robot import Robot
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import effort_costs, goal_terms
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain import smooth_step
 from trajopt_library import robots
 
 from . import common

@@ -7,15 +7,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import frame_pose, inverse_kinematics
-from trajopt.schedule import Phase, Schedule
-from trajopt.schedule.schedule import Motion
+from trajopt.problem import Family, Problem
+from trajopt.robot import Robot, frame_pose, inverse_kinematics
+from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import FrictionCone, NormalForce, SoleCone, TerminalRest
-from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.surface import Surface
+from trajopt.terrain import FlatGround, Surface
 from trajopt_library import robots
 from trajopt_library.robots.talos import HAND, SIDES, SOLES
 

@@ -8,15 +8,10 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.problem import Problem
-from trajopt.problem.family import Choice, Parameter
-from trajopt.reduced.gait_guess import Pace
-from trajopt.reduced.terrain_guess import plan_over_terrain
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import contact_positions
-from trajopt.schedule import Schedule
-from trajopt.schedule.gait_transitions import transition
-from trajopt.schedule.named_gaits import gait_of
+from trajopt.guesses import Pace, plan_over_terrain
+from trajopt.problem import Choice, Parameter, Problem
+from trajopt.robot import Robot, contact_positions
+from trajopt.schedule import Schedule, gait_of, transition
 from trajopt.terms import Term, effort_costs, swing_arcs
 from trajopt.terrain import PiecewiseTerrain, Terrain
 

@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.problem import Problem
-from trajopt.problem.family import Family, Parameter
-from trajopt.robot import Robot
-from trajopt.robot.contact import Contact
-from trajopt.robot.kinematics import frame_pose, inverse_kinematics
+from trajopt.problem import Family, Parameter, Problem
+from trajopt.robot import Contact, Robot, frame_pose, inverse_kinematics
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import AccelerationCost, NormalForce, TorqueCost, WrenchCost
-from trajopt.terrain.surface import Surface
+from trajopt.terrain import Surface
 from trajopt_library import robots
 from trajopt_library.robots.ur5 import TOOL
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from trajopt.problem import Problem
-from trajopt.problem.family import Family
-from trajopt.robot.kinematics import inverse_kinematics
-from trajopt.terms import AccelerationCost, Term, TorqueCost, VelocityCost
-from trajopt.terms.context_symbols import ACTUATIONS, Actuation
+from trajopt.problem import Family, Problem
+from trajopt.robot import inverse_kinematics
+from trajopt.terms import ACTUATIONS, AccelerationCost, Actuation, Term, TorqueCost, VelocityCost
 
 from . import arms, common
 from .arm_reach import turns

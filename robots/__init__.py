@@ -11,8 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 from trajopt.errors import InputError, TrajoptError
-from trajopt.robot import Robot
-from trajopt.robot.legs import feet_in_base
+from trajopt.robot import Robot, feet_in_base
 
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum")
 # Robots with a free base by the number of feet that they stand on.

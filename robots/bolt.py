@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajopt.robot import Robot
-from trajopt.robot.contact import Contact
-from trajopt.robot.data import robot_file
+from trajopt.robot import Contact, Robot, robot_file
 
 from . import solo12
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot, robot_file
 
 KIND = "pendulum"
 # The links point up at zero.

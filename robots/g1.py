@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from trajopt.robot.contact import Contact
-from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
+from trajopt.robot import Contact, Robot, robot_file
 
 KIND = "biped"
 SIDES = ("left", "right")

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from trajopt.robot.building import sagittal
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot, sagittal
 
 KIND = "hopper"
 FOOT = "foot"

@@ -9,9 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.robot.actuators.beams import Beam
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.robot import Robot
+from trajopt.robot import Beam, Drive, Robot
 
 KIND = "arm"
 # Flange frame in the convention of ABB: z out of the flange, x down when the arm is at zero.

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot, robot_file
 
 KIND = "arm"
 # Between the fingers, x out of the hand.

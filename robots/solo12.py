@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.contact import Contact
-from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
+from trajopt.robot import Contact, Drive, Robot, robot_file
 
 KIND = "quadruped"
 BASE = "base_link"

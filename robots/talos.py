@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from trajopt.robot.contact import Contact
-from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
+from trajopt.robot import Contact, Robot, robot_file
 
 KIND = "biped"
 SIDES = ("left", "right")

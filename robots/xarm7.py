@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
+from trajopt.robot import Robot, robot_file
 
 KIND = "arm"
 # Flange, z out of it.

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 from tests.support.repository import ROOT
 
 TESTS = ROOT / "tests"
+# `from trajopt.ROOM.MODULE import NAMES`, in code and in blocks of documents.
+IMPORTS = re.compile(r"^\s*from (trajopt\.[\w.]+) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 ROOMS = {path.parent.name for path in (ROOT / "trajopt").glob("*/__init__.py")}
 
 
@@ -35,3 +38,31 @@ def test_no_file_imports_a_test_file():
 
 def test_every_room_has_a_folder_of_tests():
     assert {room for room in ROOMS if not list((TESTS / room).glob("test_*.py"))} == set()
+
+
+def test_no_public_name_of_a_room_is_also_one_of_its_modules():
+    """`from trajopt.ROOM import NAME` would give the module once anything had imported that."""
+    for stub in (ROOT / "trajopt").glob("**/__init__.pyi"):
+        names = set(re.findall(r" as (\w+)$", stub.read_text(encoding="utf-8"), re.MULTILINE))
+        modules = {path.stem for path in stub.parent.iterdir() if path.suffix in {"", ".py"}}
+        if stub.parent.name == "trajopt":
+            names -= {"robot"}  # the package can be called
+        assert not names & modules, stub
+
+
+def test_problems_and_documents_import_public_names_from_the_rooms():
+    """A user who reads them finds names where `trajopt.ROOM` offers them, not in modules."""
+    public = {
+        name: f"trajopt.{stub.parent.name}"
+        for stub in (ROOT / "trajopt").glob("*/__init__.pyi")
+        for name in re.findall(r" as (\w+)$", stub.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    read = [*(ROOT / "problems").glob("*.py"), *(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]
+    found = {
+        f"{path.relative_to(ROOT)} imports {name} from {module}, not from {public[name]}"
+        for path in read
+        for module, names in IMPORTS.findall(path.read_text(encoding="utf-8"))
+        for name in re.split(r"[\s,()]+", names)
+        if name in public and module.startswith(public[name] + ".")
+    }
+    assert found == set()

@@ -10,8 +10,8 @@ import numpy as np
 
 from scripts.measure.shared import NOISE, head, median, row, solver_option, timed
 from trajopt import Problem, solve
-from trajopt.reduced.body_guess import guess_from_srb
-from trajopt.reduced.foot_motion import DEFAULT_CLEARANCE, FootMotion, guess_from_lip
+from trajopt.guesses.body_guess import guess_from_srb
+from trajopt.guesses.foot_motion import DEFAULT_CLEARANCE, FootMotion, guess_from_lip
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import body_problem, footholds_of
 from trajopt.solvers.result import StoppingCriteria

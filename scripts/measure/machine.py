@@ -15,6 +15,7 @@ import numpy as np
 
 from scripts.measure.shared import head, row
 from trajopt import _engine
+from trajopt.cache import CACHE_VARIABLE
 from trajopt.cli.input import parse_settings
 from trajopt.solving.solving import prepare
 from trajopt.study.sweep.cores import physical_cores
@@ -25,7 +26,6 @@ from trajopt.study.sweep.result import Job, TimedRun
 from trajopt.study.sweep.run import run_job
 from trajopt.study.workers.executor import ProcessPerTaskExecutor
 from trajopt.study.workers.task import announced
-from trajopt.transcription.cache_entries import CACHE_VARIABLE
 from trajopt.transcription.stage_functions import Derivatives
 from trajopt_library import problems
 

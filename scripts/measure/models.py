@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from scripts.measure.shared import NOISE, head, row, solver_option
 from trajopt import Problem, Schedule, Solution, check, solve
-from trajopt.certify.energy import cost_of_transport
+from trajopt.certify.energy_use import cost_of_transport
 from trajopt.dynamics.base_joint import virtual_order
 from trajopt.dynamics.virtual_base import to_free_flyer
 from trajopt.reduced.base_conversion import with_virtual_base

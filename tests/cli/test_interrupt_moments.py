@@ -16,7 +16,7 @@ from tests.support.packages import install
 from tests.support.problems import hop
 from tests.support.processes import LIMIT, environment, needs_proc, processes, run
 from trajopt import solve
-from trajopt.transcription.cache_entries import CACHE_VARIABLE
+from trajopt.cache import CACHE_VARIABLE
 
 pytestmark = [pytest.mark.slow, needs_proc]
 
@@ -126,7 +126,7 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         [
             at("compilation:_Compiler._tape", CANCELLED),
             at("compilation:_Compiler._tape", CANCELLED, count=3),
-            at("cache_entries:write_entry", CANCELLED),
+            at("cache:write_entry", CANCELLED),
         ],
     ),
     "continue": (

@@ -16,8 +16,8 @@ from tests.support.problems import FOOT, hop, hopper, planar_hopper
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
+from trajopt.guesses.body_guess import BasePath, guess_from_srb
 from trajopt.problem.problem import Problem
-from trajopt.reduced.body_guess import BasePath, guess_from_srb
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import (
     BODY,

@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import minimize
 
+from trajopt.cache import CACHE_VARIABLE
 from trajopt.errors import InputError
 from trajopt.robot.collision.coal_shapes import coal_link
 from trajopt.robot.collision.hulls import LEAST_EXCESS, MOST_EXCESS, prism, simplified
@@ -302,7 +303,8 @@ CLOUDS = {
 
 @pytest.mark.parametrize("fine", [False, True])
 @pytest.mark.parametrize("cloud", CLOUDS)
-def test_simplified_hull_encloses_every_point_within_its_excess(cloud, fine):
+def test_simplified_hull_encloses_every_point_within_its_excess(cloud, fine, tmp_path, monkeypatch):
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     points = CLOUDS[cloud]
     corners, radius = simplified(points, fine)
     assert radius <= (LEAST_EXCESS if fine else MOST_EXCESS) or len(corners) == 1
@@ -324,6 +326,32 @@ def test_simplified_hull_encloses_every_point_within_its_excess(cloud, fine):
     again = simplified(points, fine)
     assert np.array_equal(again[0], corners)
     assert again[1] == radius
+
+
+def test_simplified_hulls_come_from_the_cache_unless_they_are_damaged(tmp_path, monkeypatch):
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    points = CLOUDS["long"]
+    corners, radius = simplified(points)
+    (entry,) = tmp_path.iterdir()
+    changed = entry.stat().st_mtime_ns
+    found = simplified(points)
+    assert entry.stat().st_mtime_ns == changed
+    entry.write_bytes(entry.read_bytes()[:-8])
+    repaired = simplified(points)
+    for again in (found, repaired):
+        assert np.array_equal(again[0], corners)
+        assert again[1] == radius
+    simplified(points, fine=True)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_hulls_are_simplified_where_the_cache_cannot_be_written(tmp_path, monkeypatch):
+    expected = simplified(CLOUDS["long"])
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file"))
+    (tmp_path / "file").write_text("not a folder")
+    corners, radius = simplified(CLOUDS["long"])
+    assert np.array_equal(corners, expected[0])
+    assert radius == expected[1]
 
 
 @pytest.mark.parametrize("radius", [0.005, 0.05, 0.5])

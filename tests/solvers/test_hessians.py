@@ -14,6 +14,7 @@ from scipy import sparse
 
 from tests.support.command_lines import invoke
 from tests.support.problems import hop, hopper, one_joint_arm, planar_hopper, point_of, random_point, reach
+from trajopt.cache import CACHE_VARIABLE
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.actuators.drive import Drive
@@ -30,7 +31,6 @@ from trajopt.terms import (
     VelocityCost,
     WrenchCost,
 )
-from trajopt.transcription.cache_entries import CACHE_VARIABLE
 from trajopt.transcription.compilation import compile_points
 from trajopt.transcription.guess import perturbed
 from trajopt.transcription.stage_functions import Derivatives, PointFunction

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from trajopt.certify.check import check
-from trajopt.certify.energy import cost_of_transport
+from trajopt.certify.energy_use import cost_of_transport
 from trajopt.certify.report import AT_POINTS
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem

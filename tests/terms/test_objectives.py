@@ -14,12 +14,12 @@ from scipy import sparse
 from tests.support.goals import objective, sampled, wandering, with_terms
 from tests.support.problems import FOOT, REACH, hop, hopper, one_joint_arm, reach
 from tests.support.scenes import biped, push, usual
-from trajopt.certify.energy import energy
+from trajopt.certify.energy_use import energy
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.smallest import smallest
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.robot import Robot
+from trajopt.scenes.smallest_scene import smallest
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import (

@@ -14,7 +14,7 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.shapes import Wave
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface, frame_of_normal
-from trajopt.terrain.swing_path import swing_path
+from trajopt.terrain.swing_paths import swing_path
 
 ROUNDING = 1e-12  # numbers of order one after a few products
 RADIUS = 0.04  # the largest foot of the library, m

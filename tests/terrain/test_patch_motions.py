@@ -11,14 +11,11 @@ from tests.support.synthetic_motions import sampled, standing
 from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.problem.problem import Problem
-from trajopt.reduced.base_path import BaseWaypoint
-from trajopt.reduced.legged_guess import legged_guess
-from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.legs import quadruped_legs
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.solution import Solution
+from trajopt.guesses import BaseWaypoint, legged_guess
+from trajopt.problem import Problem
+from trajopt.robot import Robot, contact_positions, quadruped_legs
+from trajopt.schedule import Phase, Schedule
+from trajopt.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terms import (
     AccelerationCost,
@@ -36,10 +33,7 @@ from trajopt.terms import (
     WrenchCost,
     swing_clearance,
 )
-from trajopt.terrain.patch import Patch
-from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.swing_path import swing_path
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain import Patch, PiecewiseTerrain, smooth_step, swing_path
 from trajopt_library import problems, robots
 
 SOLVED = 1e-6  # rows of a solve that stops at 1e-8, over their units

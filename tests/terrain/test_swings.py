@@ -22,7 +22,7 @@ from trajopt.terms import (
 )
 from trajopt.terrain.crossing import crossing
 from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.swing_path import swing_path
+from trajopt.terrain.swing_paths import swing_path
 from trajopt.transcription.mesh import equal_fractions
 
 ROUNDING = 1e-12  # numbers of order one after a few products

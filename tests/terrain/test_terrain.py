@@ -30,7 +30,7 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.shapes import Bump, Incline, Wave
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_path import swing_path
+from trajopt.terrain.swing_paths import swing_path
 from trajopt.terrain.terrain import terrain_from_description
 from trajopt_library import robots
 from trajopt_library.robots import solo12

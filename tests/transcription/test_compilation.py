@@ -14,11 +14,11 @@ from numpy.testing import assert_array_equal
 
 from tests.support.problems import hop, hopper, reach
 from tests.support.processes import LIMIT, environment
+from trajopt.cache import CACHE_VARIABLE
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solving.solving import prepare
 from trajopt.terms import FrictionPyramid, TorqueCost
-from trajopt.transcription.cache_entries import CACHE_VARIABLE
 from trajopt.transcription.compilation import compile_points, entry_key
 from trajopt.transcription.stage_functions import PointFunction
 from trajopt.transcription.transcription import transcribe

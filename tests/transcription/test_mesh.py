@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from tests.support.problems import hop, lean
 from trajopt.certify.check import check
-from trajopt.certify.energy import energy
+from trajopt.certify.energy_use import energy
 from trajopt.errors import InputError
 from trajopt.schedule.schedule import Phase
 from trajopt.solution.grid import interpolated, mesh_of

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from trajopt.certify.report import CheckReport
     from trajopt.cli.report import SolveReport
-    from trajopt.reduced.scenes.smallest import Scene
+    from trajopt.scenes.smallest_scene import Scene
     from trajopt.solution.solution import Solution
 
 
@@ -115,7 +115,7 @@ def solve_command(
         )
     scene: Scene | None = None
     if smallest or explain or keep:
-        from trajopt.reduced.scenes.smallest import smallest as smallest_scene
+        from trajopt.scenes.smallest_scene import smallest as smallest_scene
 
         grid = {name: arguments[name] for name in ("transcription", "intervals")}
         scene = smallest_scene(loaded, keep=keep, **grid)

@@ -1,4 +1,4 @@
-"""Smaller models: two stages, one rigid body, the pendulum; guesses and scenes made from them."""
+"""Smaller models: two stages, one rigid body, the pendulum."""
 
 import lazy_loader
 

@@ -1,12 +1,9 @@
 from .base_conversion import with_virtual_base as with_virtual_base
-from .base_path import BaseWaypoint as BaseWaypoint
-from .body_guess import guess_from_srb as guess_from_srb
 from .com_program import CenterOfMassProgram as CenterOfMassProgram
-from .foot_motion import guess_from_lip as guess_from_lip
 from .footsteps import FootstepPlan as FootstepPlan
 from .footsteps import Walk as Walk
-from .legged_guess import legged_guess as legged_guess
 from .lip import Pendulum as Pendulum
 from .single_rigid_body import body_problem as body_problem
+from .two_stage import base_rows_problem as base_rows_problem
 from .two_stage import recover_torques as recover_torques
 from .wrench_distribution import redistribute_wrenches as redistribute_wrenches

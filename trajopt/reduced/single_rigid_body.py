@@ -24,9 +24,9 @@ from typing_extensions import override
 from trajopt.dynamics.rotations import rotation_matrix
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.foot_motion import require_free_flyer
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, StepPhase, feet_of, landing_place
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
+from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule

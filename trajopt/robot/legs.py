@@ -135,3 +135,11 @@ def leg_joints(robot: Robot) -> tuple[str, ...]:
             and np.abs(frame.placement.translation).max() < SAME_PLACE
         ][:1]
     return tuple(found)
+
+
+def require_free_flyer(robot: Robot) -> None:
+    """Raise InputError unless the robot's root is a free-flyer placed in world axes."""
+    if robot.base != "freeflyer" or not robot.model.jointPlacements[1].isIdentity():
+        raise InputError(
+            f"robot '{robot.name}' has a {robot.base} base", "allowed: a free-flyer in world axes"
+        )

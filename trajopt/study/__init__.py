@@ -1,1 +1,5 @@
 """Measurements: suites of problems, sweeps over settings, choices from them, diagnosis."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,5 +1,7 @@
 from .clearance import Clearance as Clearance
 from .context import Context as Context
+from .context_symbols import ACTUATIONS as ACTUATIONS
+from .context_symbols import Actuation as Actuation
 from .costs import AccelerationCost as AccelerationCost
 from .costs import ImpulseCost as ImpulseCost
 from .costs import PostureCost as PostureCost
@@ -36,6 +38,7 @@ from .node_costs import FrameHeightCost as FrameHeightCost
 from .node_costs import NodeCost as NodeCost
 from .node_interfaces import NodeConstraint as NodeConstraint
 from .node_interfaces import NodePlace as NodePlace
+from .objectives import REST as REST
 from .objectives import effort_costs as effort_costs
 from .objectives import goal_terms as goal_terms
 from .power import PowerCost as PowerCost
@@ -51,4 +54,5 @@ from .terminal import TerminalPosture as TerminalPosture
 from .terminal import TerminalRest as TerminalRest
 from .terminal import TerminalState as TerminalState
 from .terminal import TerminalVelocity as TerminalVelocity
+from .terminal import free_directions as free_directions
 from .tracking import TrackingCost as TrackingCost

@@ -19,7 +19,7 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_path import crossing_of
+from trajopt.terrain.swing_paths import crossing_of
 from trajopt.terrain.swing_profile import require_clearance
 from trajopt.terrain.terrain import Terrain
 

@@ -19,9 +19,9 @@ from pathlib import Path
 import casadi as ca
 
 from trajopt import _engine
+from trajopt.cache import read_entry, write_entry
 from trajopt.errors import InputError
 from trajopt.transcription import stage_functions
-from trajopt.transcription.cache_entries import read_entry, write_entry
 from trajopt.transcription.stage_functions import Derivatives, PointFunction
 
 # Hessians to choose from; a solver approximates the last one from gradients.

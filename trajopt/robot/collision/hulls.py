@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import importlib.metadata
 import math
+from functools import lru_cache
+from pathlib import Path
 
 import coal
 import numpy as np
 
+from trajopt.cache import read_entry, write_entry
+from trajopt.errors import InputError
 from trajopt.robot.collision.coal_shapes import coal_hull, thick
 
 # A simplified hull is larger than the mesh's by at most this, over the mesh's extent and in m.
@@ -32,11 +39,31 @@ def simplified(points: np.ndarray, fine: bool = False) -> tuple[np.ndarray, floa
     Every corner of the hull is within the radius of the hull of those kept, so by convexity all of it is. The
     corner farthest outside joins until the farthest is within the excess that is allowed: `EXCESS` of the
     mesh's extent, or `LEAST_EXCESS` if it is to be ``fine``. The mesh of a ball is that ball, one point.
-    Nothing is random.
+    Nothing is random. Found in the cache by the points, where they were simplified before.
     """
+    given = np.ascontiguousarray(points, dtype=float)
+    name = f"hull.{hashlib.sha256(f'{_maker()}|{fine}|'.encode() + given.tobytes()).hexdigest()[:32]}"
+    entry = read_entry(name)
+    if entry is not None:
+        numbers = np.frombuffer(entry)
+        return numbers[1:].reshape(-1, 3).copy(), float(numbers[0])
+    corners, radius = _simplified(given, fine)
+    with contextlib.suppress(InputError):  # without a cache it takes longer, no more
+        write_entry(name, np.append(radius, corners).tobytes())
+    return corners, radius
+
+
+@lru_cache(maxsize=1)
+def _maker() -> str:
+    """What an entry depends on besides the points: versions, and this code."""
+    versions = [importlib.metadata.version(name) for name in ("scipy", "coal")]
+    return "|".join([*versions, Path(__file__).read_text("utf-8")])
+
+
+def _simplified(points: np.ndarray, fine: bool) -> tuple[np.ndarray, float]:
     from scipy.spatial import ConvexHull  # takes a while to load
 
-    solid = thick(np.asarray(points, dtype=float))
+    solid = thick(points)
     whole = ConvexHull(solid)
     corners = solid[np.sort(whole.vertices)]
     extent = float(np.linalg.norm(np.ptp(corners, axis=0)))

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.reduced.base_path import (
+from trajopt.guesses.base_path import (
     SAME_TIME,
     BaseWaypoint,
     WaypointPath,
@@ -23,7 +23,7 @@ from trajopt.reduced.base_path import (
     heading_of,
     turn_to_heading,
 )
-from trajopt.reduced.legged_guess import LeggedPosture, legged_guess
+from trajopt.guesses.legged import LeggedPosture, legged_guess
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terrain.surface import UP

@@ -16,12 +16,12 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.dynamics.rerooting import JOINT_ROWS, joint_slices
-from trajopt.reduced.scenes.reduction import Follower, Reduction
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.building import sagittal
 from trajopt.robot.contact import Contact
 from trajopt.robot.mirror import Mirror, keepers, mirrored_range, reflected, reflected_inertia
 from trajopt.robot.robot import Robot
+from trajopt.scenes.reduction import Follower, Reduction
 
 
 def turned_by_mirror(robot: Robot, mirror: Mirror) -> tuple[str, ...]:

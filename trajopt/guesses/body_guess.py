@@ -11,14 +11,14 @@ import pinocchio as pin
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from trajopt.errors import InputError
-from trajopt.problem.problem import Problem
-from trajopt.reduced.foot_motion import (
+from trajopt.guesses.foot_motion import (
     CACHED_POSTURES,
     DEFAULT_CLEARANCE,
     FootMotion,
     FootSwing,
     foot_targets,
 )
+from trajopt.problem.problem import Problem
 from trajopt.reduced.footsteps import Foothold, feet_of
 from trajopt.reduced.single_rigid_body import footholds_of
 from trajopt.robot.kinematics import inverse_kinematics

@@ -16,10 +16,10 @@ from tests.support.scene_optima import SAME_MOTION, SAME_OPTIMUM, SOLVED, object
 from tests.support.scenes import FEET, biped, drive, push, symmetrised, usual
 from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution
 from trajopt.certify.report import AT_POINTS
-from trajopt.reduced.scenes.smallest import smallest
 from trajopt.robot.building import leaving_plane
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.units import Units
+from trajopt.scenes.smallest_scene import smallest
 from trajopt.terms import (
     AccelerationCost,
     Context,

@@ -8,8 +8,8 @@ import numpy as np
 
 from trajopt.dynamics.model_quantities import contact_jacobian, generalized_force
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.reduction import Reduction
 from trajopt.robot.robot import Robot
+from trajopt.scenes.reduction import Reduction
 from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import contact_activity, robot_meta

@@ -17,16 +17,16 @@ from typing import Literal, get_args
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.facts import modelled, remarks
-from trajopt.reduced.scenes.lift import lift_solution
-from trajopt.reduced.scenes.lock import behind_base, lock_joints
-from trajopt.reduced.scenes.needs import KEPT_AS_ASKED, cleared_contacts, needed_joints, require_lockable
-from trajopt.reduced.scenes.plane import halve_robot, in_plane
-from trajopt.reduced.scenes.reduction import Reduction
-from trajopt.reduced.scenes.report import CHOICE, EXACT, KEPT, Decision, ProblemSize, SceneReport
-from trajopt.reduced.scenes.soles import Soles, with_soles
-from trajopt.reduced.scenes.terms import reduced_problem
 from trajopt.reduced.term_reader import TermReader
+from trajopt.scenes.facts import modelled, remarks
+from trajopt.scenes.lift import lift_solution
+from trajopt.scenes.lock import behind_base, lock_joints
+from trajopt.scenes.needs import KEPT_AS_ASKED, cleared_contacts, needed_joints, require_lockable
+from trajopt.scenes.plane import halve_robot, in_plane
+from trajopt.scenes.reduction import Reduction
+from trajopt.scenes.report import CHOICE, EXACT, KEPT, Decision, ProblemSize, SceneReport
+from trajopt.scenes.soles import Soles, with_soles
+from trajopt.scenes.terms import reduced_problem
 from trajopt.solution.solution import Solution
 from trajopt.terms.interfaces import Cost
 from trajopt.transcription.transcription import transcribe

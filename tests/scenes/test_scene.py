@@ -15,8 +15,8 @@ from tests.support.scene_optima import SAME_MOTION, SAME_OPTIMUM, objective, sol
 from tests.support.scenes import FEET, biped, push, usual
 from trajopt import Contact, InputError, Phase, Schedule
 from trajopt.certify.report import AT_POINTS
-from trajopt.reduced.scenes.smallest import smallest
 from trajopt.robot.units import Units
+from trajopt.scenes.smallest_scene import smallest
 from trajopt.terms import (
     AccelerationCost,
     Context,

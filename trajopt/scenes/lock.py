@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from trajopt.dynamics.base_joint import BASE_COORDINATES
-from trajopt.reduced.scenes.reduction import Follower, Reduction
 from trajopt.robot.robot import Robot
+from trajopt.scenes.reduction import Follower, Reduction
 
 
 def lock_joints(

@@ -14,16 +14,16 @@ import pinocchio as pin
 from trajopt.dynamics.rerooting import joints_with
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.half import half_robot, turned_by_mirror
-from trajopt.reduced.scenes.lock import lock_joints
-from trajopt.reduced.scenes.reduction import Reduction
-from trajopt.reduced.scenes.report import CHOICE, EXACT, Decision
-from trajopt.reduced.scenes.task import TASK, Asymmetry, require_symmetric
-from trajopt.reduced.scenes.terms import reduced_problem
-from trajopt.reduced.scenes.whole_terms import HalfEnd
 from trajopt.reduced.term_reader import TermReader
 from trajopt.robot.building import leaving_plane
 from trajopt.robot.mirror import Mirror, find_mirror, limit_differences, paired_contacts, pairs
+from trajopt.scenes.half import half_robot, turned_by_mirror
+from trajopt.scenes.lock import lock_joints
+from trajopt.scenes.reduction import Reduction
+from trajopt.scenes.report import CHOICE, EXACT, Decision
+from trajopt.scenes.task import TASK, Asymmetry, require_symmetric
+from trajopt.scenes.terms import reduced_problem
+from trajopt.scenes.whole_terms import HalfEnd
 from trajopt.terms.frames import FrameHeight
 from trajopt.terms.landing import ContactLanding
 from trajopt.terms.swing import SwingClearance

@@ -11,10 +11,10 @@ from itertools import accumulate
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError
 from trajopt.reduced.com_planning import ComMotion
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, feet_of
 from trajopt.robot.kinematics import contact_targets, inverse_kinematics
+from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
 from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
@@ -166,11 +166,3 @@ def guess_from_lip(
     feet = FootMotion(plan=plan, initial=feet_of(robot, start), clearance=clearance)
     posture = WalkPosture(robot=robot, feet=feet, motion=motion, q=start)
     return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)
-
-
-def require_free_flyer(robot: Robot) -> None:
-    """Raise InputError unless the robot's root is a free-flyer placed in world axes."""
-    if robot.base != "freeflyer" or not robot.model.jointPlacements[1].isIdentity():
-        raise InputError(
-            f"robot '{robot.name}' has a {robot.base} base", "allowed: a free-flyer in world axes"
-        )

@@ -16,9 +16,9 @@ from tests.support.scene_optima import objective, solved
 from tests.support.scenes import FEET, biped, push
 from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule
 from trajopt.certify.report import AT_POINTS
-from trajopt.reduced.scenes.goals import scene
-from trajopt.reduced.scenes.smallest import smallest
 from trajopt.robot.data import robot_file
+from trajopt.scenes.goals import scene
+from trajopt.scenes.smallest_scene import smallest
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,

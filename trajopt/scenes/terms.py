@@ -16,8 +16,8 @@ from typing import TypeVar
 import numpy as np
 
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.reduction import Reduction
-from trajopt.reduced.scenes.whole_terms import (
+from trajopt.scenes.reduction import Reduction
+from trajopt.scenes.whole_terms import (
     HalfEnd,
     WholeCost,
     WholeImpactCost,

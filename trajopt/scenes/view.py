@@ -15,8 +15,8 @@ from typing_extensions import override
 
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
-from trajopt.reduced.scenes.reduction import Reduction
 from trajopt.robot.mirror import REFLECTION, TWIST
+from trajopt.scenes.reduction import Reduction
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import FrameSymbols, Place
 

@@ -12,10 +12,6 @@ from numpy.testing import assert_allclose
 from tests.support.scenes import FEET, biped, drive, push, symmetrised
 from trajopt import Contact, InputError, Robot
 from trajopt.dynamics.model_quantities import generalized_force
-from trajopt.reduced.scenes.half import half_robot, turned_by_mirror
-from trajopt.reduced.scenes.lock import lock_joints
-from trajopt.reduced.scenes.reduction import Reduction
-from trajopt.reduced.scenes.smallest import smallest
 from trajopt.robot.data import robot_file
 from trajopt.robot.mirror import (
     find_mirror,
@@ -25,6 +21,10 @@ from trajopt.robot.mirror import (
     paired_contacts,
     pairs,
 )
+from trajopt.scenes.half import half_robot, turned_by_mirror
+from trajopt.scenes.lock import lock_joints
+from trajopt.scenes.reduction import Reduction
+from trajopt.scenes.smallest_scene import smallest
 
 # Rounding of sums over some ten bodies, parts of the largest entry.
 ROUNDING = 1e-10

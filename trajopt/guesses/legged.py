@@ -12,9 +12,10 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import require_finite
-from trajopt.reduced.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
-from trajopt.reduced.foot_motion import CACHED_POSTURES, require_free_flyer
+from trajopt.guesses.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
+from trajopt.guesses.foot_motion import CACHED_POSTURES
 from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kinematics
+from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terrain.flat import FlatGround

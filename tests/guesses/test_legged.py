@@ -10,14 +10,14 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
+from trajopt.dynamics import STANDARD_GRAVITY
 from trajopt.errors import InputError
-from trajopt.reduced.base_path import BaseWaypoint, WaypointPath, flights
-from trajopt.reduced.legged_guess import LeggedPosture, legged_guess
-from trajopt.robot.kinematics import contact_poses, contact_positions
-from trajopt.schedule.placing import footholds_at
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terrain.flat import FlatGround
+from trajopt.guesses import BaseWaypoint, WaypointPath, legged_guess
+from trajopt.guesses.base_path import flights
+from trajopt.guesses.legged import LeggedPosture
+from trajopt.robot import contact_poses, contact_positions
+from trajopt.schedule import Phase, Schedule, footholds_at
+from trajopt.terrain import FlatGround
 from trajopt_library import robots
 
 # Feet by inverse kinematics, m.

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.report import EXACT, OFFER, Decision
 from trajopt.reduced.term_reader import TermReader
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.scenes.report import EXACT, OFFER, Decision
 from trajopt.terms.friction import ContactConstraint
 from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
 from trajopt.terms.swing import SwingClearance

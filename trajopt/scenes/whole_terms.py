@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.reduced.scenes.reduction import Reduction, whole_place
-from trajopt.reduced.scenes.view import WholeView
 from trajopt.robot.units import Units
+from trajopt.scenes.reduction import Reduction, whole_place
+from trajopt.scenes.view import WholeView
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term

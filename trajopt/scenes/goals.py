@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from trajopt.errors import InputError, finite_array
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.guess import SceneGuess, end_posture
-from trajopt.reduced.scenes.smallest import Plane, Scene, smallest
 from trajopt.robot.contact import require_frame
 from trajopt.robot.robot import Robot
+from trajopt.scenes.guess import SceneGuess, end_posture
+from trajopt.scenes.smallest_scene import Plane, Scene, smallest
 from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms.costs import AccelerationCost, PostureCost, TorqueCost, VelocityCost, WrenchCost

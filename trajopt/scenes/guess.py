@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_POSITION
 from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.reduced.foot_motion import FootMotion
+from trajopt.guesses.foot_motion import FootMotion
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, StepPhase, landing_place
 from trajopt.robot.kinematics import contact_poses, contact_positions, inverse_kinematics
 from trajopt.robot.robot import Robot

@@ -14,17 +14,17 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.reduced.base_path import BaseWaypoint, WaypointPath, flights, turn_to_heading
-from trajopt.reduced.foot_motion import require_free_flyer
-from trajopt.reduced.gait_guess import Pace, base_pose, gait_path, with_footholds
-from trajopt.reduced.legged_guess import FootStance, LeggedPosture, dropped_onto, legged_guess
+from trajopt.guesses.base_path import BaseWaypoint, WaypointPath, flights, turn_to_heading
+from trajopt.guesses.gaits import Pace, base_pose, gait_path, with_footholds
+from trajopt.guesses.legged import FootStance, LeggedPosture, dropped_onto, legged_guess
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
+from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
 from trajopt.schedule.placing import placed_on
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import frame_of_normal
-from trajopt.terrain.swing_path import swing_path
+from trajopt.terrain.swing_paths import swing_path
 from trajopt.terrain.terrain import Terrain
 
 # Feet farther than this from their places at the start, over the robot's length, do not reach them.
@@ -45,7 +45,7 @@ def plan_over_terrain(
 ) -> TerrainPlan:
     """The plan of a gait that starts from standing and goes over ``terrain`` at ``pace``.
 
-    Feet land under their hips in mid-stance (`gait_guess`), moved to the nearest point of the terrain that
+    Feet land under their hips in mid-stance (`gaits`), moved to the nearest point of the terrain that
     keeps the margin from edges. With ``free`` they may land anywhere on that face, or anywhere on ground
     without faces; only each foot's last landing is planned, so that the posture at the end is that of the
     guess. The feet start under the reference's, vertically. clearance: least height of swings, m, also over

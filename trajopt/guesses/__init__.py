@@ -1,0 +1,5 @@
+"""Guesses: motions of base and feet from which a solve begins, legs by inverse kinematics."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,13 @@
+from .base_path import BaseWaypoint as BaseWaypoint
+from .base_path import WaypointPath as WaypointPath
+from .base_path import hermite as hermite
+from .body_guess import guess_from_srb as guess_from_srb
+from .foot_motion import guess_from_lip as guess_from_lip
+from .gaits import GaitPlan as GaitPlan
+from .gaits import Pace as Pace
+from .gaits import commanded_motion as commanded_motion
+from .gaits import plan_of_cycle as plan_of_cycle
+from .gaits import plan_of_part as plan_of_part
+from .legged import legged_guess as legged_guess
+from .over_terrain import TerrainPlan as TerrainPlan
+from .over_terrain import plan_over_terrain as plan_over_terrain

@@ -1,0 +1,2 @@
+from .graded import solve_graded as solve_graded
+from .reference import converged_reference as converged_reference

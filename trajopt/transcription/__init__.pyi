@@ -1,0 +1,2 @@
+from .stage_functions import Derivatives as Derivatives
+from .transcription import transcribe as transcribe
