@@ -55,6 +55,14 @@ def test_an_earlier_export_is_replaced(plan: Path) -> None:
     assert export(plan, "-o", "a.npz").exit_code == export(plan, "-o", "a.npz").exit_code == 0
 
 
+def test_mjcf_opens_in_mujoco(plan: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    assert export(plan, "--format", "mjcf").stdout == "hop.xml\n"
+    assert export(plan, "-o", "b.xml").exit_code == 0
+    assert Path("hop.xml").read_text() == Path("b.xml").read_text()
+    assert mujoco.MjModel.from_xml_path("b.xml").nu == 2
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -65,10 +73,13 @@ def test_an_earlier_export_is_replaced(plan: Path) -> None:
         (("--format", "xlsx"), "'xlsx' is not one of"),
         (("--quaternion", "xyz"), "'xyz' is not one of"),
         (("--base-velocity", "local"), "'local' is not one of"),
-        (("-o", "a.txt"), "--output a.txt ends with '.txt'; allowed: .csv, .parquet, .npz"),
+        (("-o", "a.txt"), "--output a.txt ends with '.txt'; allowed: .csv, .parquet, .npz, .xml"),
         (("-o", "a.npz", "--format", "csv"), "--output a.npz ends with '.npz'; allowed: .csv"),
         (("-o", "hop.npz"), "hop.npz is an input file"),
         (("-o", "other.npz"), "other.npz is a solution file; allowed: another name"),
+        (("--format", "mjcf", "--rate", 100), "--rate is of no use for mjcf"),
+        (("-o", "a.xml", "--base-velocity", "world"), "--base-velocity is of no use for mjcf"),
+        (("-o", "a.xml", "--format", "npz"), "--output a.xml ends with '.xml'; allowed: .npz"),
         (("-o", "no/a.csv"), "the folder no does not exist"),
     ],
 )
