@@ -30,8 +30,8 @@ def main() -> int:
         if not presses:
             raise
     finally:
-        # Under `-m`, CPython ends by SIGINT, not with a status, after Ctrl-C in text given to `exec` (of a dataclass,
-        # for example), until another text is executed.
+        # Under `-m`, CPython ends by SIGINT, not with a status, after Ctrl-C in text given to `exec` (by
+        # `dataclass`, for example), until another text is executed.
         exec("")
     print("trajopt: cancelled", file=sys.stderr)
     return INTERRUPTED

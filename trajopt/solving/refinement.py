@@ -88,7 +88,8 @@ class Refinement:
     ) -> str:
         """Solve, examine, refine; return why it ends.
 
-        A round is a motion that is examined: a mesh may take several solves, from the motion and from the guess.
+        A round is a motion that is examined. Its mesh may take several solves, from the last motion and from
+        the guess.
         """
         solution = self._first(mesh, start) if first is None else self._given(first)
         examined = 0
