@@ -33,7 +33,10 @@ from trajopt.solution.solution import Solution
 # MuJoCo accepts no body with less mass, kg, or inertia, kg m^2: far below those of the smallest robots.
 LEAST = 1e-12
 # The viewer shows this group only where it is asked to: ground that is lifted for contacts with a radius.
-HIDDEN_GROUP, GROUND_COLOUR = "3", "0.75 0.78 0.8 1"
+HIDDEN_GROUP, GROUND_COLOUR = "3", "0.8 0.85 0.9 1"
+LIGHT = {"ambient": "0.4 0.4 0.4", "diffuse": "0.6 0.6 0.6", "specular": "0.1 0.1 0.1"}
+SKY = {"type": "skybox", "builtin": "gradient", "rgb1": "1 1 1", "rgb2": "0.7 0.8 0.9"}
+SKY_SIZE = {"width": "256", "height": "256"}
 # Of an element of MJCF, the attribute of a joint and what a compiled model calls it.
 DRIVE_ATTRIBUTES = {"armature": "dof_armature", "damping": "dof_damping", "frictionloss": "dof_frictionloss"}
 
@@ -65,7 +68,7 @@ def mjcf_of(plan: Solution) -> str:
             _complete_body(root, plan.model, index)
         for joint in root.iter("joint"):
             _complete_joint(joint, world)
-        _distinguish_ground(root)
+        _light_scene(root)
         _hold_first_grasps(root, world)
         _add_motors(root, plan)
         _add_keyframes(root, plan, world)
@@ -113,7 +116,13 @@ def _complete_joint(joint: ElementTree.Element, world: World) -> None:
             joint.set(attribute, _numbers(values[0]))
 
 
-def _distinguish_ground(root: ElementTree.Element) -> None:
+def _light_scene(root: ElementTree.Element) -> None:
+    """Light as in a room, a sky, and ground of another colour than the robot."""
+    visual = ElementTree.SubElement(root, "visual")
+    ElementTree.SubElement(visual, "headlight", LIGHT)
+    asset = root.find("asset")
+    asset = ElementTree.SubElement(root, "asset") if asset is None else asset
+    ElementTree.SubElement(asset, "texture", SKY | SKY_SIZE)
     for geom in root.findall("worldbody/geom"):
         geom.set("rgba", GROUND_COLOUR)
         if "." in str(geom.get("name")):
