@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,10 @@ def export_command(
     check_apart([target], [file])
     _refuse_solution_file(check_output(target))
     if samples:
-        motion = Solution.load(file).sample(rate, **conventions)
+        plan = Solution.load(file)
+        if not plan.success:
+            warnings.warn(f"{file} is not a success: {plan.meta['status']}", UserWarning, stacklevel=2)
+        motion = plan.sample(rate, **conventions)
         click.echo(f"{motion.save(target)}: {len(motion.t)} samples at {rate:g} Hz")
     else:
         from trajopt.certify.simulation.mjcf import write_mjcf
