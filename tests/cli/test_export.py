@@ -11,6 +11,7 @@ from click.testing import Result
 
 from tests.support.command_lines import invoke
 from tests.support.sampled_problems import solution_of_kind
+from tests.support.synthetic_motions import with_meta
 from trajopt.solution.solution import Solution
 
 
@@ -69,7 +70,7 @@ def test_mjcf_opens_in_mujoco(plan: Path) -> None:
         (("--rate", 0), "rate is 0 Hz; allowed: finite and > 0"),
         (("--rate", "nan"), "rate is nan Hz"),
         (("--rate", "fast"), "'fast' is not a valid float"),
-        (("--rate", "1e12"), "samples in 0.8 s; allowed: 1000000"),
+        (("--rate", "1e12"), "samples in 0.8 s; allowed: 200000"),
         (("--format", "xlsx"), "'xlsx' is not one of"),
         (("--quaternion", "xyz"), "'xyz' is not one of"),
         (("--base-velocity", "local"), "'local' is not one of"),
@@ -100,3 +101,15 @@ def test_a_file_that_is_no_solution_is_refused(plan: Path) -> None:
     for name in ("a.npz", "none.npz"):
         result = export(name)
         assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+
+
+def test_a_solution_that_is_no_success_is_written_with_a_warning(plan: Path) -> None:
+    solution = Solution.load(plan)
+    with_meta(solution, success=False, status="coarse_grid").save("bad.npz")
+    result = export("bad.npz", "--format", "npz")
+    assert (result.exit_code, result.stderr) == (
+        0,
+        "trajopt: warning: bad.npz is not a success: coarse_grid\n",
+    )
+    with np.load("bad-500hz.npz") as archive:
+        assert str(archive["success"]) == "False"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,13 @@ OF_SAMPLES = ("rate", "quaternion", "base_velocity")
     help="Form of the file.  [default: by the ending of --output, else csv]",
 )
 @default_option("--rate", 500.0, "HZ", "Samples a second.", kind=click.FLOAT)
-@click.option("--output", "-o", type=Path, metavar="OUT", help="File to write.  [default: FILE-500hz.csv]")
+@click.option(
+    "--output",
+    "-o",
+    type=Path,
+    metavar="OUT",
+    help="File to write.  [default: FILE-500hz.csv, of a model FILE.xml]",
+)
 @click.option(
     "--quaternion",
     type=click.Choice(("xyzw", "wxyz")),
@@ -63,7 +70,10 @@ def export_command(
     check_apart([target], [file])
     _refuse_solution_file(check_output(target))
     if samples:
-        motion = Solution.load(file).sample(rate, **conventions)
+        plan = Solution.load(file)
+        if not plan.success:
+            warnings.warn(f"{file} is not a success: {plan.meta['status']}", UserWarning, stacklevel=2)
+        motion = plan.sample(rate, **conventions)
         click.echo(f"{motion.save(target)}: {len(motion.t)} samples at {rate:g} Hz")
     else:
         from trajopt.certify.simulation.mjcf import write_mjcf

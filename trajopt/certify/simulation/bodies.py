@@ -19,7 +19,7 @@ from trajopt.certify.simulation.coordinates import CoordinateMap, JointAddress
 from trajopt.dynamics.manifold import Coordinates, Joint
 from trajopt.errors import InputError
 
-PACKAGE_MISSING = "pip install 'trajopt-contacts[mujoco]'"
+PACKAGE_MISSING = "pip install mujoco"
 # A column of a joint's motion that turns by less than this is a translation.
 TRANSLATION = 1e-9
 # Stand-in inertia for compilation: off its frame and not diagonal, so that no special case is compiled in.

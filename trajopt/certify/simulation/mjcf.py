@@ -37,6 +37,12 @@ HIDDEN_GROUP, GROUND_COLOUR = "3", "0.8 0.85 0.9 1"
 LIGHT = {"ambient": "0.4 0.4 0.4", "diffuse": "0.6 0.6 0.6", "specular": "0.1 0.1 0.1"}
 SKY = {"type": "skybox", "builtin": "gradient", "rgb1": "1 1 1", "rgb2": "0.7 0.8 0.9"}
 SKY_SIZE = {"width": "256", "height": "256"}
+# Joints that are several of MuJoCo's, and the ends of these names.
+PARTS = {
+    "JointModelPlanar": ("x", "y", "angle"),
+    "JointModelTranslation": ("x", "y", "z"),
+    "JointModelSphericalZYX": ("rz", "ry", "rx"),
+}
 # Of an element of MJCF, the attribute of a joint and what a compiled model calls it.
 DRIVE_ATTRIBUTES = {"armature": "dof_armature", "damping": "dof_damping", "frictionloss": "dof_frictionloss"}
 
@@ -180,10 +186,10 @@ def _names(plan: Solution) -> dict[str, str]:
         if frame.type == pin.BODY and frame.placement.isIdentity():
             links.setdefault(frame.parentJoint, frame.name)
     for index in range(1, model.njoints):
-        own, size = model.names[index], model.joints[index].nv
+        own = model.names[index]
         names[body_name(index)] = links.get(index, own)
-        single = size == 1 or model.joints[index].shortname() == "JointModelSpherical"
-        parts = [own] if single else [own, *(f"{own}_{number}" for number in range(1, size))]
+        kind = model.joints[index].shortname()
+        parts = [f"{own}_{suffix}" for suffix in PARTS.get(kind, ())] or [own]
         names |= {part_name(index, number): part for number, part in enumerate(parts)}
     return names
 
