@@ -11,6 +11,7 @@ from click.testing import Result
 
 from tests.support.command_lines import invoke
 from tests.support.sampled_problems import solution_of_kind
+from tests.support.synthetic_motions import with_meta
 from trajopt.solution.solution import Solution
 
 
@@ -55,20 +56,31 @@ def test_an_earlier_export_is_replaced(plan: Path) -> None:
     assert export(plan, "-o", "a.npz").exit_code == export(plan, "-o", "a.npz").exit_code == 0
 
 
+def test_mjcf_opens_in_mujoco(plan: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    assert export(plan, "--format", "mjcf").stdout == "hop.xml\n"
+    assert export(plan, "-o", "b.xml").exit_code == 0
+    assert Path("hop.xml").read_text() == Path("b.xml").read_text()
+    assert mujoco.MjModel.from_xml_path("b.xml").nu == 2
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (("--rate", 0), "rate is 0 Hz; allowed: finite and > 0"),
         (("--rate", "nan"), "rate is nan Hz"),
         (("--rate", "fast"), "'fast' is not a valid float"),
-        (("--rate", "1e12"), "samples in 0.8 s; allowed: 1000000"),
+        (("--rate", "1e12"), "samples in 0.8 s; allowed: 200000"),
         (("--format", "xlsx"), "'xlsx' is not one of"),
         (("--quaternion", "xyz"), "'xyz' is not one of"),
         (("--base-velocity", "local"), "'local' is not one of"),
-        (("-o", "a.txt"), "--output a.txt ends with '.txt'; allowed: .csv, .parquet, .npz"),
+        (("-o", "a.txt"), "--output a.txt ends with '.txt'; allowed: .csv, .parquet, .npz, .xml"),
         (("-o", "a.npz", "--format", "csv"), "--output a.npz ends with '.npz'; allowed: .csv"),
         (("-o", "hop.npz"), "hop.npz is an input file"),
         (("-o", "other.npz"), "other.npz is a solution file; allowed: another name"),
+        (("--format", "mjcf", "--rate", 100), "--rate is of no use for mjcf"),
+        (("-o", "a.xml", "--base-velocity", "world"), "--base-velocity is of no use for mjcf"),
+        (("-o", "a.xml", "--format", "npz"), "--output a.xml ends with '.xml'; allowed: .npz"),
         (("-o", "no/a.csv"), "the folder no does not exist"),
     ],
 )
@@ -89,3 +101,15 @@ def test_a_file_that_is_no_solution_is_refused(plan: Path) -> None:
     for name in ("a.npz", "none.npz"):
         result = export(name)
         assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+
+
+def test_a_solution_that_is_no_success_is_written_with_a_warning(plan: Path) -> None:
+    solution = Solution.load(plan)
+    with_meta(solution, success=False, status="coarse_grid").save("bad.npz")
+    result = export("bad.npz", "--format", "npz")
+    assert (result.exit_code, result.stderr) == (
+        0,
+        "trajopt: warning: bad.npz is not a success: coarse_grid\n",
+    )
+    with np.load("bad-500hz.npz") as archive:
+        assert str(archive["success"]) == "False"

@@ -16,6 +16,7 @@ DOCUMENTS = (
     "docs/warm-starts.md",
     "docs/suite.md",
     "docs/watching.md",
+    "docs/how-to/send-a-motion-to-a-robot.md",
     "docs/accuracy.md",
     "docs/front.md",
     "docs/refinement.md",

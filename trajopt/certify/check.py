@@ -32,7 +32,7 @@ from trajopt.certify.report import (
     Tolerances,
 )
 from trajopt.certify.samples import largest, largest_known, sample_quantities
-from trajopt.certify.traces import Found, Occurrence, Traces, phase_names, worst_of
+from trajopt.certify.traces import Found, Occurrence, Traces, worst_of
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution
@@ -187,7 +187,7 @@ def _quaternion_error(plan: Solution) -> float | None:
 
 
 def _phases(plan: Solution, local: LocalErrors, integrate: bool) -> Iterator[PhaseReport]:
-    names, reach = phase_names(plan), NaturalUnits.of(plan.model).length
+    names, reach = plan.phase_names, NaturalUnits.of(plan.model).length
     for index, phase in enumerate(plan.phases):
         inside = slice(plan.intervals_of(index).start, plan.intervals_of(index).stop)
         sums = float(local.position[inside].sum()), float(local.joints[inside].sum())

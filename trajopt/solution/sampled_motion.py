@@ -23,7 +23,7 @@ AXES = "xyz"
 class SampledMotion:
     """A motion at n times, one value each, from `Solution.sample`; SI units, arrays are read-only.
 
-    problem, robot: their names. t: (n,) s.
+    problem, robot: their names. success: of the solution. t: (n,) s.
     q: (n, nq), ``position_names``; Pinocchio's convention, but quaternions in the order ``quaternion``.
     v, a: (n, nv), ``velocity_names``. Those of a free-flyer or planar base are along ``base_velocity``: axes
         of the body, as in Pinocchio (``a`` is the derivative of ``v``), or of the world, where they are the
@@ -41,6 +41,7 @@ class SampledMotion:
 
     problem: str
     robot: str
+    success: bool
     t: np.ndarray
     q: np.ndarray
     v: np.ndarray
@@ -129,10 +130,11 @@ class SampledMotion:
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is true of the whole motion: names and conventions."""
+        """What is true of all samples: names, success and conventions."""
         return {
             "problem": self.problem,
             "robot": self.robot,
+            "success": str(self.success),
             "quaternion": self.quaternion,
             "base_velocity": self.base_velocity,
             "units": "SI: s, m, rad, N, N m",

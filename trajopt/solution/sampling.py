@@ -17,8 +17,8 @@ from trajopt.solution.names import BaseAxes, QuaternionOrder, is_base
 
 # The interval that a node belongs to: contacts begin and end there, velocities, torques and forces may jump.
 Side = Literal["after", "before"]
-# More samples than this are a mistake: 1,000 s at 1 kHz.
-MOST_SAMPLES = 1_000_000
+# More samples than this, of 200 s at 1 kHz, are a mistake, and take gigabytes.
+MOST_SAMPLES = 200_000
 
 
 def sample_times(edges: np.ndarray, own: np.ndarray, rate: float | None, times: Any) -> np.ndarray:
@@ -35,6 +35,7 @@ def sample_times(edges: np.ndarray, own: np.ndarray, rate: float | None, times: 
     if rate is None:
         return own[np.append(np.diff(own) > same, True)]
     require_positive("rate", rate, "Hz")
+    rate = float(rate)
     count = (end - start) * rate
     if count >= MOST_SAMPLES:
         raise InputError(

@@ -11,10 +11,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.solution import file
 from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, read_only, runs
+from trajopt.solution.consistency import wrong_number
 from trajopt.solution.interpolation import InterpolatedMotion
 from trajopt.solution.names import (
     BaseAxes,
@@ -232,10 +234,13 @@ class Solution:
             base_velocity: axes of a moving base's velocity and acceleration, "body" (Pinocchio) or "world".
 
         Raises:
-            InputError: for a rate that is not positive or gives over a million samples, times outside the
-                motion, and other words than these.
+            InputError: for a rate that is not positive or gives over 200,000 samples, times outside the
+                motion, other words than these, and a solution with NaN or infinity.
         """
         require_convention(quaternion, base_velocity)
+        wrong = wrong_number({name: self.arrays[name] for name in (*SAMPLED, "interval_t")})
+        if wrong:
+            raise InputError(f"the solution cannot be sampled: {wrong}", "allowed: finite numbers")
         t = sample_times(self.interval_t, self.t, rate, times)
         numbers, fractions = located(self.interval_t, t, side)
         own = self.polynomials.at(numbers, fractions)
@@ -245,6 +250,7 @@ class Solution:
         return SampledMotion(
             problem=str(self.meta["problem"]),
             robot=str(self.meta["robot"]),
+            success=self.success,
             t=t,
             **vars(motion),
             drive_torque=drive_torque_values(self.drives, own.tau, own.v[:, self.n_unactuated :]),

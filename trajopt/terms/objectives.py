@@ -37,7 +37,8 @@ GOALS: tuple[Goal, ...] = get_args(Goal)
 # Factor of the costs of effort added to another goal: enough to make the motion unique, too little to change
 # it; and to a linear goal, for which a tenth of that means up to three times the iterations and motions that
 # need finer grids (docs/modelling/objectives.md).
-REST, REST_OF_LINEAR = 1e-2, 1e-1
+REST = 1e-2
+REST_OF_LINEAR = 1e-1
 
 
 def effort_costs(
