@@ -27,7 +27,13 @@ OF_SAMPLES = ("rate", "quaternion", "base_velocity")
     help="Form of the file.  [default: by the ending of --output, else csv]",
 )
 @default_option("--rate", 500.0, "HZ", "Samples a second.", kind=click.FLOAT)
-@click.option("--output", "-o", type=Path, metavar="OUT", help="File to write.  [default: FILE-500hz.csv]")
+@click.option(
+    "--output",
+    "-o",
+    type=Path,
+    metavar="OUT",
+    help="File to write.  [default: FILE-500hz.csv, of a model FILE.xml]",
+)
 @click.option(
     "--quaternion",
     type=click.Choice(("xyzw", "wxyz")),

@@ -42,8 +42,8 @@ class Solution:
 
     A node shared by two intervals appears twice (limit from the left and from the right). ``a``,
     ``tau`` and ``f`` at a sample that is not a collocation point are values of the interval's
-    interpolating polynomials through its collocation points. SI units; arrays are copied and
-    read-only. K samples, I intervals, nc contacts, J impacts.
+    interpolating polynomials through its collocation points. `sample` gives one value a time, at any rate.
+    SI units; arrays are copied and read-only. K samples, I intervals, nc contacts, J impacts.
 
     meta: JSON-able facts: names, limits, terrain, solver, versions (see `trajopt.solution.file`).
     model_text: ``pin.Model.saveToString()`` of the model that was optimised.
