@@ -161,7 +161,7 @@ class Exchange:
             groups[phase, plane.frame, plane.body].append((fraction, plane))
         terms = [
             PlaneSide(
-                phase=self.problem.schedule.names[phase],
+                during=self.problem.schedule.names[phase],
                 frame=frame,
                 body=body,
                 fractions=np.repeat([f for f, _ in own], [len(plane.corners) for _, plane in own]),
