@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Literal
 
@@ -98,6 +99,7 @@ def build(
     rise: float | None,
     friction: float,
     effort: float | None,
+    yaw: float,
     kind: Kind,
     **given: float | None,
 ) -> Problem:
@@ -121,10 +123,11 @@ def build(
     return leaping.problem(
         f"quadruped-{kind}",
         takeoff,
-        (common.displaced(body, start), common.displaced(body, end)),
+        (common.displaced(body, start), common.displaced(body, end, yaw)),
         (own["stance"], own["flight"], own["landing"]),
         terrain=terrain,
         effort=effort,
+        turn=yaw,
         heights=(start[2], end[2]),
         touchdown_rise=touchdown,
         parameters=own | {"rise": rise},
@@ -146,6 +149,7 @@ def _family(kind: Kind, summary: str) -> Family:
         parameters=(
             size,
             common.length("rise", None, meaning, (0.0, 5.0)),
+            common.angle("yaw", 0.0, "turn to the left", (-math.pi, math.pi)),
             *common.hop_durations("from the rise"),
             common.friction(0.7),
             common.EFFORT,
