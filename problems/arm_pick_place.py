@@ -13,7 +13,7 @@ from trajopt.dynamics import contact_jacobian, gravity_of
 from trajopt.errors import InputError
 from trajopt.problem import Family, Problem
 from trajopt.robot import Contact, Payload, Robot
-from trajopt.schedule import Phase, Schedule
+from trajopt.schedule import END, Moment, Phase, Schedule, start_of
 from trajopt.terms import AccelerationCost, FramePose, FrameVelocity, Term, TerminalRest, TimeCost, TorqueCost
 from trajopt.terrain import FlatGround
 
@@ -62,20 +62,20 @@ def _way(arm: arms.Arm, poses: list[pin.SE3], end: np.ndarray) -> tuple[Term, ..
     """Above each place before and after, at rest on it, and above the second at the end."""
     over_pick, pick, over_place, place = poses
 
-    def at(phase: str | None, pose: pin.SE3, *, turned: bool) -> FramePose:
-        rotation = pose.rotation if turned else None
-        return FramePose(frame=arm.tool, position=pose.translation, rotation=rotation, phase=phase)
+    def pose(at: Moment, goal: pin.SE3, *, turned: bool) -> FramePose:
+        rotation = goal.rotation if turned else None
+        return FramePose(frame=arm.tool, position=goal.translation, rotation=rotation, at=at)
 
     still = np.zeros(6)
     return (
-        at("descend", over_pick, turned=False),
-        at("lift", pick, turned=True),
-        FrameVelocity(frame=arm.tool, velocity=still, phase="lift"),
-        at("carry", over_pick, turned=False),
-        at("lower", over_place, turned=False),
-        at("retreat", place, turned=True),
-        FrameVelocity(frame=arm.tool, velocity=still, phase="retreat"),
-        at(None, over_place, turned=True),
+        pose(start_of("descend"), over_pick, turned=False),
+        pose(start_of("lift"), pick, turned=True),
+        FrameVelocity(frame=arm.tool, velocity=still, at=start_of("lift")),
+        pose(start_of("carry"), over_pick, turned=False),
+        pose(start_of("lower"), over_place, turned=False),
+        pose(start_of("retreat"), place, turned=True),
+        FrameVelocity(frame=arm.tool, velocity=still, at=start_of("retreat")),
+        pose(END, over_place, turned=True),
         TerminalRest(q=end),
     )
 

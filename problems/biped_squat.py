@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from trajopt.guesses import legged_guess
 from trajopt.problem import Family, Problem
-from trajopt.schedule import Phase, Schedule
+from trajopt.schedule import Phase, Schedule, middle_of
 from trajopt.terms import FrameHeight
 from trajopt.terrain import FlatGround
 
@@ -31,7 +31,7 @@ def build(
         for time, shift in ((0.0, (0.0, 0.0, 0.0)), (duration / 2, down), (duration, (0.0, 0.0, 0.0)))
     ]
     deepest = FrameHeight(
-        frame=body.model.names[1], height=body.reference[2] - depth, phase="squat", below=True
+        frame=body.model.names[1], height=body.reference[2] - depth, at=middle_of("squat"), below=True
     )
     return common.problem(
         "biped-squat",

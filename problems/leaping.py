@@ -124,7 +124,7 @@ def above_ground(robot: Robot, heights: Mapping[str, float]) -> tuple[Term, ...]
     """Hips and knees stay above the ground, whose ``heights`` in m are given by phase."""
     frames, keep = hips_and_knees(robot), joint_clearance(robot)
     return tuple(
-        FramesAbove(frames=frames, height=height + keep, phases=(phase,)) for phase, height in heights.items()
+        FramesAbove(frames=frames, height=height + keep, during=(phase,)) for phase, height in heights.items()
     )
 
 

@@ -18,7 +18,7 @@ from trajopt.dynamics import gravity_of
 from trajopt.guesses import BaseWaypoint, legged_guess
 from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, contact_positions, quadruped_legs
-from trajopt.schedule import Schedule, footholds_at
+from trajopt.schedule import Moment, Schedule, footholds_at, middle_of
 from trajopt.terms import FrameDirection, Term
 from trajopt.terrain import FlatGround
 
@@ -108,11 +108,11 @@ class Flip:
         """In the flight one side of the body is up, halfway its back is down, then the other side is up."""
         up, base = np.array([0.0, 0.0, 1.0]), self.robot.model.names[1]
         side = np.cross(up, self.axis)
-        about = partial(FrameDirection, frame=base, phase="flight", direction=tuple(up), angle=WITHIN)
+        about = partial(FrameDirection, frame=base, direction=tuple(up), angle=WITHIN)
         return (
-            about(axis=tuple(side), fraction=0.25),
-            about(axis=tuple(-up), fraction=0.5),
-            about(axis=tuple(-side), fraction=0.75),
+            about(axis=tuple(side), at=Moment("flight", 0.25)),
+            about(axis=tuple(-up), at=middle_of("flight")),
+            about(axis=tuple(-side), at=Moment("flight", 0.75)),
         )
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 
 from trajopt.problem import Family, Problem
 from trajopt.robot import Robot
+from trajopt.schedule import middle_of
 from trajopt.terms import FrameHeight
 from trajopt.terrain import FlatGround
 
@@ -79,7 +80,7 @@ def build(
         effort=effort,
         turn=own["yaw"],
         goal=goal,
-        more=(FrameHeight(frame=body.model.names[1], height=top, phase="flight"),),
+        more=(FrameHeight(frame=body.model.names[1], height=top, at=middle_of("flight")),),
         parameters=own,
         default_intervals=INTERVALS[goal],
     )

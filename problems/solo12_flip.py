@@ -11,7 +11,7 @@ from trajopt.dynamics import ORDERS, STANDARD_GRAVITY
 from trajopt.problem import Family, Problem
 from trajopt.reduced import with_virtual_base
 from trajopt.robot import Robot, contact_positions, inverse_kinematics
-from trajopt.schedule import Motion
+from trajopt.schedule import Motion, end_of
 from trajopt.terms import FrameHeight, FramePose
 from trajopt.terrain import FlatGround
 from trajopt_library import robots
@@ -80,7 +80,7 @@ def build(
         terrain=FlatGround(friction=friction),
         clearance=common.CLEARANCE,
         end=(
-            FrameHeight(frame=BASE, height=top, phase="flight", fraction=1.0),
+            FrameHeight(frame=BASE, height=top, at=end_of("flight")),
             FramePose(frame=BASE, rotation=orientation(pitch, yaw)),
         ),
     )

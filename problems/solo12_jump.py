@@ -12,7 +12,7 @@ from trajopt.errors import InputError
 from trajopt.guesses import BaseWaypoint, WaypointPath
 from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, contact_positions, inverse_kinematics
-from trajopt.schedule import Motion, Schedule, footholds_at
+from trajopt.schedule import Motion, Schedule, footholds_at, middle_of
 from trajopt.terms import DriveLimits, FrameHeight, ImpulseCost, Term
 from trajopt.terrain import FlatGround
 from trajopt_library import robots
@@ -111,7 +111,7 @@ def build(
         effort=torque_limits,
         terrain=FlatGround(friction=friction),
         clearance=common.CLEARANCE,
-        more=(FrameHeight(frame=solo12.BASE, height=robot.reference[2] + height, phase="flight"),),
+        more=(FrameHeight(frame=solo12.BASE, height=robot.reference[2] + height, at=middle_of("flight")),),
         end=end,
         parameters={"flight": flight},
     )

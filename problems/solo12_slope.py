@@ -10,7 +10,7 @@ import pinocchio as pin
 from trajopt.dynamics import STANDARD_GRAVITY
 from trajopt.problem import Family, Problem
 from trajopt.robot import Robot
-from trajopt.schedule import footholds_at
+from trajopt.schedule import footholds_at, middle_of
 from trajopt.terms import FrameHeight, FrictionCone
 from trajopt.terrain import FlatGround
 from trajopt_library import robots
@@ -66,7 +66,7 @@ def build(
         cones=(FrictionCone(),),
         terrain=ground,
         clearance=common.CLEARANCE,
-        more=(FrameHeight(frame=BASE, height=start[2] + height, phase="flight"),),
+        more=(FrameHeight(frame=BASE, height=start[2] + height, at=middle_of("flight")),),
         end=end,
         initial_q=start,
         default_intervals=40,

@@ -77,7 +77,7 @@ def build(
         cones=(
             SoleCone(),
             *([] if wall.bilateral else [FrictionCone(contacts=("hand",))]),
-            NormalForce(contact="hand", phases=("push",), **bounds),
+            NormalForce(contact="hand", during="push", **bounds),
         ),
         terrain=FlatGround(friction=friction),
         end=(TerminalRest(q=end),),

@@ -74,7 +74,7 @@ def build(
         costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), WrenchCost(weight=1e-2)),
         effort=common.share_of_effort(robot, effort_share),
         cones=(),  # a grasp transmits any wrench
-        end=(NormalForce(contact=GRIP, upper=-force, phases=("pull",)),),
+        end=(NormalForce(contact=GRIP, upper=-force, during="pull"),),
         default_intervals=30,
     )
 

@@ -7,6 +7,10 @@ from .problem.catalogue import load as load
 from .problem.problem import Problem as Problem
 from .robot.contact import Contact as Contact
 from .robot.robot import Robot as Robot
+from .schedule.moment import Moment as Moment
+from .schedule.moment import end_of as end_of
+from .schedule.moment import middle_of as middle_of
+from .schedule.moment import start_of as start_of
 from .schedule.schedule import Phase as Phase
 from .schedule.schedule import Schedule as Schedule
 from .solution.motion import motion_of as motion_of

@@ -17,7 +17,7 @@ from trajopt.guesses.legged import legged_guess
 from trajopt.problem import Problem
 from trajopt.robot import Contact, Robot
 from trajopt.robot.kinematics import contact_positions
-from trajopt.schedule import Phase, Schedule
+from trajopt.schedule import Phase, Schedule, middle_of
 from trajopt.schedule.schedule import Motion
 from trajopt.terms import AccelerationCost, FrameHeight, Term, TorqueCost, WrenchCost
 from trajopt.terrain.flat import FlatGround
@@ -117,7 +117,7 @@ def _jump(task: Jump) -> Problem:
     )
     waypoints = [BaseWaypoint(time=time, position=position) for time, position in poses]
     guess = legged_guess(robot, schedule, waypoints)
-    height = FrameHeight(frame=robot.model.names[1], height=begin[2] + task.height, phase="flight")
+    height = FrameHeight(frame=robot.model.names[1], height=begin[2] + task.height, at=middle_of("flight"))
     end = EndCost(weight=1.0, posture=robot.reference, place=tuple(begin + way))
     return _problem(task, robot, schedule, guess, clearance=common.CLEARANCE, more=(height, end))
 

@@ -20,8 +20,8 @@ from trajopt.certify.accuracy.measures import measure
 from trajopt.certify.accuracy.named_points import NamedPoints
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.errors import InputError
-from trajopt.solution.interpolation import sample_interval
 from trajopt.solution.local_states import local_state, state_from_local
+from trajopt.solution.resampling import sample_interval
 from trajopt.solution.solution import Solution
 from trajopt_library import robots
 

@@ -14,7 +14,7 @@ from trajopt.certify.check import check
 from trajopt.certify.contact_figures import force_traces
 from trajopt.certify.limit_figures import limit_traces
 from trajopt.certify.samples import contact_places
-from trajopt.solution.interpolation import InterpolatedMotion, resampled
+from trajopt.solution.resampling import resampled
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import touched_surfaces
 
@@ -60,7 +60,7 @@ def test_places_are_those_of_the_worst_values(plan):
 @pytest.mark.parametrize("problem", [landing(), hop(), reach(gravity=True)], ids=["landing", "hop", "reach"])
 def test_local_errors_are_those_of_an_integration(problem):
     plan = trajopt.solve(problem, intervals=12).normalized()
-    found = local_errors(plan, InterpolatedMotion.of(plan)).position
+    found = local_errors(plan, plan.polynomials).position
     expected = interval_errors(plan)
     large = expected > 1e-2 * expected.max()
     assert_allclose(np.log(found[large] / expected[large]), 0.0, atol=np.log(FACTOR))
@@ -69,5 +69,5 @@ def test_local_errors_are_those_of_an_integration(problem):
 
 def test_local_errors_of_uneven_meshes_are_in_the_order_of_the_intervals():
     plan = trajopt.solve(landing(), transcription="legendre:2,legendre:2,legendre:3", intervals=8)
-    found = local_errors(plan.normalized(), InterpolatedMotion.of(plan.normalized())).position
+    found = local_errors(plan.normalized(), plan.normalized().polynomials).position
     assert np.argmax(found) == np.argmax(interval_errors(plan))

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.problems import hop
-from tests.support.processes import COLUMNS, TRAJOPT, AtTerminal, needs_proc, processes, python, until
+from tests.support.processes import COLUMNS, TRAJOPT, AtTerminal, needs_proc, processes, python, run, until
 from trajopt import Solution, solve
 
 pytestmark = pytest.mark.long
@@ -138,4 +138,19 @@ sys.exit(main())
 
 def test_ctrl_c_that_an_import_loses_ends_the_command() -> None:
     done = python(LAUNCH, "list")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "trajopt: cancelled\n")
+
+
+# Under `-m` CPython would end by the signal, where the exception came from executed text.
+MODULE = """\
+import sys
+from trajopt.cli import commands, main
+commands.main = lambda: exec("raise KeyboardInterrupt")
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_in_executed_text_ends_a_module_with_the_status(tmp_path: Path) -> None:
+    (tmp_path / "command.py").write_text(MODULE, "utf-8")
+    done = run(sys.executable, "-m", "command", cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "trajopt: cancelled\n")

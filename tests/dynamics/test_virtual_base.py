@@ -306,7 +306,7 @@ def test_configurations_of_terms_are_mapped_and_other_terms_are_left_alone():
 
 
 def test_costs_of_the_joints_alone_need_no_conversion():
-    costs = (VelocityCost(weight=1.0, joints_only=True), AccelerationCost(weight=1.0, phases=("flight",)))
+    costs = (VelocityCost(weight=1.0, joints_only=True), AccelerationCost(weight=1.0, during="flight"))
     jump = problems.load("solo12-jump")
     kept, converted = with_virtual_base(replace(jump, terms=costs)).terms
     assert kept is costs[0]

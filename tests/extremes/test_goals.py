@@ -17,6 +17,7 @@ from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.robot import Robot
+from trajopt.schedule import middle_of
 from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
@@ -147,7 +148,7 @@ def hop(robot: Robot, *, away: tuple[float, float, float] = (0.0, 0.0, 0.0), ris
         q[2] += max(0.0, 9.81 * (t - 0.3) * (0.5 - t) / 2)
         return q
 
-    high = FrameHeight(frame="base_link", height=start[2] + rise, phase="flight")
+    high = FrameHeight(frame="base_link", height=start[2] + rise, at=middle_of("flight"))
     over = SwingClearance(height=0.02, terrain=ground)
     extra = (over, *((high,) if rise else ()))
     return legged(robot, schedule, start, goal, guess, extra=extra, ground=ground)

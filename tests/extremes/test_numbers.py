@@ -12,6 +12,7 @@ from tests.extremes.changed_robots import solo, ur5
 from tests.extremes.moves import reach, stance
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
+from trajopt.schedule import middle_of
 from trajopt.schedule.schedule import Phase
 from trajopt.solving.solving import prepare
 from trajopt.terms import (
@@ -69,7 +70,7 @@ PLACES: dict[str, tuple[str, Make]] = {
     ),
     HEIGHT: (
         "frame_height in phase 'reach': row 0 is bounded",
-        lambda x: ending(FrameHeight(frame="tool0", height=x, phase="reach")),
+        lambda x: ending(FrameHeight(frame="tool0", height=x, at=middle_of("reach"))),
     ),
     "posture": ("posture_cost in phase 'reach'", lambda x: ending(PostureCost(weight=1.0, q=spoiled(Q, x)))),
     "weight": ("weight of torque_cost", lambda x: TorqueCost(weight=x)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -53,8 +54,8 @@ def folder(tmp_path: Path) -> Path:
 def solves_both_ways(folder: Path, scripts: Path) -> None:
     """Solve from a script and from the command line, with the programs in ``scripts``."""
     assert run(folder, scripts / "python", "mine.py") == "go2\n"
-    run(folder, scripts / "trajopt", "solve", "solo12-jump", "-o", "jump.npz")
-    assert (folder / "jump.npz").is_file()
+    run(folder, scripts / "trajopt", "solve", "ur5-reach", "-o", "reach.npz")
+    assert json.loads(run(folder, scripts / "trajopt", "check", "reach.npz", "--json"))["ok"]
 
 
 @pytest.mark.long
@@ -62,17 +63,54 @@ def test_own_files_named_as_folders_of_the_repository_disturb_nothing(folder: Pa
     solves_both_ways(folder, Path(sys.executable).parent)
 
 
+@pytest.fixture(scope="module")
+def uv() -> str:
+    found = os.environ.get("UV") or shutil.which("uv")  # `uv run` names itself
+    assert found is not None, "uv is needed, as for every command of the README"
+    return found
+
+
+@pytest.fixture(scope="module")
+def wheel(uv: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp("dist")
+    run(ROOT, uv, "build", "--wheel", "--out-dir", target, ROOT)
+    (built,) = target.glob("*.whl")
+    return built
+
+
+def installed(uv: str, folder: Path, wheel: Path, *options: str | Path) -> Path:
+    """The programs of a new environment in ``folder`` with this wheel."""
+    run(folder, uv, "venv", "--python", sys.executable, folder / "new")
+    run(folder, uv, "pip", "install", "--python", folder / "new", *options, wheel)
+    return folder / "new" / "bin"
+
+
 @pytest.mark.slow
-def test_wheel_in_a_new_environment_solves_and_installs_nothing_that_collides(
-    folder: Path, tmp_path: Path
-) -> None:
-    uv = os.environ.get("UV") or shutil.which("uv")  # `uv run` names itself
-    assert uv is not None, "uv is needed, as for every command of the README"
-    run(ROOT, uv, "build", "--wheel", "--out-dir", tmp_path / "dist", ROOT)
-    (wheel,) = (tmp_path / "dist").glob("*.whl")
+def test_wheel_installs_nothing_that_collides_and_says_what_it_is_for(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
-        installed = {name.split("/")[0] for name in archive.namelist()}
-    assert {name for name in installed if not name.endswith(".dist-info")} == {"trajopt", "trajopt_library"}
-    run(folder, uv, "venv", "--python", sys.executable, tmp_path / "new")
-    run(folder, uv, "pip", "install", "--python", tmp_path / "new", wheel)
-    solves_both_ways(folder, tmp_path / "new" / "bin")
+        names = archive.namelist()
+        (metadata,) = (archive.read(name).decode() for name in names if name.endswith(".dist-info/METADATA"))
+    folders = {name.split("/")[0] for name in names}
+    assert {name for name in folders if not name.endswith(".dist-info")} == {"trajopt", "trajopt_library"}
+    assert "trajopt/py.typed" in names
+    lines = metadata.splitlines()
+    assert "Name: trajopt-contacts" in lines
+    assert "Classifier: Operating System :: POSIX :: Linux" in lines
+    assert any(line.startswith("Requires-Python: ") for line in lines)
+    # Wheels of the extensions are for one Python and one platform.
+    assert wheel.stem.split("-")[2] == f"cp{sys.version_info.major}{sys.version_info.minor}"
+    assert wheel.stem.split("-")[4] != "any"
+
+
+@pytest.mark.slow
+def test_wheel_in_a_new_environment_solves_with_the_locked_versions(
+    folder: Path, uv: str, wheel: Path
+) -> None:
+    locked = folder / "locked.txt"
+    run(ROOT, uv, "export", "--locked", "--no-default-groups", "--no-emit-project", "--output-file", locked)
+    solves_both_ways(folder, installed(uv, folder, wheel, "--requirements", locked))
+
+
+@pytest.mark.slow
+def test_wheel_solves_with_the_lowest_versions_that_it_allows(folder: Path, uv: str, wheel: Path) -> None:
+    solves_both_ways(folder, installed(uv, folder, wheel, "--resolution", "lowest-direct"))

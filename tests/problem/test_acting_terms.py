@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -15,10 +16,11 @@ from tests.support.problems import hop, reach
 from trajopt import InputError
 from trajopt.problem.acting_terms import NAMES
 from trajopt.robot.units import Units
+from trajopt.schedule import middle_of, start_of
 from trajopt.terms import (
     Context,
     Cost,
-    DistanceCost,
+    DuringPhases,
     FrameDirection,
     FrameHeight,
     FrameHeightCost,
@@ -36,10 +38,11 @@ from trajopt.terms import (
     SwingClearance,
     Term,
     TerminalPosture,
-    TerminalRest,
+    TerminalState,
     TorqueCost,
     TrackingCost,
     WrenchCost,
+    goal_terms,
     swing_arcs,
 )
 from trajopt.terms.tracking import key_frames
@@ -55,16 +58,24 @@ def with_term(term: Term):
 
 
 UNKNOWN = {
-    "phases": (TorqueCost(weight=1.0, phases=("Stance",)), "torque_cost names phase 'Stance'", "stance"),
-    "waypoint": (FramePose(frame=FOOT, position=[0, 0, 1], phase="fligth"), "phase 'fligth'", "flight"),
-    "velocity": (FrameVelocity(frame=FOOT, velocity=STILL, phase="fly"), "phase 'fly'", None),
-    "moment": (FrameHeight(frame=FOOT, height=0.1, phase="Flight"), "frame_height names phase", "flight"),
+    "phases": (TorqueCost(weight=1.0, during="Stance"), "torque_cost names phase 'Stance'", "stance"),
+    "waypoint": (
+        FramePose(frame=FOOT, position=[0, 0, 1], at=start_of("fligth")),
+        "phase 'fligth'",
+        "flight",
+    ),
+    "velocity": (FrameVelocity(frame=FOOT, velocity=STILL, at=start_of("fly")), "phase 'fly'", None),
+    "moment": (
+        FrameHeight(frame=FOOT, height=0.1, at=middle_of("Flight")),
+        "frame_height names phase",
+        "flight",
+    ),
     "direction": (
-        FrameDirection(frame=FOOT, axis=(0, 0, 1), direction=(0, 0, 1), angle=0.1, phase="up"),
+        FrameDirection(frame=FOOT, axis=(0, 0, 1), direction=(0, 0, 1), angle=0.1, at=middle_of("up")),
         "phase 'up'",
         None,
     ),
-    "cost": (FrameHeightCost(weight=1.0, frame=FOOT, phase="flights"), "phase 'flights'", "flight"),
+    "cost": (FrameHeightCost(weight=1.0, frame=FOOT, at=middle_of("flights")), "phase 'flights'", "flight"),
     "frame": (FramePose(frame="fot", position=[0, 0, 1]), "frame_pose names frame 'fot'", FOOT),
     "frames": (FramesAbove(frames=(FOOT, "knees"), height=0.0), "frame 'knees'", None),
     "contact": (FrictionCone(contacts=("Foot",)), "friction_cone names contact 'Foot'", FOOT),
@@ -85,38 +96,67 @@ def test_an_unknown_name_is_refused_with_the_one_that_may_be_meant(case):
     assert "\n" not in message
 
 
-UNUSED = {
-    "pose": FramePose(frame=FOOT, position=[0, 0, 1], phases=(PHASES[0],)),
-    "velocity": FrameVelocity(frame=FOOT, velocity=STILL, phases=(PHASES[0],)),
-    "rest": TerminalRest(q=HOP.initial_q, phases=(PHASES[0],)),
-    "distance": DistanceCost(weight=1.0, frame=FOOT, phases=(PHASES[0],)),
+POSE, HEIGHT = partial(FramePose, position=[0, 0, 1]), partial(FrameHeight, height=1.0)
+HOPS = (HOP.robot, HOP.schedule)
+OLD = {
+    "phase of a pose": (lambda: POSE(frame=FOOT, phase="flight"), "FramePose", "at"),
+    "phases of a pose": (lambda: POSE(frame=FOOT, phases=("flight",)), "FramePose", "at"),
+    "phase of a height": (lambda: HEIGHT(frame=FOOT, phase="flight"), "FrameHeight", "at"),
+    "fraction of a height": (lambda: HEIGHT(frame=FOOT, fraction=0.5), "FrameHeight", "at"),
+    "phases of a cost": (lambda: TorqueCost(weight=1.0, phases=("flight",)), "TorqueCost", "during"),
+    "phase of a cost": (lambda: TorqueCost(weight=1.0, phase="flight"), "TorqueCost", "during"),
+    "phases replaced": (lambda: replace(TorqueCost(weight=1.0), phases=()), "TorqueCost", "during"),
+    "phases of a user's": (lambda: OwnLanding(phases=("flight",)), "OwnLanding", "during"),
+    "phase of a goal": (
+        lambda: goal_terms("height", HOP.robot, HOP.schedule, phase="up"),
+        "goal_terms",
+        "at",
+    ),
 }
 
 
-@pytest.mark.parametrize("case", UNUSED)
-def test_phases_of_a_term_that_does_not_use_them_are_refused(case):
-    with pytest.raises(InputError, match="which this term does not use; allowed: "):
-        with_term(UNUSED[case])
+@pytest.mark.parametrize("case", OLD)
+def test_old_words_are_refused_with_the_new_one(case):
+    make, owner, new = OLD[case]
+    with pytest.raises(InputError) as refused:
+        make()
+    assert str(refused.value) == f"{owner} has no argument '{case.split()[0]}'; allowed: {new}"
 
 
-def test_a_moment_has_one_phase():
-    with pytest.raises(InputError, match=r"phases of frame_height: .* which this term does not use"):
-        FrameHeight(frame=FOOT, height=0.1, phase="flight", phases=("stance",))
-    term = replace(FrameHeight(frame=FOOT, height=0.1, phase="flight"), phase="landing")
-    assert [name for name in PHASES if term.acts_in(name)] == ["landing"]
+def test_a_term_at_the_end_has_no_phases_to_name():
+    with pytest.raises(InputError, match=r"^TerminalState has no argument 'phases'; leave it out$"):
+        TerminalState(q=HOP.initial_q, phases=("landing",))
 
 
-@pytest.mark.parametrize("phases", [(), "stance", 3])
+@pytest.mark.parametrize("at", ["flight", None, 0.5, ("flight", 0.5)])
+def test_a_moment_is_made_by_a_function(at):
+    with pytest.raises(
+        InputError, match=r"^at of frame_height is .*; allowed: a moment, for example start_of"
+    ):
+        FrameHeight(frame=FOOT, height=0.1, at=at)
+
+
+def test_a_moment_is_in_one_phase():
+    term = FrameHeight(frame=FOOT, height=0.1, at=middle_of("flight"))
+    assert [name for name in PHASES if term.acts_in(name)] == ["flight"]
+
+
+@pytest.mark.parametrize("phases", [(), "", 3])
 def test_phases_are_names(phases):
-    with pytest.raises(InputError, match="allowed: a tuple of names of phases, or None for all"):
-        with_term(TorqueCost(weight=1.0, phases=phases))
+    with pytest.raises(InputError, match="allowed: the name of a phase, names of several, or None for all"):
+        with_term(TorqueCost(weight=1.0, during=phases))
+
+
+@pytest.mark.parametrize("phases", ["stance", ("stance",), ["stance"]])
+def test_one_phase_is_a_name_or_a_sequence(phases):
+    assert [name for name in PHASES if TorqueCost(weight=1.0, during=phases).acts_in(name)] == ["stance"]
 
 
 @pytest.mark.parametrize(
     "term",
     [
-        NormalForce(contact=FOOT, lower=1.0, phases=("flight",)),
-        FrictionCone(contacts=(FOOT,), phases=("flight",)),
+        NormalForce(contact=FOOT, lower=1.0, during="flight"),
+        FrictionCone(contacts=(FOOT,), during="flight"),
     ],
 )
 def test_a_contact_that_is_inactive_wherever_the_term_acts_is_refused(term):
@@ -128,13 +168,13 @@ def test_a_contact_that_is_inactive_wherever_the_term_acts_is_refused(term):
 
 NO_SWING = SwingClearance(height=0.1, terrain=FlatGround())
 IDLE = {
-    "impacts": (ImpulseCost(weight=1.0, phases=("landing",)), "no impact begins phases landing"),
-    "forces": (WrenchCost(weight=1.0, phases=("flight",)), "no contact is active in phases flight"),
-    "friction": (FrictionPyramid(phases=("flight",)), "no contact is active in phases flight"),
+    "impacts": (ImpulseCost(weight=1.0, during="landing"), "no impact begins phases landing"),
+    "forces": (WrenchCost(weight=1.0, during="flight"), "no contact is active in phases flight"),
+    "friction": (FrictionPyramid(during="flight"), "no contact is active in phases flight"),
     "soles": (SoleCone(contacts=(FOOT,)), "'foot' is a point contact"),
     "contacts": (FrictionCone(contacts=()), "contacts is empty"),
     "swings": (
-        SwingClearance(height=0.1, terrain=FlatGround(), phases=("stance", "landing")),
+        SwingClearance(height=0.1, terrain=FlatGround(), during=("stance", "landing")),
         "no contact is in the air in phases stance, landing",
     ),
     "time": (
@@ -212,14 +252,14 @@ def test_the_terms_of_a_user_are_judged_by_the_same_check():
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnWaypoint(NodeConstraint):
+class OwnWaypoint(DuringPhases, NodeConstraint):
     """A term of a user that acts at one fraction of a phase, or ignores its phases."""
 
-    at: str = ""
+    where: str = ""
 
     @override
     def acts_at(self, place: NodePlace) -> bool:
-        return place.index == 0 and place.phase.name == (self.at or PHASES[1])
+        return place.index == 0 and place.phase.name == (self.where or PHASES[1])
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
@@ -229,9 +269,9 @@ class OwnWaypoint(NodeConstraint):
 def test_nodes_of_a_users_term_are_found_by_asking_it():
     assert with_term(OwnWaypoint())
     with pytest.raises(InputError, match="own_waypoint acts at no node of any phase"):
-        with_term(OwnWaypoint(at="Flight"))
+        with_term(OwnWaypoint(where="Flight"))
     with pytest.raises(InputError, match="which this term does not use"):
-        with_term(OwnWaypoint(phases=(PHASES[1],)))
+        with_term(OwnWaypoint(during=(PHASES[1],)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,9 +284,9 @@ class OwnLanding(OwnWaypoint):
 
 
 def test_a_phase_without_a_node_of_the_term_is_named():
-    assert with_term(OwnLanding(phases=("stance", "landing")))
+    assert with_term(OwnLanding(during=("stance", "landing")))
     with pytest.raises(InputError, match="own_landing acts at no node of phase 'flight'"):
-        with_term(OwnLanding(phases=("stance", "flight")))
+        with_term(OwnLanding(during=("stance", "flight")))
 
 
 def test_every_term_holds_names_in_fields_that_the_check_knows():

@@ -19,6 +19,7 @@ from trajopt.robot.collision.description import robot_shapes, sampled_postures
 from trajopt.robot.collision.link_capsules import robot_capsules
 from trajopt.robot.collision.near import GROUND
 from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
+from trajopt.schedule import start_of
 from trajopt.solving.rest import rest
 from trajopt.terms import Clearance, FramePose, Term, TerminalPosture, TerminalState
 from trajopt.terrain.flat import FlatGround
@@ -221,7 +222,7 @@ def test_pose_of_a_link_in_an_obstacle_is_refused_by_its_whole_shape():
 
 def test_waypoint_in_an_obstacle_is_refused():
     with pytest.raises(InputError, match="at the goal of frame_pose of 'joint2'"):
-        bodies_of(ending(FramePose(frame="joint2", position=LYING.centre, phase="swing")))
+        bodies_of(ending(FramePose(frame="joint2", position=LYING.centre, at=start_of("swing"))))
 
 
 def test_rotation_alone_and_frames_without_shapes_are_not_judged():

@@ -14,6 +14,7 @@ from trajopt.certify.report import FOOT_DRIFT
 from trajopt.certify.report import SOLE_TILT as CHECKED_TILT
 from trajopt.problem.places import CONTACT_GAP, SOLE_TILT
 from trajopt.robot.kinematics import contact_positions, frame_pose
+from trajopt.schedule import middle_of, start_of
 from trajopt.schedule.schedule import Schedule
 from trajopt.schedule.targets import Target
 from trajopt.terms import FrameHeight, FramePose, PositionLimits, Term, TerminalState
@@ -156,16 +157,16 @@ def test_a_place_out_of_reach_of_standing_feet_is_refused():
 def test_a_waypoint_is_judged_with_the_feet_that_stand_there(phase):
     """The node between stance and flight belongs to the flight, and the feet are still where they stood."""
     with pytest.raises(InputError, match=f"contact '{PAW}' .* apart"):
-        with_term(FramePose(frame=TRUNK, position=HIGH, phase=phase))
+        with_term(FramePose(frame=TRUNK, position=HIGH, at=start_of(phase)))
 
 
 @pytest.mark.parametrize(("height", "below"), [(5.0, False), (-5.0, True)])
 def test_a_height_out_of_reach_of_standing_feet_is_refused(height, below):
-    term = FrameHeight(frame=TRUNK, height=height, phase="landing", below=below)
+    term = FrameHeight(frame=TRUNK, height=height, at=middle_of("landing"), below=below)
     with pytest.raises(InputError, match=f"frame_height has '{TRUNK}' and contact '{PAW}' .* apart"):
         with_term(term)
     assert with_term(replace(term, below=not below))
-    assert with_term(replace(term, phase="flight"))  # nothing stands there
+    assert with_term(replace(term, at=middle_of("flight")))  # nothing stands there
 
 
 class OwnGoal(FramePose):

@@ -12,6 +12,7 @@ from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.base_joint import Base
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.robot.data import robot_file
+from trajopt.schedule import middle_of
 from trajopt.terms import (
     AccelerationCost,
     EffortLimits,
@@ -98,7 +99,7 @@ def hop(robot: Robot) -> Problem:
             VelocityLimits(),
             FrictionCone(friction=ground.friction),
             SwingClearance(height=0.03, terrain=ground),
-            FrameHeight(frame="root_joint", height=1.1 * robot.length, phase="flight"),
+            FrameHeight(frame="root_joint", height=1.1 * robot.length, at=middle_of("flight")),
             TerminalState(q=end),
             TerminalRest(q=end),
         ),

@@ -17,6 +17,7 @@ from trajopt import Contact, InputError, Phase, Schedule
 from trajopt.certify.report import AT_POINTS
 from trajopt.robot.units import Units
 from trajopt.scenes.smallest_scene import smallest
+from trajopt.schedule import middle_of
 from trajopt.terms import (
     AccelerationCost,
     Context,
@@ -115,7 +116,7 @@ def test_a_joint_is_needed_by_its_goal_its_posture_its_speed_or_a_term_about_it(
         {"terms": (*usual(robot), PostureCost(weight=1.0, q=raised))},
         {"initial_v": moving},
         {"terms": (*usual(robot), Hold(joints=("left_arm",)))},
-        {"terms": (*usual(robot), FrameHeight(frame="left_arm", height=0.0, phase="stance"))},
+        {"terms": (*usual(robot), FrameHeight(frame="left_arm", height=0.0, at=middle_of("stance")))},
     ):
         names = list(smallest(push(robot, **changes), plane=False).problem.robot.model.names)
         assert "left_arm" in names

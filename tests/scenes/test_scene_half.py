@@ -20,6 +20,7 @@ from trajopt.robot.building import leaving_plane
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.units import Units
 from trajopt.scenes.smallest_scene import smallest
+from trajopt.schedule import middle_of
 from trajopt.terms import (
     AccelerationCost,
     Context,
@@ -95,7 +96,7 @@ def hop(robot: Robot, *, impact: bool, free: bool) -> Problem:
             *end,
             *extra,
             ImpulseCost(weight=1e-2),
-            FrameHeight(frame="waist", height=0.12 + robot.reference[2], phase="flight"),
+            FrameHeight(frame="waist", height=0.12 + robot.reference[2], at=middle_of("flight")),
         ),
         schedule=Schedule(
             (

@@ -28,6 +28,7 @@ from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
+from trajopt.schedule import Moment
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.solving import prepare
 from trajopt.terms import (
@@ -279,7 +280,7 @@ def bounded(problem: Problem, scheme: str = "legendre:1") -> dict[int, tuple[boo
 
 
 def limited(schedule: Schedule, *phases: str) -> Problem:
-    return hop(schedule=schedule, terms=(PositionLimits(phases=phases), VelocityLimits(phases=phases)))
+    return hop(schedule=schedule, terms=(PositionLimits(during=phases), VelocityLimits(during=phases)))
 
 
 def test_limits_of_a_phase_hold_at_its_nodes_whatever_lies_between_phases():
@@ -314,7 +315,7 @@ def test_impact_of_a_model_without_contact_rows_is_refused():
 @pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])
 def test_frame_height_acts_at_one_node_of_its_phase(fraction):
     for impact in (False, True):
-        raised = FrameHeight(frame=FOOT, height=0.02, phase="flight", fraction=fraction)
+        raised = FrameHeight(frame=FOOT, height=0.0, at=Moment("flight", fraction))
         problem = hop(schedule=phases(free=False, impact=impact), terms=(raised,))
         rows = prepare(problem, intervals=6).transcription.rows
         assert np.sum(rows.block == rows.names.index("frame_height")) == 1

@@ -18,6 +18,7 @@ from trajopt.certify.accuracy.measures import measure
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
+from trajopt.schedule import end_of, middle_of
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.reference import Agreement, NoReferenceError, converged_reference, in_other_optimum
 from trajopt.terms import AccelerationCost, FrameDirection, PostureCost, TorqueCost
@@ -47,7 +48,7 @@ def bar() -> Robot:
 def either_way(sign: float) -> Problem:
     """Turn far away from the downward direction, either way: one optimum each, chosen by the guess."""
     away = FrameDirection(
-        frame="bar", axis=(0, 0, 1), direction=(0.05, 0, -1), angle=np.pi - TURN, phase="turn", fraction=1.0
+        frame="bar", axis=(0, 0, 1), direction=(0.05, 0, -1), angle=np.pi - TURN, at=end_of("turn")
     )
     return Problem(
         name="either-way",
@@ -108,7 +109,7 @@ def test_budget_ends_the_climb_and_names_the_agreement():
 
 def test_mesh_that_is_not_solved_is_named():
     goal = replace(swing(), terms=(*swing().terms, FrameDirection(
-        frame="universe", axis=(0, 0, 1), direction=(0, 0, -1), angle=0.1, phase="reach",
+        frame="universe", axis=(0, 0, 1), direction=(0, 0, -1), angle=0.1, at=middle_of("reach"),
     )))  # fmt: skip
     with pytest.raises(NoReferenceError, match="legendre:2 with 10 intervals is not solved"):
         converged_reference(goal)

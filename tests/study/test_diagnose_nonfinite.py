@@ -63,7 +63,7 @@ def with_term(term: object) -> Diagnosis:
 
 
 def test_a_root_of_a_negative_number_names_term_place_and_joint():
-    found = with_term(RootOfPosition(phases=("flight",))).nonfinite
+    found = with_term(RootOfPosition(during="flight")).nonfinite
     assert found is not None
     assert (found.output, found.terms, found.phase) == ("rows", ("root_of_position",), "flight")
     assert found.point == 0
@@ -73,7 +73,7 @@ def test_a_root_of_a_negative_number_names_term_place_and_joint():
 
 
 def test_a_slope_without_value_names_the_cost_and_the_rates():
-    found = with_term(SpeedCost(weight=1.0, phases=("landing",))).nonfinite
+    found = with_term(SpeedCost(weight=1.0, during="landing")).nonfinite
     assert found is not None
     assert found.terms == ("speed_cost",)
     assert found.output in ("gradient", "jacobian", "hessian")
@@ -82,7 +82,7 @@ def test_a_slope_without_value_names_the_cost_and_the_rates():
 
 
 def test_a_logarithm_of_a_force_names_the_contact():
-    found = with_term(LogOfForce(phases=("stance",))).nonfinite
+    found = with_term(LogOfForce(during="stance")).nonfinite
     assert found is not None
     assert found.terms == ("log_of_force",)
     assert [entry.name for entry in found.inputs] == ["foot force z"]

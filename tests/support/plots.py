@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from matplotlib.figure import Figure
 
+from tests.support import synthetic_motions
 from tests.support.problems import hop
 from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt import solve
@@ -34,6 +35,13 @@ def arm() -> Solution:
     robot = robots.load("irb1600")
     drives = [None if drive is None else drive.to_meta() for drive in robot.drives]
     return sampled(robot, [arm_motion(robot)], 6, drives=drives)
+
+
+@lru_cache
+def standing() -> Solution:
+    """A motion of Solo12 on four feet."""
+    robot = robots.load("solo12")
+    return sampled(robot, [synthetic_motions.standing(robot)], 6)
 
 
 def track_of(solution: Solution) -> Track:

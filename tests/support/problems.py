@@ -14,6 +14,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.schedule import middle_of
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
     AccelerationCost,
@@ -147,7 +148,7 @@ def hop(kind: str = "point", **changes: object) -> Problem:
         AccelerationCost(weight=1e-2), TorqueCost(weight=1.0), VelocityCost(weight=1e-2),
         WrenchCost(weight=1e-2),
         EffortLimits(), PositionLimits(), VelocityLimits(), FrictionCone(friction=0.7),
-        FrameHeight(frame=FOOT, height=0.02, phase="flight"),
+        FrameHeight(frame=FOOT, height=0.02, at=middle_of("flight")),
     ]  # fmt: skip
     if kind == "surface":
         terms.append(SoleLimits(friction=0.7))

@@ -20,6 +20,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.robot import Robot
 from trajopt.scenes.smallest_scene import smallest
+from trajopt.schedule import Moment, end_of, middle_of
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import (
@@ -86,7 +87,7 @@ def test_height_is_counted_at_the_middle_of_its_phase_and_distance_at_the_end():
     robot = hopper()
     problem = replace(hop(), guess=wandering(robot))
     direction = np.array([1.0, 2.0, 0.5])
-    height = FrameHeightCost(weight=2.0, frame=FOOT, phase="flight", fraction=0.5)
+    height = FrameHeightCost(weight=2.0, frame=FOOT, at=middle_of("flight"))
     distance = DistanceCost(weight=3.0, frame=FOOT, direction=tuple(direction))
     prepared = prepare(problem, intervals=6)
     layout = prepared.transcription.layout
@@ -103,7 +104,7 @@ def test_height_is_counted_at_the_middle_of_its_phase_and_distance_at_the_end():
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_highest_point_is_that_of_full_thrust(goal, solver):
     costs = {
-        "height": FrameHeightCost(weight=1.0, frame="top", phase="thrust", fraction=1.0),
+        "height": FrameHeightCost(weight=1.0, frame="top", at=end_of("thrust")),
         "distance": DistanceCost(weight=1.0, frame="top", direction=(0.0, 0.0, 1.0)),
     }
     solution = solve(thrust(costs[goal]), solver=solver)
@@ -114,7 +115,7 @@ def test_highest_point_is_that_of_full_thrust(goal, solver):
 
 
 def test_height_in_an_early_moment_is_not_that_of_the_end():
-    early = FrameHeightCost(weight=1.0, frame="top", phase="thrust", fraction=0.5)
+    early = FrameHeightCost(weight=1.0, frame="top", at=middle_of("thrust"))
     solution = solve(thrust(early, TorqueCost(weight=1e-6)))
     half = solution.t < THRUST_TIME / 2
     assert_allclose(solution.tau[half & solution.collocation], PUSH, rtol=1e-2)
@@ -149,7 +150,7 @@ def _goals_problem(name: str):
         robot = hopper()
         problem = with_terms(
             replace(hop(), guess=wandering(robot)),
-            FrameHeightCost(weight=1.0, frame=FOOT, phase="flight"),
+            FrameHeightCost(weight=1.0, frame=FOOT, at=middle_of("flight")),
             DistanceCost(weight=1.0, frame=FOOT),
             PowerCost(weight=1.0),
             TrackingCost(weight=1.0, reference=lambda t: wandering(robot)(t + 1.0)),
@@ -231,7 +232,7 @@ def push_with_goals(raised: float = 0.0) -> Problem:
     end = pin.integrate(robot.model, robot.reference, turn)
     reference = key_frames(robot, [0.0, 0.4], np.array([robot.reference, end]))
     goals = (
-        FrameHeightCost(weight=0.05, frame="waist", phase="stance"),
+        FrameHeightCost(weight=0.05, frame="waist", at=middle_of("stance")),
         DistanceCost(weight=0.02, frame="waist"),
         TrackingCost(weight=1.0, reference=reference),
         PowerCost(weight=0.1),
@@ -283,8 +284,8 @@ def test_bad_goals_are_refused_in_one_line():
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: FrameHeightCost(weight=-1.0, frame=FOOT, phase="flight"),
-        lambda: FrameHeightCost(weight=1.0, frame=FOOT, phase="flight", fraction=1.5),
+        lambda: FrameHeightCost(weight=-1.0, frame=FOOT, at=middle_of("flight")),
+        lambda: FrameHeightCost(weight=1.0, frame=FOOT, at=Moment("flight", 1.5)),
         lambda: DistanceCost(weight=math.nan, frame=FOOT),
         lambda: DistanceCost(weight=1.0, frame=FOOT, direction=(0.0, 0.0, 0.0)),
         lambda: PowerCost(weight=1.0, recovered=1.5),
@@ -312,4 +313,4 @@ def test_a_reference_of_another_robot_or_with_gaps_is_refused(reference):
 
 def test_a_cost_at_nodes_of_an_unknown_phase_is_refused():
     with pytest.raises(InputError, match="flihgt"):
-        with_terms(hop(), FrameHeightCost(weight=1.0, frame=FOOT, phase="flihgt"))
+        with_terms(hop(), FrameHeightCost(weight=1.0, frame=FOOT, at=middle_of("flihgt")))

@@ -16,6 +16,7 @@ from tests.support.refusals import assert_refused_in_one_line
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.schedule import start_of
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
     ContactLanding,
@@ -185,7 +186,7 @@ def landing_rows(robot: Robot, patch: Patch) -> tuple[Context, ca.Function, np.n
     """Rows of a landing on a patch as a function of the foot's frame, with their bounds."""
     context = Context(robot, Coordinates(robot.model), node=True)
     place = NodePlace(phase=stance(patches={FOOT: patch}), index=0, fractions=equal_fractions(4), last=False)
-    term = ContactLanding(phase="stance", contacts=(FOOT,), terrain=FlatGround())
+    term = ContactLanding(at=start_of("stance"), contacts=(FOOT,), terrain=FlatGround())
     rows = term.rows(context, Units(robot), place)
     function = ca.Function("rows", [context.frame(FOOT).stacked(), context.parameters], [rows.expression])
     return context, function, rows.lower, rows.upper

@@ -18,6 +18,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.sole import centre_of_pressure, friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.units import Units
+from trajopt.schedule import start_of
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.solving import solve
 from trajopt.terms import (
@@ -322,7 +323,7 @@ def node_values(term, robot, placement: pin.SE3, place: NodePlace) -> np.ndarray
 
 def test_sole_lands_flat_on_its_surface():
     phase = stance(surfaces={FOOT: WALL})
-    term = ContactLanding(phase="stance", contacts=(FOOT,), terrain=FlatGround())
+    term = ContactLanding(at=start_of("stance"), contacts=(FOOT,), terrain=FlatGround())
     place = NodePlace(phase=phase, index=0, fractions=equal_fractions(4), last=False)
     on_wall = WALL.point + 0.4 * WALL.tangents[0] - 0.2 * WALL.tangents[1]
     flat = pin.SE3(WALL.frame @ pin.rpy.rpyToMatrix(0, 0, 1.1), on_wall)

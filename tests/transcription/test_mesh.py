@@ -8,7 +8,7 @@ from tests.support.problems import hop, lean
 from trajopt.certify.check import check
 from trajopt.certify.energy_use import energy
 from trajopt.errors import InputError
-from trajopt.schedule.schedule import Phase
+from trajopt.schedule import END, Moment, Phase, end_of, middle_of, start_of
 from trajopt.solution.grid import interpolated, mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
@@ -125,7 +125,20 @@ def test_node_nearest_to_a_fraction_goes_by_time():
     place = NodePlace(phase, 0, (0.0, 0.1, 0.2, 0.45, 1.0), last=False)
     assert place.nearest(0.5) == 3
     assert NodePlace(phase, 0, equal_fractions(5), last=False).nearest(0.5) == 2
-    assert NodePlace(phase, 0, equal_fractions(4), last=False, ends_schedule=False).nearest(1.0) == 3
+    assert NodePlace(phase, 0, equal_fractions(4), last=False).nearest(1.0) == 4
+
+
+def test_the_end_of_a_phase_is_the_start_of_the_next_one():
+    before, phase = Phase(name="stance", duration=0.3), Phase(name="flight", duration=0.2)
+    end = NodePlace(before, 4, equal_fractions(4), last=False)
+    shared = NodePlace(phase, 0, equal_fractions(5), last=False, before=end)
+    alone = NodePlace(phase, 0, equal_fractions(5), last=False)  # after an impact
+    assert [shared.is_at(moment) for moment in (end_of("stance"), start_of("flight"))] == [True, True]
+    assert [alone.is_at(moment) for moment in (end_of("stance"), start_of("flight"))] == [False, True]
+    assert end.is_at(end_of("stance"))
+    assert end.is_at(Moment("stance", 0.9))
+    assert not end.is_at(END)
+    assert not shared.is_at(middle_of("flight"))
 
 
 def test_step_at_a_node_is_the_wider_of_its_intervals():

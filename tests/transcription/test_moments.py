@@ -34,7 +34,7 @@ def sides(phase: str, seed: int = 0) -> tuple[MomentConstraint, ...]:
     )
     pairs = ((FOOT, None), (FOOT, "universe"), (None, FOOT))
     return tuple(
-        PlaneSide(phase=phase, fractions=FRACTIONS, parameters=parameters, frame=frame, body=body)
+        PlaneSide(during=phase, fractions=FRACTIONS, parameters=parameters, frame=frame, body=body)
         for frame, body in pairs
     )
 
@@ -83,7 +83,7 @@ def test_a_row_is_that_of_the_interpolated_motion(scheme):
     motion, length = SolutionMotion(solution), problem.robot.length
     for number, index, value in rows_of(with_terms(problem, *terms), solution, {"clearance"}):
         term = terms[number]
-        phase = problem.schedule.names.index(term.phase)
+        phase = problem.schedule.names.index(term.during)
         q = motion.in_phase(phase, float(term.fractions[index]), 0.5).q
         assert_allclose(value * length, height(problem, term, index, q), atol=ROUNDING)
 
@@ -93,10 +93,10 @@ def test_joint_and_force_rows_are_those_of_the_motion_in_true_time():
     solution = solve(problem, transcription="legendre:3", intervals=9)
     ones = np.column_stack([-np.ones(5), np.full(5, -3.0)])
     terms = [
-        JointSide(phase="flight", fractions=FRACTIONS, parameters=ones, joint="hip", rate=True),
-        JointSide(phase="flight", fractions=FRACTIONS, parameters=ones, joint="shank"),
+        JointSide(during="flight", fractions=FRACTIONS, parameters=ones, joint="hip", rate=True),
+        JointSide(during="flight", fractions=FRACTIONS, parameters=ones, joint="shank"),
         ForceSide(
-            phase="landing", fractions=FRACTIONS, parameters=np.tile([-1.0, 0.0, 0.7], (5, 1)), contact=FOOT
+            during="landing", fractions=FRACTIONS, parameters=np.tile([-1.0, 0.0, 0.7], (5, 1)), contact=FOOT
         ),
     ]
     motion, robot = SolutionMotion(solution), problem.robot
@@ -123,7 +123,7 @@ def test_a_bound_holds_at_the_moment_with_every_solver(solver):
     free = reach()
     limit = 0.5 * float(solve(free).v[:, 0].max())
     term = JointSide(
-        phase="reach",
+        during="reach",
         fractions=np.linspace(0.05, 0.95, 37),
         parameters=np.tile([-1.0, -1.6 * limit], (37, 1)),
         joint="joint",
@@ -159,14 +159,14 @@ def refused(term: MomentConstraint) -> None:
     prepare(with_terms(hop(), term))
 
 
-ONE = {"phase": "flight", "fractions": [0.2]}
+ONE = {"during": "flight", "fractions": [0.2]}
 BAD = {
     "fraction": lambda: plane(fractions=[1.2]),
     "shape": lambda: plane(parameters=np.ones((1, 6))),
     "length": lambda: plane(parameters=np.ones((2, 7))),
     "NaN": lambda: plane(parameters=np.full((1, 7), np.nan)),
     "world": lambda: plane(frame=None),
-    "phase": lambda: refused(plane(phase="fly")),
+    "phase": lambda: refused(plane(during="fly")),
     "joint": lambda: refused(JointSide(**ONE, parameters=np.ones((1, 2)), joint="base")),
     "contact": lambda: refused(ForceSide(**ONE, parameters=np.ones((1, 3)), contact=FOOT)),
 }

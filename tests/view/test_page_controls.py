@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from tests.support.browser import until
 from tests.support.replay_pages import hopping
+from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.browser import OpenedPage
 from trajopt.view.replay.show import replay
@@ -265,7 +266,7 @@ def test_camera_follows_the_smoothed_path_of_the_base_whatever_was_shown_before(
     shown = replay(walking, html=tmp_path / "walk.html")
     size = shown.facts["size"]
     times = np.linspace(START, END, shown.frames)
-    base = walking.interpolate(times)[:, :3]
+    base = geodesic_configurations(walking, times)[:, :3]
     expected = smoothed_path(base, times[1], size)
     rows = np.arange(0, shown.frames, 6)
     with browser.opened(shown.html, SMALL) as view:

@@ -24,6 +24,7 @@ from tests.support.browser import (
 from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.catalogue import families
+from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.browser import EXECUTABLE_VARIABLE, chromium, find_chromium, open_page
 from trajopt.view.replay.robot import joint_path
@@ -69,7 +70,7 @@ def pages(jump, arm, tmp_path_factory) -> dict:
 def kinematics(solution: Solution, t: float) -> list[pin.SE3]:
     """World placements of all joints but the universe; after its end a motion stands still."""
     data = solution.model.createData()
-    pin.forwardKinematics(solution.model, data, solution.interpolate(t))
+    pin.forwardKinematics(solution.model, data, geodesic_configurations(solution, t))
     return [data.oMi[joint].copy() for joint in range(1, solution.model.njoints)]
 
 
@@ -145,7 +146,7 @@ def test_arrows_are_drawn_from_feet_to_the_ends_of_their_forces_and_in_stance_on
                 assert not drawn.any()
                 continue
             data = jump.model.createData()
-            pin.framesForwardKinematics(jump.model, data, jump.interpolate(t))
+            pin.framesForwardKinematics(jump.model, data, geodesic_configurations(jump, t))
             feet = np.array(
                 [data.oMf[jump.model.getFrameId(name)].translation for name in jump.contact_frames]
             )

@@ -19,6 +19,7 @@ from tests.support.browser import (
     until,
 )
 from trajopt.robot.robot import Robot
+from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.collada import ColladaError, read_collada
 from trajopt.view.replay.robot import joint_path
@@ -73,7 +74,7 @@ def surface_points(shape: object) -> np.ndarray:
 def world_points(robot: Robot, parts: list, solution: Solution, t: float) -> dict[str, np.ndarray]:
     """Points (k, 3) of every part in the world at ``t``, by numeric kinematics."""
     data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, solution.interpolate(t))
+    pin.forwardKinematics(robot.model, data, geodesic_configurations(solution, t))
     placed = {}
     for part in parts:
         place = data.oMi[part.parentJoint] * part.placement
@@ -83,7 +84,7 @@ def world_points(robot: Robot, parts: list, solution: Solution, t: float) -> dic
 
 def joint_positions(robot: Robot, solution: Solution, t: float) -> np.ndarray:
     data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, solution.interpolate(t))
+    pin.forwardKinematics(robot.model, data, geodesic_configurations(solution, t))
     return np.array([data.oMi[joint].translation for joint in range(1, robot.model.njoints)])
 
 

@@ -6,9 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from numpy.testing import assert_allclose
 
-from tests.support.plots import arm, drawn, jump, lines, track_of
+from tests.support.plots import arm, drawn, jump, lines, standing, track_of
 from tests.support.problems import hopper
 from tests.support.symbolic_interpolation import SymbolicInterpolation
 from tests.support.synthetic_motions import sampled, tumbling_flight
@@ -17,6 +20,12 @@ from trajopt.solution.solution import Solution
 from trajopt.view.plotting.joints import limbs_of
 from trajopt.view.plotting.topics_contacts import stance_spans
 
+# A limit as descriptions have where nobody knew better.
+PLACEHOLDER = 5000.0
+BEYOND = {
+    "velocity": "limits 5000 rad/s, 5000 m/s, beyond the axis",
+    "torque": "limits 5000 N m, 5000 N, beyond the axis",
+}
 # Two computations of the same numbers differ by rounding.
 ROUNDING = 1e-9
 
@@ -92,6 +101,112 @@ def test_a_limit_is_drawn_where_values_come_near_it() -> None:
     levels = {round(float(line.get_ydata()[0]), 6) for line in axes.get_lines() if len(line.get_ydata()) == 2}
     assert any(abs(abs(level) - 1.05 * most[0]) < 1e-5 for level in levels)
     assert not any(abs(level) > 2 * most.max() for level in levels)
+
+
+@pytest.fixture
+def unlimited() -> Solution:
+    """A jump of a robot whose limits are placeholders."""
+    solution = jump()
+    speed, effort = (len(solution.meta[f"{name}_limit"]) * [PLACEHOLDER] for name in ("velocity", "effort"))
+    return replace(solution, meta={**solution.meta, "velocity_limit": speed, "effort_limit": effort})
+
+
+def used_of(solution: Solution) -> dict[str, float]:
+    """The largest velocity and torque of the interpolated motion."""
+    dense = track_of(solution).dense.solution
+    return {
+        "velocity": float(np.abs(dense.v[:, dense.n_unactuated :]).max()),
+        "torque": float(np.abs(dense.tau).max()),
+    }
+
+
+def words_of(figure: Figure) -> str:
+    return "\n".join(text.get_text() for text in figure.findobj(Text))
+
+
+@pytest.mark.parametrize("kind", ["velocity", "torque"])
+def test_panels_with_placeholders_are_scaled_by_what_is_used_and_say_so(
+    unlimited: Solution, kind: str
+) -> None:
+    figure = drawn(unlimited, "joints")[0]
+    panels = [axes for axes in figure.axes if axes.get_label().startswith(kind)]
+    used = used_of(unlimited)[kind]
+    assert panels
+    assert all(max(np.abs(axes.get_ylim())) < 1.5 * used for axes in panels)
+    assert BEYOND[kind] in words_of(figure)
+
+
+@pytest.mark.parametrize("page", ["summary", "limits"])
+def test_maps_with_placeholders_are_of_the_largest_value_used_and_say_so(
+    unlimited: Solution, page: str
+) -> None:
+    figure = drawn(unlimited, page)[0]
+    for kind, used in used_of(unlimited).items():
+        image = next(a for a in figure.axes if a.get_label() == f"share:{kind}:0").get_images()[0]
+        assert np.nanmax(np.asarray(image.get_array())) == pytest.approx(1.0, abs=0.02)
+        assert f"{kind}, 100 % is {used:.3g} " in words_of(figure)
+        assert BEYOND[kind] in words_of(figure)
+
+
+def test_shares_of_placeholders_are_curves_that_fill_their_panel(unlimited: Solution) -> None:
+    figure = drawn(unlimited, "limits")[0]
+    axes = next(axes for axes in figure.axes if axes.get_label() == "used:torque")
+    assert axes.get_ylim()[1] < 1.5 * used_of(unlimited)["torque"] / PLACEHOLDER
+    assert "limit 1, beyond the axis" in words_of(figure)
+
+
+def test_limits_that_matter_are_not_called_beyond_the_axis() -> None:
+    solution = jump()
+    most = np.abs(solution.tau).max()
+    for limit in (1.01 * most, 1.3 * most):
+        meta = {**solution.meta, "effort_limit": [float(limit)] * solution.tau.shape[1]}
+        assert "N m, beyond" not in words_of(drawn(replace(solution, meta=meta), "joints")[0])
+
+
+@pytest.mark.parametrize("page", ["summary", "limits"])
+def test_maps_have_a_colour_bar(page: str) -> None:
+    bars = [axes for axes in drawn(jump(), page)[0].axes if axes.get_label() == "scale"]
+    assert len(bars) == 1
+    assert [label.get_text() for label in bars[0].get_yticklabels()] == ["0", "50", "100 %"]
+
+
+def test_the_summary_of_a_legged_robot_shows_torques() -> None:
+    solution = jump()
+    figures = drawn(solution, "summary")
+    limb = limbs_of(track_of(solution).axes, solution.model)[0]
+    shown = lines(figures, f"torque:{limb.name}")
+    assert set(shown) == set(limb.short)
+    for name, axis in zip(limb.short, limb.axes, strict=True):
+        assert_allclose(np.abs(shown[name][1]).max(), np.abs(solution.tau[:, axis.torque]).max(), rtol=0.05)
+
+
+def test_friction_cones_have_a_legend() -> None:
+    words = words_of(drawn(jump(), "forces")[0])
+    assert "cone, f\u209c \u2264 \u03bc f\u2099" in words
+    assert "edge of the cone, \u03bc = " in words
+
+
+def test_curves_of_several_feet_differ_by_line_style_and_in_the_legend_too() -> None:
+    solution = standing()
+    figure = drawn(solution, "summary")[0]
+    axes = next(axes for axes in figure.axes if axes.get_label() == "normal")
+    styles = {repr(line._unscaled_dash_pattern) for line in axes.get_lines()}  # type: ignore[attr-defined]
+    assert len(axes.get_lines()) == len(styles) == len(solution.contact_frames) == 4
+    legend = next(
+        entry for entry in figure.legends if "FR_FOOT" in [text.get_text() for text in entry.get_texts()]
+    )
+    assert len({repr(line._unscaled_dash_pattern) for line in legend.get_lines()}) == 4  # type: ignore[attr-defined]
+
+
+def test_curves_of_several_solutions_keep_the_solutions_line_style_and_differ_by_width() -> None:
+    solution = standing()
+    figure = drawn(solution, "summary", solution)[0]
+    axes = next(axes for axes in figure.axes if axes.get_label() == "normal")
+    curves = [line for line in axes.get_lines() if line.get_linestyle() != "None"]  # no points
+    first, second = curves[:4], curves[4:]
+    assert {line.get_linestyle() for line in first} == {"-"}
+    assert {line.get_linestyle() for line in second} == {"--"}
+    assert len({line.get_linewidth() for line in first}) == 4
 
 
 def test_friction_shares_give_the_margin_of_the_check() -> None:

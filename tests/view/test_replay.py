@@ -20,6 +20,7 @@ from tests.support.synthetic_motions import Motion, arm_motion, meta_of, sampled
 from trajopt.errors import InputError
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
+from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import robot as drawn_robot
 from trajopt.view.replay import visuals
@@ -138,7 +139,7 @@ def test_every_joint_is_placed_as_by_forward_kinematics_within_the_stated_error(
     # thinned, and then rounded to a multiple of an eighth of the error
     allowed = POSITION_ERROR * extent * (1 + np.sqrt(3) / 16) + SINGLE_PRECISION
     for row, time in enumerate(np.linspace(0, LIFT + FLIGHT, 31)):
-        pin.forwardKinematics(model, data, jump.interpolate(time))
+        pin.forwardKinematics(model, data, geodesic_configurations(jump, time))
         for joint in range(1, model.njoints):
             position = tracks[joint_path(model, joint), "position"][row]
             turn = pin.Quaternion(tracks[joint_path(model, joint), "quaternion"][row])

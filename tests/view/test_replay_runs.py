@@ -13,7 +13,9 @@ from numpy.testing import assert_allclose
 from tests.support.replay_pages import STANCE, objects_of, placements_of, scene_of, shown, tracks_of
 from tests.support.synthetic_motions import arm_motion, sampled, with_meta
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.schedule import start_of
 from trajopt.schedule.targets import Target
+from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.terms import FramePose, TerminalState
 from trajopt.view.replay.copies import MOST_GHOSTS, ghost_frames
@@ -173,7 +175,7 @@ def test_ghosts_stand_as_the_robot_does_where_phases_change(bones, tmp_path):
     assert frames == changes
     data, places = far.model.createData(), placements_of(page)
     for number, frame in enumerate(frames):
-        pin.forwardKinematics(far.model, data, far.interpolate(motion.t[frame]))
+        pin.forwardKinematics(far.model, data, geodesic_configurations(far, motion.t[frame]))
         for joint in range(1, far.model.njoints):
             path = joint_path(far.model, joint).replace("robot/", f"ghosts/pose{number}/")
             assert_allclose(places[path], data.oMi[joint].homogeneous, atol=SINGLE_PRECISION)
@@ -204,8 +206,8 @@ def test_one_more_ghost_costs_the_page_little(hop, tmp_path):
 
 def test_goals_of_a_problem_are_what_its_terms_ask_for():
     position, rotation = np.array([0.1, 0.2, 0.3]), pin.utils.rotate("x", 0.4)
-    pose = FramePose(frame="tool", position=position, rotation=rotation, phase="lift").targets()[0]
-    assert (pose.frame, pose.phase) == ("tool", "lift")
+    pose = FramePose(frame="tool", position=position, rotation=rotation, at=start_of("lift")).targets()[0]
+    assert (pose.frame, pose.at) == ("tool", start_of("lift"))
     assert_allclose(pose.position, position)
     assert_allclose(pose.rotation, rotation)
     again = Target.from_description(pose.describe())
@@ -220,7 +222,7 @@ def test_goals_are_marked_where_they_are(bones, arm, tmp_path):
     goals = [
         Target(frame="base_link", position=place, rotation=turn),
         Target(frame="base_link", position=place + 0.1),
-        Target(frame="FL_FOOT", position=np.array([0.5, 0.0, 0.0]), phase="landing"),
+        Target(frame="FL_FOOT", position=np.array([0.5, 0.0, 0.0]), at=start_of("landing")),
         Target(q=bones.q[0]),
     ]
     told = with_meta(

@@ -32,10 +32,9 @@ from trajopt.certify.report import (
     Tolerances,
 )
 from trajopt.certify.samples import largest, largest_known, sample_quantities
-from trajopt.certify.traces import Found, Occurrence, Traces, phase_names, worst_of
+from trajopt.certify.traces import Found, Occurrence, Traces, worst_of
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.solution.input import SolutionOrFile, consistent_solution
-from trajopt.solution.interpolation import InterpolatedMotion
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
@@ -94,7 +93,7 @@ class Examination:
 def examine(given: Solution, tolerances: Tolerances = GRADE, *, integrate: bool = False) -> Examination:
     """Check a consistent solution, and compare intervals and phases with ``tolerances``; see `check`."""
     plan = given.normalized()  # the norm error of rotations has its own figure and must not affect others
-    motion, samples = InterpolatedMotion.of(plan), sample_quantities(plan)
+    motion, samples = plan.polynomials, sample_quantities(plan)
     surfaces, local = touched_surfaces(plan, samples.position), local_errors(plan, motion)
     starts = ContactStarts.of(plan, samples, surfaces)
     bodies, apart = FileBodies.of(plan)
@@ -188,7 +187,7 @@ def _quaternion_error(plan: Solution) -> float | None:
 
 
 def _phases(plan: Solution, local: LocalErrors, integrate: bool) -> Iterator[PhaseReport]:
-    names, reach = phase_names(plan), NaturalUnits.of(plan.model).length
+    names, reach = plan.phase_names, NaturalUnits.of(plan.model).length
     for index, phase in enumerate(plan.phases):
         inside = slice(plan.intervals_of(index).start, plan.intervals_of(index).stop)
         sums = float(local.position[inside].sum()), float(local.joints[inside].sum())

@@ -16,7 +16,8 @@ from trajopt.certify.limit_figures import drive_traces, limit_traces
 from trajopt.certify.samples import ContactPlaces, contact_places
 from trajopt.certify.traces import Trace, Traces, merged
 from trajopt.solution.arrays import SAMPLED
-from trajopt.solution.interpolation import InterpolatedMotion, samples_at
+from trajopt.solution.interpolation import InterpolatedMotion
+from trajopt.solution.resampling import samples_at
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 

@@ -151,7 +151,7 @@ def integrate_interval(
     With velocity sources the planned rates are integrated, polynomials through the points, whatever ``v``.
     """
     model, nv = plan.model, plan.model.nv
-    points, fractions = collocation_fractions(plan, number)
+    points, fractions = collocation_fractions(plan.arrays, number)
     start, end = (float(time) for time in plan.interval_t[number])
     moved_by_rates = plan.meta.get("actuation") == "velocity"
     planned = plan.v if moved_by_rates else plan.tau

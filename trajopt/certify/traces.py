@@ -75,14 +75,9 @@ class Found:
     place: Occurrence
 
 
-def phase_names(plan: Solution) -> list[str]:
-    """Names of a plan's phases; where the file has none, their numbers."""
-    return plan.meta.get("phase_names") or [f"phase {number}" for number in range(len(plan.phases))]
-
-
 def place_of(plan: Solution, row: int, name: str = "") -> Occurrence:
     """The place of a sample."""
-    return Occurrence(time=float(plan.t[row]), phase=phase_names(plan)[int(plan.phase[row])], name=name)
+    return Occurrence(time=float(plan.t[row]), phase=plan.phase_names[int(plan.phase[row])], name=name)
 
 
 def worst_of(*parts: tuple[Solution, Trace | None]) -> Found | None:

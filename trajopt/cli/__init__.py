@@ -29,5 +29,9 @@ def main() -> int:
     except Exception:
         if not presses:
             raise
+    finally:
+        # Under `-m`, CPython ends by SIGINT, not with a status, after Ctrl-C in text given to `exec` (by
+        # `dataclass`, for example), until another text is executed.
+        exec("")
     print("trajopt: cancelled", file=sys.stderr)
     return INTERRUPTED

@@ -30,6 +30,7 @@ COMMANDS = {
     "check": "trajopt.cli.check:check_command",
     "continue": "trajopt.cli.continuation:continue_command",
     "diagnose": "trajopt.cli.diagnose:diagnose_command",
+    "export": "trajopt.cli.export:export_command",
     "list": "trajopt.cli.list:list_command",
     "plot": "trajopt.cli.plot:plot_command",
     "reference": "trajopt.cli.reference:reference_command",

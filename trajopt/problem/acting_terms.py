@@ -5,18 +5,22 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
+from itertools import zip_longest
+from typing import Any
 
 from trajopt.errors import InputError, not_among
 from trajopt.robot.robot import Robot
+from trajopt.schedule.moment import Moment
 from trajopt.schedule.schedule import Schedule
-from trajopt.terms.interfaces import Term
+from trajopt.terms.interfaces import DuringPhases, Term
 from trajopt.terms.node_costs import NodeCost
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
 
 # Fields of terms that hold names, and what they name.
 NAMES = {
     "phase": "phase",
-    "phases": "phase",
+    "at": "phase",
+    "during": "phase",
     "contact": "contact",
     "contacts": "contact",
     "over": "contact",
@@ -32,8 +36,8 @@ NO_PHASE = "\0"
 def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> None:
     """Raise `InputError` for a term that cannot act, or that has an argument it does not use.
 
-    The check needs only fields (``phase``, ``contacts`` ...), ``acts_at`` and `Term.idle`, so it applies to
-    terms of users too.
+    The check needs only fields (``at``, ``during``, ``contacts`` ...), ``acts_at`` and `Term.idle`, so it
+    applies to terms of users too.
     """
     known = {
         "phase": schedule.names,
@@ -51,9 +55,10 @@ def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> N
 
 def _require_names(term: Term, known: Mapping[str, tuple[str, ...]], schedule: Schedule) -> None:
     """Names in the fields of a term are among those ``known`` of their kind."""
-    if term.phases is not None and (not isinstance(term.phases, tuple | list) or not term.phases):
-        what = f"phases of {term.name}: {term.phases!r}"
-        raise InputError(what, "allowed: a tuple of names of phases, or None for all")
+    during = getattr(term, "during", None)
+    if during is not None and (not isinstance(during, str | tuple | list) or not during):
+        what = f"during of {term.name}: {during!r}"
+        raise InputError(what, "allowed: the name of a phase, names of several, or None for all")
     for field in fields(term):
         kind = NAMES.get(field.name, "")
         for name in _names(getattr(term, field.name)) if kind else ():
@@ -65,6 +70,8 @@ def _require_names(term: Term, known: Mapping[str, tuple[str, ...]], schedule: S
 
 
 def _names(value: object) -> tuple[str, ...]:
+    if isinstance(value, Moment):
+        value = value.phase
     if isinstance(value, str):
         return (value,)
     return tuple(value) if isinstance(value, list | tuple) else ()
@@ -80,16 +87,14 @@ def _require_active(term: Term, contact: str, schedule: Schedule) -> None:
 
 
 def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
-    """A term at nodes acts at one at least, in each phase that it names, and ``phases`` have an effect."""
-    if term.phases is None:
+    """A term at nodes acts at one at least, in each phase that it names, and ``during`` has an effect."""
+    if not isinstance(term, DuringPhases) or term.phases is None:
         if not term.made_for_schedule and not any(term.acts_at(place) for place in _places(schedule)):
             raise InputError(f"{term.name} acts at no node of any phase", "allowed: terms that act")
         return
     if not _uses_phases(term, schedule):
-        own = "phase=" if any(field.name == "phase" for field in fields(term)) else "leave phases out"
-        raise InputError(
-            f"phases of {term.name}: {term.phases!r}, which this term does not use", f"allowed: {own}"
-        )
+        what = f"during of {term.name}: {term.during!r}, which this term does not use"
+        raise InputError(what, "allowed: leave it out")
     for name in term.phases:
         if not any(term.acts_at(place) for place in _places(schedule) if place.phase.name == name):
             raise InputError(
@@ -97,10 +102,10 @@ def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
             )
 
 
-def _uses_phases(term: NodeConstraint | NodeCost, schedule: Schedule) -> bool:
-    """Whether the places where the term acts depend on its ``phases``."""
+def _uses_phases(term: Any, schedule: Schedule) -> bool:
+    """Whether the places where the term acts depend on ``during``."""
     anywhere = copy.copy(term)
-    object.__setattr__(anywhere, "phases", None)
+    object.__setattr__(anywhere, "during", None)
     places = (*_places(schedule), *_places(schedule, name=NO_PHASE))
     return any(term.acts_at(place) != anywhere.acts_at(place) for place in places)
 
@@ -108,10 +113,13 @@ def _uses_phases(term: NodeConstraint | NodeCost, schedule: Schedule) -> bool:
 def _places(schedule: Schedule, name: str = "") -> Iterator[NodePlace]:
     """Nodes of a fine mesh, in phases renamed to ``name``; the last of a phase where the schedule ends."""
     fractions = tuple(k / INTERVALS for k in range(INTERVALS + 1))
-    for phase in schedule.phases:
-        ends, shown = phase is schedule.phases[-1], copy.copy(phase)
+    before = None
+    for phase, following in zip_longest(schedule.phases, schedule.phases[1:]):
+        ends, shown = following is None, copy.copy(phase)
         object.__setattr__(shown, "name", name or phase.name)
         for k in range(INTERVALS + ends):
-            yield NodePlace(
-                phase=shown, index=k, fractions=fractions, last=k == INTERVALS, ends_schedule=ends
-            )
+            here = None if k or phase.impact else before
+            yield NodePlace(phase=shown, index=k, fractions=fractions, last=k == INTERVALS, before=here)
+        before = NodePlace(phase=shown, index=INTERVALS, fractions=fractions, last=False)
+        if following is not None and following.impact:
+            yield before

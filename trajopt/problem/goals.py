@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from trajopt.problem.problem import Problem
+from trajopt.schedule.moment import start_of
 from trajopt.schedule.targets import Target
 
 
@@ -18,5 +19,5 @@ def goals_meta(problem: Problem) -> list[dict[str, Any]]:
         for name in phase.footholds:
             contact = problem.robot.contact(name)
             place = phase.centre(contact, problem.terrain)
-            found.append(Target(frame=contact.frame, position=place, phase=phase.name))
+            found.append(Target(frame=contact.frame, position=place, at=start_of(phase.name)))
     return [target.describe() for target in found]

@@ -29,7 +29,7 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
 
 if TYPE_CHECKING:
     from trajopt.schedule.schedule import Phase, Schedule
@@ -95,14 +95,8 @@ def _same(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnitRotation(NodeConstraint):
+class UnitRotation(AtMoment, NodeConstraint):
     """The quaternions of a free start have unit norm; those of later nodes inherit it."""
-
-    phase: str
-
-    @override
-    def acts_at(self, place: NodePlace) -> bool:
-        return place.phase.name == self.phase and place.index == 0
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:

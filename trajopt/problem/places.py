@@ -17,6 +17,7 @@ from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.reach import LinkPoint, longest_between
 from trajopt.robot.robot import Robot
 from trajopt.robot.validation import require_configuration
+from trajopt.schedule.moment import Moment
 from trajopt.schedule.schedule import Schedule
 from trajopt.schedule.targets import Target
 from trajopt.terms.frames import FrameHeight
@@ -54,6 +55,13 @@ class Stances:
     def index(self, phase: str | None) -> int:
         """Index of the phase of that name, of the last one for None."""
         return len(self.places) - 1 if phase is None else self.schedule.names.index(phase)
+
+    def at(self, moment: Moment) -> _Places:
+        """Positions of the contacts that stand at a moment, on both sides of it between two phases."""
+        index, fraction = self.index(moment.phase), moment.fraction
+        other = index - 1 if fraction == 0 else index + 1 if fraction == 1 else index
+        near = self.places[other] if 0 <= other < len(self.places) else {}
+        return {**near, **self.places[index]}
 
 
 def require_places(
@@ -151,7 +159,7 @@ def require_postures(stances: Stances, goals: Sequence[_Goal], rows: Sequence[Po
     for term, target in goals:
         if target.q is None:
             continue
-        index, where = stances.index(target.phase), f"q of {term} has"
+        index, where = stances.index(target.at.phase), f"q of {term} has"
         name = stances.schedule.names[index]
         require_configuration(robot.model, target.q, f"q of {term}")
         limits = [limit for limit in rows if limit.acts_in(name)]
@@ -188,10 +196,8 @@ def require_reach(stances: Stances, goals: Sequence[_Goal]) -> None:
     for term, target in goals:
         if target.frame is None or target.position is None:
             continue
-        index, frame = stances.index(target.phase), LinkPoint.of_frame(robot.model, target.frame)
-        # The beginning of a phase is the end of the one before it.
-        before = {} if target.phase is None or index == 0 else stances.places[index - 1]
-        for name, point, place in _anchors(robot, frame, {**before, **stances.places[index]}):
+        frame = LinkPoint.of_frame(robot.model, target.frame)
+        for name, point, place in _anchors(robot, frame, stances.at(target.at)):
             what = f"{term} has '{target.frame}' and {name}"
             _require_near(robot, what, (point, frame), target.position - place)
 
@@ -202,7 +208,7 @@ def require_heights(stances: Stances, terms: Sequence[Term]) -> None:
     for term in terms:
         if isinstance(term, FrameHeight) and math.isfinite(term.height):
             frame = LinkPoint.of_frame(robot.model, term.frame)
-            for name, point, place in _anchors(robot, frame, stances.places[stances.index(term.phase)]):
+            for name, point, place in _anchors(robot, frame, stances.at(term.at)):
                 over = (term.height - float(place[2])) * (-1 if term.below else 1)
                 what = f"{term.name} has '{term.frame}' and {name}"
                 _require_near(robot, what, (point, frame), np.array([0.0, 0.0, max(over, 0.0)]))

@@ -30,6 +30,7 @@ from trajopt.robot.payload import Payload, loaded
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
+from trajopt.schedule.moment import start_of
 from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.schedule.standing import require_standing
@@ -237,7 +238,7 @@ class Problem:
         """
         landings = self._start_rows() + tuple(
             ContactLanding(
-                phase=phase.name,
+                at=start_of(phase.name),
                 contacts=self.schedule.new_contacts(i),
                 terrain=self.terrain,
                 held=self.schedule.kept_contacts(i) if phase.impact else (),
@@ -273,7 +274,7 @@ class Problem:
         landing = landing_at_start(self.robot, self.schedule, self.periodicity)
         rows: tuple[NodeConstraint, ...] = ()
         if self.robot.base == "freeflyer":
-            rows = (UnitRotation(phase=first),)
+            rows = (UnitRotation(at=start_of(first)),)
         if landing and self.holds_contacts:
-            rows += (ContactLanding(phase=first, contacts=landing, terrain=self.terrain),)
+            rows += (ContactLanding(at=start_of(first), contacts=landing, terrain=self.terrain),)
         return rows

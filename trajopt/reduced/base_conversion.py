@@ -76,7 +76,7 @@ def with_virtual_base(problem: Problem, order: str = DEFAULT_ORDER) -> Problem:
 def _converted(term: Term, robot: Robot, mapped: Callable[[np.ndarray], np.ndarray]) -> Term:
     for plain, spatial in ((VelocityCost, BaseVelocityCost), (AccelerationCost, BaseAccelerationCost)):
         if type(term) is plain and not term.joints_only:
-            return spatial(weight=term.weight, phases=term.phases)
+            return spatial(weight=term.weight, during=term.during)
     q = getattr(term, "q", None)
     if q is None or "q" not in {field.name for field in fields(term)} or np.shape(q) != (robot.nq,):
         return term

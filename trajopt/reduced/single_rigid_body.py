@@ -236,8 +236,8 @@ def body_problem(
     limits: list[Term] = []
     for support in plan.supports:
         feet, here = support.feet, (support.name,)
-        dynamics.append(BodyDynamics(body=body, footholds=feet, phases=here))
-        limits.append(FootReach(body=body, footholds=feet, phases=here, shortest=shortest, longest=longest))
+        dynamics.append(BodyDynamics(body=body, footholds=feet, during=here))
+        limits.append(FootReach(body=body, footholds=feet, during=here, shortest=shortest, longest=longest))
     phases = tuple(replace(phase, impact=False) for phase in problem.schedule.phases)
     return replace(
         problem,

@@ -141,7 +141,10 @@ class TermReader:
         )
         for index in range(NODE_INTERVALS + ends):
             last = index == NODE_INTERVALS
-            node = NodePlace(phases[phase], index, equal_fractions(NODE_INTERVALS), last, ends)
+            before = None
+            if index == 0 and phase > 0 and not phases[phase].impact:
+                before = NodePlace(phases[phase - 1], NODE_INTERVALS, equal_fractions(NODE_INTERVALS), False)
+            node = NodePlace(phases[phase], index, equal_fractions(NODE_INTERVALS), last, before)
             for term in terms:
                 if term.acts_at(node):
                     yield self._instance(term, phase, Place.NODE, node)

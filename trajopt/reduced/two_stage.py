@@ -69,7 +69,7 @@ def base_rows_problem(problem: Problem, *, replacement: tuple[Cost, ...] | None 
 def _replacement(robot: Robot, kept: tuple[Term, ...], dropped: list[Term]) -> tuple[Cost, ...]:
     share = standing_share(robot)
     torques = [term for term in dropped if isinstance(term, TorqueCost)] if share > 0 else []
-    costs: list[Cost] = [WrenchCost(weight=share * term.weight, phases=term.phases) for term in torques]
+    costs: list[Cost] = [WrenchCost(weight=share * term.weight, during=term.during) for term in torques]
     if dropped and not any(isinstance(term, AccelerationCost) for term in kept):
         weight = max((term.weight for term in dropped if isinstance(term, Cost)), default=1.0)
         costs.append(AccelerationCost(weight=LEAST_ACCELERATION_SHARE * weight))

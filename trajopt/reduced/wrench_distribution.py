@@ -120,7 +120,7 @@ class _Rows:
 
 def _as_pyramid(term: PointConstraint) -> PointConstraint:
     if isinstance(term, FrictionCone):
-        return FrictionPyramid(friction=term.friction, contacts=term.contacts, phases=term.phases)
+        return FrictionPyramid(friction=term.friction, contacts=term.contacts, during=term.during)
     return term
 
 

@@ -120,7 +120,7 @@ def with_soles(problem: Problem) -> Soles | None:
 def _term(term: Term) -> tuple[Term, ...]:
     """Friction of points as it is for the points that remain, and the cone of soles beside it."""
     if isinstance(term, FrictionCone | FrictionPyramid):
-        cone = SoleCone(phases=term.phases, friction=term.friction)
+        cone = SoleCone(during=term.during, friction=term.friction)
         return (replace(term, contacts=None), cone)
     return (term,)
 

@@ -95,13 +95,13 @@ def _reduced(term: Term, reduction: Reduction) -> Term | None:
         return term
     if isinstance(term, Cost):
         kind = WholeCost if term.acts_at_points else WholeImpactCost
-        return kind(weight=term.weight, phases=term.phases, term=term, reduction=reduction)
+        return kind(weight=term.weight, during=term.during, term=term, reduction=reduction)
     if isinstance(term, NodeCost):
         return WholeNodeCost(weight=term.weight, term=term, reduction=reduction)
     if isinstance(term, NodeConstraint):
         return WholeNodeRows(term=term, reduction=reduction)
     if isinstance(term, PointConstraint):
-        return WholePointRows(phases=term.phases, term=term, reduction=reduction)
+        return WholePointRows(during=term.during, term=term, reduction=reduction)
     return term
 
 

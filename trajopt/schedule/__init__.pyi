@@ -1,5 +1,10 @@
 from .gait_transitions import transition as transition
 from .gaits import Gait as Gait
+from .moment import END as END
+from .moment import Moment as Moment
+from .moment import end_of as end_of
+from .moment import middle_of as middle_of
+from .moment import start_of as start_of
 from .named_gaits import BIPED as BIPED
 from .named_gaits import QUADRUPED as QUADRUPED
 from .named_gaits import gait_of as gait_of

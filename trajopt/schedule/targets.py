@@ -1,7 +1,8 @@
 """Targets: positions, orientations and postures to reach at single moments, as recorded in a solution's meta.
 
 Terms give theirs by `Term.targets`; footholds of the schedule are targets too. ``meta["goals"]`` is a list
-of {frame, position, rotation, q, phase}, each null where there is none.
+of {frame, position, rotation, q, phase}, each null where there is none; the moment is the start of the phase,
+or, with a key more, another ``fraction`` of it. Without a phase it is the end of the motion.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError, SolutionFileError, finite_array
+from trajopt.schedule.moment import END, Moment
 
 KEYS = ("frame", "position", "rotation", "q", "phase")
+FRACTION = "fraction"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,7 +28,7 @@ class Target:
         position: of the frame in the world (3,), m.
         rotation: of the frame in the world (3, 3).
         q: configuration (nq,), without a frame.
-        phase: name of the phase at whose beginning the goal holds; None for the end of the schedule.
+        at: the moment at which the goal holds.
 
     Raises:
         InputError: for other shapes, or an empty target.
@@ -35,7 +38,7 @@ class Target:
     position: np.ndarray | None = None
     rotation: np.ndarray | None = None
     q: np.ndarray | None = None
-    phase: str | None = None
+    at: Moment = END
 
     def __post_init__(self) -> None:
         for name, shape in (("position", (3,)), ("rotation", (3, 3)), ("q", None)):
@@ -51,15 +54,19 @@ class Target:
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
-        entries = {name: getattr(self, name) for name in KEYS}
-        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in entries.items()}
+        entries = {name: getattr(self, name) for name in KEYS[:-1]}
+        known = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in entries.items()}
+        later = self.at.phase is not None and self.at.fraction > 0
+        return {**known, "phase": self.at.phase, **({FRACTION: self.at.fraction} if later else {})}
 
     @classmethod
     def from_description(cls, described: Any) -> Target:
         """The target that ``describe`` wrote. Raises `InputError`."""
-        if not isinstance(described, dict) or set(described) != set(KEYS):
+        if not isinstance(described, dict) or set(described) - {FRACTION} != set(KEYS):
             raise InputError(f"a target is described by {described!r}", f"allowed: {', '.join(KEYS)}")
-        return cls(**described)
+        phase = described["phase"]
+        at = END if phase is None else Moment(phase, described.get(FRACTION, 0.0))
+        return cls(**{name: described[name] for name in KEYS[:-1]}, at=at)
 
 
 def targets_of(described: Any) -> list[Target]:

@@ -54,7 +54,7 @@ def inconsistency(arrays: _Arrays, model_text: str, meta: dict[str, Any]) -> str
     model = model_from_text(model_text)
     return (
         _wrong_shape(arrays, model, meta)
-        or _wrong_number(arrays)
+        or wrong_number(arrays)
         or _wrong_time(arrays)
         or _wrong_descriptions(arrays, model, meta)
         or _wrong_phases(arrays, meta)
@@ -253,7 +253,8 @@ def _wrong_impacts(arrays: _Arrays, contacts: int) -> str:
     return ""
 
 
-def _wrong_number(arrays: _Arrays) -> str:
+def wrong_number(arrays: _Arrays) -> str:
+    """Return the first array with a number that is not finite, or an empty text."""
     for name, kind in {**SAMPLED, **OTHERS}.items():
         array = arrays.get(name)
         if array is not None and kind is float and not np.isfinite(array).all():

@@ -13,14 +13,14 @@ ramp closes the gap, so that the motion passes through its nodes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 
+from trajopt.solution.arrays import runs
 from trajopt.solution.local_states import local_state, state_from_local
-from trajopt.solution.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,31 +58,34 @@ class MotionPolynomials:
     gap: np.ndarray
 
     @classmethod
-    def of(cls, plan: Solution, numbers: np.ndarray) -> MotionPolynomials:
-        """Read intervals of a plan whose rotations have unit norm, with the same number of points."""
-        model, order = plan.model, 1 if plan.meta.get("actuation") == "velocity" else 2
+    def of(
+        cls, model: pin.Model, arrays: Mapping[str, np.ndarray], order: int, numbers: np.ndarray
+    ) -> MotionPolynomials:
+        """Read intervals with the same number of points; arguments as of `InterpolatedMotion.of`."""
+        numbers, intervals = np.asarray(numbers), runs(arrays["interval"])
         points, fractions = (
             np.array(part)
-            for part in zip(*(collocation_fractions(plan, int(number)) for number in numbers), strict=True)
+            for part in zip(*(collocation_fractions(arrays, int(number)) for number in numbers), strict=True)
         )
-        first = np.array([plan.intervals[number].start for number in numbers])
-        last = np.array([plan.intervals[number].stop - 1 for number in numbers])
-        start = plan.q[first]
+        first = np.array([intervals[number].start for number in numbers])
+        last = np.array([intervals[number].stop - 1 for number in numbers])
+        q, v, a = (arrays[name] for name in ("q", "v", "a"))
+        start = q[first]
 
         def local(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             origin = start if rows.ndim == 1 else start[:, None]
-            return local_state(model, origin, plan.q[rows], plan.v[rows], plan.a[rows])
+            return local_state(model, origin, q[rows], v[rows], a[rows])
 
         open_ends = cls(
             model=model,
-            numbers=np.asarray(numbers),
+            numbers=numbers,
             start=start,
             rate=local(first)[1],
-            step=np.diff(plan.interval_t[numbers], axis=1)[:, 0],
+            step=np.diff(arrays["interval_t"][numbers], axis=1)[:, 0],
             order=order,
             highest=lagrange_coefficients(fractions, local(points)[order]),
-            tau=lagrange_coefficients(fractions, plan.tau[points]),
-            f=lagrange_coefficients(fractions, plan.f[points].reshape(*points.shape, -1)),
+            tau=lagrange_coefficients(fractions, arrays["tau"][points]),
+            f=lagrange_coefficients(fractions, arrays["f"][points].reshape(*points.shape, -1)),
             gap=np.zeros((len(numbers), 2, model.nv)),
         )
         reached, planned = open_ends.local(np.arange(len(numbers)), np.ones(len(numbers))), local(last)
@@ -121,10 +124,17 @@ class InterpolatedMotion:
     groups: tuple[MotionPolynomials, ...]
 
     @classmethod
-    def of(cls, plan: Solution) -> InterpolatedMotion:
-        """Read all intervals of a plan whose rotations have unit norm."""
-        counts = np.bincount(plan.interval[plan.collocation], minlength=plan.n_intervals)
-        return cls(groups=tuple(MotionPolynomials.of(plan, np.flatnonzero(counts == s)) for s in set(counts)))
+    def of(cls, model: pin.Model, arrays: Mapping[str, np.ndarray], order: int) -> InterpolatedMotion:
+        """Read all intervals.
+
+        Args:
+            model: the model that was optimised.
+            arrays: those of a `Solution`, its rotations with unit norm.
+            order: see `MotionPolynomials`.
+        """
+        counts = np.bincount(arrays["interval"][arrays["collocation"]], minlength=len(arrays["interval_t"]))
+        alike = [np.flatnonzero(counts == s) for s in set(counts)]
+        return cls(groups=tuple(MotionPolynomials.of(model, arrays, order, numbers) for numbers in alike))
 
     def gaps(self, numbers: np.ndarray) -> np.ndarray:
         """Return what closes the intervals ``numbers`` (k,), see `MotionPolynomials.gap`: (k, 2, nv)."""
@@ -155,12 +165,11 @@ def _without_turns(model: pin.Model, apart: np.ndarray) -> np.ndarray:
     return apart
 
 
-def collocation_fractions(plan: Solution, number: int) -> tuple[np.ndarray, np.ndarray]:
+def collocation_fractions(arrays: Mapping[str, np.ndarray], number: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples (s,) of an interval that are its collocation points, and their fractions of it."""
-    rows = plan.intervals[number]
-    points = rows.start + np.flatnonzero(plan.collocation[rows.start : rows.stop])
-    start, end = plan.interval_t[number]
-    return points, (plan.t[points] - start) / (end - start)
+    points = np.flatnonzero(arrays["collocation"] & (arrays["interval"] == number))
+    start, end = arrays["interval_t"][number]
+    return points, (arrays["t"][points] - start) / (end - start)
 
 
 def lagrange_coefficients(fractions: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -171,54 +180,6 @@ def lagrange_coefficients(fractions: np.ndarray, values: np.ndarray) -> np.ndarr
     return np.linalg.solve(fractions[..., None] ** np.arange(fractions.shape[-1]), values)
 
 
-Sampler = Callable[[Solution, int, np.ndarray], MotionSample]
-
-
-def sample_interval(plan: Solution, number: int, fractions: np.ndarray) -> MotionSample:
-    """Return the motion of one interval at ``fractions`` (n,) of it."""
-    found = MotionPolynomials.of(plan, np.array([number]))
-    return found.at(np.zeros(len(fractions), dtype=int), np.asarray(fractions, dtype=float))
-
-
 def joined(parts: Sequence[MotionSample]) -> dict[str, np.ndarray]:
     """Return the concatenated arrays of motions, by name."""
     return {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
-
-
-def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler | None = None) -> Solution:
-    """Return the same motion with samples at fractions of every interval, see `samples_at`.
-
-    Args:
-        plan: the motion, with unit rotations.
-        fractions: (n,) from 0 to 1, including both so that the samples start and end at nodes.
-        sample: gives the samples of one interval; default: its polynomials.
-    """
-    numbers = np.repeat(np.arange(plan.n_intervals), len(fractions))
-    every = np.tile(fractions, plan.n_intervals)
-    if sample is None:
-        return samples_at(plan, numbers, every, InterpolatedMotion.of(plan).at(numbers, every))
-    parts = [sample(plan, number, fractions) for number in range(plan.n_intervals)]
-    return samples_at(plan, numbers, every, MotionSample(**joined(parts)))
-
-
-def samples_at(plan: Solution, numbers: np.ndarray, fractions: np.ndarray, motion: MotionSample) -> Solution:
-    """Return ``plan`` with samples at ``fractions`` (n,) of intervals ``numbers`` (n,), marked as points.
-
-    It serves figures only: it has no impulses and no multipliers, and rows of the dynamics do not vanish at
-    its points.
-    """
-    first = np.array([rows.start for rows in plan.intervals])[numbers]
-    steps = np.diff(plan.interval_t, axis=1)[numbers, 0]
-    return plan.with_arrays(
-        t=plan.interval_t[numbers, 0] + steps * fractions,
-        phase=plan.phase[first],
-        interval=plan.interval[first],
-        active=plan.active[first],
-        collocation=np.ones(len(first), dtype=bool),
-        impulse=None,
-        impact_index=None,
-        row_multiplier=None,
-        row_place=None,
-        bound_multiplier=None,
-        **vars(motion),
-    )

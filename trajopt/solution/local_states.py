@@ -37,7 +37,7 @@ def local_state(model: pin.Model, start: np.ndarray, q: np.ndarray, v: np.ndarra
         kind, iq, iv = joint.shortname(), joint.idx_q, joint.idx_v
         if kind == "JointModelFreeFlyer":
             move, turn = slice(iv, iv + 3), slice(iv + 3, iv + 6)
-            rotation = _rotation(q[..., iq + 3 : iq + 7])
+            rotation = rotation_matrices(q[..., iq + 3 : iq + 7])
             xi[..., move] = q[..., iq : iq + 3] - start[..., iq : iq + 3]
             rate[..., move] = _times(rotation, v[..., move])
             second[..., move] = _times(rotation, a[..., move] + _cross(v[..., turn], v[..., move]))
@@ -76,7 +76,7 @@ def state_from_local(
             q[..., iq : iq + 3] = start[..., iq : iq + 3] + xi[..., move]
             quaternion = _turned_by(start[..., iq + 3 : iq + 7], xi[..., turn])
             q[..., iq + 3 : iq + 7] = quaternion
-            back = np.swapaxes(_rotation(quaternion), -1, -2)
+            back = np.swapaxes(rotation_matrices(quaternion), -1, -2)
             v[..., move] = _times(back, rate[..., move])
             a[..., move] = _times(back, second[..., move]) - _cross(v[..., turn], v[..., move])
         elif kind == "JointModelPlanar":
@@ -100,7 +100,7 @@ def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
+def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
     """Matrices (..., 3, 3) of unit quaternions (x, y, z, w)."""
     axis, w = quaternion[..., :3], quaternion[..., 3, None, None]
     cross = _cross_matrix(axis)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
 from trajopt.solution.arrays import rows_of
-from trajopt.solution.interpolation import InterpolatedMotion, MotionSample
+from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.solution import Solution
 
 # Fraction of a phase by which a time is moved inwards to find its interval: a node belongs to two.
@@ -23,9 +24,6 @@ class SolutionMotion:
     """The motion of a solution by phase and by time; a callable from t in s to a configuration (nq,)."""
 
     solution: Solution
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "solution", self.solution.normalized())
 
     def __call__(self, t: float) -> np.ndarray:
         """Return the configuration at time ``t``; outside the motion that at its nearer end."""
@@ -47,11 +45,7 @@ class SolutionMotion:
     def _sample(self, number: int, t: float) -> MotionSample:
         start, end = self.solution.interval_t[number]
         fraction = np.clip([(t - start) / (end - start)], 0.0, 1.0)
-        return rows_of(self._polynomials.at(np.array([number]), fraction), 0)
-
-    @cached_property
-    def _polynomials(self) -> InterpolatedMotion:
-        return InterpolatedMotion.of(self.solution)
+        return rows_of(self.solution.polynomials.at(np.array([number]), fraction), 0)
 
 
 def motion_of(solution: Solution) -> Motion:
@@ -73,4 +67,21 @@ def geodesic_motion(solution: Solution, robot: Robot) -> Motion:
             f"the solution is of a robot with joints {', '.join(names[0][1:])}",
             f"allowed: those of '{robot.name}', {', '.join(names[1][1:])}",
         )
-    return solution.interpolate
+    return lambda t: geodesic_configurations(solution, t)
+
+
+def geodesic_configurations(solution: Solution, t: ArrayLike) -> np.ndarray:
+    """Return configurations at times ``t`` (s) on geodesics between samples, for pictures.
+
+    `Solution.sample` gives the motion itself. A scalar gives (nq,), an array (n,) gives (n, nq). Times
+    outside the motion give its ends; a node shared by two intervals belongs to the later one.
+    """
+    times, q, nodes = np.asarray(t, dtype=float), solution.q, solution.t
+    last = np.clip(np.searchsorted(nodes, times.ravel(), side="right") - 1, 0, solution.n_samples - 2)
+    span = nodes[last + 1] - nodes[last]
+    part = np.where(span > 0, (times.ravel() - nodes[last]) / np.where(span > 0, span, 1.0), 1.0)
+    rows = [
+        pin.interpolate(solution.model, q[k], q[k + 1], float(s))
+        for k, s in zip(last, np.clip(part, 0.0, 1.0), strict=True)
+    ]
+    return np.array(rows).reshape(*times.shape, q.shape[1])

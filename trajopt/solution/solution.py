@@ -11,10 +11,29 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.solution import file
 from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, read_only, runs
+from trajopt.solution.consistency import wrong_number
+from trajopt.solution.interpolation import InterpolatedMotion
+from trajopt.solution.names import (
+    BaseAxes,
+    QuaternionOrder,
+    position_names,
+    require_convention,
+    velocity_names,
+)
+from trajopt.solution.sampled_motion import SampledMotion
+from trajopt.solution.sampling import (
+    Side,
+    angles_of,
+    in_convention,
+    is_extrapolated,
+    located,
+    sample_times,
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,8 +42,8 @@ class Solution:
 
     A node shared by two intervals appears twice (limit from the left and from the right). ``a``,
     ``tau`` and ``f`` at a sample that is not a collocation point are values of the interval's
-    interpolating polynomials through its collocation points. SI units; arrays are copied and
-    read-only. K samples, I intervals, nc contacts, J impacts.
+    interpolating polynomials through its collocation points. `sample` gives one value a time, at any rate.
+    SI units; arrays are copied and read-only. K samples, I intervals, nc contacts, J impacts.
 
     meta: JSON-able facts: names, limits, terrain, solver, versions (see `trajopt.solution.file`).
     model_text: ``pin.Model.saveToString()`` of the model that was optimised.
@@ -85,6 +104,37 @@ class Solution:
         return tuple(self.meta["contact_frames"])
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joints of the model in Pinocchio's order, a moving base's among them."""
+        return tuple(self.model.names)[1:]
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Frames of the model in Pinocchio's order."""
+        return tuple(frame.name for frame in self.model.frames)
+
+    @property
+    def position_names(self) -> tuple[str, ...]:
+        """Entries (nq,) of ``q``: the joint, and the entry where a joint has several (``root_joint/qx``)."""
+        return position_names(self.model)
+
+    @property
+    def velocity_names(self) -> tuple[str, ...]:
+        """Entries (nv,) of ``v`` and ``a``; those of a moving base are along its body's axes."""
+        return velocity_names(self.model)
+
+    @property
+    def torque_names(self) -> tuple[str, ...]:
+        """Entries (nu,) of ``tau``."""
+        return self.velocity_names[self.n_unactuated :]
+
+    @property
+    def phase_names(self) -> tuple[str, ...]:
+        """Names of the phases; where the file has none, their numbers."""
+        named = self.meta.get("phase_names")
+        return tuple(named or (f"phase {number}" for number in range(len(self.phases))))
+
+    @property
     def success(self) -> bool:
         """The verdict: the solver converged, and the motion is within the tolerances it was judged by."""
         return bool(self.meta["success"])
@@ -114,6 +164,17 @@ class Solution:
         """Drive of each actuated row (nu,), None without."""
         described = self.meta.get("drives") or [None] * self.tau.shape[1]
         return tuple(None if entry is None else Drive.from_meta(entry) for entry in described)
+
+    @property
+    def order(self) -> int:
+        """Derivative of positions that is a polynomial in each interval: 2, with velocity input 1."""
+        return 1 if self.meta.get("actuation") == "velocity" else 2
+
+    @cached_property
+    def polynomials(self) -> InterpolatedMotion:
+        """The motion at any time: the polynomials of the intervals, with rotations of unit norm."""
+        arrays = self.arrays | {"q": np.array([pin.normalize(self.model, row) for row in self.q])}
+        return InterpolatedMotion.of(self.model, arrays, self.order)
 
     @property
     def drive_torque(self) -> np.ndarray:
@@ -153,24 +214,66 @@ class Solution:
         """Return the same solution with rotations of unit norm."""
         return self.with_arrays(q=np.array([pin.normalize(self.model, row) for row in self.q]))
 
-    def interpolate(self, t: ArrayLike) -> np.ndarray:
-        """Return the configuration at time ``t`` (s), for display: geodesics between samples.
+    def sample(
+        self,
+        rate: float | None = None,
+        *,
+        times: ArrayLike | None = None,
+        side: Side = "after",
+        quaternion: QuaternionOrder = "xyzw",
+        base_velocity: BaseAxes = "body",
+    ) -> SampledMotion:
+        """Return the motion at given times, from the polynomials of its intervals.
 
-        A scalar gives (nq,), an array (n,) gives (n, nq). Times outside the motion give its ends;
-        a node shared by two intervals belongs to the later one.
+        Args:
+            rate: samples a second, Hz, from the start on, and one at the end; the last step is shorter where
+                the motion's duration is no multiple of the others.
+            times: (n,) s, within the motion, in any order. Without rate or times: those of ``t``, each once.
+            side: "after" or "before" a node, where torques, forces and, in impacts, velocities jump.
+            quaternion: order of the entries of quaternions, "xyzw" (Pinocchio) or "wxyz".
+            base_velocity: axes of a moving base's velocity and acceleration, "body" (Pinocchio) or "world".
+
+        Raises:
+            InputError: for a rate that is not positive or gives over 200,000 samples, times outside the
+                motion, other words than these, and a solution with NaN or infinity.
         """
-        times = np.asarray(t, dtype=float)
-        last = np.clip(np.searchsorted(self.t, times.ravel(), side="right") - 1, 0, self.n_samples - 2)
-        rows = [self._between(int(index), time) for index, time in zip(last, times.ravel(), strict=True)]
-        return np.array(rows).reshape(*times.shape, self.q.shape[1])
-
-    def _between(self, index: int, time: float) -> np.ndarray:
-        span = self.t[index + 1] - self.t[index]
-        fraction = np.clip((time - self.t[index]) / span, 0.0, 1.0) if span > 0 else 1.0
-        configuration: np.ndarray = pin.interpolate(
-            self.model, self.q[index], self.q[index + 1], float(fraction)
+        require_convention(quaternion, base_velocity)
+        wrong = wrong_number({name: self.arrays[name] for name in (*SAMPLED, "interval_t")})
+        if wrong:
+            raise InputError(f"the solution cannot be sampled: {wrong}", "allowed: finite numbers")
+        t = sample_times(self.interval_t, self.t, rate, times)
+        numbers, fractions = located(self.interval_t, t, side)
+        own = self.polynomials.at(numbers, fractions)
+        motion = in_convention(self.model, own, quaternion, base_velocity)
+        angle_names, angle = angles_of(self.model, self.arrays, t, own.q)
+        first = np.array([rows.start for rows in self.intervals])[numbers]
+        return SampledMotion(
+            problem=str(self.meta["problem"]),
+            robot=str(self.meta["robot"]),
+            success=self.success,
+            t=t,
+            **vars(motion),
+            drive_torque=drive_torque_values(self.drives, own.tau, own.v[:, self.n_unactuated :]),
+            angle=angle,
+            active=self.active[first],
+            phase=self.phase[first],
+            extrapolated=is_extrapolated(self.arrays, numbers, t),
+            joint_names=self.joint_names,
+            position_names=position_names(self.model, quaternion),
+            velocity_names=velocity_names(self.model, base_velocity),
+            torque_names=self.torque_names,
+            angle_names=angle_names,
+            contact_frames=self.contact_frames,
+            contact_kinds=tuple(self.meta["contact_kinds"]),
+            phase_names=self.phase_names,
+            quaternion=quaternion,
+            base_velocity=base_velocity,
+            has_drives=any(drive is not None for drive in self.drives),
         )
-        return configuration
+
+    def to_pandas(self, rate: float | None = None, **sampling: Any) -> Any:
+        """Return `sample` with these arguments as a ``pandas.DataFrame``, see `SampledMotion.to_pandas`."""
+        return self.sample(rate, **sampling).to_pandas()
 
     def save(self, path: str | Path) -> Path:
         """Write the file (version 1) completely or not at all; return its path.

@@ -26,7 +26,7 @@ from trajopt.robot.collision.planes import PlacedBody, SeparatingPlane
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.units import Units
-from trajopt.solution.interpolation import InterpolatedMotion, collocation_fractions
+from trajopt.solution.interpolation import collocation_fractions
 from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.terms.moments import PlaneSide
@@ -115,7 +115,7 @@ class Exchange:
         plan = solution.normalized()
         units = Units(self.problem.robot).position
         numbers, fractions, regular = _moments_to_look_at(plan, units, times)
-        q = InterpolatedMotion.of(plan).at(numbers, fractions).q
+        q = plan.polynomials.at(numbers, fractions).q
         distances = self.bodies.scene.distances(q, self.band + self.bodies.widest)
         moments = _in_phases(plan, numbers, fractions)
         standing = self._standing[[phase for phase, _ in moments]]
@@ -161,7 +161,7 @@ class Exchange:
             groups[phase, plane.frame, plane.body].append((fraction, plane))
         terms = [
             PlaneSide(
-                phase=self.problem.schedule.names[phase],
+                during=self.problem.schedule.names[phase],
                 frame=frame,
                 body=body,
                 fractions=np.repeat([f for f, _ in own], [len(plane.corners) for _, plane in own]),
@@ -264,7 +264,7 @@ def _moments_to_look_at(
     """
     numbers, fractions, regular = [], [], []
     for number in range(plan.n_intervals):
-        own = np.unique(np.round([0.0, *collocation_fractions(plan, number)[1], 1.0], DIGITS))
+        own = np.unique(np.round([0.0, *collocation_fractions(plan.arrays, number)[1], 1.0], DIGITS))
         start, end = plan.interval_t[number]
         travel = (end - start) * float((np.abs(plan.v[plan.intervals[number]]) / units).max())
         looks = max(LOOKS, math.ceil(travel / LOOK_STEP))

@@ -125,7 +125,7 @@ def solve_graded(
         exchange: Rows for bodies of another solve of such a problem, which the first solve has already.
         tolerances: The grade.
         accuracy: Largest error of a phase besides, m, and the solver's tolerance by it; see `phase_errors`.
-        max_rounds: Limit of solves; one is a draft.
+        max_rounds: Limit of motions that are solved for and examined; one is a draft.
         refine: False keeps the first mesh: only rows for bodies that come too near are added.
         **settings: Those of `trajopt.solve`; the limit of time is for all solves, that of iterations for
             each.

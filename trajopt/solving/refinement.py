@@ -86,10 +86,16 @@ class Refinement:
     def run(
         self, mesh: Mesh, start: Solution | str | Path | None, first: Solution | None, rounds: int
     ) -> str:
-        """Solve, examine, refine; return why it ends."""
+        """Solve, examine, refine; return why it ends.
+
+        A round is a motion that is examined. Its mesh may take several solves, from the last motion and from
+        the guess.
+        """
         solution = self._first(mesh, start) if first is None else self._given(first)
+        examined = 0
         while solution is not None:
             own = self._examine(solution)
+            examined += 1
             look = self.exchange.look(solution)
             times = self._times_in_bodies(own.found.report)
             if times and self.exchange.depth(look) <= 0:  # between the moments that were looked at
@@ -97,7 +103,7 @@ class Refinement:
             near = self.exchange.depth(look)
             if self._used(own) <= 1 and near <= 0 and self.settled:
                 return "the grade is reached"
-            if len(self.rounds) >= rounds:
+            if examined >= rounds:
                 return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
             new = {pair for pair in self.exchange.missing(look) if pair not in self.exchange.moments}
             self.exchange.add(look)

@@ -27,7 +27,7 @@ from trajopt.solving.multipliers import resampled_multipliers
 from trajopt.transcription.guess import MotionSource, node_phase, unknowns_from_motion
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.transcription import Transcription
-from trajopt.transcription.variable_bounds import start_of
+from trajopt.transcription.variable_bounds import initial_state
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +104,7 @@ def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
     _require_same_phases(layout, solution)
     source = _source(transcription, solution)
     scales = source.time_scales[[index is not None for index in layout.schedule.time_scales]]
-    near = layout.coordinates.node_from_pinocchio(*start_of(transcription.problem, layout))
+    near = layout.coordinates.node_from_pinocchio(*initial_state(transcription.problem, layout))
     x = unknowns_from_motion(layout, source, scales, near) / transcription.scale
     fixed = transcription.lower_x == transcription.upper_x
     x[fixed] = transcription.lower_x[fixed]

@@ -26,6 +26,7 @@ from .friction import NormalForce as NormalForce
 from .friction import SoleCone as SoleCone
 from .friction import SoleLimits as SoleLimits
 from .interfaces import Cost as Cost
+from .interfaces import DuringPhases as DuringPhases
 from .interfaces import PointConstraint as PointConstraint
 from .interfaces import Rows as Rows
 from .interfaces import Term as Term
@@ -36,6 +37,7 @@ from .limits import VelocityLimits as VelocityLimits
 from .node_costs import DistanceCost as DistanceCost
 from .node_costs import FrameHeightCost as FrameHeightCost
 from .node_costs import NodeCost as NodeCost
+from .node_interfaces import AtMoment as AtMoment
 from .node_interfaces import NodeConstraint as NodeConstraint
 from .node_interfaces import NodePlace as NodePlace
 from .objectives import REST as REST

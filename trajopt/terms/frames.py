@@ -15,19 +15,18 @@ from trajopt.robot.units import Units
 from trajopt.robot.validation import UNIT_SLACK
 from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Rows
+from trajopt.terms.interfaces import DuringPhases, Rows
 from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameHeight(AtMoment, NodeConstraint):
-    """A frame is at least ``height`` high at one moment of a phase.
+    """A frame is at least ``height`` high at one moment.
 
     Args:
         frame: name of the frame.
         height: height of its origin in the world, m.
-        phase: name of the phase.
-        fraction: of the phase's duration, see `AtMoment`.
+        at: the moment.
         below: whether the frame is at most that high instead.
     """
 
@@ -42,14 +41,14 @@ class FrameHeight(AtMoment, NodeConstraint):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FramePose(NodeConstraint):
+class FramePose(AtMoment, NodeConstraint):
     """A frame has a given position, orientation or both at one moment.
 
     Args:
         frame: name of the frame.
         position: of its origin in the world (3,), m; None leaves it free.
         rotation: its axes in the world (3, 3); None leaves it free.
-        phase: the phase at whose beginning the pose is reached, a waypoint; default: the schedule's end.
+        at: the moment at which the pose is reached.
 
     Raises:
         InputError: for neither a position nor a rotation, another shape, and a matrix that is not a rotation.
@@ -58,9 +57,9 @@ class FramePose(NodeConstraint):
     frame: str
     position: np.ndarray | None = None
     rotation: np.ndarray | None = None
-    phase: str | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.position is None and self.rotation is None:
             raise InputError(
                 f"{self.name} of '{self.frame}' has no goal", "allowed: position, rotation or both"
@@ -75,12 +74,8 @@ class FramePose(NodeConstraint):
             raise InputError(f"rotation of {self.name} is a reflection", "allowed: determinant 1")
 
     @override
-    def acts_at(self, place: NodePlace) -> bool:
-        return _is_waypoint(place, self.phase)
-
-    @override
     def targets(self) -> tuple[Target, ...]:
-        target = Target(frame=self.frame, position=self.position, rotation=self.rotation, phase=self.phase)
+        target = Target(frame=self.frame, position=self.position, rotation=self.rotation, at=self.at)
         return (target,)
 
     @override
@@ -100,41 +95,31 @@ class FramePose(NodeConstraint):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameVelocity(NodeConstraint):
+class FrameVelocity(AtMoment, NodeConstraint):
     """A frame has a given velocity at one moment.
 
     Args:
         frame: name of the frame.
         velocity: linear (m/s) and angular (rad/s) in world axes (6,).
-        phase: the phase at whose beginning the frame moves like this; default: the schedule's end.
+        at: the moment at which the frame moves like this.
     """
 
     frame: str
     velocity: np.ndarray
-    phase: str | None = None
-
-    @override
-    def acts_at(self, place: NodePlace) -> bool:
-        return _is_waypoint(place, self.phase)
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         return Rows.create(context.frame(self.frame).velocity, self.velocity, self.velocity, units.twist)
 
 
-def _is_waypoint(place: NodePlace, phase: str | None) -> bool:
-    """Whether a node is the first of the phase, or without a phase the last of the schedule."""
-    return place.last if phase is None else place.phase.name == phase and place.index == 0
-
-
 @dataclass(frozen=True, kw_only=True)
-class FramesAbove(NodeConstraint):
-    """Frames stay above a height at all nodes of ``phases`` except the start of a phase.
+class FramesAbove(DuringPhases, NodeConstraint):
+    """Frames stay above a height at all nodes of its phases except the start of a phase.
 
     Args:
         frames: names of the frames.
         height: least height of their origins in the world, m.
-        phases: names of the phases, default all; a node between two phases belongs to the later one.
+        during: names of the phases, default all; a node between two phases belongs to the later one.
     """
 
     frames: tuple[str, ...]
@@ -169,8 +154,7 @@ class FrameDirection(AtMoment, NodeConstraint):
         axis: axis in the frame (3,), normalised.
         direction: direction in the world (3,), normalised.
         angle: largest angle between them, rad, between 0 and pi.
-        phase: name of the phase.
-        fraction: of the phase's duration, see `AtMoment`.
+        at: the moment.
 
     Raises:
         InputError: for zero vectors, and numbers out of range.

@@ -4,13 +4,15 @@ Costs are dimensionless: each is the mean square of a quantity over its natural 
 the robot, and what follows from them), so that a weight means the same on any robot; the running cost is
 their integral over time in units of sqrt(l/g).
 
-A term acts in the phases it names (``phases=None``: in all). Constraint rows are divided by their natural
-unit before the solver sees them.
+A term acts in the phases it names (``during``, by default in all), or at a moment (``at``, see
+`trajopt.terms.node_interfaces`). Constraint rows are divided by their natural unit before the solver sees
+them.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -18,7 +20,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError, require_not_negative
+from trajopt.errors import InputError, renamed, require_not_negative
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
@@ -26,14 +28,12 @@ from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
 
 
+@renamed(phase="at during", phases="during at", fraction="at")
 @dataclass(frozen=True, kw_only=True)
 class Term:
     """Common interface of costs and constraints.
 
     A term about contact forces may also act on the impulses of an impact with which one of its phases begins.
-
-    Args:
-        phases: names of the phases in which it acts, default all.
     """
 
     acts_at_points: ClassVar[bool] = True
@@ -43,13 +43,16 @@ class Term:
     # Whether it is about the forces of active contacts: without one it has nothing to act on.
     acts_on_forces: ClassVar[bool] = False
 
-    phases: tuple[str, ...] | None = None
-
     @property
     def name(self) -> str:
         """Name in reports, for example ``torque_cost``."""
         letters = type(self).__name__
         return "".join(f"_{c.lower()}" if c.isupper() and i else c.lower() for i, c in enumerate(letters))
+
+    @property
+    def phases(self) -> tuple[str, ...] | None:
+        """Names of the phases in which it acts; None where it names none, and acts in all that it can."""
+        return None
 
     def acts_in(self, phase: str) -> bool:
         """Whether the term acts in the phase of that name."""
@@ -59,7 +62,7 @@ class Term:
         """Why the term would have no effect with this robot and schedule; empty where it can act.
 
         For what names of phases, contacts and frames do not tell. A problem refuses a term with a reason. A
-        term without ``phases`` about contacts that a schedule happens not to have is no error.
+        term that names no phases, about contacts that a schedule happens not to have is no error.
         """
         if self.acts_on_forces and self.phases is not None:
             touching = [phase.contacts for phase in schedule.phases if self.acts_in(phase.name)]
@@ -73,31 +76,25 @@ class Term:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InPhase(Term):
-    """A term of one phase.
+class DuringPhases(Term):
+    """A term that acts over time.
 
     Args:
-        phase: name of the phase.
-
-    Raises:
-        InputError: for ``phases``.
+        during: name of the phase in which it acts, or names of several; default all.
     """
 
-    phase: str
+    during: str | Sequence[str] | None = None
 
-    def __post_init__(self) -> None:
-        if self.phases is not None:
-            raise InputError(
-                f"phases of {self.name}: {self.phases!r}, which this term does not use", "allowed: phase="
-            )
-
+    @property
     @override
-    def acts_in(self, phase: str) -> bool:
-        return phase == self.phase
+    def phases(self) -> tuple[str, ...] | None:
+        if self.during is None:
+            return None
+        return (self.during,) if isinstance(self.during, str) else tuple(self.during)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cost(Term, ABC):
+class Cost(DuringPhases, ABC):
     """A running cost at collocation points.
 
     Args:
@@ -162,7 +159,7 @@ class Rows:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointConstraint(Term, ABC):
+class PointConstraint(DuringPhases, ABC):
     """A constraint at every collocation point of its phases."""
 
     @abstractmethod

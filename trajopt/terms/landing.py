@@ -12,7 +12,7 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.smooth import CurvedSurface
 from trajopt.terrain.surface import Surface
@@ -31,7 +31,7 @@ def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactLanding(NodeConstraint):
+class ContactLanding(AtMoment, NodeConstraint):
     """New contacts of a phase lie on their surface, patch or foothold and do not move.
 
     The surface is the one that the phase states for the contact, else the terrain; a sole lies flat on it, a
@@ -39,20 +39,15 @@ class ContactLanding(NodeConstraint):
     every edge.
 
     Args:
-        phase: name of the phase, at whose first node the rows are.
+        at: the start of that phase.
         contacts: names of the new contacts.
         terrain: the ground.
         held: names of contacts that hold through an impact and do not move after it either.
     """
 
-    phase: str
     contacts: tuple[str, ...]
     terrain: Terrain
     held: tuple[str, ...] = ()
-
-    @override
-    def acts_at(self, place: NodePlace) -> bool:
-        return place.phase.name == self.phase and place.index == 0
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:

@@ -17,22 +17,23 @@ from typing_extensions import override
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import InPhase, Rows
+from trajopt.terms.interfaces import Rows, Term
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MomentConstraint(InPhase, ABC):
+class MomentConstraint(Term, ABC):
     """One row at each of n moments of a phase: a smooth function of the motion and of parameters there.
 
     Args:
-        phase: name of the phase.
+        during: name of the phase.
         fractions: of the phase's duration (n,), each from 0 to 1.
         parameters: of the row at each moment (n, n_p).
 
     Raises:
-        InputError: for fractions outside 0 to 1, parameters of another length or not finite, and ``phases``.
+        InputError: for fractions outside 0 to 1, parameters of another length or not finite.
     """
 
+    during: str
     fractions: np.ndarray
     parameters: np.ndarray
 
@@ -54,7 +55,11 @@ class MomentConstraint(InPhase, ABC):
         for label, array in (("fractions", fractions), ("parameters", parameters)):
             array.setflags(write=False)
             object.__setattr__(self, label, array)
-        super().__post_init__()
+
+    @property
+    @override
+    def phases(self) -> tuple[str, ...]:
+        return (self.during,)
 
     @abstractmethod
     def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:

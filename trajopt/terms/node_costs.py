@@ -52,11 +52,10 @@ class FrameHeightCost(AtMoment, NodeCost):
     Args:
         weight: dimensionless.
         frame: name of the frame.
-        phase: name of the phase.
-        fraction: of the phase's duration, see `AtMoment`; the middle is the apex of a ballistic flight.
+        at: the moment; the middle of a ballistic flight is its apex.
 
     Raises:
-        InputError: for a fraction outside 0 to 1.
+        InputError: for a negative weight.
     """
 
     frame: str
@@ -71,13 +70,14 @@ class FrameHeightCost(AtMoment, NodeCost):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DistanceCost(NodeCost):
-    """Minus a frame's coordinate along a direction over the robot's length at the end: as far as possible.
+class DistanceCost(AtMoment, NodeCost):
+    """Minus a frame's coordinate along a direction over the robot's length at a moment: as far as possible.
 
     Args:
         weight: dimensionless.
         frame: name of the frame.
         direction: in the world (3,), normalised.
+        at: the moment.
 
     Raises:
         InputError: for a zero vector.
@@ -87,7 +87,8 @@ class DistanceCost(NodeCost):
     direction: tuple[float, float, float] = (1.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        NodeCost.__post_init__(self)
+        AtMoment.__post_init__(self)
         direction = unit_vector(f"direction of {self.name}", self.direction)
         object.__setattr__(self, "direction", tuple(direction.tolist()))
 

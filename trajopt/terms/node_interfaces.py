@@ -6,12 +6,13 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
+from typing_extensions import override
 
-from trajopt.errors import InputError
 from trajopt.robot.units import Units
+from trajopt.schedule.moment import END, Moment, as_moment
 from trajopt.schedule.schedule import Phase
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import InPhase, Rows, Term
+from trajopt.terms.interfaces import Rows, Term
 
 # Of two nodes equally far from a fraction, up to rounding, the earlier one is the nearest.
 SAME_FRACTION = 1e-9
@@ -26,14 +27,14 @@ class NodePlace:
         index: of the node among those of the phase.
         fractions: of the phase's duration, of all its nodes.
         last: whether the node is the last of the schedule.
-        ends_schedule: whether the phase is the last.
+        before: the same node as the last of the phase before; None at an impact, and elsewhere.
     """
 
     phase: Phase
     index: int
     fractions: tuple[float, ...]
     last: bool
-    ends_schedule: bool = True
+    before: NodePlace | None = None
 
     @property
     def fraction(self) -> float:
@@ -46,10 +47,16 @@ class NodePlace:
         return len(self.fractions) - 1
 
     def nearest(self, fraction: float) -> int:
-        """Index of the phase's node nearest to a fraction of it; the last node belongs to the next phase."""
+        """Index of the phase's node nearest to a fraction of it."""
         distances = np.abs(np.array(self.fractions) - fraction)
-        found = int(np.flatnonzero(distances <= distances.min() + SAME_FRACTION)[0])
-        return found if self.ends_schedule else min(found, self.count - 1)
+        return int(np.flatnonzero(distances <= distances.min() + SAME_FRACTION)[0])
+
+    def is_at(self, moment: Moment) -> bool:
+        """Whether this is the node nearest to a moment."""
+        if moment.phase is None:
+            return self.last
+        own = self.phase.name == moment.phase and self.index == self.nearest(moment.fraction)
+        return own or (self.before is not None and self.before.is_at(moment))
 
     @property
     def step(self) -> float:
@@ -72,26 +79,26 @@ class NodeConstraint(Term, ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AtMoment(InPhase):
-    """A term at the node of a phase that is nearest to a fraction of its duration.
-
-    The last node of a phase belongs to the next one, except at the end of the schedule.
+class AtMoment(Term):
+    """A term at one moment: at the node that is nearest to it.
 
     Args:
-        phase: name of the phase.
-        fraction: of the phase's duration.
+        at: the moment, default the end of the motion; see `start_of`, `middle_of` and `end_of`.
 
     Raises:
-        InputError: for a fraction outside 0 to 1, and for ``phases``.
+        InputError: for anything else.
     """
 
-    fraction: float = 0.5
+    at: Moment = END
 
     def __post_init__(self) -> None:
-        if not 0 <= self.fraction <= 1:
-            raise InputError(f"fraction of {self.name} is {self.fraction:g}", "allowed: 0 to 1")
-        super().__post_init__()
+        as_moment(f"at of {self.name}", self.at)
+
+    @property
+    @override
+    def phases(self) -> tuple[str, ...] | None:
+        return None if self.at.phase is None else (self.at.phase,)
 
     def acts_at(self, place: NodePlace) -> bool:
         """Whether this is that node."""
-        return place.phase.name == self.phase and place.index == place.nearest(self.fraction)
+        return place.is_at(self.at)

@@ -20,9 +20,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
-from trajopt.errors import InputError, not_among
+from trajopt.errors import InputError, not_among, renamed
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.schedule.moment import Moment, middle_of
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms.costs import AccelerationCost, PostureCost, TimeCost, TorqueCost, VelocityCost, WrenchCost
 from trajopt.terms.interfaces import Cost, Term
@@ -36,7 +37,8 @@ GOALS: tuple[Goal, ...] = get_args(Goal)
 # Factor of the costs of effort added to another goal: enough to make the motion unique, too little to change
 # it; and to a linear goal, for which a tenth of that means up to three times the iterations and motions that
 # need finer grids (docs/modelling/objectives.md).
-REST, REST_OF_LINEAR = 1e-2, 1e-1
+REST = 1e-2
+REST_OF_LINEAR = 1e-1
 
 
 def effort_costs(
@@ -59,13 +61,14 @@ def effort_costs(
     )
 
 
+@renamed(phase="at")
 def goal_terms(
     goal: str,
     robot: Robot,
     schedule: Schedule,
     *,
     frame: str | None = None,
-    phase: str | None = None,
+    at: Moment | None = None,
     direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
     travel: float | None = None,
     reference: Motion | None = None,
@@ -79,7 +82,7 @@ def goal_terms(
         robot: the robot.
         schedule: its contacts over time.
         frame: name of a frame, for "height" and "distance".
-        phase: name of a phase, for "height"; default the longest without contacts.
+        at: the moment, for "height"; default the middle of the longest phase without contacts.
         direction: in the world (3,), for "distance".
         travel: distance that the motion has to cover, m, for "transport".
         reference: q(t) (nq,), for "track".
@@ -92,7 +95,7 @@ def goal_terms(
     effort = tuple(effort_costs() if effort is None else effort)
     if goal == "effort":
         return effort
-    main = _main_term(goal, robot, schedule, frame, phase, direction, travel, reference)
+    main = _main_term(goal, robot, schedule, frame, at, direction, travel, reference)
     linear = isinstance(main, TimeCost | NodeCost)
     share = (REST_OF_LINEAR if linear else REST) if rest is None else rest
     return (main, *(replace(term, weight=share * term.weight) for term in effort))
@@ -103,7 +106,7 @@ def _main_term(
     robot: Robot,
     schedule: Schedule,
     frame: str | None,
-    phase: str | None,
+    at: Moment | None,
     direction: tuple[float, float, float],
     travel: float | None,
     reference: Motion | None,
@@ -116,7 +119,7 @@ def _main_term(
         _require(free, goal, "a schedule with duration_bounds in some phase")
         return TimeCost(weight=1.0)
     if goal == "height":
-        return FrameHeightCost(weight=1.0, frame=_frame(frame, goal), phase=phase or _flight(schedule))
+        return FrameHeightCost(weight=1.0, frame=_frame(frame, goal), at=at or _apex(schedule))
     if goal == "distance":
         return DistanceCost(weight=1.0, frame=_frame(frame, goal), direction=direction)
     if goal == "transport":
@@ -145,9 +148,9 @@ def _frame(frame: str | None, goal: str) -> str:
     return frame
 
 
-def _flight(schedule: Schedule) -> str:
-    """Name of the longest phase without contacts."""
+def _apex(schedule: Schedule) -> Moment:
+    """The middle of the longest phase without contacts."""
     flights = [phase for phase in schedule.phases if not phase.contacts]
     if not flights:
-        raise _missing("height", "a phase, or a schedule with one without contacts")
-    return max(flights, key=lambda phase: phase.duration).name
+        raise _missing("height", "a moment, or a schedule with one without contacts")
+    return middle_of(max(flights, key=lambda phase: phase.duration).name)

@@ -24,7 +24,7 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Rows
+from trajopt.terms.interfaces import DuringPhases, Rows
 from trajopt.terms.landing import along_normal, contact_points
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
 from trajopt.terrain.crossing import Crossing
@@ -52,7 +52,7 @@ def _acts_at(place: NodePlace, between_phases: bool) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SwingClearance(NodeConstraint):
+class SwingClearance(DuringPhases, NodeConstraint):
     """Contacts that are inactive in a phase stay above the terrain at the nodes inside the phase.
 
     The least distance from flat ground, or height over smooth ground, is ``height`` (m) times `swing_profile`

@@ -13,7 +13,7 @@ from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
-from trajopt.transcription.variable_bounds import start_of
+from trajopt.transcription.variable_bounds import initial_state
 
 # Step of the differences that turn q(t) into v and a, s: errors far below those of a guess.
 DIFFERENCE_STEP = 1e-3
@@ -97,7 +97,7 @@ class _ProblemGuess(MotionSource):
     def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         layout, problem = self.transcription.layout, self.transcription.problem
         if k == 0 and problem.periodicity is None:
-            return start_of(problem, layout)
+            return initial_state(problem, layout)
         return layout.in_coordinates_of(
             layout.forms[k], *self._state(layout.node_times[k], node_phase(layout, k))
         )[:2]

@@ -218,8 +218,11 @@ class Layout:
         phase, index = found
         mesh = self.mesh.phases[phase]
         final = phase == len(self.intervals) - 1
-        last = final and index == mesh.count
-        return NodePlace(self.schedule.phases[phase], index, mesh.fractions, last, final)
+        last, before = final and index == mesh.count, None
+        if index == 0 and phase > 0 and not self.schedule.phases[phase].impact:
+            earlier = self.mesh.phases[phase - 1]
+            before = NodePlace(self.schedule.phases[phase - 1], earlier.count, earlier.fractions, False)
+        return NodePlace(self.schedule.phases[phase], index, mesh.fractions, last, before)
 
     def adjacent_intervals(self, k: int) -> AdjacentIntervals:
         """Return the intervals around node k, across transitions."""

@@ -43,7 +43,7 @@ def moments_by_stage(problem: Problem, layout: Layout) -> Mapping[int, list[Mome
 
 
 def _places(problem: Problem, layout: Layout, term: MomentConstraint) -> list[tuple[int, float]]:
-    phase = problem.schedule.names.index(term.phase)
+    phase = problem.schedule.names.index(term.during)
     edges, stages = np.array(layout.mesh.phases[phase].fractions), layout.intervals_of(phase)
     numbers = np.clip(np.searchsorted(edges, term.fractions + AT_NODE, side="right") - 1, 0, len(stages) - 1)
     local = (term.fractions - edges[numbers]) / (edges[numbers + 1] - edges[numbers])

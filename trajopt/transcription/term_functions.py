@@ -94,12 +94,12 @@ class TermFunctions:
 
     def moment(self, term: MomentConstraint) -> StageTerms:
         """Function of a constraint at moments of a phase; its parameters are those of each moment."""
-        phase = self.problem.schedule.names.index(term.phase)
+        phase = self.problem.schedule.names.index(term.during)
         form = self.layout.form_of(phase)
         loaded = [contact for contact in self.layout.contacts[phase] if contact.name in term.loads]
         if len(loaded) < len(term.loads):
             raise InputError(
-                f"{term.name} in phase '{term.phase}' is about the force of {', '.join(term.loads)}",
+                f"{term.name} in phase '{term.during}' is about the force of {', '.join(term.loads)}",
                 f"active: {', '.join(contact.name for contact in self.layout.contacts[phase]) or 'none'}",
             )
         context = Context(
@@ -108,10 +108,10 @@ class TermFunctions:
             tuple(loaded),
             time_scales=(form.n_time_scales, form.time_scale),
             actuation=self.problem.actuation,
-            mode=self.problem.modes.get(term.phase),
+            mode=self.problem.modes.get(term.during),
         )
         parameters = context.parameter(np.zeros(term.parameters.shape[1]))
-        rows = _of(term, term.phase, term.row, context, self.units[id(form.robot)], parameters)
+        rows = _of(term, term.during, term.row, context, self.units[id(form.robot)], parameters)
         return _stage_terms(f"moment_{term.name}", context, ca.SX(0), [(term.name, rows)])
 
     def end(self, form: NodeLayout) -> PointFunction | None:

@@ -62,7 +62,7 @@ def _fix_start(
     if problem.periodicity is not None:
         _fix_place(problem, form, collocation.node_scale(form), own_lower, own_upper)
         return
-    q, v = start_of(problem, layout)
+    q, v = initial_state(problem, layout)
     start = form.node(form.coordinates.node_from_pinocchio(q, v), np.ones(form.n_time_scales))
     start = start / collocation.node_scale(form)
     fixed = np.setdiff1d(np.arange(form.size), form.time_scales)
@@ -82,7 +82,7 @@ def _fix_place(
         lower[entry] = upper[entry] = place[len(form.rotations) + row] / scale[entry]
 
 
-def start_of(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+def initial_state(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     """Configuration and velocity at the start in the coordinates of the first phase."""
     still = np.zeros(problem.robot.nv)
     return layout.in_coordinates_of(layout.form_of(0), problem.initial_q, problem.initial_v, still)[:2]
@@ -99,7 +99,7 @@ def scaled_rate_limits(problem: Problem, layout: Layout, collocation: Collocatio
                 yield LinearRows(term.name, at.node, rows, lower, upper)
     form = layout.forms[0]
     if form.time_scale is not None and form.order == 2:
-        state = form.coordinates.node_from_pinocchio(*start_of(problem, layout))
+        state = form.coordinates.node_from_pinocchio(*initial_state(problem, layout))
         rates = form.node(state, np.ones(form.n_time_scales))[form.rates]
         moving = np.flatnonzero(rates)
         if len(moving):

@@ -16,7 +16,7 @@ from trajopt.certify.contact_figures import ContactStarts
 from trajopt.certify.dense import DenseMotion, dense_motion, figures_at
 from trajopt.certify.dynamics_figures import dynamics_rows
 from trajopt.certify.samples import sample_quantities
-from trajopt.solution.interpolation import InterpolatedMotion, resampled
+from trajopt.solution.resampling import resampled
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import touched_surfaces
 
@@ -97,7 +97,7 @@ def figures_between_points(plan: Solution) -> BetweenPoints:
     starts = ContactStarts.of(plan, samples, surfaces)
     bodies, apart = FileBodies.of(plan)
     here = figures_at(plan, samples, surfaces, starts, apart)
-    dense = dense_motion(plan, InterpolatedMotion.of(plan), here, starts, bodies)
+    dense = dense_motion(plan, plan.polynomials, here, starts, bodies)
     units, phases = NaturalUnits.of(plan.model), range(len(plan.phases))
     return BetweenPoints(
         residuals=_residuals(resampled(plan, FRACTIONS), units),

@@ -19,7 +19,7 @@ from trajopt.certify.simulation.coordinates import CoordinateMap, JointAddress
 from trajopt.dynamics.manifold import Coordinates, Joint
 from trajopt.errors import InputError
 
-PACKAGE_MISSING = "pip install 'trajopt-contacts[mujoco]'"
+PACKAGE_MISSING = "pip install mujoco"
 # A column of a joint's motion that turns by less than this is a translation.
 TRANSLATION = 1e-9
 # Stand-in inertia for compilation: off its frame and not diagonal, so that no special case is compiled in.
@@ -115,17 +115,18 @@ def _add_joint(mujoco: Any, body: Any, model: pin.Model, index: int, joint: Join
     elif model.joints[index].shortname() == "JointModelSphericalZYX":
         parts = [(hinge, axis) for axis in axes[::-1]]
     else:
-        axis, turns = _axis(model, index)
+        axis, turns = joint_axis(model, index)
         parts = [(hinge if turns else slide, axis)]
     for number, (kind, axis) in enumerate(parts):
-        body.add_joint(name=_joint_name(index, number), type=kind, axis=axis)
+        body.add_joint(name=part_name(index, number), type=kind, axis=axis)
 
 
-def _joint_name(index: int, number: int) -> str:
+def part_name(index: int, number: int) -> str:
+    """Name of MuJoCo's joint that is one part of a joint, by the joint's index and the part's number."""
     return f"joint{index}.{number}"
 
 
-def _axis(model: pin.Model, index: int) -> tuple[np.ndarray, bool]:
+def joint_axis(model: pin.Model, index: int) -> tuple[np.ndarray, bool]:
     """Axis (3,) of a joint of one degree of freedom in its own frame, and whether the joint is revolute."""
     data = model.createData()
     columns = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
@@ -139,7 +140,7 @@ def compile_bodies(bodies: Bodies) -> tuple[Any, CoordinateMap]:
     compiled = bodies.spec.compile()
     addresses = []
     for index, joint in enumerate(Coordinates(bodies.model).joints, start=1):
-        first = compiled.joint(_joint_name(index, 0))
+        first = compiled.joint(part_name(index, 0))
         q, v = int(first.qposadr[0]), int(first.dofadr[0])
         size = {"freeflyer": 7, "spherical": 4}.get(joint.kind, joint.v.stop - joint.v.start)
         addresses.append(

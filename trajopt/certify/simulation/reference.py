@@ -15,8 +15,6 @@ from trajopt.certify.payloads import carrying_model
 from trajopt.certify.simulation.settings import HOLD, SimulationSettings
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.solution.interpolation import collocation_fractions, lagrange_coefficients
-from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 
 # A plan that ends slower than this (reaches and radians over the natural time) ends at rest.
@@ -77,49 +75,21 @@ def _once(plan: Solution, rate: float) -> ReferenceTrajectory:
     count = max(1, round((end - start) * rate))
     period = (end - start) / count
     t = start + period * np.arange(count)
-    motion = SolutionMotion(plan)
-    spans = [motion.span(number) for number in range(len(plan.phases))]
-    phase = np.searchsorted([first for first, _ in spans], t + 1e-9 * period, side="right") - 1
-    samples = []
-    for time, number in zip(t, phase, strict=True):
-        first, last = spans[number]
-        samples.append(motion.in_phase(int(number), (time - first) / (last - first), 1.0))
-    active = np.array([plan.active[rows.start] for rows in plan.phases]).reshape(len(spans), -1)
-    names = plan.meta.get("phase_names") or [f"phase {i}" for i in range(len(spans))]
+    motion, middle = plan.sample(times=t), plan.sample(times=t + period / 2)
     return ReferenceTrajectory(
         t=t,
         period=period,
-        q=np.array([sample.q for sample in samples]),
-        v=np.array([sample.v for sample in samples]),
-        torque=_torques(plan, t + period / 2),
-        f=np.array([sample.f for sample in samples]),
-        active=active[phase],
-        phase=phase,
-        source=phase,
-        phase_names=tuple(names),
+        q=motion.q,
+        v=motion.v,
+        torque=middle.drive_torque,
+        f=motion.f,
+        active=motion.active,
+        phase=motion.phase,
+        source=motion.phase,
+        phase_names=motion.phase_names,
         held=0,
         end=plan.q[-1].copy(),
     )
-
-
-def _torques(plan: Solution, t: np.ndarray) -> np.ndarray:
-    """Torques (n, nu) of the drives at times ``t`` (n,): polynomials of the intervals, and joint friction."""
-    return _polynomials(plan, plan.drive_torque[plan.collocation], t)
-
-
-def _polynomials(plan: Solution, values: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Values (n, m) at times ``t`` of the intervals' polynomials through ``values`` (points, m)."""
-    index = plan.interval_at(t)
-    of_point = plan.interval[plan.collocation]
-    found = np.zeros((len(t), values.shape[1]))
-    for number in np.unique(index):
-        start, end = plan.interval_t[number]
-        _, fractions = collocation_fractions(plan, number)
-        coefficients = lagrange_coefficients(fractions, values[of_point == number])
-        rows = index == number
-        s = (t[rows] - start) / (end - start)
-        found[rows] = np.vander(s, len(coefficients), increasing=True) @ coefficients
-    return found
 
 
 def _repeated(

@@ -81,7 +81,7 @@ class _Run:
         self.rows = world.coordinates.rows[plan.n_unactuated :]
         self.gains = gains_of(plan, world, reference, settings)
         self.drives = plan.drives
-        self.low, self.high = _limits(plan)
+        self.low, self.high = torque_limits(plan)
         self._plan_in_mujoco()
 
     def _plan_in_mujoco(self) -> None:
@@ -269,7 +269,7 @@ def _sizes(world: World) -> np.ndarray:
     return sizes
 
 
-def _limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
+def torque_limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest torque (nu,); a source of rates or accelerations has none."""
     limit = np.full(plan.tau.shape[1], np.inf)
     given = plan.meta.get("effort_limit")

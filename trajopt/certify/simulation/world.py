@@ -70,7 +70,7 @@ class Grasp:
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """A compiled model with the indices that the simulation needs.
+    """A model, its ``bodies`` as specified and ``compiled``, with the indices that the simulation needs.
 
     sites: id of each contact frame's site (nc,). contact_of: for each geom the contact it belongs to, or -1.
     links: whether a geom is a link's. feet: (nc,) m from each contact frame within which what touches is the
@@ -79,6 +79,7 @@ class World:
     (n,) ids of feet on grounds, and their friction (phases, n), see `GroundGeometry`.
     """
 
+    bodies: Bodies
     compiled: Any
     coordinates: CoordinateMap
     units: NaturalUnits
@@ -117,6 +118,7 @@ def build_world(plan: Solution, settings: SimulationSettings) -> World:
     named = {geom: contact for contact, geoms in enumerate(feet) for geom in geoms}
     geoms = [compiled.geom(i).name for i in range(compiled.ngeom)]
     return World(
+        bodies=bodies,
         compiled=compiled,
         coordinates=coordinates,
         units=units,

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.building import reach
+from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 
 SAMPLES = 11
@@ -38,7 +39,7 @@ def described(solution: Solution) -> str:
     times = np.linspace(float(solution.t[0]), float(solution.t[-1]), SAMPLES)
     if not np.isfinite(solution.q).all():
         return ""
-    values = np.array([embedded(solution.model, q) for q in solution.interpolate(times)])
+    values = np.array([embedded(solution.model, q) for q in geodesic_configurations(solution, times)])
     return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,10 +21,17 @@ MARKS = 6
 MOST_DOTS = 400
 # Least upper end of an axis for shares of a limit, so that the limit is visible.
 SHOWN = 1.05
+# A limit this many times what is used, as a description's placeholder of 1000 rad/s, is not drawn to scale;
+# the axis has this much room above the curves for the line that says so.
+FAR, HEADROOM = 20.0, 1.25
+# Points by which each of several curves on each other is thicker than the next.
+THICKER = 0.6
 LIMIT_DASHES = (0, (6, 2))
 LIMIT: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": LIMIT_DASHES}
 # Inches of a vertical axis for each of its ticks.
 TICK = 0.22
+# Inches of a vertical axis from which quarters of a limit have ticks.
+LEAST_QUARTERS = 0.7
 # Margin of a vertical axis above and below the curves.
 MARGIN = 0.06
 
@@ -33,7 +40,8 @@ MARGIN = 0.06
 class Curve:
     """One quantity: its name in the legend, its values (K,) of a motion, and the number of its colour.
 
-    ``marked``: with markers; ``dots``: with its collocation points where they are few.
+    ``marked``: with markers; ``dots``: with its collocation points where they are few. ``line``: of
+    `style.OVERLAID`, for a plot of one solution.
     """
 
     label: str
@@ -43,6 +51,7 @@ class Curve:
     dots: bool = True
     width: float = 1.1
     shade: str = ""
+    line: int = 0
 
     @property
     def colour(self) -> str:
@@ -58,6 +67,7 @@ class Curve:
     def entry(self) -> LegendEntry:
         """Its entry of a legend."""
         look = {"color": self.colour, "linewidth": self.width, "marker": self.marker}
+        look["linestyle"] = style.OVERLAID[self.line % len(style.OVERLAID)]
         return self.label, look | marker_look(self.colour)
 
 
@@ -76,12 +86,26 @@ def numbered(named: Iterable[tuple[str, MotionQuantity]], **look: Any) -> list[C
     return [Curve(label=label, values=values, number=i, **look) for i, (label, values) in enumerate(named)]
 
 
+def told_apart(tracks: Tracks, drawn: Sequence[Curve]) -> list[Curve]:
+    """Return curves that may lie on each other, as those of left and right feet, so that each is seen.
+
+    Of one solution each has its own line style; of several, whose line styles differ, later ones are thinner.
+    """
+    if len(tracks) == 1:
+        return [replace(curve, line=number, dots=False) for number, curve in enumerate(drawn)]
+    last = len(drawn) - 1
+    return [
+        replace(curve, width=curve.width + THICKER * (last - number)) for number, curve in enumerate(drawn)
+    ]
+
+
 def curve_row(
     name: str,
     title: str,
     ylabel: str,
     drawn: Sequence[Curve],
     scale: Callable[[Axes], object] | None = None,
+    entries: Sequence[LegendEntry] = (),
     **row: Any,
 ) -> PlotRow:
     """Return a row with one panel of curves over time.
@@ -92,6 +116,7 @@ def curve_row(
         ylabel: Label of the vertical axis with its unit.
         drawn: The curves, which are the row's legend too.
         scale: Sets the vertical axis; default `fit`.
+        entries: More entries of the legend.
         **row: More fields of the row.
     """
 
@@ -99,7 +124,8 @@ def curve_row(
         curves(axes, tracks, drawn)
         (scale or fit)(axes)
 
-    return panel_row(title, name, ylabel, draw, legend=tuple(curve.entry for curve in drawn), **row)
+    legend = (*(curve.entry for curve in drawn), *entries)
+    return panel_row(title, name, ylabel, draw, legend=legend, **row)
 
 
 def curves(axes: Axes, tracks: Tracks, drawn: Sequence[Curve], *, plans_only: bool = False) -> None:
@@ -109,14 +135,15 @@ def curves(axes: Axes, tracks: Tracks, drawn: Sequence[Curve], *, plans_only: bo
     for number, track in shown:
         first = number == shown[0][0]
         for curve in drawn:
-            _curve(axes, track, curve, number, len(drawn) if first else 0)
+            line = style.line_style(number) if len(tracks) > 1 else curve.entry[1]["linestyle"]
+            _curve(axes, track, curve, number, len(drawn) if first else 0, line)
             if few and curve.dots and number == 0:
                 at, values = track.at_points(curve.values)
                 axes.plot(at, values, color=curve.colour, zorder=3.5, **style.DOTTED)
 
 
-def _curve(axes: Axes, track: Track, curve: Curve, solution: int, marked: int) -> None:
-    """Draw one curve, with markers if it is one of ``marked`` curves that share them."""
+def _curve(axes: Axes, track: Track, curve: Curve, solution: int, marked: int, line: Any) -> None:
+    """Draw one curve in a ``line`` style; with markers if it is one of ``marked`` curves that share them."""
     t, y = track.curve(curve.values)
     named = bool(curve.marker) and marked > 0
     axes.plot(
@@ -124,7 +151,7 @@ def _curve(axes: Axes, track: Track, curve: Curve, solution: int, marked: int) -
         y,
         color=curve.colour,
         linewidth=curve.width,
-        linestyle=style.line_style(solution),
+        linestyle=line,
         marker=curve.marker if named else "",
         markevery=marker_samples(t, y, curve.number, marked) if named else None,
         zorder=3 - 0.1 * solution,
@@ -164,13 +191,27 @@ def fit_with_zero_line(axes: Axes, **look: Any) -> None:
 
 
 def share_axis(axes: Axes) -> None:
-    """Fit shares of a limit: from 0 to the limit, which is marked, and the range beyond it, hatched."""
+    """Fit shares of a limit: from 0 to the limit, which is marked, and the range beyond it, hatched.
+
+    Where only a small part of the limit is used, the axis ends at that, and says so.
+    """
     _, high = fit(axes, zero=True)
+    if 0 < high < 1 / FAR:
+        set_range(axes, 0.0, HEADROOM * high)
+        remark_inside(axes, "limit 1, beyond the axis")
+        return
     set_range(axes, 0.0, max(SHOWN, high))
     axes.axhline(1.0, **LIMIT)
     axes.axhspan(1.0, axes.get_ylim()[1], facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)
     if high <= SHOWN:
-        axes.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0])
+        small = axes.bbox.height < LEAST_QUARTERS * style.DOTS
+        axes.set_yticks([0.0, 0.5, 1.0] if small else [0.0, 0.25, 0.5, 0.75, 1.0])
+
+
+def remark_inside(axes: Axes, text: str) -> None:
+    """Write small letters into the upper right corner of the axes."""
+    look: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY, "ha": "right", "va": "top"}
+    axes.text(0.995, 0.96, style.literal(text), transform=axes.transAxes, **look)
 
 
 def set_range(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:

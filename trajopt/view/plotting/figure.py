@@ -12,6 +12,7 @@ from trajopt.view.plotting.page import (
     BOTTOM,
     GAP,
     GROWTH,
+    LEAST_ROWS,
     LEFT,
     LINE,
     NOTE_LINE,
@@ -47,7 +48,7 @@ class _Place:
 
 
 def figure_of(page: PlotPage, tracks: Tracks, *, fixed: bool, footer: str = "") -> Figure:
-    """Draw the page as a figure of A4 width, and of A4 height if ``fixed`` or if it fills a page."""
+    """Draw the page as a figure of A4 width, and of A4 height if ``fixed``."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -76,9 +77,9 @@ def _places(page: PlotPage, tracks: Tracks, fixed: bool) -> tuple[list[_Place], 
     fixed_part += sum(row.heading + GAP for row in page.rows) + sum(phases) + X_AXIS * sum(labelled)
     rigid = sum(UNIT * row.height for row in page.rows if row.rigid)
     free = sum(UNIT * row.height for row in page.rows if not row.rigid)
-    shrink = min(1.0, (style.HEIGHT - fixed_part - rigid) / free) if free else 1.0
-    if fixed and free:  # a page of few rows is stretched, within limits
-        shrink = min(GROWTH, (style.HEIGHT - fixed_part - rigid) / free)
+    shrink = (style.HEIGHT - fixed_part - rigid) / free if free else 1.0
+    # A page of few rows is stretched, within limits; a picture may be higher than a page.
+    shrink = min(GROWTH, shrink) if fixed else min(1.0, max(LEAST_ROWS, shrink))
     at, places = head, []
     for row, strip, shown in zip(page.rows, phases, labelled, strict=True):
         height = UNIT * row.height * (1.0 if row.rigid else shrink)
@@ -109,6 +110,10 @@ def _draw_row(figure: Figure, row: PlotRow, place: _Place, tracks: Tracks) -> No
             over_time(axes, tracks, labelled=place.labelled, strip=place.phases)
         panel.draw(axes, tracks)
         _draw_row_heading(figure, row, place, panel.title, at)
+        if panel.remark:
+            above = (place.top - place.phases - 0.03) / height
+            look: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY, "va": "bottom"}
+            figure.text(at / width, 1 - above, style.literal(panel.remark), **look)
         at += unit * panel.wide
     _draw_row_heading(figure, row, place, row.title, row.left, legend=True)
 
@@ -123,7 +128,7 @@ def _draw_row_heading(
         figure.text(left / width, 1 - top / height, title, weight="bold", va="top", ha="left")
     if legend and row.legend:
         columns = min(row.legend_columns, len(row.legend))
-        look = {"handlelength": 2.0, "handletextpad": 0.4, "columnspacing": 1.0, "labelspacing": 0.25}
+        look = {"handlelength": 2.8, "handletextpad": 0.4, "columnspacing": 1.0, "labelspacing": 0.25}
         _draw_legend(figure, row.legend, "upper right", width - row.right, top - 0.03, ncols=columns, **look)
 
 

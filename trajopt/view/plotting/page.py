@@ -23,12 +23,15 @@ _Item = TypeVar("_Item")
 # Inches: edges of the page, its title, a line of a heading, space under a row, an x axis with its label.
 LEFT, RIGHT, TOP, BOTTOM = 0.72, 0.3, 0.35, 0.45
 TITLE, LINE, GAP, X_AXIS, BETWEEN = 0.5, 0.17, 0.13, 0.36, 0.62
-# Height of a line of a note.
+# Height of a line of a note, and of the line below a heading that panels may have.
 NOTE_LINE = 0.13
+REMARK_LINE = 0.14
 # Height of a row's axes by default, and how much it may grow on an empty page.
 UNIT, GROWTH = 1.3, 1.6
+# Rows of a picture, which may be higher than A4, keep this part of their height.
+LEAST_ROWS = 0.5
 # Widths in inches of a letter and of a legend's handle with its spaces, at the small font.
-LETTER, TITLE_LETTER, HANDLE = 0.06, 0.072, 0.48
+LETTER, TITLE_LETTER, HANDLE = 0.06, 0.072, 0.56
 # Points between the top of the axes and the common power of ten of their numbers.
 OFFSET_TEXT = 2
 # Letters in a line of a note.
@@ -40,7 +43,7 @@ class PlotPanel:
     """One pair of axes: its vertical axis' label with unit, and its draw function. ``timed``: over time.
 
     ``wide`` is its share of the row's width, ``gap`` the inches to the panel on its left. ``title`` is for
-    rows whose panels have separate headings.
+    rows whose panels have separate headings, ``remark`` for a line of small letters above the axes.
     """
 
     name: str
@@ -50,6 +53,7 @@ class PlotPanel:
     wide: float = 1.0
     gap: float = BETWEEN
     title: str = ""
+    remark: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,9 +87,9 @@ class PlotRow:
 
     @property
     def heading(self) -> float:
-        """Height of its title and legend in inches."""
+        """Height of its title, legend and remarks in inches."""
         lines = max(1, math.ceil(len(self.legend) / self.legend_columns))
-        return LINE * lines + 0.05
+        return LINE * lines + 0.05 + REMARK_LINE * any(panel.remark for panel in self.panels)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,8 @@ BLUE, RED, _, BLACK = COLOURS[:4]
 MARKERS = ("o", "s", "^", "D", "v", "x", "+")
 # Line styles by solution.
 LINES: tuple[Any, ...] = ("-", (0, (4.5, 1.6)), (0, (1.2, 1.2)), (0, (5.0, 1.4, 1.2, 1.4)))
+# Line styles of curves of one solution that may overlap: gaps wide enough to see the curve below.
+OVERLAID: tuple[Any, ...] = ("-", (0, (4.0, 3.0)), (0, (1.3, 2.6)), (0, (6.0, 2.5, 1.3, 2.5)))
 # Points of collocation: dots of this diameter in points, and their look.
 DOT = 1.7
 DOTTED: dict[str, Any] = {

@@ -22,22 +22,25 @@ FEW_LIMBS = 2
 
 def summary_pages(tracks: Tracks) -> list[PlotPage]:
     """Contacts, shares of limits, base or joints, forces, momentum or power, errors: one page."""
-    rows: list[PlotRow | None] = [contacts.stance_row(tracks), _shares(tracks)]
+    shares = _shares(tracks)
+    is_map = shares is not None and len(tracks) == 1
+    rows: list[PlotRow | None] = [contacts.stance_row(tracks), shares]
     moving = base.has_base(tracks)
     if moving:
+        rows.append(joints.torque_row(tracks))
         rows += [base.vector_row(tracks, name) for name in ("base position", "base orientation")]
     else:
         limbs = joints.limbs(tracks)
         alone = len(limbs) == 1
         for limb in limbs[:FEW_LIMBS]:
-            rows += joints.limb_rows(limb, wide=alone, alone=alone)
+            rows += joints.limb_rows(tracks, limb, wide=alone, alone=alone)
     if contacts.contacts(tracks):
         rows += [contacts.normal_row(tracks), contacts.cone_row(tracks)]
     if moving:
         rows.append(base.vector_row(tracks, "angular momentum"))
     rows += [base.clearance_row(tracks), base.power_row(tracks), accuracy.residual_row(tracks)]
-    maps = "Maps: share of the limit that is used, dark is all of it, on the right its largest in per cent. "
-    note = f"{maps if len(tracks) == 1 else ''}Residuals in natural units (weight, reach, g)."
+    maps = "Maps: share of the limit that is used, on the right its largest in per cent; orange: beyond it. "
+    note = f"{maps if is_map else ''}Residuals in natural units (weight, reach, g)."
     return page_of("summary", "summary", rows, note=note)
 
 

@@ -105,7 +105,8 @@ def power_row(tracks: Tracks) -> PlotRow | None:
     parts = draw.numbered((name, partial(_power, axes)) for name, axes in groups.items())
     title = f"mechanical power of the {'drives' if tracks[0].dense.drives else 'joints'}"
     scale = partial(draw.fit_with_zero_line, color=style.GREY, linewidth=0.5)
-    return draw.curve_row("power", title, "power P [W]", [total, *parts], scale)
+    drawn = [total, *draw.told_apart(tracks, parts)]
+    return draw.curve_row("power", title, "power P [W]", drawn, scale)
 
 
 def _power(axes: Sequence[JointAxis], motion: MotionQuantities) -> np.ndarray:

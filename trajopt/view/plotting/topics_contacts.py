@@ -82,15 +82,16 @@ def stance_spans(track: Track, contact: int) -> list[tuple[float, float]]:
 
 def normal_row(tracks: Tracks) -> PlotRow:
     """Return normal forces of all contacts."""
-    curves, scale = contact_curves(tracks, lambda motion: motion.normal), partial(draw.fit, zero=True)
+    curves = draw.told_apart(tracks, contact_curves(tracks, lambda motion: motion.normal))
+    scale = partial(draw.fit, zero=True)
     return draw.curve_row("normal", "normal contact forces", "f\u2099 [N]", curves, scale)
 
 
 def cone_row(tracks: Tracks) -> PlotRow:
     """Return tangential force over the radius of the friction cone, for all contacts."""
-    curves = contact_curves(tracks, lambda motion: motion.cone_share)
-    ylabel = "f\u209c / (\u03bc f\u2099) [1]"
-    return draw.curve_row("cone", "share of the friction cone", ylabel, curves, draw.share_axis)
+    curves = draw.told_apart(tracks, contact_curves(tracks, lambda motion: motion.cone_share))
+    ylabel, edge = "f\u209c / (\u03bc f\u2099) [1]", [("edge", draw.LIMIT)]
+    return draw.curve_row("cone", "share of the friction cone", ylabel, curves, draw.share_axis, edge)
 
 
 def contact_curves(tracks: Tracks, values: MotionQuantity) -> list[Curve]:
@@ -145,7 +146,9 @@ def plane_row(tracks: Tracks) -> PlotRow:
     """Return tangential over normal force: the friction cone seen from the side, by contact."""
     drawn = contact_curves(tracks, lambda motion: motion.normal)
     title, ylabel = "tangential over normal force", "tangential force f\u209c [N]"
-    legend, plane = tuple(curve.entry for curve in drawn), partial(_plane, drawn=drawn)
+    edge = f"edge of the cone, \u03bc = {', '.join(f'{slope:.3g}' for slope in _slopes(tracks[0]))}"
+    legend = (*(curve.entry for curve in drawn), (edge, draw.LIMIT))
+    plane = partial(_plane, drawn=drawn)
     return panel_row(title, "plane", ylabel, plane, timed=False, legend=legend, height=1.7)
 
 
@@ -169,14 +172,20 @@ def _plane(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
     motion = tracks[0].dense
     normal = np.where(np.isfinite(motion.normal), motion.normal, 0.0)
     most = float(normal.max(initial=1e-9))
-    friction = motion.surfaces.friction[motion.solution.active]
+    slopes = _slopes(tracks[0])
     edge = np.array([0.0, 1.05 * most])
     axes.set_xlim(min(0.0, float(normal.min(initial=0.0))), edge[1])
-    for slope in np.unique(np.round(friction, 9)):
+    for slope in slopes:
         axes.plot(edge, slope * edge, **draw.LIMIT)
         axes.fill_between(edge, 0.0, slope * edge, color=CONE, alpha=0.5, linewidth=0, zorder=0)
-    axes.set_ylim(0.0, 1.05 * float(friction.max(initial=0.1)) * most)
-    axes.set_xlabel("normal force f\u2099 [N]; dashed: edge of the cone", labelpad=1.0)
+    axes.set_ylim(0.0, 1.05 * float(slopes.max(initial=0.1)) * most)
+    axes.set_xlabel("normal force f\u2099 [N]", labelpad=1.0)
+
+
+def _slopes(track: Track) -> np.ndarray:
+    """The different coefficients of friction of the active contacts."""
+    motion = track.dense
+    return np.unique(np.round(motion.surfaces.friction[motion.solution.active], 9))
 
 
 def impulses_of(track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

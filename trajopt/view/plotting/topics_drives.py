@@ -10,6 +10,8 @@ import numpy as np
 
 from trajopt.robot.actuators.drive import Drive
 from trajopt.view.plotting import draw, style
+from trajopt.view.plotting.far_limits import BEYOND as BEYOND_AXIS
+from trajopt.view.plotting.far_limits import limit_words
 from trajopt.view.plotting.joints import JointAxis
 from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
@@ -83,7 +85,9 @@ def _plane(axes: Axes, tracks: Tracks, axis: JointAxis, drive: Drive) -> None:
     fastest = max(float(np.nanmax(np.abs(track.dense.rates[:, row]), initial=0.0)) for track in tracks)
     ends = [speed for speed in (drive.joint_no_load_speed, axis.speed) if np.isfinite(speed)]
     end = min(ends, default=fastest)
-    end = BEYOND * max(end, fastest, 1e-9)
+    unlimited = not np.isfinite(drive.joint_no_load_speed)  # else its envelope is what the panel is for
+    far = unlimited and end > draw.FAR * fastest > 0
+    end = BEYOND * max(fastest if far else end, fastest, 1e-9)
     rate = np.linspace(-end, end, ENVELOPE)
     low, high = (np.broadcast_to(bound, rate.shape) for bound in drive.torque_range(rate))
     if np.isfinite(low).all() and np.isfinite(high).all():
@@ -101,7 +105,10 @@ def _plane(axes: Axes, tracks: Tracks, axis: JointAxis, drive: Drive) -> None:
             points, rows = track.points, track.points.solution.collocation
             at = points.rates[rows, row], points.drive_torque[rows, row]
             axes.plot(*at, color=style.BLUE, **style.DOTTED)
-    if np.isfinite(axis.speed):
+    if far:
+        axes.set_xlim(-end, end)
+        draw.remark_inside(axes, f"{limit_words('velocity', [axis])}, {BEYOND_AXIS}")
+    elif np.isfinite(axis.speed):
         for speed in (-axis.speed, axis.speed):
             axes.axvline(speed, color=style.RED, linewidth=0.8, linestyle=draw.LIMIT_DASHES)
     axes.set_xlabel(f"rate [{axis.unit}/s]", labelpad=1.0)

@@ -10,21 +10,24 @@ import numpy as np
 
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
-from trajopt.view.plotting.joints import JointAxis, Limb, limbs_of, position
+from trajopt.view.plotting.far_limits import BEYOND, limit_words, most_used
+from trajopt.view.plotting.joints import JointAxis, Limb, limbs_of
 from trajopt.view.plotting.motion import MotionQuantities
-from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
+from trajopt.view.plotting.page import LegendEntry, PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
+from trajopt.view.plotting.quantities import KINDS, limit_of, value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Rows of limbs on one page; robots with this few limbs have a whole row for each kind of quantity.
 LIMBS_A_PAGE, WIDE_LIMBS = 6, 2
+# Most limbs side by side in one row.
+LIMBS_A_ROW = 4
 # Smallest span of a vertical axis in SI units: smaller differences are rounding.
 LEAST_SPAN = 1e-6
 # A limit is shown if values reach this fraction of it, else it would only flatten the curves.
 NEAR = 0.75
 SYMBOLS = {"position": "q", "velocity": "v", "torque": "\u03c4"}
-KINDS = ("position", "velocity", "torque")
 
 
 def limbs(tracks: Tracks) -> tuple[Limb, ...]:
@@ -32,62 +35,32 @@ def limbs(tracks: Tracks) -> tuple[Limb, ...]:
     return limbs_of(tracks[0].axes, tracks[0].solution.model)
 
 
-def share(kind: str, axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
-    """Share (K,) of the limit that an axis uses; NaN where it has none.
-
-    For a position, its distance from the middle of its range over half the range; for velocities and torques,
-    the magnitude over the limit.
-    """
-    lower, upper = limit_of(kind, axis)
-    half = (upper - lower) / 2
-    if not (np.isfinite(half) and half > 0):
-        return np.full(len(motion.t), np.nan)
-    return np.abs(value(kind, axis, motion) - (upper + lower) / 2) / half
-
-
-def value(kind: str, axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
-    """Position, velocity or torque (K,) of an axis."""
-    if kind == "position":
-        return position(axis, motion)
-    if kind == "velocity":
-        return motion.solution.v[:, axis.row]
-    if axis.torque is None:
-        return np.full(len(motion.t), np.nan)
-    return motion.solution.tau[:, axis.torque]
-
-
-def limit_of(kind: str, axis: JointAxis) -> tuple[float, float]:
-    """Least and largest allowed value of an axis."""
-    if kind == "position":
-        return axis.lower, axis.upper
-    most = axis.speed if kind == "velocity" else axis.effort
-    return -most, most
-
-
 def joint_pages(tracks: Tracks) -> list[PlotPage]:
     """Position, velocity and torque of every limb's joints, against their limits."""
     found = limbs(tracks)
     wide, alone = len(found) <= WIDE_LIMBS, len(found) == 1
-    rows = [row for limb in found for row in limb_rows(limb, wide=wide, alone=alone)]
+    rows = [row for limb in found for row in limb_rows(tracks, limb, wide=wide, alone=alone)]
     note = (
         "Curves are the solution's own interpolation, dots its collocation points. Dashed: limits that "
-        "values come near, in the joint's colour; black, hatched beyond, where a panel's joints share them."
+        "values come near, in the joint's colour; black, hatched beyond, where a panel's joints share them. "
+        "Others are beyond the axis, which is scaled by what is used."
     )
     return page_of("joints", "joints", *batches(rows, LIMBS_A_PAGE), note=note)
 
 
-def limb_rows(limb: Limb, *, wide: bool, alone: bool = False) -> list[PlotRow]:
+def limb_rows(tracks: Tracks, limb: Limb, *, wide: bool, alone: bool = False) -> list[PlotRow]:
     """Position, velocity and torque of a limb's joints side by side, or ``wide`` below one another.
 
     A limb that is ``alone`` needs no name besides the prefix of its joints.
     """
-    legend = tuple(curve.entry for curve in draw.numbered((name, _nothing) for name in limb.short))
+    legend = _legend(limb)
     panels = [
         PlotPanel(
             name=f"{kind}:{limb.name}",
             ylabel=f"{_noun(kind, limb)} {SYMBOLS[kind]} [{_unit(kind, limb)}]",
             draw=partial(_limb, limb=limb, kind=kind),
             gap=0.66,
+            remark=limits_beyond(tracks, kind, limb.axes),
         )
         for kind in KINDS
         if kind != "torque" or any(axis.torque is not None for axis in limb.axes)
@@ -100,6 +73,53 @@ def limb_rows(limb: Limb, *, wide: bool, alone: bool = False) -> list[PlotRow]:
         PlotRow(title=title, panels=(panel,), legend=legend)
         for title, panel in zip(titles, panels, strict=False)
     ]
+
+
+def torque_row(tracks: Tracks) -> PlotRow | None:
+    """Return torques of the limbs side by side: of those with the most torque, and others like them.
+
+    Limbs are alike if their joints have the same names; the row has one legend. None without torques.
+    """
+    driven = [limb for limb in limbs(tracks) if any(axis.torque is not None for axis in limb.axes)]
+    if not driven:
+        return None
+    most = max(driven, key=lambda limb: max(most_used("torque", limb.axes, track.dense) for track in tracks))
+    alike = [limb for limb in driven if limb.short == most.short]
+    shown = alike[:LIMBS_A_ROW] if most in alike[:LIMBS_A_ROW] else [most]
+    remarks = [limits_beyond(tracks, "torque", limb.axes) for limb in shown]
+    same = len(set(remarks)) == 1 and len(shown) > 2  # narrow panels: common words go into the heading
+    panels = [
+        PlotPanel(
+            name=f"torque:{limb.name}",
+            ylabel=f"{SYMBOLS['torque']} [{_unit('torque', limb)}]" if number == 0 else "",
+            draw=partial(_limb, limb=limb, kind="torque"),
+            gap=0.4,
+            remark=limb.name if same else f"{limb.name}: {remark}".removesuffix(": "),
+        )
+        for number, (limb, remark) in enumerate(zip(shown, remarks, strict=True))
+    ]
+    noun = f"{_noun('torque', most)}s by limb"
+    title = f"{noun} ({remarks[0]})" if same and remarks[0] else noun
+    return PlotRow(title=title, panels=tuple(panels), legend=_legend(most))
+
+
+def limits_beyond(tracks: Tracks, kind: str, axes: Sequence[JointAxis]) -> str:
+    """Name the limits of velocity or torque of some axes if all are beyond the curves' axis; else empty."""
+    if kind == "position":
+        return ""
+    least = min(limit_of(kind, axis)[1] for axis in axes)
+    used = max(most_used(kind, axes, track.dense) for track in tracks)
+    words = limit_words(kind, axes) if NEAR * least > used else ""
+    return f"{words}, {BEYOND}" if words else ""
+
+
+def _reached(kind: str, axis: JointAxis, tracks: Tracks) -> list[float]:
+    """The limits of an axis that values come near."""
+    return _near(*limit_of(kind, axis), np.concatenate([value(kind, axis, t.dense) for t in tracks]))
+
+
+def _legend(limb: Limb) -> tuple[LegendEntry, ...]:
+    return tuple(curve.entry for curve in draw.numbered((name, _nothing) for name in limb.short))
 
 
 def _nothing(motion: MotionQuantities) -> np.ndarray:
@@ -130,8 +150,7 @@ def _draw_limits(axes: Axes, tracks: Tracks, kind: str, shown: Sequence[tuple[in
     """Fit the vertical axis, with the limits that values come near; those all curves share are hatched."""
     low, high = draw.fit(axes, least=LEAST_SPAN)
     limits = [limit_of(kind, axis) for _, axis in shown]
-    values = [np.concatenate([value(kind, axis, track.dense) for track in tracks]) for _, axis in shown]
-    near = [_near(*limit, reached) for limit, reached in zip(limits, values, strict=True)]
+    near = [_reached(kind, axis, tracks) for _, axis in shown]
     every = [line for lines in near for line in lines]
     draw.set_range(axes, min([low, *every]), max([high, *every]), LEAST_SPAN)
     if len(limits) < 2 or len(set(limits)) > 1:

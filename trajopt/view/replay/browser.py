@@ -28,7 +28,7 @@ _Answer = TypeVar("_Answer")
 EXECUTABLE_VARIABLE = "TRAJOPT_CHROMIUM"
 EXECUTABLES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 INSTALL_CHROMIUM = f"on Debian: apt install chromium; or set {EXECUTABLE_VARIABLE} to one"
-INSTALL_EXTRA = "pip install 'trajopt-contacts[render]'"
+INSTALL_EXTRA = "pip install playwright imageio-ffmpeg"
 # Drawn through EGL: by a graphics card if there is one, by Mesa on the processor if not, and where EGL is
 # missing by Chromium's own SwiftShader, which takes over by itself and is half as fast. The page is our own
 # file without network, and Chromium's sandbox does not start in containers.

@@ -57,7 +57,7 @@ def _marks(solution: Solution, target: Target) -> list[tuple[np.ndarray, str]]:
 def _lands(solution: Solution, target: Target) -> bool:
     """Whether the target is where a contact begins, not a waypoint of a frame that may touch."""
     index = _phase_index(solution, target)
-    if index is None or target.frame not in solution.contact_frames:
+    if index is None or target.at.fraction > 0 or target.frame not in solution.contact_frames:
         return False
     rows = solution.phase == index
     return bool(solution.active[rows, solution.contact_frames.index(target.frame)].any())
@@ -65,7 +65,7 @@ def _lands(solution: Solution, target: Target) -> bool:
 
 def _phase_index(solution: Solution, target: Target) -> int | None:
     names = solution.meta.get("phase_names") or []
-    return names.index(target.phase) if target.phase in names else None
+    return names.index(target.at.phase) if target.at.phase in names else None
 
 
 def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:

@@ -12,6 +12,7 @@ from trajopt.certify.contact_figures import is_sole
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.errors import InputError
 from trajopt.robot.sole import centre_of_pressure
+from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, held_samples, touched_surfaces
 from trajopt.terrain.surface import is_number
@@ -113,7 +114,7 @@ def replay_motions(solutions: Sequence[Solution], speed: float = 1.0) -> list[Re
 
 
 def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: float) -> ReplayMotion:
-    q = solution.interpolate(t)
+    q = geodesic_configurations(solution, t)
     frames = [solution.model.getFrameId(name) for name in solution.contact_frames]
     joints, contacts = placements(solution.model, frames, q)
     last, part = _spans(solution, t)

@@ -12,7 +12,7 @@ from typing import IO
 
 from trajopt.errors import InputError, TrajoptError
 
-INSTALL_EXTRA = "pip install 'trajopt-contacts[render]'"
+INSTALL_EXTRA = "pip install imageio-ffmpeg"
 # Constant quality of H.264: visually lossless.
 QUALITY = 18
 # H.264 that phones, browsers and slides play: 4:2:0, colours of high definition and marked so, index first.

@@ -1,0 +1,72 @@
+"""Hooks of MkDocs: pages that are generated, and links out of `docs/`."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+import sys
+from functools import cache
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))
+
+from scripts.site import notebooks, reference  # noqa: E402
+
+LINK = re.compile(r"(?<=\]\()(\.\./[^)#\s]+)")
+# Files of the repository that are pages of the site, and the folder for others that pages link to.
+PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+FILES = "files"
+
+
+@cache
+def _executed(path: Path, changed: float) -> dict[str, str | bytes]:
+    """Files of an executed notebook; while serving, executed again only when it changed."""
+    return notebooks.pages(path)
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the reference, the notebooks, and pages that lie at the root of the repository."""
+    generated: dict[str, str | bytes] = {**reference.python_pages(), **reference.command_pages()}
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        generated |= _executed(path, path.stat().st_mtime)
+    for source, page in PAGES.items():
+        if page not in files.src_uris and (ROOT / source).is_file():
+            generated[page] = (ROOT / source).read_text(encoding="utf-8").replace("](docs/", "](")
+    for name, content in generated.items():
+        files.append(File.generated(config, name, content=content))
+    for name in sorted(_linked(files)):
+        files.append(File.generated(config, f"{FILES}/{name}", abs_src_path=str(ROOT / name)))
+    return files
+
+
+def _outside(link: str, page: str) -> str | None:
+    """The file of the repository that a link of a page leads to, if that lies outside ``docs``."""
+    target = posixpath.normpath(posixpath.join("docs", posixpath.dirname(page), link))
+    return None if target.startswith(("docs/", "..")) or not (ROOT / target).is_file() else target
+
+
+def _linked(files: Files) -> set[str]:
+    """Files outside ``docs`` that pages link to, and that are no pages."""
+    found = set()
+    for file in files.documentation_pages():
+        links = (_outside(link, file.src_uri) for link in LINK.findall(file.content_string))
+        found |= {link for link in links if link is not None and link not in PAGES}
+    return found
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Turn links to files of the repository outside ``docs`` into links within the site."""
+
+    def within(match: re.Match[str]) -> str:
+        target = _outside(match[1], page.file.src_uri)
+        if target is None:
+            return match[1]
+        inside = PAGES.get(target, f"{FILES}/{target}")
+        return posixpath.relpath(inside, posixpath.dirname(page.file.src_uri) or ".")
+
+    return LINK.sub(within, markdown)

@@ -1,0 +1,48 @@
+"""Notebooks as pages: executed, pictures and replays as files beside the page."""
+
+from __future__ import annotations
+
+import html
+import os
+import re
+import tempfile
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+from nbconvert import MarkdownExporter
+from nbformat import NotebookNode
+
+FOLDER = "tutorials"
+# Seconds for one cell.
+LIMIT = 600
+FRAME = re.compile(r'<iframe srcdoc="([^"]*)"[^>]*></iframe>')
+
+
+def pages(path: Path) -> dict[str, str | bytes]:
+    """Files of the site by path: the executed notebook as Markdown, its pictures and its replays."""
+    name = path.stem
+    notebook = nbformat.read(path, as_version=4)
+    with tempfile.TemporaryDirectory() as folder:
+        # A page is made on the cores that CI shares.
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
+        NotebookClient(notebook, timeout=LIMIT, resources={"metadata": {"path": folder}}).execute()
+    found: dict[str, str | bytes] = {}
+    for cell in notebook.cells:
+        for output in cell.get("outputs", ()):
+            _frame_as_file(output, name, found)
+    text, resources = MarkdownExporter().from_notebook_node(
+        notebook, {"unique_key": name, "output_files_dir": name}
+    )
+    found |= {f"{FOLDER}/{file}": data for file, data in resources.get("outputs", {}).items()}
+    return {**found, f"{FOLDER}/{name}.md": text.replace("](../docs/", "](../")}
+
+
+def _frame_as_file(output: NotebookNode, name: str, found: dict[str, str | bytes]) -> None:
+    """Put the page that an output holds as text into a file, and a frame that shows it in its place."""
+    frame = FRAME.search(output.get("data", {}).get("text/html", ""))
+    if frame is None:
+        return
+    file = f"{name}/replay-{len(found)}.html"
+    found[f"{FOLDER}/{file}"] = html.unescape(frame[1])
+    output["data"]["text/html"] = f'<iframe class="replay" src="{file}" loading="lazy"></iframe>'

@@ -1,0 +1,202 @@
+"""The MuJoCo model of a simulation as an MJCF file, with the names of the robot.
+
+MuJoCo's own writer rounds to six digits and does not know what is written into a compiled model: the numbers
+of bodies and joints are replaced by the exact ones. Added are a motor for each torque of the plan, in its
+order, and keyframes ``start`` and ``end``. Shapes of links and ground are within the file.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from trajopt.certify.simulation.bodies import (
+    body_name,
+    joint_axis,
+    mujoco_package,
+    mujoco_quaternion,
+    muted_mujoco,
+    part_name,
+)
+from trajopt.certify.simulation.run import torque_limits
+from trajopt.certify.simulation.settings import SimulationSettings
+from trajopt.certify.simulation.world import World, build_world
+from trajopt.errors import InputError, first_line
+from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
+from trajopt.solution.output import replacing
+from trajopt.solution.solution import Solution
+
+# MuJoCo accepts no body with less mass, kg, or inertia, kg m^2: far below those of the smallest robots.
+LEAST = 1e-12
+# The viewer shows this group only where it is asked to: ground that is lifted for contacts with a radius.
+HIDDEN_GROUP, GROUND_COLOUR = "3", "0.8 0.85 0.9 1"
+LIGHT = {"ambient": "0.4 0.4 0.4", "diffuse": "0.6 0.6 0.6", "specular": "0.1 0.1 0.1"}
+SKY = {"type": "skybox", "builtin": "gradient", "rgb1": "1 1 1", "rgb2": "0.7 0.8 0.9"}
+SKY_SIZE = {"width": "256", "height": "256"}
+# Joints that are several of MuJoCo's, and the ends of these names.
+PARTS = {
+    "JointModelPlanar": ("x", "y", "angle"),
+    "JointModelTranslation": ("x", "y", "z"),
+    "JointModelSphericalZYX": ("rz", "ry", "rx"),
+}
+# Of an element of MJCF, the attribute of a joint and what a compiled model calls it.
+DRIVE_ATTRIBUTES = {"armature": "dof_armature", "damping": "dof_damping", "frictionloss": "dof_frictionloss"}
+
+
+def write_mjcf(solution: SolutionOrFile, path: str | Path) -> Path:
+    """Write the model that `simulate` builds of a plan as an MJCF file; return its path.
+
+    Args:
+        solution: the plan, or the path of its file.
+        path: of the file, which is replaced.
+
+    Raises:
+        InputError: for a model that MJCF cannot express, a place that cannot be written, or where MuJoCo is
+            not installed.
+    """
+    text, target = mjcf_of(require_motion(solution_of(solution))), Path(path).expanduser()
+    with replacing(target) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+    return target
+
+
+def mjcf_of(plan: Solution) -> str:
+    """Return the MJCF of a plan; raises `InputError`."""
+    with muted_mujoco():
+        world = build_world(plan, SimulationSettings())
+        root = ElementTree.fromstring(world.bodies.spec.to_xml())
+        root.set("model", str(plan.meta["robot"]))
+        for index in range(1, plan.model.njoints):
+            _complete_body(root, plan.model, index)
+        for joint in root.iter("joint"):
+            _complete_joint(joint, world)
+        _light_scene(root)
+        _hold_first_grasps(root, world)
+        _add_motors(root, plan)
+        _add_keyframes(root, plan, world)
+        _rename(root, _names(plan))
+        ElementTree.indent(root)
+        text = ElementTree.tostring(root, encoding="unicode")
+        try:
+            mujoco_package().MjModel.from_xml_string(text)
+        except ValueError as error:
+            raise InputError(f"MJCF cannot express the model: {first_line(error)}") from None
+    return f"{text}\n"
+
+
+def _numbers(values: ArrayLike) -> str:
+    return " ".join(repr(float(value)) for value in np.ravel(values))
+
+
+def _complete_body(root: ElementTree.Element, model: pin.Model, index: int) -> None:
+    """Write place, inertia and axis of one joint's body."""
+    body = next(one for one in root.iter("body") if one.get("name") == body_name(index))
+    place, own = model.jointPlacements[index], model.inertias[index]
+    body.set("pos", _numbers(place.translation))
+    body.set("quat", _numbers(mujoco_quaternion(place.rotation)))
+    inertia = np.array(own.inertia)
+    inertia += max(LEAST - float(np.linalg.eigvalsh(inertia)[0]), 0.0) * np.eye(3)
+    entries = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    inertial = next(iter(body.iter("inertial")))
+    inertial.attrib.clear()
+    inertial.set("pos", _numbers(own.lever))
+    inertial.set("mass", _numbers(max(own.mass, LEAST)))
+    inertial.set("fullinertia", _numbers(entries))
+    if model.joints[index].nv == 1:
+        next(iter(body.iter("joint"))).set("axis", _numbers(joint_axis(model, index)[0]))
+
+
+def _complete_joint(joint: ElementTree.Element, world: World) -> None:
+    """Write rotor inertia and friction of a joint; raises `InputError` where its rows have different ones."""
+    compiled, name = world.compiled, str(joint.get("name"))
+    rows = compiled.dof_jntid == compiled.joint(name).id
+    for attribute, array in DRIVE_ATTRIBUTES.items():
+        values = getattr(compiled, array)[rows]
+        if np.ptp(values) > 0:
+            raise InputError(f"a joint has {attribute} {values} along its axes", "allowed in MJCF: the same")
+        if values[0]:
+            joint.set(attribute, _numbers(values[0]))
+
+
+def _light_scene(root: ElementTree.Element) -> None:
+    """Light as in a room, a sky, and ground of another colour than the robot."""
+    visual = ElementTree.SubElement(root, "visual")
+    ElementTree.SubElement(visual, "headlight", LIGHT)
+    asset = root.find("asset")
+    asset = ElementTree.SubElement(root, "asset") if asset is None else asset
+    ElementTree.SubElement(asset, "texture", SKY | SKY_SIZE)
+    for geom in root.findall("worldbody/geom"):
+        geom.set("rgba", GROUND_COLOUR)
+        if "." in str(geom.get("name")):
+            geom.set("group", HIDDEN_GROUP)
+
+
+def _hold_first_grasps(root: ElementTree.Element, world: World) -> None:
+    for grasp in world.grasps:
+        for held in root.findall(f"equality/*[@name='{grasp.name}']"):
+            held.set("active", "true" if 0 in grasp.phases else "false")
+
+
+def _add_motors(root: ElementTree.Element, plan: Solution) -> None:
+    """Add a motor for each torque: ``ctrl`` is the torque of its drive. Raises `InputError`."""
+    actuator = ElementTree.SubElement(root, "actuator")
+    low, high = torque_limits(plan)
+    for row, name in enumerate(plan.torque_names):
+        place = plan.n_unactuated + row
+        index = next(i for i, joint in enumerate(plan.model.joints) if i and place < joint.idx_v + joint.nv)
+        number = place - plan.model.joints[index].idx_v
+        kind = plan.model.joints[index].shortname()
+        if kind in ("JointModelFreeFlyer", "JointModelPlanar"):
+            raise InputError(
+                f"'{plan.model.names[index]}' has motors along axes that move with it",
+                "allowed in MJCF: on hinges, slides and balls",
+            )
+        turns = kind == "JointModelSpherical"
+        motor = ElementTree.SubElement(actuator, "motor", name=name.replace("/", "_"))
+        motor.set("joint", part_name(index, 0 if turns else number))
+        if turns:
+            motor.set("gear", _numbers([*np.eye(3)[number], 0.0, 0.0, 0.0]))
+        if np.isfinite(high[row]):
+            motor.set("ctrlrange", _numbers([low[row], high[row]]))
+
+
+def _add_keyframes(root: ElementTree.Element, plan: Solution, world: World) -> None:
+    ends = plan.sample(times=plan.interval_t[[0, -1], [0, 1]])
+    qpos = world.coordinates.to_mujoco(ends.q)
+    qvel = world.coordinates.rates_to_mujoco(qpos, ends.v)
+    keyframe = ElementTree.SubElement(root, "keyframe")
+    for row, name in enumerate(("start", "end")):
+        key = ElementTree.SubElement(keyframe, "key", name=name)
+        key.set("qpos", _numbers(qpos[row]))
+        key.set("qvel", _numbers(qvel[row]))
+        if plan.tau.shape[1]:
+            key.set("ctrl", _numbers(ends.drive_torque[row]))
+
+
+def _names(plan: Solution) -> dict[str, str]:
+    """The robot's names of bodies, joints and contact frames."""
+    model = plan.model
+    names = {f"contact{number}": frame for number, frame in enumerate(plan.contact_frames)}
+    links: dict[int, str] = {}
+    for frame in model.frames:
+        if frame.type == pin.BODY and frame.placement.isIdentity():
+            links.setdefault(frame.parentJoint, frame.name)
+    for index in range(1, model.njoints):
+        own = model.names[index]
+        names[body_name(index)] = links.get(index, own)
+        kind = model.joints[index].shortname()
+        parts = [f"{own}_{suffix}" for suffix in PARTS.get(kind, ())] or [own]
+        names |= {part_name(index, number): part for number, part in enumerate(parts)}
+    return names
+
+
+def _rename(root: ElementTree.Element, names: dict[str, str]) -> None:
+    for element in root.iter():
+        if element.tag in ("body", "joint", "site", "motor", "weld", "connect"):
+            for attribute in ("name", "joint", "site1", "site2"):
+                if attribute in element.attrib:
+                    element.set(attribute, names.get(element.attrib[attribute], element.attrib[attribute]))

@@ -1,0 +1,70 @@
+"""Moments of a motion, in words: where a phase begins, its middle, its end, the motion's end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trajopt.errors import InputError, is_number
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A fraction of a phase's duration; by default the end of the motion.
+
+    `start_of`, `middle_of` and `end_of` make the usual ones. The end of a phase is the start of the next one,
+    unless that begins with an impact: then it is just before the impact.
+
+    Args:
+        phase: name of the phase; None for the end of the motion.
+        fraction: of the phase's duration, 0 to 1.
+
+    Raises:
+        InputError: for another fraction, one without a phase, and a phase that is no name.
+    """
+
+    phase: str | None = None
+    fraction: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.phase is not None and not (isinstance(self.phase, str) and self.phase):
+            raise InputError(f"phase of a moment is {self.phase!r}", "allowed: the name of a phase")
+        known = is_number(self.fraction) and 0 <= self.fraction <= 1
+        if not known or (self.phase is None and self.fraction != 1):
+            raise InputError(
+                f"fraction of a moment is {self.fraction!r} of {self._phase}",
+                "allowed: 0 to 1 of a phase",
+            )
+
+    @property
+    def _phase(self) -> str:
+        return "the motion" if self.phase is None else f"phase '{self.phase}'"
+
+    def __str__(self) -> str:
+        words = {0.0: "start", 0.5: "middle", 1.0: "end"}
+        return f"{words.get(self.fraction, f'{100 * self.fraction:g} %')} of {self._phase}"
+
+
+END = Moment()
+
+
+def start_of(phase: str) -> Moment:
+    """The start of a phase, just after its impact where it begins with one."""
+    return Moment(phase, 0.0)
+
+
+def middle_of(phase: str) -> Moment:
+    """The middle of a phase: of a ballistic flight the apex, if it ends as high as it began."""
+    return Moment(phase, 0.5)
+
+
+def end_of(phase: str) -> Moment:
+    """The end of a phase, just before the next one's impact where that begins with one."""
+    return Moment(phase, 1.0)
+
+
+def as_moment(what: str, value: object) -> Moment:
+    """The moment, or `InputError` that says what is allowed."""
+    if isinstance(value, Moment):
+        return value
+    said = f"start_of({value!r}), middle_of({value!r})" if isinstance(value, str) else "start_of('flight')"
+    raise InputError(f"{what} is {value!r}", f"allowed: a moment, for example {said}")

@@ -1,0 +1,204 @@
+"""A motion at the times that a robot or a program asks for: one value a time, with names."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.solution.names import BaseAxes, QuaternionOrder
+from trajopt.solution.output import replacing
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SampledMotion:
+    """A motion at n times, one value each, from `Solution.sample`; SI units, arrays are read-only.
+
+    problem, robot: their names. success: of the solution. t: (n,) s.
+    q: (n, nq), ``position_names``; Pinocchio's convention, but quaternions in the order ``quaternion``.
+    v, a: (n, nv), ``velocity_names``. Those of a free-flyer or planar base are along ``base_velocity``: axes
+        of the body, as in Pinocchio (``a`` is the derivative of ``v``), or of the world, where they are the
+        derivatives of the base's position, its angular velocity and its angular acceleration.
+    tau: (n, nu) torques of the actuated rows, the last of v, ``torque_names``; without joint friction.
+    drive_torque: (n, nu) torques that the drives deliver: ``tau`` and the joints' friction, which only robots
+        that ``has_drives`` know.
+    angle: (n, m) angles, ``angle_names``, that q has as cosine and sine; they count whole turns.
+    f: (n, nc, 6) force N and moment N m of the surroundings on each of ``contact_frames``, in world axes at
+        the frame's origin; the moment of a "point" (``contact_kinds``) is zero.
+    active: (n, nc) the contact is active. phase: (n,) index into ``phase_names``.
+    extrapolated: (n,) the time lies before the first or after the last collocation point of its interval:
+        a, tau, drive_torque and f are values of its polynomials, on which no limits are imposed there.
+    """
+
+    problem: str
+    robot: str
+    success: bool
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    tau: np.ndarray
+    drive_torque: np.ndarray
+    angle: np.ndarray
+    f: np.ndarray
+    active: np.ndarray
+    phase: np.ndarray
+    extrapolated: np.ndarray
+    joint_names: tuple[str, ...]
+    position_names: tuple[str, ...]
+    velocity_names: tuple[str, ...]
+    torque_names: tuple[str, ...]
+    angle_names: tuple[str, ...]
+    contact_frames: tuple[str, ...]
+    contact_kinds: tuple[str, ...]
+    phase_names: tuple[str, ...]
+    quaternion: QuaternionOrder
+    base_velocity: BaseAxes
+    has_drives: bool
+
+    def __post_init__(self) -> None:
+        for array in self.arrays.values():
+            array.setflags(write=False)
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All arrays by name."""
+        named = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in named.items() if isinstance(value, np.ndarray)}
+
+    @property
+    def force(self) -> np.ndarray:
+        """Contact forces (n, nc, 3) in world axes, N."""
+        return self.f[:, :, :3]
+
+    @property
+    def moment(self) -> np.ndarray:
+        """Contact moments (n, nc, 3) in world axes at the frames' origins, N m."""
+        return self.f[:, :, 3:]
+
+    @property
+    def joint_position(self) -> np.ndarray:
+        """Positions (n, nu) of the joints with a torque, rad or m, in the order of ``torque_names``.
+
+        Raises `InputError` where such a joint has several degrees of freedom.
+        """
+        names, values = (*self.position_names, *self.angle_names), np.hstack([self.q, self.angle])
+        missing = [name for name in self.torque_names if name not in names]
+        if missing:
+            raise InputError(f"'{missing[0]}' has no position", "allowed: joints of one degree of freedom")
+        return values[:, [names.index(name) for name in self.torque_names]]
+
+    @property
+    def joint_velocity(self) -> np.ndarray:
+        """Velocities (n, nu) of the joints with a torque, rad/s or m/s, in the order of ``torque_names``."""
+        return self.v[:, self.v.shape[1] - self.tau.shape[1] :]
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """All values as columns (n,) by name.
+
+        ``t`` s; ``phase``, by name; ``q/...``, ``v/...``, ``a/...``, ``angle/...``, ``tau/...`` and, with
+        drives, ``drive_torque/...`` by the names of their entries; of each contact ``active/FRAME``,
+        ``force/FRAME/x`` and, of a sole, ``moment/FRAME/x``; ``extrapolated``.
+        """
+        found = {"t": self.t, "phase": np.array(self.phase_names, dtype=object)[self.phase]}
+        groups = {
+            "q": (self.position_names, self.q),
+            "v": (self.velocity_names, self.v),
+            "a": (self.velocity_names, self.a),
+            "angle": (self.angle_names, self.angle),
+            "tau": (self.torque_names, self.tau),
+            "drive_torque": (self.torque_names if self.has_drives else (), self.drive_torque),
+            "active": (self.contact_frames, self.active),
+        }
+        for group, (names, values) in groups.items():
+            found |= {f"{group}/{name}": values[:, i] for i, name in enumerate(names)}
+        for i, frame in enumerate(self.contact_frames):
+            found |= {f"force/{frame}/{axis}": self.force[:, i, k] for k, axis in enumerate(AXES)}
+            if self.contact_kinds[i] == "surface":
+                found |= {f"moment/{frame}/{axis}": self.moment[:, i, k] for k, axis in enumerate(AXES)}
+        return found | {"extrapolated": self.extrapolated}
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What is true of all samples: names, success and conventions."""
+        return {
+            "problem": self.problem,
+            "robot": self.robot,
+            "success": str(self.success),
+            "quaternion": self.quaternion,
+            "base_velocity": self.base_velocity,
+            "units": "SI: s, m, rad, N, N m",
+        }
+
+    def to_pandas(self) -> Any:
+        """Return a ``pandas.DataFrame`` of `columns`, with `facts` as its ``attrs``.
+
+        Raises `InputError` where pandas is not installed.
+        """
+        frame = _package("pandas").DataFrame(self.columns)
+        frame.attrs.update(self.facts)
+        return frame
+
+    def save(self, path: str | Path) -> Path:
+        """Write a file of the kind that the path's ending names, completely or not at all; return its path.
+
+        ``.csv``: `columns` under a line of names, numbers in full, flags as 0 and 1. ``.parquet``: `columns`
+        in their types, with `facts` as metadata; it needs pyarrow. ``.npz``: all fields by their names.
+
+        Raises `InputError` for another ending, a place that cannot be written, or without pyarrow.
+        """
+        target = Path(path).expanduser()
+        write = _WRITERS.get(target.suffix.lower())
+        if write is None:
+            raise InputError(f"cannot write {target}: unknown ending", f"allowed: {', '.join(_WRITERS)}")
+        with replacing(target) as unfinished:
+            write(self, unfinished)
+        return target
+
+
+def _write_csv(motion: SampledMotion, path: Path) -> None:
+    columns = motion.columns
+    plain = [(own.astype(int) if own.dtype == bool else own).tolist() for own in columns.values()]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*plain, strict=True))
+
+
+def _write_parquet(motion: SampledMotion, path: Path) -> None:
+    arrow, parquet = _package("pyarrow"), _package("pyarrow.parquet")
+    table = arrow.table({name: arrow.array(values) for name, values in motion.columns.items()})
+    parquet.write_table(table.replace_schema_metadata(motion.facts), path)
+
+
+def _write_npz(motion: SampledMotion, path: Path) -> None:
+    names = {name: np.array(own, dtype=str) for name, own in vars(motion).items() if isinstance(own, tuple)}
+    facts = {key: np.array(value) for key, value in motion.facts.items()}
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **motion.arrays, **names, **facts)
+
+
+_WRITERS: dict[str, Callable[[SampledMotion, Path], None]] = {
+    ".csv": _write_csv,
+    ".parquet": _write_parquet,
+    ".npz": _write_npz,
+}
+
+
+def _package(name: str) -> ModuleType:
+    """The module ``name`` of a package that is not always installed; raises `InputError` without it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        own = name.partition(".")[0]
+        raise InputError(f"this needs {own}, which is not installed", f"pip install {own}") from None

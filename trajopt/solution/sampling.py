@@ -1,0 +1,130 @@
+"""Where the samples of a motion are, and the conventions that they are given in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal, get_args
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.errors import InputError, require_positive
+from trajopt.solution.consistency import SAME_TIME
+from trajopt.solution.interpolation import MotionSample
+from trajopt.solution.local_states import local_state, rotation_matrices
+from trajopt.solution.names import BaseAxes, QuaternionOrder, is_base
+
+# The interval that a node belongs to: contacts begin and end there, velocities, torques and forces may jump.
+Side = Literal["after", "before"]
+# More samples than this, of 200 s at 1 kHz, are a mistake, and take gigabytes.
+MOST_SAMPLES = 200_000
+
+
+def sample_times(edges: np.ndarray, own: np.ndarray, rate: float | None, times: Any) -> np.ndarray:
+    """Times (n,) s of samples within a motion; raises `InputError`; see `Solution.sample`.
+
+    edges: (I, 2) of its intervals. own: (K,) times of its samples, which are taken where neither is given.
+    """
+    start, end = float(edges[0, 0]), float(edges[-1, 1])
+    same = SAME_TIME * (end - start)
+    if rate is not None and times is not None:
+        raise InputError("rate and times are both given", "allowed: one of them")
+    if times is not None:
+        return _within(_numbers(times), start, end)
+    if rate is None:
+        return own[np.append(np.diff(own) > same, True)]
+    require_positive("rate", rate, "Hz")
+    rate = float(rate)
+    count = (end - start) * rate
+    if count >= MOST_SAMPLES:
+        raise InputError(
+            f"rate is {rate:g} Hz, {count:.3g} samples in {end - start:g} s",
+            f"allowed: {MOST_SAMPLES} samples",
+        )
+    regular = start + np.arange(int(count + SAME_TIME * max(count, 1.0)) + 1) / rate
+    return np.append(regular[regular < end - same], end)
+
+
+def _numbers(times: Any) -> np.ndarray:
+    try:
+        found = np.atleast_1d(np.asarray(times))
+    except ValueError:  # rows of different lengths
+        found = np.zeros((0, 0))
+    if found.ndim != 1 or found.dtype.kind not in "fiu":
+        raise InputError(f"times are {times!r:.60}", "allowed: a list of numbers, s")
+    if not 0 < len(found) <= MOST_SAMPLES:
+        raise InputError(f"times are {len(found)} numbers", f"allowed: 1 to {MOST_SAMPLES}")
+    return found.astype(float)
+
+
+def _within(times: np.ndarray, start: float, end: float) -> np.ndarray:
+    same = SAME_TIME * (end - start)
+    for row in np.flatnonzero(~((times >= start - same) & (times <= end + same)))[:1]:
+        raise InputError(
+            f"times[{row}] is {times[row]:.9g} s", f"allowed: within the motion, {start:g} to {end:.9g} s"
+        )
+    return np.clip(times, start, end)
+
+
+def located(edges: np.ndarray, t: np.ndarray, side: Side) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals at times ``t`` (n,), and fractions of them; a node belongs to the one on its ``side``."""
+    if side not in get_args(Side):
+        raise InputError(f"side is {side!r}", "allowed: 'after' or 'before'")
+    same = SAME_TIME * float(edges[-1, 1] - edges[0, 0])
+    if side == "after":
+        numbers = np.searchsorted(edges[:, 0], t + same, side="right") - 1
+    else:
+        numbers = np.searchsorted(edges[:, 0], t - same, side="left") - 1
+    numbers = np.clip(numbers, 0, len(edges) - 1)
+    start, end = edges[numbers].T
+    return numbers, np.clip((t - start) / (end - start), 0.0, 1.0)
+
+
+def is_extrapolated(arrays: Mapping[str, np.ndarray], numbers: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Whether times ``t`` (n,) lie before the first or after the last point of intervals ``numbers`` (n,).
+
+    A polynomial through one point is constant: it is not extrapolated.
+    """
+    points, of_point = arrays["t"][arrays["collocation"]], arrays["interval"][arrays["collocation"]]
+    first = points[np.searchsorted(of_point, numbers, side="left")]
+    last = points[np.searchsorted(of_point, numbers, side="right") - 1]
+    same = SAME_TIME * float(arrays["t"][-1] - arrays["t"][0])
+    return (first < last) & ((t < first - same) | (t > last + same))
+
+
+def in_convention(
+    model: pin.Model, motion: MotionSample, quaternion: QuaternionOrder, base_velocity: BaseAxes
+) -> MotionSample:
+    """The motion with quaternions in that order, and velocities of its base along those axes."""
+    q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+    for joint in Coordinates(model).joints:
+        if base_velocity == "world" and is_base(model, joint):
+            _, rate, second = local_state(model, motion.q, motion.q, motion.v, motion.a)
+            v[:, joint.v], a[:, joint.v] = rate[:, joint.v], second[:, joint.v]
+            if joint.rotation is not None:
+                turn = rotation_matrices(motion.q[:, joint.q][:, 3:])
+                for found, body in ((v, motion.v), (a, motion.a)):
+                    found[:, joint.rotation] = np.einsum("nij,nj->ni", turn, body[:, joint.rotation])
+        if quaternion == "wxyz" and joint.rotation is not None:
+            entries = slice(joint.q.stop - 4, joint.q.stop)
+            q[:, entries] = np.roll(q[:, entries], 1, axis=1)
+    return MotionSample(q=q, v=v, a=a, tau=motion.tau, f=motion.f)
+
+
+def angles_of(
+    model: pin.Model, plan: Mapping[str, np.ndarray], t: np.ndarray, q: np.ndarray
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names and values (n, m) of the angles that q has as cosine and sine, at times ``t`` (n,) of a plan.
+
+    They count whole turns since the plan's start, whatever the times.
+    """
+    names, columns = [], []
+    for joint in Coordinates(model).joints:
+        if joint.kind in ("continuous", "planar"):
+            cos, sin = joint.q.stop - 2, joint.q.stop - 1
+            near = np.interp(t, plan["t"], np.unwrap(np.arctan2(plan["q"][:, sin], plan["q"][:, cos])))
+            angle = np.arctan2(q[:, sin], q[:, cos])
+            names.append(joint.name)
+            columns.append(angle + 2 * np.pi * np.round((near - angle) / (2 * np.pi)))
+    return tuple(names), np.array(columns).T.reshape(len(t), len(names))
