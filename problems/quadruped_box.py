@@ -24,7 +24,7 @@ STANCE, LANDING = 2.7, 3.4
 # where legs have to be drawn up onto a box.
 SHARE, HEIGHT, SHARE_UP = 0.75, 0.75, 0.9
 # Fall of the base onto a box, over the robot's length: time to bring all feet over its edge.
-FALL = 0.1
+FALL = 0.12
 # Height of a box over the rise, and at most over the robot's length; width of a gap over the robot's length.
 OF_RISE, MOST_BOX, GAP = 0.5, 0.5, 0.3
 # Distance of feet from an edge at take-off and landing, over the robot's length.
