@@ -75,13 +75,13 @@ def build(
     robot: str,
     rise: float | None,
     friction: float,
-    effort: float | None,
+    torque_limit: float | None,
     kind: Kind,
     **given: float | None,
 ) -> Problem:
     """Build the leap; see ``FAMILIES`` for the parameters. Raises InputError."""
     body = common.quadruped(robot)
-    takeoff, unit = pushing.takeoff(body, effort), common.natural_time(body)
+    takeoff, unit = pushing.takeoff(body, torque_limit), common.natural_time(body)
     highest = pushing.apex(takeoff, SHARE, HEIGHT * body.length)
     size, default = "height", min(OF_RISE * highest, MOST_BOX * body.length)
     if kind == "gap":
@@ -99,7 +99,7 @@ def build(
         (common.displaced(body, start), common.displaced(body, end)),
         (own["stance"], own["flight"], own["landing"]),
         terrain=terrain,
-        effort=effort,
+        torque_limit=torque_limit,
         heights=(start[2], end[2]),
         parameters=own | {"rise": rise},
     )
@@ -122,7 +122,7 @@ def _family(kind: Kind, summary: str) -> Family:
             common.length("rise", None, meaning, (0.0, 5.0)),
             *common.hop_durations("from the rise"),
             common.friction(0.7),
-            common.EFFORT,
+            common.TORQUE_LIMIT,
         ),
         build=partial(build, kind=kind),
     )

@@ -80,7 +80,7 @@ class TermFunctions:
             priced = [t for t in prices if place is not None and t.acts_at(place)]
             if place is None or not (acting or priced):
                 continue
-            own, near = self.units[id(form.robot)], self._unwrapped_guess.get(k)
+            own, near = self.units[id(form.robot)], self._guess_near.get(k)
             context = self.context(phase, form, Place.NODE, near)
             name = place.phase.name
             named = [(t.name, _of(t, name, t.rows, context, own, place)) for t in acting]
@@ -189,8 +189,8 @@ class TermFunctions:
         return self.layout.in_coordinates_of(form, q, *np.zeros((2, self.layout.robot.nv)))[0]
 
     @cached_property
-    def _unwrapped_guess(self) -> dict[int, np.ndarray]:
-        """The guess at nodes of coordinates that count whole turns: goals refer to the nearest turn.
+    def _guess_near(self) -> dict[int, np.ndarray]:
+        """The guess at the last node, and at all in coordinates that count whole turns: goals refer to it.
 
         A motion whose guess makes a full turn ends there, and one past the angle pi does not turn back.
         """
@@ -198,7 +198,8 @@ class TermFunctions:
         before: dict[int, np.ndarray] = {}
         for k, form in enumerate(self.layout.forms):
             coordinates = form.coordinates
-            if not any(joint.kind in ("planar", "continuous") for joint in coordinates.joints):
+            turning = any(joint.kind in ("planar", "continuous") for joint in coordinates.joints)
+            if not turning and k < len(self.layout.forms) - 1:
                 continue
             fixed = k == 0 and self.problem.periodicity is None
             time = float(self.layout.node_times[k])
