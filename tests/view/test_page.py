@@ -9,6 +9,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.support.command_lines import invoke
@@ -17,6 +18,7 @@ from tests.support.repository import ROOT
 from tests.support.synthetic_motions import with_meta
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
+from trajopt.view.replay.cones import COLOURS
 from trajopt.view.replay.show import replay
 
 WEB = ROOT / "trajopt" / "view" / "replay" / "web"
@@ -83,6 +85,23 @@ def test_caption_tells_problem_grid_objective_and_measured_error(hop, tmp_path):
     assert "<title>hop – solo12</title>" in text
     assert said(facts)[0].startswith("0.50 s; legendre:2, ")
     assert said(facts)[0].endswith("objective 0.25; open-loop error 0.2 mm")
+
+
+def test_caption_speaks_of_layers_that_the_scene_has(hop, tmp_path):
+    still = replace(hop, f=np.zeros_like(hop.f), active=np.zeros_like(hop.active))
+    for solution, expected in ((hop, {"forces", "cones"}), (still, set())):
+        _, facts = page_of(solution, tmp_path)
+        named = {line["layer"] for line in facts["lines"]} - {""}
+        assert named == expected
+        assert named <= {layer["name"] for layer in facts["layers"]}
+        assert any("weight" in text for text in said(facts)) == bool(expected)
+
+
+def test_caption_has_a_legend_of_the_cones_colours(page):
+    _, facts = page
+    line = next(line for line in facts["lines"] if line["layer"] == "cones")
+    assert line["text"] == "cones: share of friction used, 0 to 100 %"
+    assert all(f"#{colour:06x}" in line["colour"] for colour in COLOURS)
 
 
 def test_text_of_a_solution_cannot_end_a_script_of_the_page(hop, page, tmp_path):

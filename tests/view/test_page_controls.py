@@ -190,6 +190,15 @@ def test_layer_is_hidden_and_shown_by_its_box_and_by_name(view):
     )
 
 
+def test_caption_tells_the_scale_of_forces_while_they_are_shown(view):
+    height = "document.querySelector('#lines [data-layer=forces]').offsetHeight"
+    assert view.evaluate(height) > 0
+    view.layer("forces", False)
+    assert view.evaluate(height) == 0
+    view.layer("forces", True)
+    assert view.evaluate(height) > 0
+
+
 def test_drag_of_the_picture_makes_a_free_view_that_still_follows(view):
     view.camera("side")
     before = np.array(view.evaluate(PLACE))

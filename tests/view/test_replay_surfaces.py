@@ -4,23 +4,30 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import meshcat
 import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
 from tests.support.replay_pages import flying, objects_of, on_surface, placements_of, shown
-from tests.support.synthetic_motions import sampled, with_meta
+from tests.support.synthetic_motions import Motion, arm_motion, sampled, with_meta
 from trajopt.errors import SolutionFileError
 from trajopt.solution.solution import Solution
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import Surface
+from trajopt.view.replay.commands import Recorder
 from trajopt.view.replay.ground import GRID_LIFT
+from trajopt.view.replay.motion import replay_motion
+from trajopt.view.replay.runs import drawn_runs
 from trajopt.view.replay.show import replay
 from trajopt.view.replay.surfaces import PATCH_MARGIN, THICKNESS
 from trajopt_library import robots
 from trajopt_library.robots import solo12
 
 INTERVALS, FOOT = 3, "FL_FOOT"
+SQUARE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]
 SINGLE_PRECISION = 2e-6  # of lengths around one
 PROBES = 0.03  # a sphere's extent, over its radius, from evenly spread points
 
@@ -88,6 +95,48 @@ def test_ground_without_stance_is_the_terrain(hop, tmp_path):
         plane = placements_of(shown(with_meta(floating, terrain=terrain), tmp_path))["ground/plane"]
         assert_allclose(plane[:3, 2], normal, atol=SINGLE_PRECISION)
         assert plane[:3, 3] @ normal == pytest.approx(height, abs=0.005)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("height", [None, -1.1])
+def test_an_arm_stands_on_its_floor_wherever_ground_is_that_it_does_not_touch(tmp_path, height):
+    robot = robots.load("panda")
+    motion = sampled(robot, [arm_motion(robot)], INTERVALS, visual=robot.visual.to_meta())
+    flat = {"kind": "flat", "height": height, "normal": [0.0, 0.0, 1.0], "friction": 0.7}
+    scene = shown(with_meta(motion, terrain=height and flat), tmp_path)
+    assert placements_of(scene)["ground/plane"][2, 3] == pytest.approx(0.0, abs=0.005)
+
+
+def test_the_floor_below_a_pendulum_is_as_low_as_it_hangs(tmp_path):
+    robot = robots.load("double_pendulum")
+    hanging = pin.integrate(robot.model, pin.neutral(robot.model), np.array([np.pi, 0.0]))
+    still, none = np.zeros(2), np.zeros((0, 6))
+    rest = {name: lambda t: still for name in ("v", "a", "tau")}
+    motion = Motion(duration=0.3, contacts=(), q=lambda t: hanging, f=lambda t: none, **rest)
+    solution = sampled(robot, [motion], INTERVALS, visual=robot.visual.to_meta())
+    vis, moved = meshcat.Visualizer(window=Recorder()), [replay_motion(solution)]
+    lowest = drawn_runs(vis, [solution], moved, "overlaid", None)[0].cloud[:, 2].min()
+    assert lowest < -0.1
+    assert placements_of(shown(solution, tmp_path))["ground/plane"][2, 3] == pytest.approx(lowest, abs=0.005)
+
+
+def test_faces_of_one_plane_which_may_overlap_have_one_colour(hop, tmp_path):
+    faces = [
+        Patch(
+            surface=Surface(point=np.array([0.0, 0.0, height]), normal=np.array([0.0, 0.0, 1.0])),
+            vertices=np.array(SQUARE) + np.array([x, 0.0, height]),
+            name=f"face {x}",
+        )
+        for x, height in ((0.0, 0.0), (0.5, 0.0), (1.0, 0.1))
+    ]
+    terrain = PiecewiseTerrain(faces=tuple(faces))
+    scene = shown(with_meta(hop, terrain=terrain.describe()), tmp_path)
+    colours = []
+    for number in range(3):
+        content = objects_of(scene)[f"ground/face{number}"]
+        mesh = scene["meshes"][content["geometries"][0]["shared"]]
+        colours.append(bytes(mesh["attributes"]["color"]["array"].data)[:3])
+    assert colours[0] == colours[1] != colours[2]
 
 
 @pytest.mark.parametrize("normal", [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

@@ -25,7 +25,7 @@ SHOWN = 1.05
 # the axis has this much room above the curves for the line that says so.
 FAR, HEADROOM = 20.0, 1.25
 # Points by which each of several curves on each other is thicker than the next.
-THICKER = 0.6
+THICKER = 0.4
 LIMIT_DASHES = (0, (6, 2))
 LIMIT: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": LIMIT_DASHES}
 # Inches of a vertical axis for each of its ticks.
@@ -135,11 +135,18 @@ def curves(axes: Axes, tracks: Tracks, drawn: Sequence[Curve], *, plans_only: bo
     for number, track in shown:
         first = number == shown[0][0]
         for curve in drawn:
-            line = style.line_style(number) if len(tracks) > 1 else curve.entry[1]["linestyle"]
+            line = line_of(tracks, curve, number)
             _curve(axes, track, curve, number, len(drawn) if first else 0, line)
             if few and curve.dots and number == 0:
                 at, values = track.at_points(curve.values)
                 axes.plot(at, values, color=curve.colour, zorder=3.5, **style.DOTTED)
+
+
+def line_of(tracks: Tracks, curve: Curve, solution: int) -> Any:
+    """Return the line style of a curve of a solution by its number: of several, the solution's."""
+    if len(tracks) > 1:
+        return style.line_style(solution)
+    return style.OVERLAID[curve.line % len(style.OVERLAID)]
 
 
 def _curve(axes: Axes, track: Track, curve: Curve, solution: int, marked: int, line: Any) -> None:

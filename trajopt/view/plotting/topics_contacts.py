@@ -144,7 +144,7 @@ def _force(axes: Axes, tracks: Tracks, contact: int) -> None:
 
 def plane_row(tracks: Tracks) -> PlotRow:
     """Return tangential over normal force: the friction cone seen from the side, by contact."""
-    drawn = contact_curves(tracks, lambda motion: motion.normal)
+    drawn = draw.told_apart(tracks, contact_curves(tracks, lambda motion: motion.normal))
     title, ylabel = "tangential over normal force", "tangential force f\u209c [N]"
     edge = f"edge of the cone, \u03bc = {', '.join(f'{slope:.3g}' for slope in _slopes(tracks[0]))}"
     legend = (*(curve.entry for curve in drawn), (edge, draw.LIMIT))
@@ -161,8 +161,8 @@ def _plane(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
                 x,
                 y,
                 color=curve.colour,
-                linestyle=style.line_style(number),
-                linewidth=0.9,
+                linestyle=draw.line_of(tracks, curve, number),
+                linewidth=curve.width,
                 marker=curve.marker,
                 markevery=max(1, len(x) // 8),
                 label=f"{curve.label}/{track.label}",

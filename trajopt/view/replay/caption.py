@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.arrows import FORCE_COLOUR, IMPULSE_COLOUR
+from trajopt.view.replay.cones import COLOURS as CONE_COLOURS
+from trajopt.view.replay.cones import USED
 from trajopt.view.replay.motion import FLASH, ReplayMotion
 from trajopt.view.replay.runs import DrawnSolution
 
@@ -14,14 +16,20 @@ Line = dict[str, str]
 
 
 def caption_lines(
-    runs: Sequence[DrawnSolution], motions: Sequence[ReplayMotion], weight_arrow: float, note: str
+    runs: Sequence[DrawnSolution],
+    motions: Sequence[ReplayMotion],
+    layers: Collection[str],
+    weight_arrow: float,
+    note: str,
 ) -> list[Line]:
-    """Return the lines of the caption: solutions, scales of arrows, and a ``note`` on missing parts.
+    """Return the lines of the caption: solutions, legend of ``layers``, a ``note`` on missing parts.
 
-    Kinds are "", "run", "quiet", "warned" or "failed"; ``weight_arrow`` is the length of a weight's arrow, m.
+    Kinds are "", "run", "quiet", "scale", "warned" or "failed"; ``weight_arrow`` is the length of a weight's
+    arrow, m. A line with a layer is shown while the layer is.
     """
     notes = [caption_line(note, "warned")] if note else []
-    return [*_about(runs), *_scales(motions, weight_arrow), *notes]
+    legend = [line for line in _legend(motions, weight_arrow) if line["layer"] in layers]
+    return [*_about(runs), *legend, *notes]
 
 
 def title(solution: Solution) -> str:
@@ -71,21 +79,24 @@ def _is_finite(value: object) -> bool:
     return isinstance(value, int | float) and math.isfinite(value)
 
 
-def _scales(motions: Sequence[ReplayMotion], weight_arrow: float) -> list[Line]:
-    """Scales of arrows; several robots have a weight each, and arrows are in parts of it."""
-    lines = []
+def _legend(motions: Sequence[ReplayMotion], weight_arrow: float) -> list[Line]:
+    """Scales of arrows, and the colours of cones.
+
+    Several robots have a weight each, and arrows are in parts of it.
+    """
     weights = dict.fromkeys(f"{motion.weight:.1f} N" for motion in motions)
-    if any(motion.force.shape[1] for motion in motions):
-        text = f"forces: {weight_arrow:.2f} m is the weight, {' or '.join(weights)}"
-        lines.append(caption_line(text, "quiet", f"#{FORCE_COLOUR:06x}"))
-    struck = [motion for motion in motions if motion.impact.any()]
-    if struck:
-        scales = dict.fromkeys(f"{motion.weight * FLASH:.2f} N s" for motion in struck)
-        text = f"impulses: {weight_arrow:.2f} m is {' or '.join(scales)}"
-        lines.append(caption_line(text, "quiet", f"#{IMPULSE_COLOUR:06x}"))
-    return lines
+    forces = f"forces: {weight_arrow:.2f} m is the weight, {' or '.join(weights)}"
+    impulses = dict.fromkeys(f"{motion.weight * FLASH:.2f} N s" for motion in motions if motion.impact.any())
+    struck = f"impulses: {weight_arrow:.2f} m is {' or '.join(impulses)}"
+    ends = [f"#{colour:06x} {100 * used:.0f}%" for used, colour in zip(USED, CONE_COLOURS, strict=True)]
+    cones = "cones: share of friction used, 0 to 100 %"
+    return [
+        caption_line(forces, "quiet", f"#{FORCE_COLOUR:06x}", "forces"),
+        caption_line(struck, "quiet", f"#{IMPULSE_COLOUR:06x}", "impulses"),
+        caption_line(cones, "scale", f"linear-gradient(90deg, {', '.join(ends)})", "cones"),
+    ]
 
 
-def caption_line(text: str, kind: str = "", colour: str = "") -> Line:
-    """Return a line of the caption."""
-    return {"text": text, "kind": kind, "colour": colour}
+def caption_line(text: str, kind: str = "", colour: str = "", layer: str = "") -> Line:
+    """Return a line of the caption; ``colour`` as in CSS, also a gradient, ``layer``: whose legend it is."""
+    return {"text": text, "kind": kind, "colour": colour, "layer": layer}

@@ -10,6 +10,7 @@ import meshcat.geometry as shapes
 import numpy as np
 from pinocchio.visualize.meshcat_visualizer import Plane
 
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.solution.descriptions import terrain_of
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
@@ -37,6 +38,8 @@ FILL_LIGHTS = (
     ("PointLightPositiveX", 0.1),
 )
 SUN_DIRECTION = np.array([0.35, -0.5, 1.0])
+# A robot hangs if it reaches this far below its base, over its extent.
+HANGING = 0.1
 # Half the side of the square with shadows, in robot extents.
 SHADOW_REACH = 3.0
 # The plane lies below the grid's lines by this fraction of the robot's extent, so that both are visible.
@@ -78,17 +81,23 @@ def _ground_of(run: DrawnSolution, size: float) -> DrawnGround:
     if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
         drop = depth_below_contacts(standing, run, size)
         return DrawnGround(plane=plane, seen=plane, drop=drop, elsewhere=elsewhere, uneven=terrain)
-    seen = drawn_plane(standing, run, size) if standing else _under(run, plane)
+    seen = drawn_plane(standing, run, size) if standing else _floor(run, plane)
     drop = max(plane.height - seen.height, 0.0) if standing else 0.0
     return DrawnGround(plane=plane, seen=seen, drop=drop, elsewhere=elsewhere, uneven=None)
 
 
-def _under(run: DrawnSolution, plane: Surface) -> Surface:
-    """The plane; under a robot without contacts as low as it hangs, as for a pendulum."""
-    if run.solution.contact_frames or not run.cloud.size:
+def _floor(run: DrawnSolution, plane: Surface) -> Surface:
+    """The plane; of a fixed base that never touches it, parallel to it where the base ends.
+
+    An arm stands on that floor. Below a robot that hangs, as a pendulum, it is as low as the robot reaches.
+    """
+    if BASE_JOINT[base_of(run.solution.model)] or not run.cloud.size:
         return plane
-    depth = min(float((run.cloud @ plane.normal).min()) - plane.height, 0.0)
-    return Surface(point=plane.point + depth * plane.normal, normal=plane.normal)
+    foot = [part for part in run.robot.points.get(0, []) if part.size]  # points of what does not move, world
+    low = min((float((part @ plane.normal).min()) for part in foot), default=0.0)
+    reached = float((run.cloud @ plane.normal).min())
+    height = reached if reached < low - HANGING * run.size else low
+    return Surface(point=plane.point + (height - plane.height) * plane.normal, normal=plane.normal)
 
 
 def draw_grounds(

@@ -46,7 +46,7 @@ class ReplayScene:
     label, colour, paths, visible}], ``runs`` [{label, colour, root, base}] with places in the scene tree,
     ``size`` (m, the largest robot's extent), ``box`` [[low], [high]] (m, world) around all motions and their
     contacts, ``travels``: whether a base goes so far that a camera should follow it, ``title``, ``picture``
-    (s of the solution between two pictures of the animation), ``lines`` [{text, kind, colour}] of the
+    (s of the solution between two pictures of the animation), ``lines`` [{text, kind, colour, layer}] of the
     caption.
     """
 
@@ -91,7 +91,8 @@ def build_scene(
     recorder.commands.append(tracks.command())
     note = "; ".join(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
     facts = _facts(runs, layers, box, size, follows)
-    facts["lines"] = caption_lines(runs, motions, weight_arrow, note)
+    names = [layer["name"] for layer in layers]
+    facts["lines"] = caption_lines(runs, motions, names, weight_arrow, note)
     return ReplayScene(recorder.commands, note, facts)
 
 

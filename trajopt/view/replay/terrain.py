@@ -10,6 +10,7 @@ import numpy as np
 from trajopt.terrain.patch import Patch, cut_polygon
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.terrain.surface import Surface
 from trajopt.view.replay.parts import (
     UPWARD,
     ColouredMesh,
@@ -22,7 +23,8 @@ from trajopt.view.replay.parts import (
 )
 
 GRID_STRONG = 0x808C9B
-# Colours of consecutive faces differ slightly.
+# Colours of consecutive planes differ slightly. Faces of one plane may overlap, as the ground around a box:
+# with two colours they would flicker in bands.
 GROUND_TINTS = (0xCDD4DD, 0xB9C3CF)
 # Ground on each side of the motion, in robot extents; blocks reach this far below the lowest face drawn.
 MARGIN, DEPTH = 3.0, 0.3
@@ -53,17 +55,27 @@ def draw_terrain(
 
 
 def _draw_faces(node: Any, terrain: PiecewiseTerrain, area: np.ndarray, drop: float, size: float) -> None:
-    seen = [corners for face in terrain.faces if len(corners := _within(face, area)) >= 3]
-    bottom = min([corners[:, 2].min() for corners in seen], default=0.0) - drop - DEPTH * size
+    seen = [(face, corners) for face in terrain.faces if len(corners := _within(face, area)) >= 3]
+    bottom = min([corners[:, 2].min() for _, corners in seen], default=0.0) - drop - DEPTH * size
     material = shapes.MeshLambertMaterial(vertexColors=True)
-    for number, corners in enumerate(seen):
+    planes: list[Surface] = []
+    for number, (face, corners) in enumerate(seen):
         top = corners - drop * UPWARD
-        colour = GROUND_TINTS[number % len(GROUND_TINTS)]
+        colour = GROUND_TINTS[_place_of(face.surface, planes) % len(GROUND_TINTS)]
         node[f"face{number}"].set_object(_block(top, bottom, colour), material)
         outline = np.vstack([top, top[:1]]) + LINE_LIFT * size * UPWARD
         node[f"edge{number}"].set_object(
             shapes.Line(line_points(outline), shapes.LineBasicMaterial(color=GRID_STRONG))
         )
+
+
+def _place_of(plane: Surface, planes: list[Surface]) -> int:
+    """The place of a plane among the different ``planes`` so far, to which it is added."""
+    for place, other in enumerate(planes):
+        if plane.same_plane(other):
+            return place
+    planes.append(plane)
+    return len(planes) - 1
 
 
 def _within(face: Patch, area: np.ndarray) -> np.ndarray:

@@ -53,6 +53,7 @@ class Panel {
             const node = made("div", "", line.kind);
             if (line.colour) node.append(swatch(line.colour));
             node.append(line.text);
+            if (line.layer) node.dataset.layer = line.layer;
             return node;
         }));
         this.writePhases(facts);
@@ -142,7 +143,10 @@ class Panel {
     }
 
     showLayers() {
-        for (const {layer, box} of this.boxes || []) box.checked = layer.visible;
+        for (const {layer, box} of this.boxes || []) {
+            box.checked = layer.visible;
+            for (const line of document.querySelectorAll(`#lines [data-layer="${layer.name}"]`)) line.hidden = !layer.visible;
+        }
     }
 
     setSide(shown) {
