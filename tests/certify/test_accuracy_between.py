@@ -99,7 +99,7 @@ def test_torque_that_breaks_its_limit_between_points_alone_is_found():
     )
     at_points = np.abs(tau[plan.collocation]).max(axis=0)
     assert np.argmax(np.abs(tau[plan.collocation, 2])) // 2 == 4
-    found = measure(with_meta(replace(plan, tau=tau), torque_limit=at_points.tolist()))
+    found = measure(with_meta(replace(plan, tau=tau), effort_limit=at_points.tolist()))
     beyond = np.abs(tau[rows.start, 2]) / at_points[2] - 1  # the first node, where the line is farthest
     assert found.violations["effort"] == pytest.approx(beyond, rel=1e-9)
     assert found.violation_between == found.violations["effort"]

@@ -218,7 +218,7 @@ def test_arrays_of_a_robot_are_read_only():
         ({"contacts": (Contact(frame="tool_0"),)}, "close matches: tool0"),
         ({"base": "freeflyer"}, "has a fixed root joint"),
         ({"base": "floating"}, "one of 'freeflyer', 'virtual', 'planar', 'fixed'"),
-        ({"effort_limit": np.full(6, -1.0)}, "effort_limit .* negative"),
+        ({"torque_limit": np.full(6, -1.0)}, "torque_limit .* negative"),
         ({"velocity_limit": "fast"}, "velocity_limit .* not numeric"),
         ({"position_lower": np.full(6, 9.0)}, "empty at index 0"),
     ],
