@@ -29,6 +29,8 @@ GROUND_TURN = 0.35
 # The guess pushes for at most this fraction of the stance, and brakes for at most this fraction of the
 # landing.
 PUSH_PART = 0.7
+# The way over which the guess pushes or brakes, at least, over how far the robot sinks.
+LEAST_WAY = 0.5
 # Least height of a foot above the ground in mid flight: the lesser of a fraction of the robot's length and a
 # fraction of the base's ballistic rise, so that slow legs need not be drawn up.
 CLEARANCE_PART, FREE_PART = 0.1, 0.5
@@ -41,18 +43,22 @@ FREE = (0.5, 2.0)
 
 
 def base_path(
-    takeoff: Takeoff, ends: tuple[np.ndarray, np.ndarray], durations: tuple[float, float, float], yaw: float
+    takeoff: Takeoff,
+    ends: tuple[np.ndarray, np.ndarray],
+    durations: tuple[float, float, float],
+    yaw: float,
+    touchdown_rise: float | None = None,
 ) -> tuple[BaseWaypoint, ...]:
     """Rest, lowest point of the push, take-off, touchdown, lowest point of the landing, rest.
 
     From one place of the base (3,) m to another, turning by ``yaw`` rad; ``durations`` of stance, flight and
-    landing, s.
+    landing, s; it touches down ``touchdown_rise`` m over its end, by default as far as at take-off.
     """
     robot, (start, end), (stance, flight, landing) = takeoff.robot, ends, durations
-    touchdown = stance + flight
-    rising, climb = gravity_of(robot.model) * flight / 2, float(end[2] - start[2])
-    push_time, push_depth = _push(takeoff, climb / flight + rising, stance)
-    brake_time, brake_depth = _push(takeoff, rising - climb / flight, landing)
+    touchdown, low = stance + flight, takeoff.rise if touchdown_rise is None else touchdown_rise
+    rising, climb = gravity_of(robot.model) * flight / 2, float(end[2] + low - start[2] - takeoff.rise)
+    push_time, push_depth = _push(robot, takeoff.rise, climb / flight + rising, stance)
+    brake_time, brake_depth = _push(robot, low, rising - climb / flight, landing)
     # Fractions of the displacement before take-off and after touchdown, at constant acceleration.
     whole = push_time / 2 + flight + brake_time / 2
     parts = (push_time / 2 / whole, brake_time / 2 / whole)
@@ -64,7 +70,7 @@ def base_path(
         (0.0, start, still),
         (stance - push_time, start - push_depth * up, still),
         (stance, start + moved[0] + takeoff.rise * up, turned[0]),
-        (touchdown, end - moved[1] + takeoff.rise * up, turn - turned[0] - turned[1]),
+        (touchdown, end - moved[1] + low * up, turn - turned[0] - turned[1]),
         (touchdown + brake_time, end - brake_depth * up, turned[1]),
         (touchdown + landing, end, still),
     ]
@@ -79,12 +85,13 @@ def base_path(
     )
 
 
-def _push(takeoff: Takeoff, speed: float, duration: float) -> tuple[float, float]:
-    """Time s and depth m of a push of constant acceleration up to ``speed`` m/s at the rise."""
+def _push(robot: Robot, rise: float, speed: float, duration: float) -> tuple[float, float]:
+    """Time s and depth m of a push of constant acceleration up to ``speed`` m/s at the ``rise``, m."""
     if not speed > 0:
         return PUSH_PART * duration, 0.0
-    time = min(2 * (sink_of(takeoff.robot) + takeoff.rise) / speed, PUSH_PART * duration)
-    return time, max(speed * time / 2 - takeoff.rise, 0.0)
+    way = max(sink_of(robot) + rise, LEAST_WAY * sink_of(robot))
+    time = min(2 * way / speed, PUSH_PART * duration)
+    return time, max(speed * time / 2 - rise, 0.0)
 
 
 def _clipped(vector: np.ndarray, largest: float) -> np.ndarray:
@@ -132,6 +139,7 @@ def problem(
     turn: float = 0.0,
     goal: str = "effort",
     heights: tuple[float, float] = (0.0, 0.0),
+    touchdown_rise: float | None = None,
     more: Sequence[Term] = (),
     **settings: Any,
 ) -> Problem:
@@ -139,11 +147,12 @@ def problem(
 
     durations: of stance, flight and landing, s; free for goals other than effort. torque_limit: N m, of all
     joints, None: the robot's own. turn: rad to the left, in all. heights: of the ground at both ends, m.
+    touchdown_rise: see `base_path`.
     """
     robot, (start, end) = takeoff.robot, ends
     schedule = common.hop_schedule(footholds_at(robot, end, terrain), durations)
     schedule = schedule if goal == "effort" else common.freed(schedule, FREE)
-    path = base_path(takeoff, (start[:3], end[:3]), durations, turn)
+    path = base_path(takeoff, (start[:3], end[:3]), durations, turn, touchdown_rise)
     lift = clearance(robot, durations[1])
     before, after = heights
     below = above_ground(robot, {"stance": before, "flight": min(heights), "landing": after})

@@ -170,9 +170,9 @@ def apex(takeoff: Takeoff, share: float, most: float) -> float:
 
 
 def flight_time(takeoff: Takeoff, height: float, drop: float = 0.0) -> float:
-    """Flight in s whose apex is ``height`` m over the base's start, landing ``drop`` m under that start.
+    """Flight in s whose apex is ``height`` m over the base's start.
 
-    Take-off and touchdown with the legs as far extended as at the `takeoff`.
+    At touchdown the base is ``drop`` m lower than at the `takeoff`.
     """
     gravity = gravity_of(takeoff.robot.model)
     least = min(LEAST_FREE_RISE * takeoff.robot.length, (LEAST_SHARE * takeoff.speed) ** 2 / (2 * gravity))

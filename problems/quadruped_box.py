@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Literal
 
@@ -19,8 +20,11 @@ from . import common, leaping, pushing
 ROBOTS = ("solo12", "go2", "a1", "hyq")
 # Default durations in units of sqrt(l / g).
 STANCE, LANDING = 2.7, 3.4
-# Share of the largest speed at take-off, and the largest rise of the base over the robot's length.
-SHARE, HEIGHT = 0.75, 0.75
+# Share of the largest speed at take-off, and the largest rise of the base over the robot's length; the share
+# where legs have to be drawn up onto a box.
+SHARE, HEIGHT, SHARE_UP = 0.75, 0.75, 0.9
+# Fall of the base onto a box, over the robot's length: time to bring all feet over its edge.
+FALL = 0.12
 # Height of a box over the rise, and at most over the robot's length; width of a gap over the robot's length.
 OF_RISE, MOST_BOX, GAP = 0.5, 0.5, 0.3
 # Distance of feet from an edge at take-off and landing, over the robot's length.
@@ -50,24 +54,43 @@ def _site(
     middle = (front + hind) / 2 + (length if kind == "box-up" else 0.0)
     terrain = PiecewiseTerrain.box(size, length, width, at=(middle, 0.0), friction=friction)
     if kind == "box-up":
-        return terrain, start, end + up
-    return terrain, start + up, _clear_of_box(robot, terrain, end)
+        return terrain, _clear_of_box(robot, terrain, start, -1.0), end + up
+    return terrain, start + up, _clear_of_box(robot, terrain, end, 1.0)
 
 
-def _clear_of_box(robot: Robot, terrain: PiecewiseTerrain, end: np.ndarray) -> np.ndarray:
-    """The place (3,) m at ``end`` or beyond where a robot stands with its links clear of the box behind it.
+def _clear_of_box(robot: Robot, terrain: PiecewiseTerrain, near: np.ndarray, away: float) -> np.ndarray:
+    """The place (3,) m ``near`` a box or ``away`` (1 or -1) from it where the robot's links are clear of it.
 
-    Of the reference posture: the knees of some lean back farther than their feet are from the edge.
+    In the reference posture and with the base sunk: knees lean back and heads reach forward, farther than
+    feet are from the edge.
     """
     shapes = robot_shapes(robot)
     level, box = (shapes.scene(robot.model, ground) for ground in (FlatGround(), terrain))
+    postures = np.array([robot.reference, pushing.raised(robot, -pushing.sink_of(robot)).q])
+    least = np.minimum(level.distances(postures), LEAST_GAP * robot.length) - ROUNDING
     for steps in range(MOST_STEPS):
-        place = end + np.array([steps * STEP * robot.length, 0.0, 0.0])
-        apart = level.distances(common.displaced(robot, place))
-        least = np.minimum(apart, LEAST_GAP * robot.length) - ROUNDING
-        if (box.distances(common.displaced(robot, place)) >= least).all():
+        place = near + np.array([away * steps * STEP * robot.length, 0.0, 0.0])
+        moved = postures.copy()
+        moved[:, :3] += place
+        if (box.distances(moved) >= least).all():
             break
     return place
+
+
+def _leap(takeoff: pushing.Takeoff, climb: float, rise: float | None) -> tuple[float, float]:
+    """Rise of the base over its start, and its height over its end at touchdown, m.
+
+    Legs are as far extended at touchdown as at take-off, unless that leaves no time to bring the feet over
+    the edge of a box: then the robot leaps higher, and lands on bent legs.
+    """
+    length, extended = takeoff.robot.length, takeoff.rise
+    fall = FALL * length if climb > 0 else 0.0
+    needed = climb + extended + fall
+    if rise is None:
+        usual = pushing.apex(takeoff, SHARE, HEIGHT * length)
+        lowest = climb - pushing.sink_of(takeoff.robot) + fall
+        rise = max(usual, min(needed, max(pushing.apex(takeoff, SHARE_UP, needed), lowest)))
+    return rise, min(extended, max(rise - climb - fall, -pushing.sink_of(takeoff.robot)))
 
 
 def build(
@@ -76,6 +99,7 @@ def build(
     rise: float | None,
     friction: float,
     torque_limit: float | None,
+    yaw: float,
     kind: Kind,
     **given: float | None,
 ) -> Problem:
@@ -89,18 +113,23 @@ def build(
     own = common.filled({size: default, "stance": STANCE * unit, "landing": LANDING * unit}, given)
     terrain, start, end = _site(body, kind, own[size], friction)
     climb = float(end[2] - start[2])
-    rise = max(highest, climb) if rise is None else rise
-    if rise < climb:
-        raise InputError(f"the base rises by {rise:g} m onto a box of {climb:g} m", "allowed: rise >= height")
-    own = {"flight": pushing.flight_time(takeoff, rise, -climb)} | own
+    rise, touchdown = _leap(takeoff, climb, rise)
+    least = climb - pushing.sink_of(body)
+    if rise < least:
+        raise InputError(
+            f"the base rises by {rise:g} m onto a box of {climb:g} m", f"allowed: rise >= {least:.3g} m"
+        )
+    own = {"flight": pushing.flight_time(takeoff, rise, takeoff.rise - touchdown - climb)} | own
     return leaping.problem(
         f"quadruped-{kind}",
         takeoff,
-        (common.displaced(body, start), common.displaced(body, end)),
+        (common.displaced(body, start), common.displaced(body, end, yaw)),
         (own["stance"], own["flight"], own["landing"]),
         terrain=terrain,
         torque_limit=torque_limit,
+        turn=yaw,
         heights=(start[2], end[2]),
+        touchdown_rise=touchdown,
         parameters=own | {"rise": rise},
     )
 
@@ -120,6 +149,7 @@ def _family(kind: Kind, summary: str) -> Family:
         parameters=(
             size,
             common.length("rise", None, meaning, (0.0, 5.0)),
+            common.angle("yaw", 0.0, "turn to the left", (-math.pi, math.pi)),
             *common.hop_durations("from the rise"),
             common.friction(0.7),
             common.TORQUE_LIMIT,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import posixpath
 import re
 import sys
-from functools import cache
+from functools import partial
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -15,25 +15,28 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from scripts.site import notebooks, reference  # noqa: E402
+from scripts.site import gallery, notebooks, reference  # noqa: E402
+from scripts.site.stored import stored  # noqa: E402
 
+# A block of code with the name of the file that it is saved as.
+NAMED_BLOCK = re.compile(r"^(```\w+) ([\w.]+)$", re.MULTILINE)
 LINK = re.compile(r"(?<=\]\()(\.\./[^)#\s]+)")
 # Files of the repository that are pages of the site, and the folder for others that pages link to.
 PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 FILES = "files"
 
 
-@cache
-def _executed(path: Path, changed: float) -> dict[str, str | bytes]:
-    """Files of an executed notebook; while serving, executed again only when it changed."""
-    return notebooks.pages(path)
-
-
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the reference, the notebooks, and pages that lie at the root of the repository."""
-    generated: dict[str, str | bytes] = {**reference.python_pages(), **reference.command_pages()}
+    """Add the reference, the notebooks, the replays, and pages that lie at the root of the repository."""
+    generated: dict[str, str | bytes] = {
+        **reference.python_pages(),
+        **reference.command_pages(),
+        **reference.problem_page(),
+    }
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        generated |= _executed(path, path.stat().st_mtime)
+        generated |= stored(path.stem, partial(notebooks.pages, path))
+    page = files.src_uris[gallery.PAGE].content_string
+    generated |= stored("gallery", partial(gallery.replays, page))
     for source, page in PAGES.items():
         if page not in files.src_uris and (ROOT / source).is_file():
             generated[page] = (ROOT / source).read_text(encoding="utf-8").replace("](docs/", "](")
@@ -60,7 +63,7 @@ def _linked(files: Files) -> set[str]:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Turn links to files of the repository outside ``docs`` into links within the site."""
+    """Turn links to files outside ``docs`` into links within the site, and names of blocks into titles."""
 
     def within(match: re.Match[str]) -> str:
         target = _outside(match[1], page.file.src_uri)
@@ -69,4 +72,6 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         inside = PAGES.get(target, f"{FILES}/{target}")
         return posixpath.relpath(inside, posixpath.dirname(page.file.src_uri) or ".")
 
-    return LINK.sub(within, markdown)
+    if page.file.src_uri == gallery.PAGE:
+        markdown = gallery.with_links(markdown)
+    return NAMED_BLOCK.sub(r'\1 title="\2"', LINK.sub(within, markdown))

@@ -19,7 +19,7 @@ LIMIT = 600
 FRAME = re.compile(r'<iframe srcdoc="([^"]*)"[^>]*></iframe>')
 
 
-def pages(path: Path) -> dict[str, str | bytes]:
+def pages(path: Path) -> dict[str, bytes]:
     """Files of the site by path: the executed notebook as Markdown, its pictures and its replays."""
     name = path.stem
     notebook = nbformat.read(path, as_version=4)
@@ -27,7 +27,7 @@ def pages(path: Path) -> dict[str, str | bytes]:
         # A page is made on the cores that CI shares.
         os.environ.setdefault("OMP_NUM_THREADS", "1")
         NotebookClient(notebook, timeout=LIMIT, resources={"metadata": {"path": folder}}).execute()
-    found: dict[str, str | bytes] = {}
+    found: dict[str, bytes] = {}
     for cell in notebook.cells:
         for output in cell.get("outputs", ()):
             _frame_as_file(output, name, found)
@@ -35,14 +35,14 @@ def pages(path: Path) -> dict[str, str | bytes]:
         notebook, {"unique_key": name, "output_files_dir": name}
     )
     found |= {f"{FOLDER}/{file}": data for file, data in resources.get("outputs", {}).items()}
-    return {**found, f"{FOLDER}/{name}.md": text.replace("](../docs/", "](../")}
+    return {**found, f"{FOLDER}/{name}.md": text.replace("](../docs/", "](../").encode()}
 
 
-def _frame_as_file(output: NotebookNode, name: str, found: dict[str, str | bytes]) -> None:
+def _frame_as_file(output: NotebookNode, name: str, found: dict[str, bytes]) -> None:
     """Put the page that an output holds as text into a file, and a frame that shows it in its place."""
     frame = FRAME.search(output.get("data", {}).get("text/html", ""))
     if frame is None:
         return
     file = f"{name}/replay-{len(found)}.html"
-    found[f"{FOLDER}/{file}"] = html.unescape(frame[1])
+    found[f"{FOLDER}/{file}"] = html.unescape(frame[1]).encode()
     output["data"]["text/html"] = f'<iframe class="replay" src="{file}" loading="lazy"></iframe>'

@@ -17,7 +17,7 @@ from trajopt.guesses.base_path import flights
 from trajopt.guesses.legged import LeggedPosture
 from trajopt.robot import contact_poses, contact_positions
 from trajopt.schedule import Phase, Schedule, footholds_at
-from trajopt.terrain import FlatGround
+from trajopt.terrain import FlatGround, PiecewiseTerrain
 from trajopt_library import robots
 
 # Feet by inverse kinematics, m.
@@ -26,6 +26,8 @@ REACHED = 1e-8
 STEP, DIFFERENCE = 1e-5, 1e-6
 # Second differences over a hundredth of a second of polynomials: rounding over the step squared.
 SECOND_STEP, SECOND = 1e-2, 1e-8
+# Rounding of a height, m; the way of a foot in a millisecond, m.
+ROUNDING, MOST_WAY = 1e-6, 0.02
 WHOLE = 2 * math.pi
 
 
@@ -263,3 +265,30 @@ def _feet(robot, q=None):
 def _assert_feet(robot, q, places, tolerance=REACHED):
     for name, place in _feet(robot, q).items():
         assert_allclose(place, places[name], atol=tolerance)
+
+
+@pytest.mark.parametrize("turn", [0.0, math.pi])
+def test_feet_pass_the_edge_of_a_box_that_the_robot_leaps_onto(solo, names, turn):
+    """All of them are outside the box at all times, and their paths have no jumps."""
+    box = PiecewiseTerrain.box(0.12, 0.8, 0.8, at=(0.7, 0.0))
+    goal = solo.reference.copy()
+    goal[:3] += [0.6, 0.0, 0.12]
+    goal[3:7] = pin.Quaternion(pin.rpy.rpyToMatrix(0.0, 0.0, turn)).coeffs()
+    schedule = hop(names, footholds=footholds_at(solo, goal, box))
+    base, up = solo.reference[:3], np.array([0.0, 0.0, 0.12])
+    path = (
+        BaseWaypoint(time=0.0, position=base),
+        BaseWaypoint(time=0.3, position=base),
+        BaseWaypoint(time=0.7, position=goal[:3] - 0.2 * up, turn=(0.0, 0.0, turn)),
+        BaseWaypoint(time=1.0, position=goal[:3]),
+    )
+    guess = legged_guess(solo, schedule, path, terrain=box, clearance=0.03)
+    before = None
+    for t in np.linspace(0.3, 0.7, 401):
+        now = contact_positions(solo, guess(float(t)))
+        for name, place in now.items():
+            radius = solo.contact(name).radius
+            assert place[2] - radius > box.height(place[0], place[1]) - ROUNDING
+            if before is not None:
+                assert np.linalg.norm(place - before[name]) < MOST_WAY
+        before = now

@@ -11,9 +11,11 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
+import trajopt
 from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS
 from trajopt.errors import InputError
+from trajopt.robot import robot_shapes
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.legs import leg_joints, quadruped_legs
 from trajopt.solving.solving import solve
@@ -124,6 +126,34 @@ def test_guess_of_a_flip_turns_all_around_and_lands_where_it_lifted():
 def test_a_box_higher_than_the_rise_is_refused():
     with pytest.raises(InputError, match="rise"):
         problems.load("quadruped-box-up", robot="solo12", height=0.2, rise=0.1)
+
+
+@pytest.mark.parametrize(("robot", "height"), [("go2", 0.1), ("go2", 0.25), ("a1", 0.2), ("solo12", 0.15)])
+def test_flight_onto_a_box_ends_in_a_fall_from_its_apex(robot, height):
+    """So the feet have time to pass the edge: a flight that ends at its apex has none."""
+    problem = problems.load("quadruped-box-up", robot=robot, height=height)
+    flight = problem.parameters["flight"]
+    begin = problem.schedule.phases[0].duration
+    heights = [problem.guess(begin + s * flight)[2] for s in np.linspace(0.01, 0.99, 99)]
+    assert max(heights) - heights[-1] > 0.8 * quadruped_box.FALL * problem.robot.length
+
+
+@pytest.mark.parametrize(("kind", "posture"), [("box-up", "initial_q"), ("box-down", None)])
+def test_robot_beside_a_box_stays_clear_of_it_with_its_base_sunk(kind, posture):
+    problem = problems.load(f"quadruped-{kind}", robot="go2", height=0.25)
+    robot = problem.robot
+    place = problem.initial_q if posture else problem.guess(problem.schedule.duration)
+    sunk = pushing.raised(robot, -pushing.sink_of(robot)).q
+    sunk[:3] += place[:3] - robot.reference[:3]
+    distances = robot_shapes(robot).scene(robot.model, problem.terrain).distances(sunk)[0]
+    assert distances.min() > -SOLVED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("robot", "height"), [("go2", 0.2), ("go2", 0.25), ("solo12", 0.15)])
+def test_leap_onto_a_high_box_holds_at_any_time(robot, height):
+    solution = trajopt.solve(problems.load("quadruped-box-up", robot=robot, height=height))
+    assert solution.success, solution.meta["advice"]
 
 
 def test_legs_that_cannot_fold_so_far_are_refused():

@@ -120,6 +120,20 @@ def test_gif_has_every_picture_for_its_time_and_repeats(tmp_path, rate):
         assert loss(frame, picture) < PALETTE_LOSS
 
 
+def test_webp_has_every_picture_for_its_time_and_repeats(tmp_path):
+    pictures = moving_square(12)
+    video.write_webp(tmp_path / "a.webp", map(png, pictures), RATE)
+    with Image.open(tmp_path / "a.webp") as found:
+        assert found.n_frames == len(pictures)
+        assert found.info["loop"] == 0
+        times = []
+        for number, picture in enumerate(pictures):
+            found.seek(number)
+            assert loss(np.array(found.convert("RGB")), picture) < COLOUR_LOSS
+            times.append(found.info["duration"])
+    assert times == [40] * len(pictures)
+
+
 def test_error_of_ffmpeg_is_one_line_and_of_the_pictures_goes_through(tmp_path):
     with pytest.raises(TrajoptError, match="ffmpeg cannot write the file: ") as raised:
         video.write_mp4(tmp_path / "none" / "a.mp4", map(png, moving_square(2)), RATE)
@@ -156,7 +170,7 @@ def test_telling_moment_is_the_middle_of_the_first_flight_after_a_contact():
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"ending": ".avi"}, r"ending of the output is '.avi'; allowed: .mp4, .gif, .png"),
+        ({"ending": ".avi"}, r"ending of the output is '.avi'; allowed: .mp4, .webp, .gif, .png"),
         ({"ending": ""}, "ending of the output is missing"),
         ({"ending": ".mp4", "size": (641, 360)}, "641x360; a .mp4 needs even numbers, as in 642x360"),
         ({"ending": ".gif", "size": (0, 360)}, "--size is 0x360; allowed: WIDTHxHEIGHT, each 64 to 4096"),
@@ -203,7 +217,7 @@ def command(*arguments: object) -> Result:
 
 def test_bad_input_is_one_line_and_writes_nothing(hop_file, tmp_path, monkeypatch):
     there = tmp_path / "a.mp4"
-    assert_refused(command(hop_file, "-o", tmp_path / "a.avi"), "'.avi'", ".mp4, .gif, .png")
+    assert_refused(command(hop_file, "-o", tmp_path / "a.avi"), "'.avi'", ".mp4, .webp, .gif, .png")
     assert_refused(command(hop_file, "-o", there, "--size", "big"), "'big'", "1280x720")
     assert_refused(command(hop_file, "-o", there, "--size", "-4x8"), "'-4x8'")
     assert_refused(command(hop_file, "-o", tmp_path / "no" / "a.mp4"), "no does not exist")

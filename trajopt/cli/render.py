@@ -37,11 +37,16 @@ class PictureSize(click.ParamType):
 
 @click.command("render")
 @click.argument("files", nargs=-1, required=True, type=Path, metavar="FILE...")
-@click.option("-o", "--output", required=True, type=Path, metavar="OUT", help="A .mp4, .gif or .png file.")
 @click.option(
-    "--size", type=PictureSize(), metavar="WxH", help="Pixels.  [default: 1280x720, a .gif 640x360]"
+    "-o", "--output", required=True, type=Path, metavar="OUT", help="Ends with .mp4, .webp, .gif, .png."
 )
-@click.option("--fps", type=float, metavar="F", help="Pictures per second.  [default: 30, a .gif 25]")
+@click.option(
+    "--size",
+    type=PictureSize(),
+    metavar="WxH",
+    help="Pixels.  [1280x720, a .webp 960x540, a .gif 640x360]",
+)
+@click.option("--fps", type=float, metavar="F", help="Pictures per second.  [default: a .mp4 30, others 25]")
 @default_option("--speed", 1.0, "S", "Playback speed, 1 is real time.")
 @click.option("--camera", metavar="NAME", help="overview, follow, side, front or top.")
 @click.option("--from", "start", type=float, metavar="S", help="Start there, s of the solution.")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -18,8 +18,10 @@ from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kin
 from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Phase, Schedule
+from trajopt.terrain.crossing import Crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface, frame_of_normal
+from trajopt.terrain.swing_paths import crossing_of, kept_outside
 from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
 
@@ -99,7 +101,12 @@ class LeggedPosture:
             return placement * self.base(begin).inverse() * lifted
         s = min(max((t - begin) / (after.begin - begin), 0.0), 1.0)
         if self._flies(begin, after.begin):
-            return self._carried(placement, (begin, after.begin), (lifted, after.place), s)
+            carried = self._carried(placement, (begin, after.begin), (lifted, after.place), s)
+            ends = lifted.translation, after.place.translation
+            ground = self._crossing(name, tuple(map(float, ends[0])), tuple(map(float, ends[1])))
+            return pin.SE3(
+                carried.rotation, kept_outside(ground, carried.translation, s, ends, self.clearance)
+            )
         return self._swung(name, lifted, after.place, s)
 
     def _flies(self, begin: float, end: float) -> bool:
@@ -130,6 +137,22 @@ class LeggedPosture:
         line = (1 - part) * places[0].translation[2] + part * places[1].translation[2]
         position[2] = line + math.hypot(position[2] - line, self.clearance * swing_profile(s))
         return pin.SE3(placement.rotation @ local.rotation, position)
+
+    @cached_property
+    def _crossing(self) -> Callable[[str, tuple[float, ...], tuple[float, ...]], Crossing]:
+        """The ground between two places of a contact, for its centre; edges at the distance to keep."""
+
+        @cache
+        def between(name: str, start: tuple[float, ...], end: tuple[float, ...]) -> Crossing:
+            ends, radius = (np.array(start), np.array(end)), self.robot.contact(name).radius
+            found = crossing_of(self.terrain, *ends)
+            rise, fall = (
+                edge and edge.kept_from(point[None], self.clearance, radius)
+                for edge, point in zip((found.rise, found.fall), ends, strict=True)
+            )
+            return replace(found.offset(radius, *ends), rise=rise, fall=fall)
+
+        return between
 
     @cached_property
     def _rounding(self) -> float:
@@ -200,8 +223,9 @@ def legged_guess(
 
     A contact that lands stands on its foothold, or if there is none, on its surface or patch at its nominal
     position under the base in mid-stance. While other contacts stand it swings in a smooth arc; where the
-    robot flies the base carries it, at least as high as that arc. Inverse kinematics of the legs start from
-    the reference posture at every time: the guess is a function of time alone.
+    robot flies the base carries it, at least as high as that arc, and clear of the edges of the terrain.
+    Inverse kinematics of the legs start from the reference posture at every time: the guess is a function of
+    time alone.
 
     Args:
         robot: A robot on a free-flyer in world axes.

@@ -14,7 +14,7 @@ from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terms.interfaces import Term
 from trajopt.terms.swing import LEVEL, SwingArc, SwingClearance, SwingCrossing, SwingOver, SwingPart
-from trajopt.terrain.crossing import Edge, crossing
+from trajopt.terrain.crossing import crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
@@ -23,8 +23,6 @@ from trajopt.terrain.swing_paths import crossing_of
 from trajopt.terrain.swing_profile import require_clearance
 from trajopt.terrain.terrain import Terrain
 
-# Distance kept from an edge in units of the clearance, at most this fraction of the distance at lift-off.
-FROM_EDGE, OF_WAY = 0.5, 0.5
 # Number of samples of the guess's swing in which to find where it passes an edge.
 SAMPLES = 101
 
@@ -124,7 +122,7 @@ def _swing(
     found = crossing(terrain, start, end, first, last) if upward else crossing_of(terrain, start, end)
     raised = found.offset(contact.radius, start, end)
     rise, fall = (
-        _kept_from(edge, points, height, contact.radius)
+        edge and edge.kept_from(points, height, contact.radius)
         for edge, points in ((found.rise, track[0]), (found.fall, track[-1]))
     )
     ground = replace(raised, rise=rise, fall=fall)
@@ -140,15 +138,6 @@ def _swing(
         risen=min(risen, sinking),
         sinking=max(risen, sinking),
     )
-
-
-def _kept_from(edge: Edge | None, points: np.ndarray, height: float, radius: float) -> Edge | None:
-    """The edge with a distance to keep from it, less than the whole foot has at that end of the swing."""
-    if edge is None:
-        return None
-    room = max(float(edge.distance(points).min()), 0.0)
-    keep = min(radius, room) + min(FROM_EDGE * height, OF_WAY * max(room - radius, 0.0))
-    return replace(edge, offset=edge.offset + keep)
 
 
 def _last_before(distances: np.ndarray) -> int:

@@ -19,6 +19,8 @@ from trajopt.terrain.surface import SAME_PLANE, Surface
 
 # Horizontal parts of an edge's normal shorter than this have no direction.
 NO_DIRECTION = 1e-9
+# Distance kept from an edge in units of the clearance, at most this fraction of the distance at lift-off.
+FROM_EDGE, OF_WAY = 0.5, 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,6 +38,12 @@ class Edge:
     def distance(self, position: np.ndarray) -> np.ndarray:
         """Distance (...) in m of positions (..., 3) from the edge, positive on the free side."""
         return np.asarray(np.asarray(position) @ self.normal - self.offset)
+
+    def kept_from(self, points: np.ndarray, clearance: float, radius: float) -> Edge:
+        """The edge with a distance to keep from it, less than a foot at ``points`` (n, 3) m has."""
+        room = max(float(self.distance(points).min()), 0.0)
+        keep = min(radius, room) + min(FROM_EDGE * clearance, OF_WAY * max(room - radius, 0.0))
+        return replace(self, offset=self.offset + keep)
 
     def met_earlier(self, part: float) -> Edge:
         """The same edge met ``part`` of the way earlier, at the free end at the earliest."""

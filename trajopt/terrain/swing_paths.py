@@ -14,7 +14,7 @@ from trajopt.terrain.crossing import Crossing, Edge, crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_profile import require_clearance, smooth_step
+from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
 
 # Fractions of the swing time at which the foot has reached the top, and from which it descends.
@@ -88,6 +88,30 @@ def _plane(terrain: Terrain, point: np.ndarray) -> Surface:
     return terrain.surface_at(point).plane_at(point)
 
 
+def kept_outside(
+    ground: Crossing, position: np.ndarray, s: float, ends: tuple[np.ndarray, np.ndarray], clearance: float
+) -> np.ndarray:
+    """The position (3,) m on another path between the same ``ends``, moved out of the obstacle on the way.
+
+    Up to `RISEN` it stays before the edge where the obstacle begins, from `SINKING` on behind that where it
+    ends, in between it is over the top; sideways shifts fade in between. ``ground``: raised by the contact's
+    radius, its edges with the distance to keep (`Edge.kept_from`).
+    """
+    if ground.top is None:
+        return position
+    begin, end = ends
+    low, high = min(begin[2], ground.top), min(end[2], ground.top)
+    up, down = smooth_step(s / RISEN), smooth_step((s - SINKING) / (1 - SINKING))
+    arc = OVER_CLEARANCE * clearance * swing_profile(s)
+    fade = smooth_step((s - RISEN) / (SINKING - RISEN))
+    moved = position.copy()
+    moved[2] = max(moved[2], low + up * (ground.top - low) + down * (high - ground.top) + arc)
+    for edge, part in ((ground.rise, 1 - fade), (ground.fall, fade)):
+        if edge is not None:
+            moved += part * max(-float(edge.distance(position)), 0.0) * edge.normal
+    return moved
+
+
 def _over(
     terrain: Terrain, ground: Crossing, ends: tuple[np.ndarray, np.ndarray], s: float, clearance: float
 ) -> np.ndarray:
@@ -101,7 +125,7 @@ def _over(
     elif not isinstance(terrain, FlatGround):
         # A valley, or smooth ground: never below what is under the foot.
         position[2] = max(position[2], float(terrain.height(position[0], position[1])))
-    position[2] += OVER_CLEARANCE * clearance * 16 * s * s * (1 - s) ** 2
+    position[2] += OVER_CLEARANCE * clearance * swing_profile(s)
     return np.asarray(position)
 
 

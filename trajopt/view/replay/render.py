@@ -52,7 +52,7 @@ def render(
     progress: _Progress | None = None,
     **options: Any,
 ) -> Rendering:
-    """Write ``solutions`` to ``target``: a .mp4 (H.264), a .gif that repeats, or a .png.
+    """Write ``solutions`` to ``target``: a .mp4 (H.264), a .webp or .gif that repeats, or a .png.
 
     Picture k of a video shows the time start + k speed / fps, the last one the end. The file is written
     atomically.
@@ -128,6 +128,8 @@ def _pictures(view: OpenedPage, times: np.ndarray, progress: _Progress | None) -
 def _write(target: Path, shots: Shots, times: np.ndarray, pictures: Iterator[bytes]) -> None:
     if shots.ending == ".mp4":
         video.write_mp4(target, pictures, shots.rate)
+    elif shots.ending == ".webp":
+        video.write_webp(target, pictures, shots.rate)
     elif shots.ending == ".gif":
         video.write_gif(target, pictures, shots.rate)
     else:

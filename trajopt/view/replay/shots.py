@@ -15,7 +15,7 @@ from trajopt.terrain.surface import is_number
 from trajopt.view.replay.motion import require_speed
 
 # Pixels (width, height): fewer for a GIF, which compresses badly; of each picture of a strip.
-SIZES = {".mp4": (1280, 720), ".gif": (640, 360), ".png": (1280, 720)}
+SIZES = {".mp4": (1280, 720), ".webp": (960, 540), ".gif": (640, 360), ".png": (1280, 720)}
 STRIP_SIZE = (480, 480)
 # Pixels between the pictures of a strip.
 GAP = 6
@@ -24,8 +24,8 @@ LEAST_SIDE, MOST_SIDE = 64, 4096
 # Largest width of a strip in pixels.
 MOST_WIDTH = 32768
 # Pictures a second; the times of a GIF are hundredths of a second, and viewers slow down below two of them.
-RATES = {".mp4": 30.0, ".gif": 25.0}
-MOST_RATE = {".mp4": 240.0, ".gif": 50.0}
+RATES = {".mp4": 30.0, ".webp": 25.0, ".gif": 25.0}
+MOST_RATE = {".mp4": 240.0, ".webp": 50.0, ".gif": 50.0}
 MOST_PICTURES, MOST_STRIP = 100_000, 32
 # Denominators of pictures a second: 30000/1001 is met exactly.
 FINEST_RATE = 1001
@@ -37,8 +37,8 @@ SAME_TIME = 1e-6
 class Shots:
     """Pictures of a replay for one file.
 
-    ending: suffix, ".mp4", ".gif" or ".png". size: pixels (width, height), of each picture of a strip;
-    default by suffix. fps: pictures a second of a video. speed: seconds of the motion a second of video.
+    ending: suffix, one of `SIZES`. size: pixels (width, height), of each picture of a strip; default by
+    suffix. fps: pictures a second of a video. speed: seconds of the motion a second of video.
     start, end: s of the solution; the whole motion if not given. time: s, of a .png. strip: a .png of so many
     pictures side by side, from start to end. camera: one of the page's. caption: text. hidden, shown: names
     of layers.

@@ -1,4 +1,4 @@
-"""Videos and animated GIFs by ffmpeg, from a stream of pictures that are not kept in memory."""
+"""Videos, animated WebPs and GIFs by ffmpeg, from a stream of pictures that are not kept in memory."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ TO_YUV = (
 )
 ENCODER = ["-c:v", "libx264", "-preset", "medium", "-crf", str(QUALITY), "-movflags", "+faststart"]
 H264 = ["-vf", TO_YUV, *ENCODER]
+# WebP that is visually lossless, by the slowest search, which makes the smallest file; it repeats.
+WEBP = ["-c:v", "libwebp_anim", "-preset", "drawing", "-quality", "82", "-compression_level", "6"]
+REPEATED = ["-loop", "0"]
 # Intermediate format of GIF pictures until the palette is known: small and lossless.
 LOSSLESS = ["-c:v", "libx264rgb", "-preset", "ultrafast", "-qp", "0"]
 # One palette for the whole motion, with one colour for unchanged pixels. Ordered dither does not flicker.
@@ -49,6 +52,14 @@ def write_mp4(target: Path, pictures: Iterable[bytes], fps: Fraction) -> None:
     _encode(pictures, fps, [*H264, str(target)])
 
 
+def write_webp(target: Path, pictures: Iterable[bytes], fps: Fraction) -> None:
+    """Write PNG ``pictures`` to ``target`` as an animated WebP that repeats.
+
+    Raises `TrajoptError` as `write_mp4`.
+    """
+    _encode(pictures, fps, [*WEBP, *REPEATED, str(target)])
+
+
 def write_gif(target: Path, pictures: Iterable[bytes], fps: Fraction) -> None:
     """Write PNG ``pictures`` to ``target`` as a GIF that repeats; its times are whole hundredths of a second.
 
@@ -58,7 +69,7 @@ def write_gif(target: Path, pictures: Iterable[bytes], fps: Fraction) -> None:
         kept, palette = Path(folder, "kept.mkv"), Path(folder, "palette.png")
         _encode(pictures, fps, [*LOSSLESS, str(kept)])
         _run(["-i", str(kept), "-vf", PALETTE, "-update", "1", str(palette)])
-        _run(["-i", str(kept), "-i", str(palette), "-lavfi", WITH_PALETTE, "-loop", "0", str(target)])
+        _run(["-i", str(kept), "-i", str(palette), "-lavfi", WITH_PALETTE, *REPEATED, str(target)])
 
 
 def _encode(pictures: Iterable[bytes], fps: Fraction, output: list[str]) -> None:
