@@ -47,13 +47,13 @@ def cube(arm: arms.Arm, mass: float) -> Payload:
 def default_mass(robot: Robot, tool: str, postures: list[np.ndarray]) -> float:
     """Mass in kg of an object that the weakest joint holds with a share of its torque at all postures."""
     most = OF_ARM * robot.mass
-    if robot.effort_limit is None:
+    if robot.torque_limit is None:
         return most
     gravity, data = gravity_of(robot.model), robot.model.createData()
     for q in postures:
         needed = np.abs(pin.computeGeneralizedGravity(robot.model, data, q))
         lever = np.abs(contact_jacobian(robot.model, q, [(tool, (2,))])[0]) * gravity
-        spare = SHARE * np.maximum(robot.effort_limit - needed, 0.0)
+        spare = SHARE * np.maximum(robot.torque_limit - needed, 0.0)
         most = min(most, float(np.min(spare[lever > 0] / lever[lever > 0])))
     return most
 
@@ -108,7 +108,7 @@ def build(
         common.freed(schedule, FREE) if goal == "time" else schedule,
         common.PosturePath(model=arm.robot.model, postures=postures, durations=durations),
         costs=(cost, AccelerationCost(weight=SMOOTH[goal])),
-        effort=arms.effort(arm.robot),
+        torques=arms.torque_limits(arm.robot),
         cones=(),
         end=_way(arm, [arm.pose(*where) for where in places], over_place),
         terrain=FlatGround(height=_below(arm)),

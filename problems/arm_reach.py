@@ -52,7 +52,7 @@ def build(
         time,
         phase="reach",
         costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2)),
-        effort=arms.effort(arm.robot),
+        torques=arms.torque_limits(arm.robot),
         end=arm.arrival(goal, end),
         parameters=dict(zip("xyz", goal.translation.tolist(), strict=True)) | {"duration": time},
         default_intervals=30,

@@ -55,7 +55,7 @@ def transfer(
         phase="transfer",
         bounds=(SHORTEST * given, LONGEST * given) if fast else None,
         costs=(TimeCost(weight=1.0), AccelerationCost(weight=SMOOTH_TIME)) if fast else effort,
-        effort=arms.effort(robot),
+        torques=arms.torque_limits(robot),
         parameters={"duration": given} | (parameters or {}),
         default_intervals=2 * intervals if fast else intervals,
         default_transcription="legendre:1" if fast else "legendre:2",

@@ -62,7 +62,7 @@ def build(
         Schedule((Phase(name="wipe", duration=time, contacts=(TOOL,), surfaces={TOOL: surface}),)),
         _along(touching.model, postures, time),
         costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2)),
-        effort=arms.effort(touching),
+        torques=arms.torque_limits(touching),
         cones=(NormalForce(contact=TOOL, lower=pressure, upper=pressure),),
         more=(
             StrokeMotion(contact=TOOL, stroke=stroke, duration=time),

@@ -15,7 +15,7 @@ from trajopt.errors import InputError
 from trajopt.problem import Parameter, Problem
 from trajopt.robot import Posture, Robot, frame_pose, inverse_kinematics
 from trajopt.schedule import Motion, Phase, Schedule
-from trajopt.terms import DriveLimits, EffortLimits, FramePose, Term, TerminalRest
+from trajopt.terms import DriveLimits, FramePose, Term, TerminalRest, TorqueLimits
 from trajopt_library import robots
 
 from . import common
@@ -141,11 +141,11 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool
     steps = [pin.difference(model, before, after) for before, after in pairwise(postures)]
     travel = np.abs(steps).sum(axis=0)
     by_rate = PEAK_RATE * travel / robot.velocity_limit
-    if robot.effort_limit is None:
+    if robot.torque_limit is None:
         return float(by_rate.max())
     held = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
     # If the motors cannot hold a posture, the problem is infeasible whatever the guess.
-    spare = np.maximum(robot.effort_limit - weight * held, LEAST_SPARE * robot.effort_limit)
+    spare = np.maximum(robot.torque_limit - weight * held, LEAST_SPARE * robot.torque_limit)
     inertia = np.diag(pin.crba(model, data, postures[0]))
     by_torque = np.sqrt(PEAK_ACCELERATION * travel * inertia / spare)
     return float(max(by_rate.max(), by_torque.max()))
@@ -154,20 +154,20 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool
 def strength(arm: Arm, postures: Sequence[np.ndarray], direction: np.ndarray) -> float:
     """Force (N) at the tool along ``direction`` (3,) that joints resist beside gravity in ``postures``."""
     robot, data = arm.robot, arm.robot.model.createData()
-    if robot.effort_limit is None:
+    if robot.torque_limit is None:
         return robot.weight
     frame, least = robot.model.getFrameId(arm.tool), np.inf
     for q in postures:
         jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
-        left = robot.effort_limit - np.abs(pin.computeGeneralizedGravity(robot.model, data, q))
+        left = robot.torque_limit - np.abs(pin.computeGeneralizedGravity(robot.model, data, q))
         lever = np.maximum(np.abs(direction @ jacobian), LEAST_LEVER * robot.length)
         least = min(least, float((left / lever).min()))
     return max(least, 0.0)
 
 
-def effort(robot: Robot) -> Term:
+def torque_limits(robot: Robot) -> Term:
     """Torque limits, or those of the drives if the robot has any."""
-    return EffortLimits() if robot.drives is None else DriveLimits()
+    return TorqueLimits() if robot.drives is None else DriveLimits()
 
 
 def between(

@@ -69,7 +69,7 @@ def build(
     direction: float,
     recover: str,
     friction: float,
-    effort_share: float,
+    torque_share: float,
 ) -> Problem:
     """Build the recovery; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
@@ -88,7 +88,7 @@ def build(
         body,
         schedule,
         legged_guess(body, schedule, path),
-        effort=common.share_of_effort(body, effort_share),
+        torques=common.share_of_torque(body, torque_share),
         terrain=FlatGround(friction=friction),
         clearance=CLEARANCE * body.length if recover == "step" else None,
         end=common.displaced(body, way),
@@ -122,7 +122,7 @@ FAMILY = Family(
             "step",
         ),
         common.friction(0.7),
-        common.EFFORT_SHARE,
+        common.TORQUE_SHARE,
     ),
     build=build,
 )

@@ -29,7 +29,7 @@ def build(
     robot: str,
     cycle: str,
     friction: float,
-    effort_share: float,
+    torque_share: float,
     **commanded: Any,
 ) -> Problem:
     """Build one periodic gait; see ``FAMILIES`` for the parameters. Raises InputError."""
@@ -45,7 +45,7 @@ def build(
         mirror=mirror,
         swing=asked.lift * GUESS_CLEARANCE / CLEARANCE,
         friction=friction,
-        effort_share=effort_share,
+        torque_share=torque_share,
         periodicity=Periodicity(velocity=(*asked.pace.velocity, 0.0), mirror=half),
     )
 
@@ -66,7 +66,7 @@ def _family(name: str, style: str) -> Family:
             common.choice("cycle", "solve one step, followed by its mirror image, or both", "half", "full"),
             gait_common.clearance("twentieth"),
             common.friction(0.7),
-            common.EFFORT_SHARE,
+            common.TORQUE_SHARE,
         ),
         build=partial(build, style=style, name=name),
     )

@@ -16,7 +16,7 @@ INTERVALS = 30
 
 
 def build(
-    *, robot: str, depth: float | None, duration: float | None, friction: float, effort_share: float
+    *, robot: str, depth: float | None, duration: float | None, friction: float, torque_share: float
 ) -> Problem:
     """Build the squat; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
@@ -38,7 +38,7 @@ def build(
         body,
         schedule,
         legged_guess(body, schedule, path),
-        effort=common.share_of_effort(body, effort_share),
+        torques=common.share_of_torque(body, torque_share),
         terrain=FlatGround(friction=friction),
         more=(deepest,),
         end=body.reference,
@@ -61,7 +61,7 @@ FAMILY = Family(
         ),
         common.duration("duration", None, "total duration (default: from the robot's length)", (0.05, 60.0)),
         common.friction(0.7),
-        common.EFFORT_SHARE,
+        common.TORQUE_SHARE,
     ),
     build=build,
 )

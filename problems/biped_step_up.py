@@ -38,7 +38,7 @@ def _path(robot: Robot, times: np.ndarray, forward: float, height: float) -> lis
     return [bipeds.waypoint(robot, float(time), shift) for time, shift in zip(times, shifts, strict=True)]
 
 
-def build(*, robot: str, friction: float, effort_share: float, **given: float | None) -> Problem:
+def build(*, robot: str, friction: float, torque_share: float, **given: float | None) -> Problem:
     """Build the step; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
     unit, sole = common.natural_time(body), 2 * max(contact.half_length for contact in body.contacts)
@@ -69,7 +69,7 @@ def build(*, robot: str, friction: float, effort_share: float, **given: float | 
         body,
         schedule,
         legged_guess(body, schedule, _path(body, times, forward, height), terrain=terrain, swing=swing),
-        effort=common.share_of_effort(body, effort_share),
+        torques=common.share_of_torque(body, torque_share),
         terrain=terrain,
         clearance=lift,
         end=common.displaced(body, way),
@@ -92,7 +92,7 @@ FAMILY = Family(
         common.duration("step", None, "duration of a swing", (0.05, 10.0)),
         common.duration("double", None, "duration of double support", (0.02, 10.0)),
         common.friction(0.7),
-        common.EFFORT_SHARE,
+        common.TORQUE_SHARE,
     ),
     build=build,
 )

@@ -72,7 +72,7 @@ def build(
     steps: float,
     turn: float,
     friction: float,
-    effort_share: float,
+    torque_share: float,
     **given: float | None,
 ) -> Problem:
     """Build the walk; see ``FAMILY`` for the parameters. Raises InputError."""
@@ -98,7 +98,7 @@ def build(
         body,
         plan.schedule(body),
         guess,
-        effort=common.share_of_effort(body, effort_share),
+        torques=common.share_of_torque(body, torque_share),
         terrain=FlatGround(friction=friction),
         clearance=own["clearance"],
         end=(TerminalRest(q=guess(plan.duration)),),
@@ -132,7 +132,7 @@ FAMILY = Family(
         _time("settle", "from the last touchdown to rest"),
         _way("clearance", "least height of a sole in mid swing", (0.0, 0.2)),
         common.friction(0.7),
-        common.EFFORT_SHARE,
+        common.TORQUE_SHARE,
     ),
     build=build,
 )

@@ -19,13 +19,13 @@ from trajopt.robot import Robot, quadruped_legs
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import (
     Actuation,
-    EffortLimits,
     FrictionPyramid,
     PositionLimits,
     SoleCone,
     Term,
     TerminalRest,
     TerminalState,
+    TorqueLimits,
     VelocityLimits,
     effort_costs,
     swing_clearance,
@@ -101,8 +101,8 @@ def goal(*choices: str, meaning: str = "objective") -> Choice:
 
 
 # One torque limit for all joints, or a fraction of the robot's own torque limits.
-EFFORT = number("effort", None, "N m", "torque limit (default: the URDF's)", (0.0, 1e4))
-EFFORT_SHARE = number("effort_share", 1.0, "", "usable fraction of the effort limits", (1e-3, 1.0))
+TORQUE_LIMIT = number("torque_limit", None, "N m", "torque limit (default: the URDF's)", (0.0, 1e4))
+TORQUE_SHARE = number("torque_share", 1.0, "", "usable fraction of the torque limits", (1e-3, 1.0))
 # How contacts land: `hop_schedule` takes ``impact``, which needs a cost on impulses.
 TOUCHDOWN = choice("touchdown", "land at zero foot velocity or by a rigid impact", "soft", "impact")
 
@@ -215,14 +215,14 @@ def contact_cones(robot: Robot) -> tuple[Term, ...]:
     return (*points, SoleCone()) if "surface" in kinds else points
 
 
-def share_of_effort(robot: Robot, share: float) -> EffortLimits:
+def share_of_torque(robot: Robot, share: float) -> TorqueLimits:
     """Torque limits as a fraction of the robot's; none if the robot has none."""
-    return EffortLimits(limit=None if robot.effort_limit is None else share * robot.effort_limit)
+    return TorqueLimits(limit=None if robot.torque_limit is None else share * robot.torque_limit)
 
 
-def effort_of_all(robot: Robot, effort: float | None) -> EffortLimits:
-    """Torque limit of ``effort`` N m for all joints; None: the robot's limits."""
-    return EffortLimits(limit=None if effort is None else np.full(robot.nu, effort))
+def torque_limit_of_all(robot: Robot, torque_limit: float | None) -> TorqueLimits:
+    """Torque limit of ``torque_limit`` N m for all joints; None: the robot's limits."""
+    return TorqueLimits(limit=None if torque_limit is None else np.full(robot.nu, torque_limit))
 
 
 def problem(
@@ -233,7 +233,7 @@ def problem(
     *,
     costs: Sequence[Term] | None = None,
     end: np.ndarray | Sequence[Term],
-    effort: Term | None = None,
+    torques: Term | None = None,
     cones: Sequence[Term] | None = None,
     terrain: Terrain | None = None,
     clearance: float | None = None,
@@ -245,14 +245,14 @@ def problem(
 ) -> Problem:
     """A motion with costs and all limits, by default from rest in the reference posture on level ground.
 
-    costs: default `effort_costs`. end: a configuration (nq,) to end in at rest, or terms. effort: torque
+    costs: default `effort_costs`. end: a configuration (nq,) to end in at rest, or terms. torques: torque
     limits, default the robot's; only with torque as control input. cones: friction terms, default
     `contact_cones`. clearance: of swing feet over the terrain in mid swing, m, or None. more: further terms.
     settings: other fields of `Problem`.
     """
     ground = FlatGround() if terrain is None else terrain
     running = effort_costs() if costs is None else costs
-    torques = (EffortLimits() if effort is None else effort,) if actuation == "torque" else ()
+    limits = (TorqueLimits() if torques is None else torques,) if actuation == "torque" else ()
     swings: tuple[Term, ...] = ()
     if clearance is not None:
         swings = swing_clearance(robot, schedule, ground, height=clearance, guess=guess)
@@ -265,7 +265,7 @@ def problem(
         terrain=ground,
         initial_q=robot.reference if initial_q is None else initial_q,
         initial_v=np.zeros(robot.nv) if initial_v is None else initial_v,
-        terms=(*running, *torques, PositionLimits(), VelocityLimits(), *touching, *swings, *more, *arrival),
+        terms=(*running, *limits, PositionLimits(), VelocityLimits(), *touching, *swings, *more, *arrival),
         guess=guess,
         actuation=actuation,
         **settings,

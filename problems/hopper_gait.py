@@ -54,7 +54,7 @@ def build(
     durations: str,
     goal: str,
     friction: float,
-    effort_share: float,
+    torque_share: float,
 ) -> Problem:
     """Build one cycle; see ``FAMILY`` for the parameters. Raises InputError."""
     own = hoppers.hopper(robot)
@@ -70,7 +70,7 @@ def build(
         schedule,
         _guess(own, speed, times, lift),
         costs=goal_terms(goal, own, schedule, travel=abs(speed) * period),
-        effort=common.share_of_effort(own, effort_share),
+        torques=common.share_of_torque(own, torque_share),
         terrain=FlatGround(friction=friction),
         clearance=lift,
         end=(),
@@ -92,7 +92,7 @@ FAMILY = Family(
         common.choice("durations", "durations of stance and flight", "fixed", "free"),
         common.goal("effort", "transport", "smooth"),
         common.friction(0.7),
-        common.EFFORT_SHARE,
+        common.TORQUE_SHARE,
     ),
     build=build,
 )

@@ -43,7 +43,7 @@ def nearest_posture(robot: Robot, position: np.ndarray, tilt: float, near: np.nd
 
 def build(
     *,
-    minimise: str,
+    goal: str,
     duration: float | None,
     payload: float,
     motor_inertia: float,
@@ -54,17 +54,17 @@ def build(
     robot = irb1600.build(payload=payload, motor_inertia=motor_inertia)
     first, last = ([coordinates[f"{end}_{axis}"] for axis in "xyz"] for end in ("start", "goal"))
     start = nearest_posture(robot, np.array(first), tilt, robot.reference)
-    goal = nearest_posture(robot, np.array(last), tilt, start)
+    posture = nearest_posture(robot, np.array(last), tilt, start)
     return transfer(
         "irb1600-transfer",
         robot,
-        (start, goal),
-        goal=minimise,
+        (start, posture),
+        goal=goal,
         duration=duration,
-        least=arms.least_duration(robot, (start, goal), weight=False),
+        least=arms.least_duration(robot, (start, posture), weight=False),
         effort=EFFORT,
         intervals=INTERVALS,
-        parameters={"start": first, "goal": last},
+        parameters={"start": first, "end": last},
     )
 
 
@@ -81,11 +81,11 @@ FAMILY = Family(
     phases=("transfer",),
     summary="bring the tool from one pose to another, from rest to rest, with least effort or in least time",
     parameters=(
-        common.choice("minimise", "objective: copper losses or time", "effort", "time"),
+        common.choice("goal", "objective: copper losses or time", "effort", "time"),
         common.duration(
             "duration",
             None,
-            "duration, with minimise=time its guess (default: estimated from the drives)",
+            "duration, with goal=time its guess (default: estimated from the drives)",
             (1e-2, 60.0),
         ),
         common.number("payload", 8.0, "kg", "steel cube on the flange", (0.0, 20.0)),

@@ -67,20 +67,20 @@ class Takeoff:
         return _fastest(self.robot, self.posture, row)
 
 
-def takeoff(robot: Robot, effort: float | None = None) -> Takeoff:
+def takeoff(robot: Robot, torque_limit: float | None = None) -> Takeoff:
     """The take-off with the highest apex of the base among the fast ones with some extension left.
 
     Legs that are nearly straight lift the base slowly. If no take-off is fast enough, the fastest one.
 
-    Forces are taken to be vertical and the same at all feet, the base level. effort: N m, for all joints.
-    Raises InputError for a robot without gravity.
+    Forces are taken to be vertical and the same at all feet, the base level. torque_limit: N m, for all
+    joints. Raises InputError for a robot without gravity.
     """
     if not robot.model.gravity.linear.any():
         raise InputError(
             f"'{robot.name}' is without gravity: it would not come down again",
             "allowed: a model with gravity",
         )
-    limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
+    limit = robot.torque_limit if torque_limit is None else np.full(robot.nu, torque_limit)
     gravity, sink = gravity_of(robot.model), sink_of(robot)
     heights = np.linspace(-sink, EXTENSION_PART * extension_left(robot), PUSH_SAMPLES)
     postures = [raised(robot, height).q for height in heights]

@@ -98,14 +98,14 @@ def build(
     robot: str,
     rise: float | None,
     friction: float,
-    effort: float | None,
+    torque_limit: float | None,
     yaw: float,
     kind: Kind,
     **given: float | None,
 ) -> Problem:
     """Build the leap; see ``FAMILIES`` for the parameters. Raises InputError."""
     body = common.quadruped(robot)
-    takeoff, unit = pushing.takeoff(body, effort), common.natural_time(body)
+    takeoff, unit = pushing.takeoff(body, torque_limit), common.natural_time(body)
     highest = pushing.apex(takeoff, SHARE, HEIGHT * body.length)
     size, default = "height", min(OF_RISE * highest, MOST_BOX * body.length)
     if kind == "gap":
@@ -126,7 +126,7 @@ def build(
         (common.displaced(body, start), common.displaced(body, end, yaw)),
         (own["stance"], own["flight"], own["landing"]),
         terrain=terrain,
-        effort=effort,
+        torque_limit=torque_limit,
         turn=yaw,
         heights=(start[2], end[2]),
         touchdown_rise=touchdown,
@@ -152,7 +152,7 @@ def _family(kind: Kind, summary: str) -> Family:
             common.angle("yaw", 0.0, "turn to the left", (-math.pi, math.pi)),
             *common.hop_durations("from the rise"),
             common.friction(0.7),
-            common.EFFORT,
+            common.TORQUE_LIMIT,
         ),
         build=partial(build, kind=kind),
     )

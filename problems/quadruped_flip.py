@@ -130,12 +130,14 @@ def _flip(robot: Robot, kind: Kind, durations: dict[str, float]) -> Flip:
     )
 
 
-def build(*, robot: str, friction: float, effort: float | None, kind: Kind, **given: float | None) -> Problem:
+def build(
+    *, robot: str, friction: float, torque_limit: float | None, kind: Kind, **given: float | None
+) -> Problem:
     """Build the flip; see ``FAMILIES`` for the parameters. Raises InputError."""
     body = common.quadruped(robot)
     unit = common.natural_time(body)
     defaults = {name: part * unit for name, part in DURATIONS.items()}
-    fastest = SPEED_PART * pushing.takeoff(body, effort).speed
+    fastest = SPEED_PART * pushing.takeoff(body, torque_limit).speed
     defaults["flight"] = min(defaults["flight"], 2 * fastest / gravity_of(body.model))
     durations = common.filled(defaults, given)
     flip = _flip(body, kind, durations)
@@ -150,7 +152,7 @@ def build(*, robot: str, friction: float, effort: float | None, kind: Kind, **gi
             body, schedule, flip.waypoints(), terrain=ground, clearance=lift, tuck=TUCK * body.length
         ),
         costs=leaping.COSTS,
-        effort=common.effort_of_all(body, effort),
+        torques=common.torque_limit_of_all(body, torque_limit),
         terrain=ground,
         clearance=lift,
         more=(*leaping.above_ground(body, dict.fromkeys(PHASES, 0.0)), *flip.turning()),
@@ -173,7 +175,7 @@ def _family(kind: Kind, summary: str) -> Family:
             common.duration("catch", None, "duration of the landing on two feet", (1e-3, 10.0)),
             common.duration("landing", None, "duration on all feet, to rest", (1e-3, 10.0)),
             common.friction(0.7),
-            common.EFFORT,
+            common.TORQUE_LIMIT,
         ),
         build=partial(build, kind=kind),
     )

@@ -39,7 +39,7 @@ def build(
     footholds: str,
     goal: str,
     friction: float,
-    effort_share: float,
+    torque_share: float,
     **commanded: Any,
 ) -> Problem:
     """Build one periodic gait; see ``FAMILIES`` for the parameters. Raises InputError."""
@@ -61,7 +61,7 @@ def build(
         mirror=mirror,
         swing=HIGHER * asked.lift,
         friction=friction,
-        effort_share=effort_share,
+        torque_share=torque_share,
         goal=goal,
         planned=footholds == "planned",
         periodicity=_periodicity(body, asked.pace, schedule.duration, mirrored=half),
@@ -88,7 +88,7 @@ def _family(style: str) -> Family:
             gait_common.GOAL,
             gait_common.clearance(),
             common.friction(0.7),
-            common.EFFORT_SHARE,
+            common.TORQUE_SHARE,
         ),
         build=partial(build, style=style),
     )

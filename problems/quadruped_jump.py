@@ -55,7 +55,7 @@ def build(
     *,
     robot: str,
     friction: float,
-    effort: float | None,
+    torque_limit: float | None,
     goal: str,
     direction: Direction,
     kind: str = "quadruped",
@@ -67,7 +67,7 @@ def build(
     ``load`` returns the robot of a name, or raises if it is not of that ``kind``.
     """
     body = load(robot)
-    takeoff = pushing.takeoff(body, effort)
+    takeoff = pushing.takeoff(body, torque_limit)
     own = common.filled(_defaults(takeoff, direction, given["height"]), given)
     end = common.displaced(body, (own["distance"], own["sideways"], 0.0), own["yaw"])
     top = body.reference[2] + own["height"]
@@ -77,7 +77,7 @@ def build(
         (body.reference, end),
         (own["stance"], own["flight"], own["landing"]),
         terrain=FlatGround(friction=friction),
-        effort=effort,
+        torque_limit=torque_limit,
         turn=own["yaw"],
         goal=goal,
         more=(FrameHeight(frame=body.model.names[1], height=top, at=middle_of("flight")),),
@@ -107,7 +107,7 @@ def family(
             common.angle("yaw", None, "turn to the left", (-math.pi, math.pi)),
             *common.hop_durations("from the height"),
             common.friction(0.7),
-            common.EFFORT,
+            common.TORQUE_LIMIT,
             common.goal("effort", "time"),
         ),
         build=partial(build, direction=direction, kind=kind, load=load),

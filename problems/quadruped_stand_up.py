@@ -27,24 +27,24 @@ STATIC_SHARE = 0.7
 DEPTH_ERROR = 1e-3
 
 
-def deepest(robot: Robot, effort: float | None) -> float:
+def deepest(robot: Robot, torque_limit: float | None) -> float:
     """How far the base sinks under its standing height until it lies, m, by bisection.
 
     As far as legs fold within their limits, hips and knees stay above the ground, and torques hold the robot.
     """
     standing = float(robot.reference[2]) - common.foot_radius(robot)  # over the feet's centres
     most = max(standing - LYING * robot.length, 0.0)
-    if _lies(robot, most, effort):
+    if _lies(robot, most, torque_limit):
         return most
-    return pushing.largest(lambda depth: _lies(robot, depth, effort), most, DEPTH_ERROR * robot.length)
+    return pushing.largest(lambda depth: _lies(robot, depth, torque_limit), most, DEPTH_ERROR * robot.length)
 
 
-def _lies(robot: Robot, depth: float, effort: float | None) -> bool:
+def _lies(robot: Robot, depth: float, torque_limit: float | None) -> bool:
     """Whether a robot can be at rest with its base ``depth`` m under its standing height."""
     posture = pushing.raised(robot, -depth)
     if posture.error > pushing.REACHED:
         return False
-    limit = robot.effort_limit if effort is None else np.full(robot.nu, effort)
+    limit = robot.torque_limit if torque_limit is None else np.full(robot.nu, torque_limit)
     if pushing.strongest(robot, posture.q, limit) * STATIC_SHARE < 1:
         return False
     frames, keep = leaping.hips_and_knees(robot), leaping.joint_clearance(robot)
@@ -58,17 +58,17 @@ def build(
     duration: float | None,
     goal: str,
     friction: float,
-    effort: float | None,
+    torque_limit: float | None,
 ) -> Problem:
     """Build the motion; see ``FAMILY`` for the parameters. Raises InputError."""
     body = common.quadruped(robot)
-    depth = deepest(body, effort) if depth is None else depth
+    depth = deepest(body, torque_limit) if depth is None else depth
     duration = DURATION * common.natural_time(body) if duration is None else duration
     lying = pushing.raised(body, -depth)
     if lying.error > pushing.REACHED:
         raise InputError(
             f"'{body.name}' cannot fold its legs by {depth:g} m",
-            f"allowed: up to {deepest(body, effort):.3f} m",
+            f"allowed: up to {deepest(body, torque_limit):.3f} m",
         )
     contacts = tuple(contact.name for contact in body.contacts)
     schedule = Schedule((Phase(name="rise", duration=duration, contacts=contacts),))
@@ -84,7 +84,7 @@ def build(
         schedule,
         legged_guess(body, schedule, path, start=lying.q),
         costs=(*leaping.COSTS, TimeCost(weight=TIME_WEIGHT)) if fast else leaping.COSTS,
-        effort=common.effort_of_all(body, effort),
+        torques=common.torque_limit_of_all(body, torque_limit),
         terrain=FlatGround(friction=friction),
         more=leaping.above_ground(body, {"rise": 0.0}),
         end=body.reference,
@@ -109,7 +109,7 @@ FAMILY = Family(
         common.duration("duration", None, "duration; with goal=time its guess", (1e-2, 20.0)),
         common.goal("effort", "time", meaning="objective: torques or time"),
         common.friction(0.7),
-        common.EFFORT,
+        common.TORQUE_LIMIT,
     ),
     build=build,
 )

@@ -113,7 +113,7 @@ def _family(
     kept: the terrain has edges, from which feet keep a margin.
     """
 
-    def build(*, footholds: str, effort_share: float, **given: Any) -> Problem:
+    def build(*, footholds: str, torque_share: float, **given: Any) -> Problem:
         """Build the walk; see the family's parameters. Raises InputError."""
         chosen = {parameter.name: given.pop(parameter.name) for parameter in own}
         body = walker(**given)
@@ -123,7 +123,7 @@ def _family(
         if kept:
             derived["margin"] = body.margin
         return problem_over(
-            name, body, terrain, way, footholds=footholds, effort_share=effort_share, parameters=derived
+            name, body, terrain, way, footholds=footholds, torque_share=torque_share, parameters=derived
         )
 
     return Family(

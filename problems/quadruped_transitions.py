@@ -56,7 +56,7 @@ def build(
     stand: float | None,
     goal: str,
     friction: float,
-    effort_share: float,
+    torque_share: float,
     **commanded: Any,
 ) -> Problem:
     """Build a start, a stop or both; see ``FAMILIES`` for the parameters. Raises InputError."""
@@ -89,7 +89,7 @@ def build(
         schedule,
         plan.guess,
         costs=gait_costs(goal, body, schedule, pace),
-        effort=common.share_of_effort(body, effort_share),
+        torques=common.share_of_torque(body, torque_share),
         terrain=ground,
         more=swing_arcs(schedule, asked.gait.feet, height=asked.lift, terrain=ground),
         end=(TerminalState(q=end[0]), ending),
@@ -147,7 +147,7 @@ def _family(kind: str) -> Family:
             gait_common.GOAL,
             gait_common.clearance(),
             common.friction(0.7),
-            common.EFFORT_SHARE,
+            common.TORQUE_SHARE,
         ),
         build=partial(build, kind=kind),
     )

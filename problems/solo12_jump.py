@@ -67,14 +67,14 @@ def _guess(robot: Robot, schedule: Schedule, end: np.ndarray, base: WaypointPath
     return motion
 
 
-def _actuated(effort: float | None, voltage: float | None) -> tuple[Robot, Term]:
+def _actuated(torque_limit: float | None, voltage: float | None) -> tuple[Robot, Term]:
     """The robot with its motors at a supply voltage, or without, and the term that limits torques."""
     robot = robots.load("solo12")
     if voltage is None:
-        return robot, common.effort_of_all(robot, effort)
-    if effort is not None:
+        return robot, common.torque_limit_of_all(robot, torque_limit)
+    if torque_limit is not None:
         raise InputError(
-            f"solo12-jump has both effort={effort:g} and voltage={voltage:g}",
+            f"solo12-jump has both torque_limit={torque_limit:g} and voltage={voltage:g}",
             "allowed: one of them; with a voltage the motors' currents limit torques",
         )
     return robot.with_drives((solo12.drive(voltage),) * robot.nu), DriveLimits()
@@ -89,12 +89,12 @@ def build(
     flight: float | None,
     landing: float,
     friction: float,
-    effort: float | None,
+    torque_limit: float | None,
     voltage: float | None,
     touchdown: str,
 ) -> Problem:
     """Build the jump; see ``FAMILY`` for the parameters. Raises InputError."""
-    robot, torque_limits = _actuated(effort, voltage)
+    robot, torque_limits = _actuated(torque_limit, voltage)
     # Apex of a parabola from and to the standing height, plus the rise from extending the legs.
     needed = 2 * math.sqrt(2 * max(height - TAKEOFF_RISE, 0.0) / STANDARD_GRAVITY)
     flight = max(SHORTEST_FLIGHT, needed) if flight is None else flight
@@ -108,7 +108,7 @@ def build(
         schedule,
         _guess(robot, schedule, end, _path(robot, schedule, distance, yaw)),
         costs=(*leaping.COSTS, *soft),
-        effort=torque_limits,
+        torques=torque_limits,
         terrain=FlatGround(friction=friction),
         clearance=common.CLEARANCE,
         more=(FrameHeight(frame=solo12.BASE, height=robot.reference[2] + height, at=middle_of("flight")),),
@@ -128,7 +128,7 @@ FAMILY = Family(
         common.angle("yaw", 0.0, "turn to the left", (-math.pi / 2, math.pi / 2)),
         *common.hop_durations("from the height, at least 0.3", (0.4, None, 0.5), longest=2.0),
         common.friction(0.7),
-        common.EFFORT,
+        common.TORQUE_LIMIT,
         common.number(
             "voltage",
             None,

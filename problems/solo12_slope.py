@@ -40,7 +40,7 @@ def build(
     flight: float | None,
     landing: float,
     friction: float,
-    effort: float | None,
+    torque_limit: float | None,
 ) -> Problem:
     """Build the hop; see ``FAMILY`` for the parameters. Raises InputError."""
     robot = robots.load("solo12")
@@ -62,7 +62,7 @@ def build(
         common.hop_schedule(footholds_at(robot, end, ground), (stance, time, landing)),
         guess,
         costs=leaping.COSTS,
-        effort=common.effort_of_all(robot, effort),
+        torques=common.torque_limit_of_all(robot, torque_limit),
         cones=(FrictionCone(),),
         terrain=ground,
         clearance=common.CLEARANCE,
@@ -84,7 +84,7 @@ FAMILY = Family(
         common.length("height", 0.05, "least rise of the base over its start in mid flight", (0.0, 0.4)),
         *common.hop_durations("from the height, at least 0.2", (0.3, None, 0.4), longest=2.0),
         common.friction(0.8),
-        common.EFFORT,
+        common.TORQUE_LIMIT,
     ),
     build=build,
 )

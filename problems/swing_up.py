@@ -57,7 +57,7 @@ def _pendulum(robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
     )
 
 
-def build(*, robot: str, goal: str, duration: float | None, effort_share: float) -> Problem:
+def build(*, robot: str, goal: str, duration: float | None, torque_share: float) -> Problem:
     """Build the swing-up; see ``FAMILIES`` for the parameters. Raises InputError."""
     own = robots.load(robot)
     turn, upright, period = _pendulum(own)
@@ -75,7 +75,7 @@ def build(*, robot: str, goal: str, duration: float | None, effort_share: float)
         schedule,
         turning,
         costs=goal_terms(goal, own, schedule, effort=EFFORT),
-        effort=common.share_of_effort(own, effort_share),
+        torques=common.share_of_torque(own, torque_share),
         end=upright,
         parameters={"duration": nominal},
         default_intervals=max(LEAST_INTERVALS, round(INTERVALS_PER_PERIOD * nominal / period)),
@@ -96,7 +96,7 @@ def _family(name: str, robot: str, summary: str) -> Family:
                 "duration, with goal=time its guess (default: from the period of the hanging links)",
                 (1e-2, 60.0),
             ),
-            replace(common.EFFORT_SHARE, default=WEAK),
+            replace(common.TORQUE_SHARE, default=WEAK),
         ),
         build=build,
     )

@@ -129,7 +129,7 @@ def problem_over(
     way: float,
     *,
     footholds: str,
-    effort_share: float,
+    torque_share: float,
     parameters: dict[str, Any],
 ) -> Problem:
     """From standing to standing ``way`` m ahead over terrain. Raises InputError."""
@@ -145,7 +145,7 @@ def problem_over(
         plan.schedule,
         plan.guess,
         costs=(*effort_costs(), near(plan.guess)),
-        effort=common.share_of_effort(robot, effort_share),
+        torques=common.share_of_torque(robot, torque_share),
         terrain=terrain,
         clearance=None if arcs else lift,
         more=arcs,
@@ -191,5 +191,5 @@ def parameters(*own: Parameter | Choice, margin: bool = True) -> tuple[Parameter
         ),
         *((kept,) if margin else ()),
         common.friction(0.7),
-        common.EFFORT_SHARE,
+        common.TORQUE_SHARE,
     )

@@ -52,7 +52,7 @@ def build(
     reach: float,
     grasp: float,
     pull: float,
-    effort_share: float,
+    torque_share: float,
 ) -> Problem:
     """Build the pull; see ``FAMILY`` for the parameters. Raises InputError."""
     robot = _gripping()
@@ -72,7 +72,7 @@ def build(
             model=robot.model, postures=(robot.reference, _grasping(robot, board)), durations=(reach,)
         ),
         costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), WrenchCost(weight=1e-2)),
-        effort=common.share_of_effort(robot, effort_share),
+        torques=common.share_of_torque(robot, torque_share),
         cones=(),  # a grasp transmits any wrench
         end=(NormalForce(contact=GRIP, upper=-force, during="pull"),),
         default_intervals=30,
@@ -102,7 +102,7 @@ FAMILY = Family(
         common.duration("reach", 1.2, "duration until the grasp", (1e-2, 60.0)),
         common.duration("grasp", 0.3, "duration in which the force may grow", (1e-2, 60.0)),
         common.duration("pull", 0.5, "duration of the pull", (1e-2, 60.0)),
-        common.EFFORT_SHARE,
+        common.TORQUE_SHARE,
     ),
     build=build,
 )

@@ -29,7 +29,7 @@ def build(
     pitch: float,
     yaw: float,
     duration: float,
-    effort_share: float,
+    torque_share: float,
     actuation: Actuation,
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters.
@@ -50,7 +50,7 @@ def build(
         duration,
         phase="reach",
         costs=COSTS[actuation],
-        effort=common.share_of_effort(robot, effort_share),
+        torques=common.share_of_torque(robot, torque_share),
         # With velocity input the arm can stop at any time.
         end=(pose,) if actuation == "velocity" else (rest, pose),
         actuation=actuation,
@@ -70,7 +70,7 @@ FAMILY = Family(
         ),
         *turns("its start orientation"),
         common.duration("duration", 1.5, "duration of the motion", (1e-3, 60.0)),
-        common.EFFORT_SHARE,
+        common.TORQUE_SHARE,
         common.choice("actuation", "control input of the joints", *ACTUATIONS),
     ),
     build=build,

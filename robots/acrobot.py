@@ -18,4 +18,4 @@ def build() -> Robot:
     joint (0.74 N m).
     """
     robot = hanging(name="acrobot", passive=("joint1",))
-    return replace(robot, effort_limit=weight_moments(robot.model)[:1])
+    return replace(robot, torque_limit=weight_moments(robot.model)[:1])

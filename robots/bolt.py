@@ -44,4 +44,4 @@ def build() -> Robot:
     )
     rate = solo12.drive(SUPPLY).no_load_speed / solo12.GEAR_RATIO
     rates = np.where(np.isfinite(robot.velocity_limit), rate, np.inf)
-    return replace(robot, effort_limit=np.full(robot.nu, TORQUE), velocity_limit=rates)
+    return replace(robot, torque_limit=np.full(robot.nu, TORQUE), velocity_limit=rates)

@@ -23,7 +23,7 @@ def build() -> Robot:
     0.33 N m): it just holds what it carries. Its joint damping is not part of the dynamics.
     """
     robot = hanging(name="double_pendulum")
-    return replace(robot, effort_limit=weight_moments(robot.model))
+    return replace(robot, torque_limit=weight_moments(robot.model))
 
 
 def hanging(*, name: str, passive: tuple[str, ...] = ()) -> Robot:
@@ -35,7 +35,7 @@ def hanging(*, name: str, passive: tuple[str, ...] = ()) -> Robot:
         reference=HANGING,
         passive=passive,
     )
-    return replace(robot, velocity_limit=np.full(robot.nv, np.inf), effort_limit=None)
+    return replace(robot, velocity_limit=np.full(robot.nv, np.inf), torque_limit=None)
 
 
 def weight_moments(model: pin.Model) -> np.ndarray:

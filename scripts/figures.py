@@ -26,7 +26,7 @@ JOINT = 2
 # Intervals of the coarse jump, so that single ones can be seen.
 COARSE = 12
 ORDERS = {
-    "semi-implicit-euler": (16, 32, 64, 128),
+    "semi-implicit-euler": (64, 128, 256, 512),
     "legendre:1": (8, 16, 32, 64),
     "radau:2": (4, 8, 16, 32),
     "legendre:2": (4, 8, 16, 32),

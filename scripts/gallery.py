@@ -25,6 +25,7 @@ from PIL import Image
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.solution.solution import Solution
+from trajopt.solving.ladder import total_effort
 from trajopt.view.replay.browser import Chromium, chromium
 from trajopt.view.replay.show import replay
 
@@ -37,16 +38,24 @@ GROUPS = (
     ("Bipeds", "bipeds.md", ("biped-*", "talos-*")),
     ("Hoppers and classics", "classics.md", ("*",)),
 )
-# Pictures of a strip, pixels of each (taken twice as large, for smooth edges), and bytes of a strip at most.
-PICTURES, WIDTH, HEIGHT, LARGER, MOST_BYTES = 5, 200, 200, 2, 30_000
+# Pictures of a strip, pixels of each (taken larger, for smooth edges), and bytes of a strip at most.
+PICTURES, WIDTH, HEIGHT, LARGER, MOST_BYTES = 3, 400, 400, 1.3, 38_000
+# The camera follows a motion that is this many times as long as the robot, else a picture shows it all.
+FOLLOWED = 1.6
+# How much larger than in the page a robot is, as what matters is in the middle; not if it is higher than this
+# many times its width.
+CLOSE, TALL = 1.15, 1.3
+CLOSER = """zoom => {
+    trajopt.viewer.camera.zoom = zoom;
+    trajopt.viewer.camera.updateProjectionMatrix();
+    trajopt.viewer.set_dirty();
+}"""
 # A leap is shown from this part of its flight's duration before take-off to as much after touchdown.
 AROUND = 0.25
 # Qualities of WebP, tried in this order until the strip is small enough.
 QUALITIES = (80, 70, 60, 50, 40, 30, 20)
 # Layers that would hide a small robot.
 HIDDEN = ("com", "zmp", "support", "cones", "ghosts")
-# The ground is hidden under a robot without contacts that hangs below it by more than this, over its extent.
-UNDER = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +102,7 @@ def entry_of(name: str, solution: Solution) -> Entry:
         summary=family.summary if family is not None else "",
         duration=float(solution.t[-1] - solution.t[0]),
         objective=float(meta["objective"]),
-        iterations=int(meta["iterations"]),
+        iterations=int(total_effort([solution])["iterations"]),
         group=next(i for i, (_, _, fits) in enumerate(GROUPS) if any(fnmatch(problem, p) for p in fits)),
     )
 
@@ -110,13 +119,24 @@ def times_of(solution: Solution) -> np.ndarray:
     return np.linspace(start, end, PICTURES)
 
 
+def camera_of(facts: Mapping[str, Any], cameras: Sequence[str]) -> str:
+    """The camera that shows the robot large: of those of the page, one that follows it if it goes far."""
+    far = np.ptp(np.array(facts["box"]), axis=0).max() > FOLLOWED * facts["size"]
+    return "follow" if far and "follow" in cameras else "overview"
+
+
+def zoom_of(facts: Mapping[str, Any]) -> float:
+    """How much larger than in the page a motion is shown."""
+    spans = np.ptp(np.array(facts["box"]), axis=0)
+    return 1.0 if spans[2] > TALL * spans[:2].max() else CLOSE
+
+
 def strip_of(browser: Chromium, page: Path, solution: Solution, facts: Mapping[str, Any]) -> Image.Image:
-    """Pictures of a solution in its page side by side, `WIDTH` by `HEIGHT` each; the camera stands still."""
-    buried = facts["box"][0][2] < -UNDER * facts["size"] and not solution.active.any()
-    hidden = {*HIDDEN, "terrain"} if buried else set(HIDDEN)
-    with browser.opened(page, (LARGER * WIDTH, LARGER * HEIGHT), "bare") as view:
-        view.camera("overview")
-        for name in hidden & set(view.layers):
+    """Pictures of a solution in its page side by side, `WIDTH` by `HEIGHT` each, framed on the robot."""
+    with browser.opened(page, (round(LARGER * WIDTH), round(LARGER * HEIGHT)), "bare") as view:
+        view.camera(camera_of(facts, view.cameras))
+        view.evaluate(CLOSER, zoom_of(facts))
+        for name in set(HIDDEN) & set(view.layers):
             view.layer(name, False)
         whole = Image.new("RGB", (WIDTH * PICTURES, HEIGHT))
         for number, time in enumerate(times_of(solution)):
@@ -161,7 +181,7 @@ def readme(entries: Sequence[Entry]) -> str:
         "    uv run python -m scripts.gallery --solutions out -o docs/gallery",
         "",
         "makes this page, with one robot for each problem; with `--pages` also an `index.html` whose pictures"
-        " open replays.",
+        " open replays, as those on the documentation's site do.",
     ]
     for number, (title, document, _) in enumerate(GROUPS):
         members = [entry for entry in entries if entry.group == number]

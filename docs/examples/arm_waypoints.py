@@ -44,7 +44,7 @@ problem = Problem(
     terms=(
         terms.TimeCost(weight=1.0),
         terms.AccelerationCost(weight=1e-4),  # smooth where time alone leaves a choice
-        *(terms.EffortLimits(), terms.VelocityLimits(), terms.PositionLimits()),
+        *(terms.TorqueLimits(), terms.VelocityLimits(), terms.PositionLimits()),
         terms.FramePose(frame=TOOL, position=WAYPOINTS[0], at=start_of("second")),
         terms.FramePose(frame=TOOL, position=WAYPOINTS[1], at=start_of("third")),
         terms.FramePose(frame=TOOL, position=WAYPOINTS[2]),  # at the end

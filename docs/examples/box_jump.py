@@ -47,7 +47,7 @@ problem = Problem(
     guess=guess,
     terms=(
         *(*terms.effort_costs(acceleration=2e-2), terms.TrackingCost(weight=3.0, reference=guess)),
-        *(terms.EffortLimits(), terms.PositionLimits(), terms.VelocityLimits(), terms.FrictionPyramid()),
+        *(terms.TorqueLimits(), terms.PositionLimits(), terms.VelocityLimits(), terms.FrictionPyramid()),
         *terms.swing_clearance(robot, schedule, box, height=CLEARANCE, guess=guess),
         terms.FramesAbove(frames=joints, height=0.07, during=("push", "flight")),
         terms.FramesAbove(frames=joints, height=HEIGHT + 0.07, during="landing"),

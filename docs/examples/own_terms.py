@@ -43,7 +43,7 @@ lifted = inverse_kinematics(robot, leaning, {**places, foot: places[foot] + [0.0
 lean = Phase(name="lean", duration=LEAN, contacts=("FL", "FR", "RL", "RR"))
 lift = Phase(name="lift", duration=LIFT, contacts=("FL", "RL", "RR"))
 own = BaseHeightCost(weight=20, height=0.26), FrameAboveHeight(frame=foot, height=least_height, during="lift")
-limits = terms.FrictionPyramid(), terms.EffortLimits(), terms.PositionLimits(), terms.VelocityLimits()
+limits = terms.FrictionPyramid(), terms.TorqueLimits(), terms.PositionLimits(), terms.VelocityLimits()
 problem = Problem(
     name="own-terms",
     robot=robot,

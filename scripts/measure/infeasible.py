@@ -13,7 +13,7 @@ from trajopt_library import problems
 # Problem, its other parameters, the one that decides: its infeasible and its feasible value.
 SETTINGS: tuple[tuple[str, dict[str, Any], str, float, float], ...] = (
     ("biped-jump-up", {"robot": "talos"}, "height", 0.2, 0.04),
-    ("solo12-jump", {}, "effort", 0.4, 1.0),
+    ("solo12-jump", {}, "torque_limit", 0.4, 1.0),
     ("quadruped-jump-forward", {"robot": "go2"}, "distance", 2.5, 0.6),
     ("hopper-hop", {}, "friction", 0.05, 0.7),
     ("hopper-hop", {}, "stance", 0.02, 0.4),

@@ -57,7 +57,7 @@ def all_models() -> Iterator[Model]:
     yield from _family("durations (Solo12 jump)", "solo12-jump", {"given": {}})
     yield "durations (Solo12 jump)", "free", lambda: free_durations("solo12-jump", 0.5)
     yield from _family("goal (IRB 1600 transfer)", "irb1600-transfer", {
-        "minimum effort": {}, "minimum time": {"minimise": "time"},
+        "minimum effort": {}, "minimum time": {"goal": "time"},
     })  # fmt: skip
 
 

@@ -17,9 +17,9 @@ from trajopt_library import problems
 
 CASES = (
     ("solo12-jump", {}),
-    ("solo12-jump", {"effort": 2.2}),
+    ("solo12-jump", {"torque_limit": 2.2}),
     ("biped-walk", {}),
-    ("biped-walk", {"effort_share": 0.6}),
+    ("biped-walk", {"torque_share": 0.6}),
 )
 TITLES = (
     "", "variables", "rows", "SX instructions", "iterations", "time s", "ms an iteration", "functions",

@@ -78,7 +78,7 @@ def adopt(task: Task, described: dict[str, Any]) -> None:
     posture[2] -= data.oMf[model.getFrameId(ROBOTS[robot][1][0])].translation[2]
     model.referenceConfigurations["standing"] = posture
     limits = model.effortLimit.copy()
-    limits[6:] = task.effort
+    limits[6:] = task.torque_limit
     model.effortLimit = limits
 
 

@@ -41,7 +41,9 @@ def build(task: Task) -> Problem:
         return _gait(task)
     if task.robot == "solo12":
         times = {"stance": task.ground, "flight": task.flight, "landing": task.ground}
-        return problems.load("solo12-jump", distance=task.distance[0], effort=task.effort, **times)
+        return problems.load(
+            "solo12-jump", distance=task.distance[0], torque_limit=task.torque_limit, **times
+        )
     return _jump(task)
 
 

@@ -34,7 +34,7 @@ class Gait:
 class Jump:
     """A jump from standing at rest: ``ground`` s of push, ``flight`` s, landing and ``ground`` s on all feet.
 
-    height: rise in mid flight, m. distance: displacement (3,) of all feet, m. effort: limit of all torques,
+    height: rise in mid flight, m. distance: displacement (3,) of all feet, m. torque_limit: of all torques,
     N m; None: the robot's own.
     """
 
@@ -44,7 +44,7 @@ class Jump:
     distance: tuple[float, float, float]
     ground: float
     flight: float
-    effort: float | None = None
+    torque_limit: float | None = None
 
 
 Task = Gait | Jump
@@ -78,6 +78,6 @@ SOLO_JUMP = Jump(
     distance=(0.3, 0.0, 0.0),
     ground=40 * KNOT,
     flight=30 * KNOT,
-    effort=2.7,
+    torque_limit=2.7,
 )
 TASKS: dict[str, Task] = {task.name: task for task in (*GAITS, ANYMAL_JUMP, SOLO_JUMP)}

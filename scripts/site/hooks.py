@@ -28,7 +28,11 @@ FILES = "files"
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the reference, the notebooks, the replays, and pages that lie at the root of the repository."""
-    generated: dict[str, str | bytes] = {**reference.python_pages(), **reference.command_pages()}
+    generated: dict[str, str | bytes] = {
+        **reference.python_pages(),
+        **reference.command_pages(),
+        **reference.problem_page(),
+    }
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
         generated |= stored(path.stem, partial(notebooks.pages, path))
     page = files.src_uris[gallery.PAGE].content_string

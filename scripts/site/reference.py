@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from trajopt.cli.commands import main
+from trajopt.problem import Choice, Parameter, families
 
 ROOT = Path(__file__).parents[2]
 PYTHON, COMMANDS = "reference/python", "reference/commands"
@@ -62,6 +63,35 @@ def _python_page(module: str, names: tuple[str, ...]) -> str:
             "`trajopt.robot(name)` loads a robot of the library: the room is a package that can be called."
         )
     return "\n\n".join([*parts, *(f"::: {module}.{name}" for name in names)]) + "\n"
+
+
+def problem_page() -> dict[str, str]:
+    """Markdown by path: every problem of the library with its parameters."""
+    parts = [
+        "# Problems",
+        "Every problem of the library with its parameters, as `trajopt list PROBLEM` prints them."
+        " What they do is described in the [library of motions](../problems/README.md).",
+    ]
+    for name, family in families().items():
+        rows = [
+            f"| `{own.name}` | {_default(own.default)} | {_range(own)} | {_cell(own.meaning)} |"
+            for own in family.parameters
+        ]
+        table = ["| parameter | default | allowed | meaning |", "|---|---|---|---|", *rows]
+        robots = ", ".join(family.robots)
+        parts += [f"## `{name}`", f"{_cell(family.summary)}. Tested on {robots}.", "\n".join(table)]
+    return {"reference/problems.md": "\n\n".join(parts) + "\n"}
+
+
+def _default(value: float | str | None) -> str:
+    return "derived" if value is None else f"{value:.4g}" if isinstance(value, float) else f"{value}"
+
+
+def _range(own: Parameter | Choice) -> str:
+    """Allowed values of a parameter in a few words."""
+    if own.lower is None:
+        return ", ".join(f"`{choice}`" for choice in own.choices)
+    return f"{own.lower:.4g} to {own.upper:.4g} {own.unit}".strip()
 
 
 def commands(group: click.Group = main, prefix: str = "trajopt") -> Iterator[tuple[str, click.Command]]:

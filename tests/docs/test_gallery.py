@@ -60,8 +60,8 @@ def test_a_leap_is_shown_around_its_flight(leap: Solution) -> None:
     flying = ~leap.active.any(axis=1)
     first, last = leap.t[flying][[0, -1]]
     times = gallery.times_of(leap)
-    assert np.count_nonzero((times > first) & (times < last)) == 3
-    assert times[2] == pytest.approx((first + last) / 2)
+    assert np.count_nonzero((times > first) & (times < last)) == gallery.PICTURES - 2
+    assert times[gallery.PICTURES // 2] == pytest.approx((first + last) / 2)
     assert np.all((times >= leap.t[0]) & (times <= leap.t[-1]))
 
 
@@ -86,6 +86,24 @@ def test_what_does_not_leap_is_shown_whole(arm: Solution, leap: Solution) -> Non
 )
 def test_problems_have_their_chapter(problem: str, title: str, arm: Solution) -> None:
     assert gallery.GROUPS[gallery.entry_of(f"{problem}@mine", arm).group][0] == title
+
+
+@pytest.mark.parametrize(
+    ("length", "cameras", "expected"),
+    [
+        (5.0, ("overview", "follow"), "follow"),
+        (1.2, ("overview", "follow"), "overview"),
+        (5.0, ("overview",), "overview"),
+    ],
+)
+def test_pictures_are_framed_on_the_robot(length: float, cameras: tuple[str, ...], expected: str) -> None:
+    facts = {"box": [[0.0, 0.0, 0.0], [length, 0.5, 0.5]], "size": 1.0}
+    assert gallery.camera_of(facts, cameras) == expected
+    assert gallery.zoom_of(facts) > 1
+
+
+def test_pictures_of_what_is_tall_show_its_head() -> None:
+    assert gallery.zoom_of({"box": [[0.0, 0.0, 0.0], [0.5, 0.5, 1.3]], "size": 1.3}) == 1
 
 
 def test_a_picture_is_packed_into_its_size() -> None:
@@ -122,6 +140,9 @@ def test_committed_gallery_is_whole_and_small() -> None:
     pictures = set(re.findall(r"\]\(([^)]+\.webp)\)", text))
     assert pictures == {path.name for path in GALLERY.glob("*.webp")}
     assert len(pictures) >= 25
+    for path in GALLERY.glob("*.webp"):
+        with Image.open(path) as picture:
+            assert picture.size == (gallery.PICTURES * gallery.WIDTH, gallery.HEIGHT), path.name
     sizes = [path.stat().st_size for path in GALLERY.glob("*.webp")]
     assert max(sizes) <= gallery.MOST_BYTES
     assert sum(sizes) <= LARGEST

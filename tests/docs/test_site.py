@@ -11,6 +11,7 @@ import pytest
 
 from scripts.site import gallery, reference
 from tests.support.repository import ROOT
+from trajopt.problem import families
 
 PAGES = reference.python_pages()
 COMMANDS = dict(reference.commands())
@@ -33,6 +34,15 @@ def test_every_option_of_a_command_is_on_its_page(name: str) -> None:
     for option in (word for parameter in options for word in parameter.opts):
         assert re.search(rf"`[^`]*{re.escape(option)}\b", page), option
     assert f"`{name}`" in pages[f"{reference.COMMANDS}/index.md"]
+
+
+def test_every_parameter_of_every_problem_is_listed() -> None:
+    (page,) = reference.problem_page().values()
+    sections = dict(re.findall(r"^## `([\w-]+)`\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL))
+    assert set(sections) == set(families())
+    for name, family in families().items():
+        listed = re.findall(r"^\| `(\w+)` \|", sections[name], re.MULTILINE)
+        assert listed == [parameter.name for parameter in family.parameters], name
 
 
 def test_nothing_of_the_site_comes_from_a_network() -> None:

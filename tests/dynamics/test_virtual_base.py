@@ -161,7 +161,7 @@ def test_angles_continue_those_nearby_over_turns_and_through_the_lock(order):
 
 def test_everything_behind_the_base_is_kept():
     floating = robots.load("solo12").with_drives({"FL_KFE": Drive(gear_ratio=9.0, rotor_inertia=1e-5)})
-    floating = replace(floating, effort_limit=np.linspace(1.0, 2.0, 12))
+    floating = replace(floating, torque_limit=np.linspace(1.0, 2.0, 12))
     virtual = floating.with_virtual_base()
     assert (virtual.base, virtual.nq, virtual.nv, virtual.nu, virtual.n_unactuated) == (
         "virtual",
@@ -174,7 +174,7 @@ def test_everything_behind_the_base_is_kept():
     assert virtual.drives == floating.drives
     assert virtual.visual == floating.visual
     np.testing.assert_array_equal(virtual.model.armature, floating.model.armature)
-    np.testing.assert_array_equal(virtual.effort_limit, floating.effort_limit)
+    np.testing.assert_array_equal(virtual.torque_limit, floating.torque_limit)
     np.testing.assert_array_equal(virtual.velocity_limit, floating.velocity_limit)
     np.testing.assert_array_equal(virtual.position_upper[6:], floating.position_upper[7:])
     assert np.isposinf(virtual.position_upper[:6]).all()

@@ -34,8 +34,8 @@ def similar(robot: Robot, *, mass: float = 1.0, length: float = 1.0, gravity: fl
     model.armature = mass * np.where(linear, 1.0, length**2) * robot.model.armature
     model.gravity = pin.Motion(gravity * robot.model.gravity.linear, np.zeros(3))
     effort = None
-    if robot.effort_limit is not None:
-        effort = force * np.where(linear, 1.0, length)[robot.n_unactuated :] * robot.effort_limit
+    if robot.torque_limit is not None:
+        effort = force * np.where(linear, 1.0, length)[robot.n_unactuated :] * robot.torque_limit
     soles = tuple(
         replace(contact, half_length=length * contact.half_length, half_width=length * contact.half_width)
         if contact.kind == "surface"
@@ -48,7 +48,7 @@ def similar(robot: Robot, *, mass: float = 1.0, length: float = 1.0, gravity: fl
         model=model,
         reference=longer(robot, robot.reference, length),
         velocity_limit=robot.velocity_limit * unit / time,
-        effort_limit=effort,
+        torque_limit=effort,
         position_lower=longer(robot, robot.position_lower, length),
         position_upper=longer(robot, robot.position_upper, length),
         contacts=soles,
@@ -134,4 +134,4 @@ def solo() -> Robot:
 
 def limited(torque: float) -> Robot:
     """Solo12 with that largest torque in every joint, N m."""
-    return replace(solo(), effort_limit=np.full(12, torque))
+    return replace(solo(), torque_limit=np.full(12, torque))

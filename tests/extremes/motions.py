@@ -11,12 +11,12 @@ from trajopt.problem import Problem
 from trajopt.robot import Robot
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import (
-    EffortLimits,
     FrictionCone,
     PositionLimits,
     Term,
     TerminalRest,
     TerminalState,
+    TorqueLimits,
     VelocityLimits,
     effort_costs,
 )
@@ -54,7 +54,7 @@ def stand(
         initial_v=feet_still(robot, unit * push),
         terms=(
             *(effort_costs() if costs is None else costs),
-            EffortLimits(),
+            TorqueLimits(),
             PositionLimits(),
             VelocityLimits(),
             *((FrictionCone(),) if exact else common.contact_cones(robot)),
@@ -92,7 +92,7 @@ def turn_over(robot: Robot, *, yaw: float, duration: float) -> Problem:
         terrain=FlatGround(),
         initial_q=start,
         initial_v=np.zeros(robot.nv),
-        terms=(*effort_costs(), EffortLimits(), VelocityLimits(), TerminalState(q=end), TerminalRest(q=end)),
+        terms=(*effort_costs(), TorqueLimits(), VelocityLimits(), TerminalState(q=end), TerminalRest(q=end)),
         guess=partial(_turning, robot, yaw, duration),
         default_intervals=12,
     )

@@ -14,13 +14,13 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
-    EffortLimits,
     FramePose,
     PositionLimits,
     SwingClearance,
     Term,
     TerminalRest,
     TerminalState,
+    TorqueLimits,
     VelocityLimits,
     effort_costs,
 )
@@ -42,7 +42,7 @@ def reach(
     end: Sequence[Term] | None = None,
     guess: Guess | None = None,
     velocity: np.ndarray | None = None,
-    limits: Sequence[Term] = (EffortLimits(), PositionLimits(), VelocityLimits()),
+    limits: Sequence[Term] = (TorqueLimits(), PositionLimits(), VelocityLimits()),
     intervals: int = 10,
 ) -> Problem:
     """An arm goes from ``start`` to ``goal`` (nq,), to rest, within limits; ``end`` replaces the goal."""
@@ -138,7 +138,7 @@ def legged(
         initial_v=np.zeros(robot.nv),
         terms=(
             *effort_costs(),
-            EffortLimits(),
+            TorqueLimits(),
             PositionLimits(),
             VelocityLimits(),
             *common.contact_cones(robot),

@@ -24,12 +24,12 @@ from trajopt.solvers.status import Status
 from trajopt.study.diagnosis.diagnose import diagnose
 from trajopt.terms import (
     AccelerationCost,
-    EffortLimits,
     FrictionPyramid,
     PostureCost,
     TerminalRest,
     TerminalState,
     TorqueCost,
+    TorqueLimits,
     WrenchCost,
 )
 from trajopt.terrain.flat import FlatGround
@@ -176,7 +176,7 @@ def standing_hopper(robot: Robot, names: tuple[str, ...] | None = None, wrench: 
             TorqueCost(weight=1.0),
             PostureCost(weight=1.0),
             *((WrenchCost(weight=wrench),) if wrench else ()),
-            EffortLimits(),
+            TorqueLimits(),
             FrictionPyramid(),
             TerminalState(q=q),
             TerminalRest(q=q),

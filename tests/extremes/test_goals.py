@@ -23,12 +23,12 @@ from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
 from trajopt.solvers.status import Status
 from trajopt.terms import (
-    EffortLimits,
     FrameHeight,
     FramePose,
     PositionLimits,
     SwingClearance,
     TerminalRest,
+    TorqueLimits,
     VelocityLimits,
 )
 from trajopt.terrain.flat import FlatGround
@@ -194,7 +194,7 @@ def test_a_far_goal_is_measured_from_where_the_arm_stands():
     tower = replace(arm, model=model)
     goal = frame_pose(arm, with_joints(arm, {"elbow_joint": 1.2}), "tool0").translation
     ends = [(FramePose(frame="tool0", position=p), TerminalRest(q=arm.reference)) for p in (goal, goal + up)]
-    limits = (EffortLimits(), PositionLimits(), VelocityLimits())
+    limits = (TorqueLimits(), PositionLimits(), VelocityLimits())
     here, there = (
         assert_outcome(
             Solved(ARM), partial(reach, robot, arm.reference, arm.reference, end=end, limits=limits)

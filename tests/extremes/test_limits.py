@@ -13,7 +13,7 @@ from tests.extremes.moves import reach, stance, with_joints
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.solvers.status import Status
 from trajopt.terms import (
-    EffortLimits,
+    TorqueLimits,
 )
 
 # Open-loop error (rad) of an arm's second of motion on ten intervals of degree two; measured up to 2e-2.
@@ -50,7 +50,7 @@ def test_a_joint_beyond_a_limit_too_wide_for_rows_is_refused():
 
 def test_a_start_beyond_a_limit_that_nothing_states_is_free():
     start = with_joints(ur5(), {"elbow_joint": float(ur5().position_upper[2]) + 0.2})
-    make = lambda: reach(ur5(), start, ur5().reference, limits=(EffortLimits(),))  # noqa: E731
+    make = lambda: reach(ur5(), start, ur5().reference, limits=(TorqueLimits(),))  # noqa: E731
     solution = assert_outcome(None, make)
     assert solution.converged
 
@@ -100,6 +100,6 @@ def test_standing_at_the_torque_limit_is_solved_and_at_half_of_it_not():
     need = largest_torque()
     at = assert_outcome(Solved(STANCE), lambda: stance(limited(need), solo().reference, intervals=4))
     assert np.abs(at.tau[at.collocation]).max() <= need * (1 + 10 * SLACK)
-    weak = Failed(Status.INFEASIBLE, block="effort_limits")
+    weak = Failed(Status.INFEASIBLE, block="torque_limits")
     assert_outcome(weak, lambda: stance(limited(need / 2), solo().reference, intervals=4))
     assert_outcome(weak, lambda: stance(limited(0.0), solo().reference, intervals=4))

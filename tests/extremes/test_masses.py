@@ -98,7 +98,7 @@ def test_quadruped_with_extreme_links_jumps(robot, open_loop, intervals, tmp_pat
 def test_tool_too_heavy_to_lift_is_infeasible_by_its_torques(tmp_path):
     heavy = "with_inertias(own('ur5'), lambda n, i: heavier(i, 1e4 if n == 'wrist_3_joint' else 1.0))"
     path = robot_file(tmp_path, "arm", heavy)
-    assert_outcome(Failed(Status.INFEASIBLE, block="effort_limits"), partial(made, ARM, path), intervals=10)
+    assert_outcome(Failed(Status.INFEASIBLE, block="torque_limits"), partial(made, ARM, path), intervals=10)
 
 
 MASSLESS_WRIST = "with_inertias(own('ur5'), lambda n, i: pin.Inertia.Zero() if n == 'wrist_3_joint' else i)"

@@ -16,7 +16,6 @@ from trajopt.schedule import middle_of
 from trajopt.schedule.schedule import Phase
 from trajopt.solving.solving import prepare
 from trajopt.terms import (
-    EffortLimits,
     FrameHeight,
     FramePose,
     FrameVelocity,
@@ -26,6 +25,7 @@ from trajopt.terms import (
     TerminalRest,
     TerminalState,
     TorqueCost,
+    TorqueLimits,
 )
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
@@ -122,7 +122,7 @@ def test_an_invalid_number_is_refused_where_it_is_given(where, value):
 
 @pytest.mark.parametrize("limit", [[NAN] * 6, [1.0] * 5 + [-1.0], [1.0] * 5])
 def test_invalid_torque_limits_are_refused(limit):
-    refused("effort_limits", lambda: ending(EffortLimits(limit=np.array(limit))))
+    refused("torque_limits", lambda: ending(TorqueLimits(limit=np.array(limit))))
 
 
 # How a guess may be wrong after 0.5 s, and what is said of it.

@@ -22,10 +22,10 @@ from trajopt.solution.solution import Solution
 from trajopt.solvers.status import Status
 from trajopt.terms import (
     AccelerationCost,
-    EffortLimits,
     PostureCost,
     TerminalState,
     TorqueCost,
+    TorqueLimits,
     VelocityCost,
     VelocityLimits,
 )
@@ -95,7 +95,7 @@ def held_joints(
         PostureCost(weight=100.0),
         VelocityCost(weight=10.0, joints_only=True),
         AccelerationCost(weight=1e-2, joints_only=True),
-        EffortLimits(),
+        TorqueLimits(),
         VelocityLimits(),
     )
     problem = thrown(robot, omega, duration)

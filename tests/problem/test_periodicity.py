@@ -22,11 +22,11 @@ from trajopt.robot.mirror import find_mirror, mirrored_configuration
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
     AccelerationCost,
-    EffortLimits,
     FrictionPyramid,
     PositionLimits,
     SwingClearance,
     TorqueCost,
+    TorqueLimits,
     VelocityCost,
     WrenchCost,
 )
@@ -85,7 +85,7 @@ def trot(*, half: bool = False, free: bool = False, **periodicity: object) -> Pr
             AccelerationCost(weight=2e-2),
             VelocityCost(weight=1e-2),
             WrenchCost(weight=1e-2),
-            EffortLimits(limit=np.full(robot.nu, 3.0)),
+            TorqueLimits(limit=np.full(robot.nu, 3.0)),
             FrictionPyramid(),
             PositionLimits(),
             SwingClearance(height=0.03, terrain=ground),

@@ -89,7 +89,7 @@ def test_the_fastest_transfer_binds_limits_and_beats_its_guess():
     robot, points = problem.robot, solution.collocation
     assert solution.t[-1] < problem.schedule.duration
     used = np.maximum(
-        np.abs(solution.tau[points] / robot.effort_limit).max(axis=1),
+        np.abs(solution.tau[points] / robot.torque_limit).max(axis=1),
         np.abs(solution.v[points] / robot.velocity_limit).max(axis=1),
     )
     assert np.mean(used > 0.99) > 0.9  # of the motion some limit binds

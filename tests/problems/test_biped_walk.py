@@ -38,7 +38,7 @@ def test_unphysical_parameters_are_refused() -> None:
         {"steps": 2.5},
         {"length": 2.0},
         {"double_support": 0.0},
-        {"effort_share": 0.0},
+        {"torque_share": 0.0},
     ):
         with pytest.raises(InputError, match="allowed"):
             problems.load("biped-walk", **values)

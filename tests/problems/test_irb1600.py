@@ -56,12 +56,12 @@ def test_motors_hold_the_arm_with_its_load_in_every_posture():
     postures = [stretched, *generator.uniform(robot.position_lower, robot.position_upper, (200, 6))]
     for q in postures:
         gravity = pin.computeGeneralizedGravity(robot.model, data, q)
-        assert (np.abs(gravity) < 0.5 * robot.effort_limit).all()
+        assert (np.abs(gravity) < 0.5 * robot.torque_limit).all()
 
 
 def test_joint_side_limits_are_motor_torques_times_gear_ratios():
     robot = irb1600.build()
-    np.testing.assert_allclose(robot.effort_limit, [600, 1000, 500, 36, 36, 20], rtol=ROUNDING)
+    np.testing.assert_allclose(robot.torque_limit, [600, 1000, 500, 36, 36, 20], rtol=ROUNDING)
     np.testing.assert_allclose(np.degrees(robot.velocity_limit), [180, 180, 200, 400, 400, 460])
 
 
@@ -123,7 +123,7 @@ def test_transfer_of_least_effort_is_solved_and_slower_is_cheaper():
 
 def mean_motor_torque(problem, solution) -> float:
     """Mean square of motor torque over its limit, from the file's torques, weighted by time."""
-    share = solution.tau / problem.robot.effort_limit
+    share = solution.tau / problem.robot.torque_limit
     points = solution.collocation
     return float(np.mean(share[points] ** 2))
 
@@ -131,13 +131,13 @@ def mean_motor_torque(problem, solution) -> float:
 @pytest.mark.slow
 def test_transfer_of_least_time_is_at_a_limit_almost_always():
     """Pontryagin: while the duration can be shortened, some drive or some rate has no reserve."""
-    problem = problems.load("irb1600-transfer", minimise="time")
+    problem = problems.load("irb1600-transfer", goal="time")
     solution = trajopt.solve(problem, intervals=2 * INTERVALS)
     assert solution.converged
     assert solution.meta["iterations"] <= 60
     assert trajopt.check(solution).within(AT_POINTS)
     points = solution.collocation
-    torque = np.abs(solution.tau[points]) / problem.robot.effort_limit
+    torque = np.abs(solution.tau[points]) / problem.robot.torque_limit
     rate = np.abs(solution.v[points]) / problem.robot.velocity_limit
     busiest = np.maximum(torque, rate).max(axis=1)
     assert np.mean(busiest < 1 - AT_LIMIT) < SWITCHES
@@ -151,7 +151,7 @@ def test_more_payload_and_larger_motors_take_longer_to_accelerate():
     for change in ({}, {"payload": RATED}, {"payload": RATED, "motor_inertia": 1.0}):
         robot = irb1600.build(**change)
         tau = np.zeros(6)
-        tau[1] = robot.effort_limit[1]
+        tau[1] = robot.torque_limit[1]
         q = np.array(irb1600.REFERENCE)
         found.append(pin.aba(robot.model, robot.model.createData(), q, np.zeros(6), tau)[1])
     assert found == sorted(found, reverse=True)

@@ -88,7 +88,7 @@ def test_speed_at_takeoff_is_what_weak_torques_can_work():
     robot = robots.load("solo12")
     lowest = pushing.raised(robot, -pushing.SINK_PART * robot.length).q
     strength = pushing.strongest(robot, lowest, np.ones(12))
-    weak, strong = (pushing.takeoff(robot, effort=share / strength) for share in (1.3, 2.0))
+    weak, strong = (pushing.takeoff(robot, torque_limit=share / strength) for share in (1.3, 2.0))
     assert 0.0 < weak.speed < strong.speed < math.inf
     # No push does more work than the largest force along the whole way.
     force = pushing.strongest(robot, weak.posture, np.full(12, 1.3 / strength)) - 1

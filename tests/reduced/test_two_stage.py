@@ -37,11 +37,11 @@ from trajopt.terms import (
     Context,
     Cost,
     DriveLimits,
-    EffortLimits,
     FrictionCone,
     FrictionPyramid,
     PostureCost,
     TorqueCost,
+    TorqueLimits,
     WrenchCost,
 )
 from trajopt.transcription.guess import initial_guess
@@ -92,7 +92,7 @@ def test_terms_that_ask_for_torques_are_found_by_what_they_depend_on() -> None:
         robot=driven, terms=(*hop().terms, DriveLimits(), PowerCost(weight=1.0), BaseForceCost(weight=1.0))
     )
     found = {type(term).__name__ for term in torque_terms(problem)}
-    assert found == {"TorqueCost", "EffortLimits", "DriveLimits", "PowerCost"}
+    assert found == {"TorqueCost", "TorqueLimits", "DriveLimits", "PowerCost"}
 
 
 def test_stage_one_keeps_all_other_terms_and_puts_a_wrench_cost_for_the_torque_cost() -> None:
@@ -100,7 +100,7 @@ def test_stage_one_keeps_all_other_terms_and_puts_a_wrench_cost_for_the_torque_c
     one = base_rows_problem(problem)
     dropped = [type(term) for term in problem.terms if term not in one.terms]
     added = [term for term in one.terms if term not in problem.terms]
-    assert dropped == [TorqueCost, EffortLimits]
+    assert dropped == [TorqueCost, TorqueLimits]
     assert added == [WrenchCost(weight=standing_share(problem.robot))]
     assert base_rows_problem(problem, replacement=()).terms == tuple(
         term for term in problem.terms if type(term) not in dropped
@@ -167,7 +167,7 @@ def test_report_names_joint_time_phase_and_amount_of_the_worst_torque() -> None:
     points = np.flatnonzero(solution.collocation)
     at, joint = np.unravel_index(np.argmax(np.abs(torque[points])), (len(points), 12))
     peak, limit = abs(torque[points[at], joint]), 0.8 * abs(torque[points[at], joint])
-    limited, _ = guessed(effort=float(limit))
+    limited, _ = guessed(torque_limit=float(limit))
     _, report = recover_torques(limited, solution)
     worst = report.worst
     assert worst.excess == pytest.approx(peak / limit - 1, rel=1e-9)
@@ -192,7 +192,7 @@ def test_bounds_of_drives_are_their_envelope_with_friction() -> None:
     for side in (bounds.lower, bounds.upper):
         delivered = side[:, 0] + drive.friction_torque(v[:, 6])
         assert_allclose(drive.envelope_margin(delivered, v[:, 6]), 0.0, atol=ROUNDING)
-    assert_allclose(bounds.upper[:, 1], problem.robot.effort_limit[1])
+    assert_allclose(bounds.upper[:, 1], problem.robot.torque_limit[1])
 
 
 def test_redistribution_keeps_motion_base_rows_and_friction_and_lowers_torques_everywhere() -> None:
@@ -232,7 +232,7 @@ def test_redistribution_with_inactive_friction_is_least_squares_over_internal_fo
 
 def test_largest_excess_after_redistribution_is_the_least_that_a_linear_program_finds() -> None:
     limit = 1.0
-    problem, solution = guessed(effort=limit)
+    problem, solution = guessed(torque_limit=limit)
     shared = redistribute_wrenches(problem, solution)
     robot, mu = problem.robot, problem.terrain.friction / np.sqrt(2)
     rows = np.flatnonzero(solution.collocation & solution.active.any(axis=1))
@@ -319,7 +319,7 @@ def test_foreign_solutions_and_problems_without_torques_are_refused() -> None:
 
 @pytest.mark.slow
 def test_stage_one_costs_more_than_the_full_jump_and_sharing_anew_brings_it_nearer() -> None:
-    problem = problems.load("solo12-jump", effort=2.2)
+    problem = problems.load("solo12-jump", torque_limit=2.2)
     settings = {"intervals": 30}
     full = trajopt.solve(problem, **settings, fixed_mesh=True)
     motion = trajopt.solve(base_rows_problem(problem), **settings, fixed_mesh=True)

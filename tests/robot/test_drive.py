@@ -124,7 +124,7 @@ def test_robot_takes_armature_and_limits_from_its_drive():
     robot = one_joint_arm().with_drives({"joint": MOTOR})
     assert robot.model.armature[0] == pytest.approx(MOTOR.armature)
     assert one_joint_arm().model.armature[0] == 0.0  # the robot it was made from is as it was
-    assert robot.effort_limit[0] == pytest.approx(abs(RATIO) * CONSTANT * CURRENT)
+    assert robot.torque_limit[0] == pytest.approx(abs(RATIO) * CONSTANT * CURRENT)
     assert robot.velocity_limit[0] == pytest.approx(VOLTAGE / CONSTANT / abs(RATIO))
     data = robot.model.createData()
     bare = pin.crba(one_joint_arm().model, one_joint_arm().model.createData(), np.zeros(1))
@@ -135,10 +135,10 @@ def test_drive_replaces_what_the_description_says_and_leaves_what_it_does_not_st
     """The hopper's joints have armature 0.02, 60 N m and 20 rad/s of their own."""
     robot = hopper().with_drives({"hip": Drive(gear_ratio=10.0, rotor_inertia=1e-3, torque_limit=2.0)})
     np.testing.assert_allclose(robot.model.armature[6:], [0.1, 0.02])
-    np.testing.assert_allclose(robot.effort_limit, [20.0, 60.0])
+    np.testing.assert_allclose(robot.torque_limit, [20.0, 60.0])
     again = robot.with_drives({"hip": Drive(gear_ratio=5.0), "shank": MOTOR})
     np.testing.assert_allclose(again.model.armature[6:], [0.1, MOTOR.armature])
-    assert again.effort_limit[0] == 20.0
+    assert again.torque_limit[0] == 20.0
     assert again.velocity_limit[6] == 20.0
     assert robot.velocity_limit[7] == 20.0
 
@@ -179,11 +179,11 @@ def test_joint_of_several_degrees_of_freedom_takes_no_drive():
 def test_actuated_rows_may_exceed_the_drive_by_what_friction_brakes():
     robot = one_joint_arm().with_drives({"joint": MOTOR})
     rate = robot.velocity_limit[0]
-    bound = robot.actuated_row_limit(robot.effort_limit)
-    braking = -robot.effort_limit[0] - MOTOR.friction_torque(rate)
+    bound = robot.actuated_row_limit(robot.torque_limit)
+    braking = -robot.torque_limit[0] - MOTOR.friction_torque(rate)
     assert bound[0] == pytest.approx(-braking)
     delivered = drive_torque_values(robot.drives, np.array([[braking]]), np.array([[rate]]))
-    assert delivered[0, 0] == pytest.approx(-robot.effort_limit[0])
+    assert delivered[0, 0] == pytest.approx(-robot.torque_limit[0])
 
 
 def test_solo12_motor_agrees_with_its_makers_figures():

@@ -18,7 +18,7 @@ from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
-from trajopt.terms import Context, DriveLimits, EffortLimits, MotorTorqueCost, TimeCost, TorqueCost
+from trajopt.terms import Context, DriveLimits, MotorTorqueCost, TimeCost, TorqueCost, TorqueLimits
 from trajopt_library import problems
 
 # Symbolic and numeric evaluation of one formula.
@@ -109,7 +109,7 @@ def test_rows_of_drive_limits_are_voltage_and_current_on_the_motor_side():
     robot = hopper().with_drives({"hip": fast})
     context = Context(robot, Coordinates(robot.model), (), node=False)
     rows = DriveLimits().rows(context, Units(robot))
-    assert rows.expression.numel() == 3  # voltage and current of the hip, the shank's own effort limit
+    assert rows.expression.numel() == 3  # voltage and current of the hip, the shank's own torque limit
     np.testing.assert_array_equal(rows.upper, 1.0)
     np.testing.assert_array_equal(rows.lower, -1.0)
     tau, rate = np.array([2.0, -30.0]), np.array([3.0, 1.0])
@@ -181,10 +181,10 @@ def test_least_time_with_friction_is_that_of_full_torque_helped_by_friction_when
 
 
 def test_joint_side_and_motor_side_limits_give_one_motion():
-    """`EffortLimits` of n tau_m on the joint side and `DriveLimits` of tau_m on the motor side."""
+    """`TorqueLimits` of n tau_m on the joint side and `DriveLimits` of tau_m on the motor side."""
     drive = Drive(gear_ratio=-50.0, rotor_inertia=2e-5, torque_limit=0.12)
     solutions = [
-        trajopt.solve(driven_reach(drive, (term,)), intervals=20) for term in (EffortLimits(), DriveLimits())
+        trajopt.solve(driven_reach(drive, (term,)), intervals=20) for term in (TorqueLimits(), DriveLimits())
     ]
     first, second = solutions
     assert first.meta["objective"] == pytest.approx(second.meta["objective"], rel=SOLVED)
@@ -227,8 +227,8 @@ def test_check_of_a_robot_without_drives_has_no_figures_of_them():
 
 
 def test_jump_takes_either_a_torque_limit_or_a_voltage():
-    with pytest.raises(InputError, match="both effort=2 and voltage=24"):
-        problems.load("solo12-jump", effort=2.0, voltage=24.0)
+    with pytest.raises(InputError, match="both torque_limit=2 and voltage=24"):
+        problems.load("solo12-jump", torque_limit=2.0, voltage=24.0)
 
 
 @pytest.mark.slow

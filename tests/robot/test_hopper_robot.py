@@ -92,5 +92,5 @@ def test_the_reference_stands_with_its_weight_over_the_foot():
 def test_joints_can_hold_the_weight_on_a_bent_leg():
     robot = robots.load("hopper")
     lever = hopper.THIGH_LENGTH
-    assert (robot.effort_limit > 2 * robot.weight * lever).all()
+    assert (robot.torque_limit > 2 * robot.weight * lever).all()
     np.testing.assert_array_equal(robot.velocity_limit[3:], hopper.SPEED)

@@ -23,11 +23,11 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare
 from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.terms import (
-    EffortLimits,
     FrictionCone,
     PostureCost,
     SwingClearance,
     TorqueCost,
+    TorqueLimits,
     VelocityCost,
     WrenchCost,
 )
@@ -186,10 +186,10 @@ def test_mode_away_from_its_foothold_is_refused():
 
 def test_limits_and_postures_of_the_whole_robot_mean_the_same_joints_in_a_mode():
     """The small hopper's mode has its joints in another order: shank, hip."""
-    limit = EffortLimits(limit=np.array([10.0, 50.0]))
+    limit = TorqueLimits(limit=np.array([10.0, 50.0]))
     t = prepare(replace(standing_hop(), terms=(limit,)), intervals=6).transcription
     torque = hop().robot.weight * hop().robot.length
-    effort = t.rows.block == t.rows.names.index("effort_limits")
+    effort = t.rows.block == t.rows.names.index("torque_limits")
     phase = np.array([t.layout.phase_at(int(k)) for k in t.rows.stage])
     bounds = [t.upper_g[effort & (phase == i)][:2] * torque for i in range(3)]
     assert_allclose(bounds, [[50.0, 10.0], [10.0, 50.0], [50.0, 10.0]])
@@ -205,9 +205,9 @@ def guess_cost(problem: trajopt.Problem) -> float:
     return float(prepared.nlp.engine.f(prepared.guess))
 
 
-def test_effort_limit_of_wrong_length_is_refused():
+def test_torque_limit_of_wrong_length_is_refused():
     with pytest.raises(InputError, match=r"values of shape \(3,\) for the actuated joints; allowed: \(2,\)"):
-        prepare(hop(terms=(EffortLimits(limit=np.ones(3)),)), intervals=4)
+        prepare(hop(terms=(TorqueLimits(limit=np.ones(3)),)), intervals=4)
 
 
 def test_start_that_moves_the_contact_of_its_mode_is_refused():

@@ -119,7 +119,7 @@ def test_loaded_robot_weighs_more_and_keeps_its_limits() -> None:
     robot = _empty().robot
     heavy = loaded(robot, _payload())
     assert heavy.mass == pytest.approx(robot.mass + MASS)
-    np.testing.assert_array_equal(heavy.effort_limit, robot.effort_limit)
+    np.testing.assert_array_equal(heavy.torque_limit, robot.torque_limit)
 
 
 @pytest.mark.parametrize(

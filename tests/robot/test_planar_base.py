@@ -15,7 +15,6 @@ from trajopt.robot.data import robot_file
 from trajopt.schedule import middle_of
 from trajopt.terms import (
     AccelerationCost,
-    EffortLimits,
     FrameHeight,
     FrictionCone,
     PositionLimits,
@@ -24,6 +23,7 @@ from trajopt.terms import (
     TerminalRest,
     TerminalState,
     TorqueCost,
+    TorqueLimits,
     VelocityCost,
     VelocityLimits,
 )
@@ -94,7 +94,7 @@ def hop(robot: Robot) -> Problem:
             AccelerationCost(weight=2e-2, joints_only=True),
             VelocityCost(weight=1e-2, joints_only=True),
             PostureCost(weight=1e-1),
-            EffortLimits(),
+            TorqueLimits(),
             PositionLimits(),
             VelocityLimits(),
             FrictionCone(friction=ground.friction),

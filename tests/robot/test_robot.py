@@ -62,7 +62,7 @@ def test_ur5_reference_is_far_from_singular():
         robot.model, robot.model.createData(), robot.reference, robot.model.getFrameId("tool0")
     )
     assert np.linalg.svd(jacobian)[1].min() > 0.1
-    np.testing.assert_array_equal(robot.effort_limit, [150, 150, 150, 28, 28, 28])
+    np.testing.assert_array_equal(robot.torque_limit, [150, 150, 150, 28, 28, 28])
 
 
 def test_length_of_an_arm_is_its_reach():
@@ -81,7 +81,7 @@ def test_base_coordinates_have_no_limits(base):
     assert np.isposinf(robot.position_upper[: robot.nq - 12]).all()
     np.testing.assert_array_equal(robot.position_upper[-12:], 10)
     assert np.isposinf(robot.velocity_limit[: robot.n_unactuated]).all()
-    assert robot.effort_limit.shape == (12,)
+    assert robot.torque_limit.shape == (12,)
 
 
 def test_planar_base_moves_in_the_sagittal_plane():
@@ -129,16 +129,16 @@ def test_continuous_joint_has_no_limits(tmp_path):
     robot = Robot.from_urdf(urdf, base="fixed", reference={"axle": 1.0})
     assert np.isneginf(robot.position_lower).all()
     assert np.isposinf(robot.position_upper).all()
-    assert robot.effort_limit is None
+    assert robot.torque_limit is None
     np.testing.assert_allclose(robot.reference, [np.cos(1.0), np.sin(1.0)])
 
 
 def test_locked_joints_leave_the_other_limits_and_the_mass():
     robot = robots.load("solo12")
-    legs = replace(robot, effort_limit=np.arange(12.0))
+    legs = replace(robot, torque_limit=np.arange(12.0))
     front = legs.with_locked(["HL_HAA", "HL_HFE", "HL_KFE", "HR_HAA", "HR_HFE", "HR_KFE"])
     assert (front.nq, front.nv, front.nu) == (13, 12, 6)
-    np.testing.assert_array_equal(front.effort_limit, np.arange(6.0))
+    np.testing.assert_array_equal(front.torque_limit, np.arange(6.0))
     assert front.mass == pytest.approx(robot.mass, rel=1e-12)
     np.testing.assert_allclose(
         frame_positions(front, FEET, front.reference),
@@ -218,7 +218,7 @@ def test_arrays_of_a_robot_are_read_only():
         ({"contacts": (Contact(frame="tool_0"),)}, "close matches: tool0"),
         ({"base": "freeflyer"}, "has a fixed root joint"),
         ({"base": "floating"}, "one of 'freeflyer', 'virtual', 'planar', 'fixed'"),
-        ({"effort_limit": np.full(6, -1.0)}, "effort_limit .* negative"),
+        ({"torque_limit": np.full(6, -1.0)}, "torque_limit .* negative"),
         ({"velocity_limit": "fast"}, "velocity_limit .* not numeric"),
         ({"position_lower": np.full(6, 9.0)}, "empty at index 0"),
     ],

@@ -151,10 +151,10 @@ SHANK = r'(<link name="lf_shank">.*?<inertia) ixx="[^"]*"(.*?)iyy="[^"]*"(.*?)iz
     ("pattern", "replacement", "warning"),
     [
         (r"<inertial>.*?</inertial>", "", "robot 'puppy' has no mass"),
-        (r'effort="9"', 'effort="0"', "effort limit 0"),
-        (r'effort="9"', 'effort="1e30"', "no effort limit: all joints"),
+        (r'effort="9"', 'effort="0"', "torque limit 0"),
+        (r'effort="9"', 'effort="1e30"', "no torque limit: all joints"),
         (r'effort="9"', 'effort="1000"', "a placeholder"),
-        (r'effort="9"', 'effort="0.9"', "takes 1.25 at joint 'lh_knee', beyond its effort limit 0.9"),
+        (r'effort="9"', 'effort="0.9"', "takes 1.25 at joint 'lh_knee', beyond its torque limit 0.9"),
         (r'velocity="22"', 'velocity="0"', "velocity limit 0"),
         (r'velocity="22"', 'velocity="1e30"', "no velocity limit: all joints"),
         (SHANK, r'\1 ixx="1"\2 iyy="1"\3 izz="1"', "bodies larger than the robot are moved by lf_knee"),

@@ -167,8 +167,8 @@ def test_legs_can_still_lengthen_from_the_reference(name):
 @pytest.mark.parametrize("name", robots.names())
 def test_limits_are_positive_and_inertias_of_bodies_that_can_be(name):
     robot = robots.load(name)
-    assert robot.effort_limit is not None
-    assert (robot.effort_limit > 0).all()
+    assert robot.torque_limit is not None
+    assert (robot.torque_limit > 0).all()
     assert (robot.velocity_limit > 0).all()
     limited = np.isfinite(robot.position_lower)
     assert (robot.position_lower < robot.position_upper)[limited].all()
@@ -185,7 +185,7 @@ def test_limits_are_positive_and_inertias_of_bodies_that_can_be(name):
 def test_motors_hold_an_arm_in_its_reference(name):
     robot = robots.load(name)
     gravity = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), robot.reference)
-    assert (np.abs(gravity[robot.n_unactuated :]) < robot.effort_limit).all()
+    assert (np.abs(gravity[robot.n_unactuated :]) < robot.torque_limit).all()
 
 
 @pytest.mark.parametrize("name", sorted(PUBLISHED))

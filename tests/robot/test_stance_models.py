@@ -34,7 +34,7 @@ def test_limits_armature_and_drives_stay_with_their_joints():
     driven = robot.with_drives({"knee": strong})
     stance = stance_mode(driven, "foot").robot
     knee, hip = 0, 1
-    np.testing.assert_array_equal(stance.effort_limit[[hip, knee]], driven.effort_limit)
+    np.testing.assert_array_equal(stance.torque_limit[[hip, knee]], driven.torque_limit)
     assert (stance.drives[knee], stance.drives[hip]) == (strong, None)
     np.testing.assert_array_equal(stance.model.armature, [0, *driven.model.armature[[4, 3]]])
     np.testing.assert_array_equal(stance.position_lower[1:], driven.position_lower[[5, 4]])
@@ -118,7 +118,7 @@ def test_passive_joints_must_exist_and_come_first(passive, message):
 
 def test_passive_joints_follow_the_base_and_leave_with_a_lock():
     robot = Robot.from_model(robots.load("hopper").model, passive=["hip"])
-    assert (robot.n_unactuated, robot.nu, len(robot.effort_limit)) == (4, 1, 1)
+    assert (robot.n_unactuated, robot.nu, len(robot.torque_limit)) == (4, 1, 1)
     locked = robot.with_locked(["hip"])
     assert (locked.passive, locked.n_unactuated, locked.nu) == ((), 3, 1)
-    np.testing.assert_array_equal(locked.effort_limit, robot.effort_limit)
+    np.testing.assert_array_equal(locked.torque_limit, robot.torque_limit)

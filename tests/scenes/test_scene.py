@@ -21,12 +21,12 @@ from trajopt.schedule import middle_of
 from trajopt.terms import (
     AccelerationCost,
     Context,
-    EffortLimits,
     FrameHeight,
     PointConstraint,
     PostureCost,
     Rows,
     TorqueCost,
+    TorqueLimits,
 )
 from trajopt.terrain.surface import Surface
 from trajopt_library import problems
@@ -143,9 +143,9 @@ def test_joints_to_lock_may_be_named_and_must_exist_and_be_free() -> None:
 def test_arrays_over_joints_follow_the_joints_that_are_left() -> None:
     robot = biped()
     limit = np.arange(1.0, robot.nu + 1)
-    terms = (*usual(robot), EffortLimits(limit=limit))
+    terms = (*usual(robot), TorqueLimits(limit=limit))
     made = smallest(push(robot, terms=terms), plane=False)
-    own = next(t for t in made.problem.terms if isinstance(t, EffortLimits) and t.limit is not None)
+    own = next(t for t in made.problem.terms if isinstance(t, TorqueLimits) and t.limit is not None)
     assert_allclose(own.limit, limit[:6])
     assert made.problem.guess(0.0).shape == made.problem.initial_q.shape == (made.problem.robot.nq,)
 
@@ -182,10 +182,10 @@ def test_without_a_term_on_torques_the_optimum_is_found_without_them() -> None:
 
 
 def test_torques_are_modelled_where_they_are_priced_or_limited() -> None:
-    for term in (TorqueCost(weight=1.0), EffortLimits(limit=np.array([5.0]))):
+    for term in (TorqueCost(weight=1.0), TorqueLimits(limit=np.array([5.0]))):
         made = smallest(reach(gravity=True, terms=(AccelerationCost(weight=1.0), term)))
         assert made.problem.actuation == "torque"
-    for term in (TorqueCost(weight=0.0), EffortLimits()):
+    for term in (TorqueCost(weight=0.0), TorqueLimits()):
         made = smallest(reach(gravity=True, terms=(AccelerationCost(weight=1.0), term)))
         assert made.problem.actuation == "acceleration"
 

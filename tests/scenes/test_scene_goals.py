@@ -21,10 +21,10 @@ from trajopt.scenes.goals import scene
 from trajopt.scenes.smallest_scene import smallest
 from trajopt.terms import (
     AccelerationCost,
-    EffortLimits,
     FrictionCone,
     PositionLimits,
     TorqueCost,
+    TorqueLimits,
     VelocityLimits,
     WrenchCost,
 )
@@ -48,7 +48,7 @@ def corners(robot: Robot) -> Problem:
         schedule=Schedule((Phase(name="stance", duration=0.2, contacts=names),)),
         terms=(
             TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), WrenchCost(weight=1e-6),
-            FrictionCone(), EffortLimits(),
+            FrictionCone(), TorqueLimits(),
         ),
         initial_v=np.array([0.1, 0, 0, 0, 0, 0, 0.1, 0]),
     )  # fmt: skip

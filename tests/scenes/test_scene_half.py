@@ -26,7 +26,6 @@ from trajopt.terms import (
     Context,
     Cost,
     DriveLimits,
-    EffortLimits,
     FrameHeight,
     FramePose,
     ImpulseCost,
@@ -37,6 +36,7 @@ from trajopt.terms import (
     Rows,
     TerminalState,
     TimeCost,
+    TorqueLimits,
 )
 from trajopt.terrain.surface import Surface
 from trajopt_library import problems
@@ -167,7 +167,7 @@ def asymmetric_tasks() -> dict[str, Problem]:
         "contact 'left_foot'": push(robot, schedule=one),
         "the surface under 'left_foot'": push(robot, schedule=slope),
         "frame_pose": push(robot, terms=(*usual(robot), goal)),
-        "effort_limits": push(robot, terms=(*usual(robot), EffortLimits(limit=uneven))),
+        "torque_limits": push(robot, terms=(*usual(robot), TorqueLimits(limit=uneven))),
         "normal_force": push(robot, terms=(*usual(robot), NormalForce(contact=FEET[0], upper=15.0))),
         "left_foot_cost": push(robot, terms=(*usual(robot), LeftFootCost(weight=1.0))),
     }
@@ -205,7 +205,7 @@ def test_terms_of_unknown_kinds_and_both_sides_come_with_the_half() -> None:
 def test_drives_of_the_whole_robot_price_and_limit_the_half_alike() -> None:
     robot = biped()
     robot = robot.with_drives({name: drive() for name in ("left_hip", "right_hip")})
-    terms = tuple(term for term in usual(robot) if not isinstance(term, EffortLimits))
+    terms = tuple(term for term in usual(robot) if not isinstance(term, TorqueLimits))
     problem = push(robot, terms=(*terms, MotorTorqueCost(weight=1.0), DriveLimits()))
     keep = ("left_abduction", "right_abduction", *ARMS)
     made = smallest(problem, keep=keep, plane=True)

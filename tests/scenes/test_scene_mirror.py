@@ -220,12 +220,12 @@ def test_limits_and_drives_of_a_pair_are_merged() -> None:
     small = reduction.small
     row = small.model.joints[small.model.getJointId("left_hip")].idx_v - 3
     assert small.drives is not None
-    assert small.effort_limit is not None
+    assert small.torque_limit is not None
     merged, single = small.drives[row], drive()
     assert merged is not None
     assert merged.armature == pytest.approx(2 * single.armature)
     assert small.model.armature[row + 3] == pytest.approx(2 * single.armature)
-    assert small.effort_limit[row] == pytest.approx(2 * single.joint_torque_limit)
+    assert small.torque_limit[row] == pytest.approx(2 * single.joint_torque_limit)
     assert merged.joint_no_load_speed == pytest.approx(single.joint_no_load_speed)
     assert small.velocity_limit[row + 3] == pytest.approx(robot.velocity_limit[6])
     # What the pair delivers at a rate is twice what one does, and so is its share of voltage equal.

@@ -34,11 +34,11 @@ from trajopt.solving.solving import prepare
 from trajopt.terms import (
     AccelerationCost,
     BaseDynamics,
-    EffortLimits,
     FrameHeight,
     PositionLimits,
     TimeCost,
     TorqueCost,
+    TorqueLimits,
     VelocityCost,
     VelocityLimits,
 )
@@ -132,7 +132,7 @@ def test_velocity_source_has_neither_rates_nor_torques_nor_accelerations():
     ("term", "lacks"),
     [
         (TorqueCost(weight=1.0), "torques"),
-        (EffortLimits(), "torques"),
+        (TorqueLimits(), "torques"),
         (AccelerationCost(weight=1.0), "accelerations"),
     ],
 )
@@ -154,7 +154,7 @@ def test_minimum_time_of_a_double_integrator_is_that_of_full_torque_both_ways(so
     torque = 30.0
     model = one_joint_arm().model
     inertia = pin.crba(model, model.createData(), np.zeros(1))[0, 0]
-    terms = (TimeCost(weight=1.0), EffortLimits(limit=np.array([torque])))
+    terms = (TimeCost(weight=1.0), TorqueLimits(limit=np.array([torque])))
     problem = reach(terms=terms)
     phase = replace(problem.schedule.phases[0], duration_bounds=(0.05, 3.0))
     solution = trajopt.solve(replace(problem, schedule=Schedule((phase,))), intervals=20, solver=solver)

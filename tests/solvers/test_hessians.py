@@ -22,11 +22,11 @@ from trajopt.robot.robot import Robot
 from trajopt.solving.solving import PreparedProblem, prepare, solve, solve_prepared
 from trajopt.terms import (
     AccelerationCost,
-    EffortLimits,
     PostureCost,
     PowerCost,
     TimeCost,
     TorqueCost,
+    TorqueLimits,
     TrackingCost,
     VelocityCost,
     WrenchCost,
@@ -64,7 +64,7 @@ def drives(robot: Robot) -> Robot:
 def cases() -> dict[str, tuple[Robot, tuple[str, ...], tuple]]:
     ordinary = (
         TorqueCost(weight=0.7), AccelerationCost(weight=0.3), VelocityCost(weight=0.2),
-        PostureCost(weight=0.5), WrenchCost(weight=0.4), EffortLimits(),
+        PostureCost(weight=0.5), WrenchCost(weight=0.4), TorqueLimits(),
     )  # fmt: skip
     feet = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
     hot = drives(one_joint_arm(gravity=True))

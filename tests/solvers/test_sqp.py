@@ -18,7 +18,7 @@ from trajopt.solvers.drivers import run_solver
 from trajopt.solvers.result import Callback, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import PreparedProblem, prepare, solve, solve_prepared
-from trajopt.terms import AccelerationCost, EffortLimits, TorqueCost, VelocityCost
+from trajopt.terms import AccelerationCost, TorqueCost, TorqueLimits, VelocityCost
 from trajopt.transcription.guess import perturbed
 from trajopt.transcription.nlp import Nlp
 from trajopt_library import problems
@@ -42,7 +42,7 @@ def sqp(prepared: PreparedProblem, x: np.ndarray | None = None, **given: object)
 def swing() -> Problem:
     """The arm against gravity: nonlinear, one joint."""
     costs = (TorqueCost(weight=1.0), VelocityCost(weight=0.1))
-    return reach(gravity=True, terms=(*costs, EffortLimits(limit=np.array([11.0]))))
+    return reach(gravity=True, terms=(*costs, TorqueLimits(limit=np.array([11.0]))))
 
 
 def ready(problem: Problem, **options: object) -> PreparedProblem:
@@ -133,7 +133,7 @@ def test_after_a_small_change_a_start_from_the_solution_takes_fewer_steps():
 
 
 def test_contradicting_limits_are_reported_as_infeasible_near_their_least_violation():
-    weak = reach(terms=(AccelerationCost(weight=1.0), EffortLimits(limit=np.array([0.05]))))
+    weak = reach(terms=(AccelerationCost(weight=1.0), TorqueLimits(limit=np.array([0.05]))))
     solution = solve(weak, solver="sqp")
     assert (solution.success, solution.meta["status"]) == (False, "infeasible")
     assert solution.meta["solver_status"] == "Infeasible"

@@ -47,7 +47,7 @@ def build():
     mass = pin.Inertia.FromSphere(2.0, 0.05)
     model.appendBodyToJoint(joint, mass, pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.7])))
     robot = Robot.from_model(model, name="point", reference=np.array([math.pi]))
-    return replace(robot, effort_limit=np.array([2.0 * 9.81 * 0.7]))
+    return replace(robot, torque_limit=np.array([2.0 * 9.81 * 0.7]))
 """
 
 
@@ -85,7 +85,7 @@ def _stretched(model: pin.Model, angle: float) -> float:
 def test_motors_cannot_lift_the_links_at_once(name):
     problem, solution = solved(name)
     rates = solution.v[:, 0]
-    assert np.all(np.abs(solution.tau[solution.collocation]) < 0.5 * problem.robot.effort_limit + SOLVED)
+    assert np.all(np.abs(solution.tau[solution.collocation]) < 0.5 * problem.robot.torque_limit + SOLVED)
     assert np.sum(np.diff(np.sign(rates[np.abs(rates) > 0.1])) != 0) >= 2  # it swings to and fro
 
 
@@ -103,7 +103,7 @@ def test_nothing_drives_the_first_joint_of_the_acrobot():
 def test_the_least_time_of_the_double_pendulum_takes_all_the_torque():
     problem, solution = solved("double-pendulum", goal="time")
     assert sum(solution.meta["durations"]) < 0.7 * problem.schedule.duration
-    limit = 0.5 * problem.robot.effort_limit
+    limit = 0.5 * problem.robot.torque_limit
     used = np.abs(solution.tau[solution.collocation]) / limit
     assert np.mean(used.max(axis=1) > 0.99) > 0.8
     assert used.max() < 1 + SOLVED

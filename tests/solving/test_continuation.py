@@ -21,7 +21,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solving.continuation import NEAREST_SOLVES, Continuation, nearest
 from trajopt.solving.solving import solve
-from trajopt.terms import EffortLimits, TerminalRest, TerminalState, TorqueCost, VelocityCost
+from trajopt.terms import TerminalRest, TerminalState, TorqueCost, TorqueLimits, VelocityCost
 from trajopt_library import problems
 
 VALUES = (0.2, 0.5, 0.8)
@@ -361,7 +361,7 @@ def test_nearest_value_is_just_below_the_largest_that_the_torque_allows():
 
     def turn(goal: float) -> Problem:
         end = np.array([goal])
-        limits = EffortLimits(limit=np.array([torque]))
+        limits = TorqueLimits(limit=np.array([torque]))
         return replace(
             limited_reach(torque),
             terms=(TorqueCost(weight=1.0), limits, TerminalState(q=end), TerminalRest(q=end)),

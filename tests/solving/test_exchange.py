@@ -236,7 +236,7 @@ def test_bodies_of_a_hopper_have_rows_in_the_phases_where_they_are_near():
     exchange, look = begun(problem, solution)
     assert ("toe", "above") in exchange.missing(look)
     terms = planes(exchange.constrained(along(solution)))
-    assert "flight" in {term.phase for term in terms}
+    assert "flight" in {term.during for term in terms}
     assert {(term.frame, term.body) for term in terms} == {(FOOT, None)}
 
 

@@ -15,7 +15,7 @@ from trajopt.robot.units import Units
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import prepare, solve
-from trajopt.terms import AccelerationCost, EffortLimits, TerminalState, TorqueCost, VelocityCost
+from trajopt.terms import AccelerationCost, TerminalState, TorqueCost, TorqueLimits, VelocityCost
 
 # The solver's tolerance on a problem of order one.
 SOLVED = 1e-7
@@ -75,7 +75,7 @@ def test_not_converging_is_a_status_with_advice_and_no_exception():
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_goal_beyond_the_torque_limit_is_not_a_success(solver):
-    weak = reach(terms=(AccelerationCost(weight=1.0), EffortLimits(limit=np.array([0.05]))))
+    weak = reach(terms=(AccelerationCost(weight=1.0), TorqueLimits(limit=np.array([0.05]))))
     solution = solve(weak, transcription="legendre:2", solver=solver, max_iterations=200)
     assert not solution.success
     assert solution.meta["status"] in ("infeasible", "step_failed", "iteration_limit")

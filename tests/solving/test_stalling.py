@@ -35,7 +35,7 @@ def test_goal_that_torques_do_not_reach_is_certified_with_both_by_name_and_place
     assert not meta["success"]
     assert meta["iterations"] <= FEW
     assert meta["max_violation"] > 0
-    for words in ("terminal_", "effort_limits [joint torque]", "t = ", "phase 'reach'", "against it stand"):
+    for words in ("terminal_", "torque_limits [joint torque]", "t = ", "phase 'reach'", "against it stand"):
         assert words in meta["advice"]
     assert "\n" not in meta["advice"]
 

@@ -175,7 +175,7 @@ def test_active_limits_are_those_that_the_torques_of_the_solution_reach():
     solution = trajopt.solve(problem, fixed_mesh=True)
     found = diagnose(solution, problem)
     tau = solution.tau[solution.collocation, 0]
-    sides = {active.side: active for active in found.limits if active.block == "effort_limits"}
+    sides = {active.side: active for active in found.limits if active.block == "torque_limits"}
     for side, at in (("upper", tau > limit * (1 - AT_LIMIT)), ("lower", tau < -limit * (1 - AT_LIMIT))):
         active = sides[side]
         assert at.any()
@@ -214,10 +214,10 @@ def test_a_goal_that_torques_do_not_reach_is_named_with_them():
     assert found.conflict is not None
     assert found.conflict.stuck
     assert found.conflict.giving[0].what.startswith("terminal_")
-    assert found.conflict.against[0].what == "effort_limits [joint torque]"
+    assert found.conflict.against[0].what == "torque_limits [joint torque]"
     assert found.conflict.after == pytest.approx(least_violation(snapshot_of(problem, solution)), rel=1e-3)
     reached = next(advice for advice in found.advice if "out of reach" in advice.finding)
-    assert "lengthen the phase, raise the effort limit" in reached.remedy
+    assert "lengthen the phase, raise the torque limit" in reached.remedy
     assert found.worst[0].block.startswith(("terminal_", "defect"))
 
 

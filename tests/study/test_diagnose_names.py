@@ -59,7 +59,7 @@ def test_a_row_of_a_limit_is_the_torque_that_its_name_says():
     problem, solution = solved("hop")
     snapshot = snapshot_of(problem, solution)
     names, unit = snapshot.names, Units(problem.robot).torque
-    rows = [row for row in range(len(snapshot.g)) if names.block(row) == "effort_limits"]
+    rows = [row for row in range(len(snapshot.g)) if names.block(row) == "torque_limits"]
     assert len(rows) == 2 * 2 * 8
     joints = list(problem.robot.model.names)[2:]
     for row in rows:

@@ -101,7 +101,7 @@ def test_tables_are_read_as_they_were_written(tmp_path: Path) -> None:
 def test_with_limits_of_torques_the_solver_for_them_is_compared() -> None:
     found = [measured(CROCODDYL, method, 10.0, 1.0, 1e-3) for method in ("FDDP", "BoxFDDP")]
     assert report.example(found, "trot").setting.method == "BoxFDDP"
-    assert SOLO_JUMP.effort is not None
+    assert SOLO_JUMP.torque_limit is not None
 
 
 def test_sections_of_documents_are_replaced() -> None:

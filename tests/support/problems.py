@@ -22,7 +22,6 @@ from trajopt.terms import (
     ContactAcceleration,
     Context,
     Cost,
-    EffortLimits,
     FrameHeight,
     FrictionCone,
     ImpulseCost,
@@ -34,6 +33,7 @@ from trajopt.terms import (
     TerminalRest,
     TerminalState,
     TorqueCost,
+    TorqueLimits,
     VelocityCost,
     VelocityLimits,
     WrenchCost,
@@ -147,7 +147,7 @@ def hop(kind: str = "point", **changes: object) -> Problem:
     terms = [
         AccelerationCost(weight=1e-2), TorqueCost(weight=1.0), VelocityCost(weight=1e-2),
         WrenchCost(weight=1e-2),
-        EffortLimits(), PositionLimits(), VelocityLimits(), FrictionCone(friction=0.7),
+        TorqueLimits(), PositionLimits(), VelocityLimits(), FrictionCone(friction=0.7),
         FrameHeight(frame=FOOT, height=0.02, at=middle_of("flight")),
     ]  # fmt: skip
     if kind == "surface":
@@ -242,4 +242,4 @@ def inertia() -> float:
 
 def limited_reach(torque: float) -> Problem:
     """The arm's reach with a torque limit, N m; 4 inertia REACH / REACH_TIME^2 is the least that suffices."""
-    return reach(terms=(AccelerationCost(weight=1.0), EffortLimits(limit=np.array([torque]))))
+    return reach(terms=(AccelerationCost(weight=1.0), TorqueLimits(limit=np.array([torque]))))

@@ -15,7 +15,6 @@ from trajopt.robot.kinematics import inverse_kinematics
 from trajopt.robot.mirror import find_mirror, pairs, reflected, reflected_inertia
 from trajopt.terms import (
     AccelerationCost,
-    EffortLimits,
     FrictionCone,
     PositionLimits,
     PostureCost,
@@ -24,6 +23,7 @@ from trajopt.terms import (
     TerminalRest,
     TerminalState,
     TorqueCost,
+    TorqueLimits,
     VelocityCost,
     VelocityLimits,
     WrenchCost,
@@ -128,7 +128,7 @@ def usual(robot: Robot, lower: float = 0.04) -> tuple[Term, ...]:
         VelocityCost(weight=1e-2),
         PostureCost(weight=1e-1),
         WrenchCost(weight=1e-2),
-        EffortLimits(),
+        TorqueLimits(),
         PositionLimits(),
         VelocityLimits(),
         FrictionCone(),

@@ -17,7 +17,7 @@ from trajopt.problem.family import Family
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.study.suite import run
-from trajopt.terms import AccelerationCost, EffortLimits, TerminalState
+from trajopt.terms import AccelerationCost, TerminalState, TorqueLimits
 
 # Far below what swings the arm to its goal in time, N m.
 FEEBLE = 1e-3
@@ -26,7 +26,7 @@ LOST_SEED = 1
 
 
 def infeasible() -> Problem:
-    return reach(terms=(AccelerationCost(weight=1.0), EffortLimits(limit=np.array([FEEBLE]))))
+    return reach(terms=(AccelerationCost(weight=1.0), TorqueLimits(limit=np.array([FEEBLE]))))
 
 
 def not_finite() -> Problem:

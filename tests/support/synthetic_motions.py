@@ -41,7 +41,7 @@ def meta_of(robot: Robot, **changes: Any) -> dict[str, Any]:
         "contact_kinds": [contact.kind for contact in robot.contacts],
         "contact_radius": [contact.radius for contact in robot.contacts],
         "friction": [0.7] * len(robot.contacts),
-        "effort_limit": None if robot.effort_limit is None else robot.effort_limit.tolist(),
+        "effort_limit": None if robot.torque_limit is None else robot.torque_limit.tolist(),
         "velocity_limit": [None if np.isinf(limit) else limit for limit in robot.velocity_limit],
         "terrain": {"kind": "flat", "height": 0.0, "normal": [0.0, 0.0, 1.0], "friction": 0.7},
         "transcription": "legendre:2",

@@ -26,13 +26,13 @@ from trajopt.solving.solving import prepare, solve
 from trajopt.terms import (
     AccelerationCost,
     DistanceCost,
-    EffortLimits,
     FrameHeightCost,
     PowerCost,
     TerminalRest,
     TerminalState,
     TimeCost,
     TorqueCost,
+    TorqueLimits,
     TrackingCost,
     effort_costs,
     goal_terms,
@@ -61,7 +61,7 @@ def lift(mass: float = 2.0) -> Robot:
     model.appendBodyToJoint(joint, pin.Inertia.FromSphere(mass, 0.1), pin.SE3.Identity())
     model.addFrame(pin.Frame("top", joint, 0, pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1])), pin.OP_FRAME))
     robot = Robot.from_model(model, name="lift", reference=np.zeros(1))
-    return replace(robot, effort_limit=np.array([PUSH]))
+    return replace(robot, torque_limit=np.array([PUSH]))
 
 
 def thrust(*terms: object) -> Problem:
@@ -74,7 +74,7 @@ def thrust(*terms: object) -> Problem:
         terrain=FlatGround(),
         initial_q=np.zeros(1),
         initial_v=np.zeros(1),
-        terms=(*terms, EffortLimits()),
+        terms=(*terms, TorqueLimits()),
         guess=lambda t: np.zeros(1),
         default_intervals=8,
     )
@@ -214,7 +214,7 @@ def test_least_time_of_a_double_integrator_is_bang_bang(solver):
         schedule=schedule,
         terms=(
             *goal_terms("time", arm, schedule, effort=(AccelerationCost(weight=1.0),), rest=0.0),
-            EffortLimits(limit=np.array([torque])), TerminalState(q=goal), TerminalRest(q=goal),
+            TorqueLimits(limit=np.array([torque])), TerminalState(q=goal), TerminalRest(q=goal),
         ),
     )  # fmt: skip
     solution = solve(problem, solver=solver, intervals=10)

@@ -19,7 +19,6 @@ from trajopt.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terms import (
     AccelerationCost,
-    EffortLimits,
     FramePose,
     FrictionPyramid,
     PositionLimits,
@@ -28,6 +27,7 @@ from trajopt.terms import (
     TerminalRest,
     TerminalState,
     TorqueCost,
+    TorqueLimits,
     VelocityCost,
     VelocityLimits,
     WrenchCost,
@@ -167,7 +167,7 @@ def step_up(name: str) -> Problem:
             VelocityCost(weight=1e-2),
             PostureCost(weight=1e-1),
             WrenchCost(weight=1e-2),
-            EffortLimits(),
+            TorqueLimits(),
             PositionLimits(),
             VelocityLimits(),
             FrictionPyramid(),

@@ -19,12 +19,12 @@ from trajopt.terms import (
     AccelerationCost,
     ContactAcceleration,
     Context,
-    EffortLimits,
     FrictionCone,
     PositionLimits,
     PostureCost,
     SoleLimits,
     TorqueCost,
+    TorqueLimits,
     VelocityCost,
     VelocityLimits,
     WrenchCost,
@@ -36,7 +36,7 @@ from trajopt_library import robots
 SAME = {"rtol": 1e-9, "atol": 1e-9}
 SEEDS = (0, 1)
 COSTS = (TorqueCost, AccelerationCost, VelocityCost, PostureCost, WrenchCost)
-LIMITS = (EffortLimits(), PositionLimits(), VelocityLimits(), FrictionCone(friction=0.7))
+LIMITS = (TorqueLimits(), PositionLimits(), VelocityLimits(), FrictionCone(friction=0.7))
 TERMS = (*(cost(weight=0.3 + i) for i, cost in enumerate(COSTS)), *LIMITS)
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 # Of the second derivatives of Solo12 on four feet; 43k at the time of writing.

@@ -16,7 +16,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.solving import prepare, solve
-from trajopt.terms import AccelerationCost, EffortLimits, TorqueCost
+from trajopt.terms import AccelerationCost, TorqueCost, TorqueLimits
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import transcribe
 from trajopt_library import problems
@@ -24,7 +24,7 @@ from trajopt_library import problems
 # The identity block comes out of divisions of scales by themselves.
 ROUNDING = 1e-12
 PROBLEMS = {"hop": hop, "sole": lambda: hop("surface"), "reach": lambda: reach(gravity=True, terms=ALL_COSTS)}
-ALL_COSTS = (TorqueCost(weight=1.0), AccelerationCost(weight=0.1), EffortLimits(limit=np.array([30.0])))
+ALL_COSTS = (TorqueCost(weight=1.0), AccelerationCost(weight=0.1), TorqueLimits(limit=np.array([30.0])))
 
 
 @lru_cache
@@ -162,8 +162,8 @@ def heavier(problem: Problem, factor: float) -> Problem:
         inertia = model.inertias[i]
         model.inertias[i] = pin.Inertia(factor * inertia.mass, inertia.lever, factor * inertia.inertia)
     model.armature = factor * model.armature
-    limit = factor * problem.robot.effort_limit
-    return replace(problem, robot=replace(problem.robot, model=model, effort_limit=limit))
+    limit = factor * problem.robot.torque_limit
+    return replace(problem, robot=replace(problem.robot, model=model, torque_limit=limit))
 
 
 def test_optimum_in_natural_units_does_not_depend_on_the_mass():

@@ -6,12 +6,15 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from trajopt.errors import InputError, not_among
 
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
+
+# Parameters that the library's families had, and their names of today.
+RENAMED = {"effort": "torque_limit", "effort_share": "torque_share", "minimise": "goal"}
 
 # Unit -> how it and its rate per second may be written, and the size of each in that unit.
 _SUFFIXES = {
@@ -157,10 +160,18 @@ class Family:
         """Whether the robot is a parameter."""
         return any(isinstance(parameter, RobotName) for parameter in self.parameters)
 
+    def of_file(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Values in a solution's ``meta``, of any version, of parameters that the family has."""
+        known = {parameter.name for parameter in self.parameters}
+        named = {name if name in known else RENAMED.get(name, name): value for name, value in given.items()}
+        return {name: value for name, value in named.items() if name in known and value is not None}
+
     def load(self, values: Mapping[str, object]) -> Problem:
         """Build the problem with ``values`` over the defaults. Raises InputError."""
         known = {parameter.name: parameter for parameter in self.parameters}
         for name in values:
+            if name not in known and RENAMED.get(name) in known:
+                raise InputError(f"{self.name} has no parameter '{name}'", f"allowed: {RENAMED[name]}")
             if name not in known:
                 raise not_among(known, name, f"{self.name} has no parameter '{name}'")
         chosen: dict[str, float | str | None] = {name: own.default for name, own in known.items()}

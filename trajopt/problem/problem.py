@@ -54,10 +54,11 @@ class Problem:
         name: for reports and files.
         robot: the robot.
         schedule: its contacts over time.
-        terrain: the ground.
-        initial_q: configuration at the start (nq,). With a ``periodicity`` the start is free, and this is the
-            reference of its rotations and fixes the motion's position in the world.
-        initial_v: velocity at the start (nv,).
+        terrain: the ground, default level at height 0.
+        initial_q: configuration at the start (nq,), default the robot's reference. With a ``periodicity`` the
+            start is free, and this is the reference of its rotations and fixes the motion's position in the
+            world.
+        initial_v: velocity at the start (nv,), default rest.
         terms: costs and constraints.
         guess: time in s -> configuration (nq,), a motion that follows the schedule and is defined a little
             beyond its ends. Rates follow by differences, contact forces by a distribution that balances it.
@@ -81,11 +82,11 @@ class Problem:
     name: str
     robot: Robot
     schedule: Schedule
-    terrain: Terrain
-    initial_q: np.ndarray
-    initial_v: np.ndarray
     terms: tuple[Term, ...]
     guess: Motion
+    terrain: Terrain = field(default_factory=FlatGround)
+    initial_q: np.ndarray = None  # type: ignore[assignment]
+    initial_v: np.ndarray = None  # type: ignore[assignment]
     parameters: Mapping[str, object] = field(default_factory=dict)
     default_intervals: int = 50
     default_transcription: str = "legendre:2"
@@ -98,6 +99,9 @@ class Problem:
 
     def __post_init__(self) -> None:
         robot, schedule = self.robot, self.schedule
+        for label, usual in (("initial_q", robot.reference), ("initial_v", np.zeros(robot.nv))):
+            if getattr(self, label) is None:
+                object.__setattr__(self, label, usual)
         for label, size in (("initial_q", robot.nq), ("initial_v", robot.nv)):
             what = f"{label} of problem '{self.name}'"
             object.__setattr__(self, label, checked_vector(what, getattr(self, label), size))

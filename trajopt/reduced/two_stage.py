@@ -106,10 +106,10 @@ class TorqueBounds:
     scale: np.ndarray
 
 
-def problem_effort_limit(problem: Problem) -> np.ndarray:
+def problem_torque_limit(problem: Problem) -> np.ndarray:
     """Effort limit (nu,) of a problem, N m, joint side: its terms' or the robot's; inf where none."""
     robot = problem.robot
-    limits = {"effort_limit": np.full(robot.nu, np.inf) if robot.effort_limit is None else robot.effort_limit}
+    limits = {"effort_limit": np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit}
     for term in problem.point_constraints:
         limits |= term.limits(robot)
     return np.asarray(limits["effort_limit"], dtype=float)
@@ -118,10 +118,10 @@ def problem_effort_limit(problem: Problem) -> np.ndarray:
 def torque_bounds(problem: Problem, v: np.ndarray) -> TorqueBounds:
     """Bounds on the actuated rows at velocities ``v`` (K, nv).
 
-    From the problem's effort limits (the robot's, where it has none) and from its drives: current,
+    From the problem's torque limits (the robot's, where it has none) and from its drives: current,
     voltage at the joint's rate, and their friction, which the drive has to overcome.
     """
-    robot, effort = problem.robot, problem_effort_limit(problem)
+    robot, effort = problem.robot, problem_torque_limit(problem)
     rates = v[:, robot.n_unactuated :]
     upper = np.tile(effort, (len(v), 1))
     lower, scale = -upper, effort.copy()

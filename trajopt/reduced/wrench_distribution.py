@@ -30,7 +30,7 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.two_stage import TorqueBounds, problem_effort_limit, torque_bounds
+from trajopt.reduced.two_stage import TorqueBounds, problem_torque_limit, torque_bounds
 from trajopt.robot.units import Units
 from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
@@ -79,7 +79,7 @@ def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
             f[row], torque[row] = found
             changed += 1
     f, torque = interpolated(solution, f), interpolated(solution, torque)
-    limit = np.asarray(problem.robot.actuated_row_limit(problem_effort_limit(problem)))
+    limit = np.asarray(problem.robot.actuated_row_limit(problem_torque_limit(problem)))
     meta = {
         **solution.meta,
         "effort_limit": np.minimum(limit, sys.float_info.max).tolist(),

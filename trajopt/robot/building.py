@@ -125,8 +125,8 @@ def count_unactuated_rows(model: pin.Model, base: Base, passive: Sequence[str]) 
     return rows + sum(joint.nv for joint in leading[: len(passive)])
 
 
-def effort_limit_of(model: pin.Model, unactuated: int) -> np.ndarray | None:
-    """Return the effort limit (nu,) on the joint side, or None if no actuated row has one."""
+def torque_limit_of(model: pin.Model, unactuated: int) -> np.ndarray | None:
+    """Return the torque limit (nu,) on the joint side, or None if no actuated row has one."""
     effort = model.upperEffortLimit[unactuated:]
     limit = np.where(np.abs(effort) > UNLIMITED, np.inf, np.abs(effort))
     return limit if np.isfinite(limit).any() else None

@@ -196,7 +196,7 @@ def contact_error(robot: Robot, mirror: Mirror, name: str, other: str) -> float:
 
 
 def limit_differences(robot: Robot, mirror: Mirror) -> list[str]:
-    """Joints whose position, velocity or effort limits are not those of their image."""
+    """Joints whose position, velocity or torque limits are not those of their image."""
     differing = []
     for joint, image in pairs(robot, mirror):
         if not _same_limits(robot, mirror, joint, image):
@@ -222,8 +222,8 @@ def _same_limits(robot: Robot, mirror: Mirror, joint: int, image: int) -> bool:
     same = [np.allclose(mirrored_range(*ranges[0], mirror.sign[joint]), ranges[1], rtol=1e-9, atol=1e-9)]
     same.append(bool(robot.velocity_limit[own.idx_v] == robot.velocity_limit[other.idx_v]))
     first = robot.n_unactuated
-    if robot.effort_limit is not None and min(own.idx_v, other.idx_v) >= first:
-        same.append(bool(robot.effort_limit[own.idx_v - first] == robot.effort_limit[other.idx_v - first]))
+    if robot.torque_limit is not None and min(own.idx_v, other.idx_v) >= first:
+        same.append(bool(robot.torque_limit[own.idx_v - first] == robot.torque_limit[other.idx_v - first]))
     if robot.drives is not None and min(own.idx_v, other.idx_v) >= first:
         same.append(robot.drives[own.idx_v - first] == robot.drives[other.idx_v - first])
     return all(same)

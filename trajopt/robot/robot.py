@@ -37,7 +37,7 @@ class Robot:
         velocity_limit: (nv,), rad/s or m/s, inf where there is none.
         position_lower: least positions (nq,), rad or m, -inf where there is no limit.
         position_upper: largest positions (nq,), rad or m, inf where there is no limit.
-        effort_limit: torque or force on the joint side (nu,), N m or N; None without any limit.
+        torque_limit: torque or force on the joint side (nu,), N m or N; None without any limit.
         contacts: where it may touch its surroundings.
         visual: where the meshes are, for a replay.
         passive: joints without actuator (an ankle that is a contact, the shoulder of an acrobot), behind
@@ -57,7 +57,7 @@ class Robot:
     velocity_limit: np.ndarray
     position_lower: np.ndarray
     position_upper: np.ndarray
-    effort_limit: np.ndarray | None = None
+    torque_limit: np.ndarray | None = None
     contacts: tuple[Contact, ...] = ()
     visual: VisualSource | None = None
     passive: tuple[str, ...] = ()
@@ -79,13 +79,13 @@ class Robot:
             "velocity_limit": self.nv,
             "position_lower": self.nq,
             "position_upper": self.nq,
-            "effort_limit": self.nu,
+            "torque_limit": self.nu,
         }
         for field, size in shapes.items():
             if getattr(self, field) is not None:
                 object.__setattr__(self, field, self._read_only(field, size))
         position = self.position_lower, self.position_upper
-        others = {"velocity_limit": self.velocity_limit, "effort_limit": self.effort_limit}
+        others = {"velocity_limit": self.velocity_limit, "torque_limit": self.torque_limit}
         require_contacts(self.name, self.model, self.contacts)
         require_inertias(self.name, self.model)
         require_limits(self.name, self.given_length, position, others)
@@ -156,7 +156,7 @@ class Robot:
         return building.characteristic_length(self.model, self.base, frames, self.reference)
 
     def actuated_row_limit(self, effort: np.ndarray | None) -> np.ndarray | None:
-        """Return the bound (nu,) on the actuated rows, N m, of an effort limit (nu,) of the drives."""
+        """Return the bound (nu,) on the actuated rows, N m, of an torque limit (nu,) of the drives."""
         return actuated_row_limit(self.drives, effort, self.velocity_limit[self.n_unactuated :])
 
     def limited_model(self) -> pin.Model:
@@ -191,10 +191,10 @@ class Robot:
         )
 
     def actuators_of(self, rows: np.ndarray) -> dict[str, Any]:
-        """Return effort limits and drives of the actuated ones of ``rows`` of v, as fields of a robot."""
+        """Return torque limits and drives of the actuated ones of ``rows`` of v, as fields of a robot."""
         own = rows[rows >= self.n_unactuated] - self.n_unactuated
         return {
-            "effort_limit": None if self.effort_limit is None else self.effort_limit[own],
+            "torque_limit": None if self.torque_limit is None else self.torque_limit[own],
             "drives": None if self.drives is None else tuple(self.drives[int(row)] for row in own),
         }
 
@@ -203,14 +203,14 @@ class Robot:
 
         Limits and inertias are stated once, by the drive: the reflected rotor inertia n^2 I_r replaces the
         model's armature of that joint (which is the same quantity, from another source), unless it is 0;
-        |n| torque_limit, if finite, replaces its effort limit; its velocity limit is lowered to
+        |n| torque_limit, if finite, replaces its torque limit; its velocity limit is lowered to
         no_load_speed / |n|, beyond which the induced voltage exceeds the supply.
 
         Raises `InputError` for a joint that is unknown or not actuated, `UnsupportedJointError` for one
         of several degrees of freedom.
         """
         chosen = drives_by_row(self.name, self.model, self.drives or (None,) * self.nu, drives)
-        return replace(self, **drive_fields(self.model, self.effort_limit, self.velocity_limit, chosen))
+        return replace(self, **drive_fields(self.model, self.torque_limit, self.velocity_limit, chosen))
 
     def with_virtual_base(self, order: str = DEFAULT_ORDER) -> Robot:
         """Return this free-flyer robot with six virtual joints as its base: x, y, z, then three angles.
@@ -283,7 +283,7 @@ class Robot:
     def from_mjcf(cls, path: str | Path, *, base: Base | None = None, **options: Any) -> Robot:
         """Build a robot from an MJCF file, as far as Pinocchio reads it; options as in `from_model`.
 
-        MJCF actuator limits are not read by Pinocchio: the effort limit comes from the joints alone.
+        MJCF actuator limits are not read by Pinocchio: the torque limit comes from the joints alone.
 
         Args:
             path: of the file.
@@ -323,7 +323,7 @@ class Robot:
             base=kind,
             contacts=named,
             reference=building.reference_posture(model, kind, named, reference),
-            effort_limit=building.effort_limit_of(
+            torque_limit=building.torque_limit_of(
                 model, building.count_unactuated_rows(model, kind, passive)
             ),
             velocity_limit=building.velocity_limit_of(model, kind),

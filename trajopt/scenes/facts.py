@@ -13,7 +13,7 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.scenes.report import EXACT, OFFER, Decision
 from trajopt.terms.friction import ContactConstraint
-from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
+from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 from trajopt.terms.swing import SwingClearance
 from trajopt.transcription.mesh import Mesh
 
@@ -65,7 +65,7 @@ def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iter
             "the schedule says who is in contact: a contact that is not has neither force nor row",
         )
     for term in problem.terms:
-        if isinstance(term, EffortLimits | VelocityLimits | PositionLimits):
+        if isinstance(term, TorqueLimits | VelocityLimits | PositionLimits):
             beyond, why = _beyond(term, robot)
             if beyond:
                 yield f"rows of {beyond} {term.name.replace('_', ' ')}", f"{why}; the check verifies them"
@@ -82,11 +82,11 @@ def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iter
         yield f"clearance rows of {', '.join(always)}", "always on the ground"
 
 
-def _beyond(term: EffortLimits | VelocityLimits | PositionLimits, robot: Robot) -> tuple[int, str]:
+def _beyond(term: TorqueLimits | VelocityLimits | PositionLimits, robot: Robot) -> tuple[int, str]:
     """Number of finite limits that a term leaves out, and the threshold."""
     units, first = Units(robot), robot.n_unactuated
-    if isinstance(term, EffortLimits):
-        limit = robot.effort_limit if term.limit is None else np.asarray(term.limit)
+    if isinstance(term, TorqueLimits):
+        limit = robot.torque_limit if term.limit is None else np.asarray(term.limit)
         far = np.zeros(0) if limit is None else limit[np.isfinite(limit)] >= units.unreachable_torque
         return int(np.sum(far)), f"beyond 30 m g l = {units.unreachable_torque:.3g} N m"
     if isinstance(term, VelocityLimits):

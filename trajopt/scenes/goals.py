@@ -22,7 +22,7 @@ from trajopt.terms.drives import DriveLimits
 from trajopt.terms.frames import FramePose
 from trajopt.terms.friction import FrictionCone, SoleCone
 from trajopt.terms.interfaces import Term
-from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
+from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
 from trajopt.terrain.flat import FlatGround
@@ -154,7 +154,7 @@ def _costs(schedule: Schedule, start: np.ndarray) -> tuple[Term, ...]:
 
 
 def _limits(robot: Robot, schedule: Schedule, ground: FlatGround) -> tuple[Term, ...]:
-    torque: Term = DriveLimits() if any(drive is not None for drive in robot.drives or ()) else EffortLimits()
+    torque: Term = DriveLimits() if any(drive is not None for drive in robot.drives or ()) else TorqueLimits()
     found: list[Term] = [torque, PositionLimits(), VelocityLimits()]
     active = [c for c in robot.contacts if any(c.name in phase.contacts for phase in schedule.phases)]
     points = tuple(contact.name for contact in active if contact.kind == "point")

@@ -161,9 +161,9 @@ def _with_limits(
 
 
 def _finished(reduction: Reduction) -> Robot:
-    """The small robot with the reference, effort limits and drives of the whole."""
+    """The small robot with the reference, torque limits and drives of the whole."""
     whole, small = reduction.whole, reduction.small
-    effort = None if whole.effort_limit is None else reduction.drop_effort(whole.effort_limit)
+    effort = None if whole.torque_limit is None else reduction.drop_torques(whole.torque_limit)
     drives = None
     if whole.drives is not None:
         shares = np.abs(reduction.shares)
@@ -172,7 +172,7 @@ def _finished(reduction: Reduction) -> Robot:
     return replace(
         small,
         reference=reference,
-        effort_limit=effort if effort is not None and np.isfinite(effort).any() else None,
+        torque_limit=effort if effort is not None and np.isfinite(effort).any() else None,
         drives=drives,
     )
 

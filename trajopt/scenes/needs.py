@@ -24,14 +24,14 @@ from trajopt.terms.costs import (
 )
 from trajopt.terms.drives import DriveLimits, MotorTorqueCost
 from trajopt.terms.interfaces import Term
-from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
+from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
 
 # Regularising costs and limits: a joint that rests at its start satisfies them.
 NO_NEED = (
     TorqueCost, AccelerationCost, VelocityCost, WrenchCost, TimeCost, ImpulseCost, MotorTorqueCost,
-    EffortLimits, VelocityLimits, PositionLimits, DriveLimits, TerminalRest,
+    TorqueLimits, VelocityLimits, PositionLimits, DriveLimits, TerminalRest,
 )  # fmt: skip
 # A joint whose goal is this near its start, rad or m, may stay: rounding of postures in files.
 SAME_PLACE = 1e-9

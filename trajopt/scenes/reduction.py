@@ -155,7 +155,7 @@ class Reduction:
         """Rates or accelerations of the small robot from those of the whole, images averaged."""
         return np.asarray(np.linalg.lstsq(self.rates, v, rcond=None)[0])
 
-    def drop_effort(self, limit: np.ndarray) -> np.ndarray:
+    def drop_torques(self, limit: np.ndarray) -> np.ndarray:
         """Effort limit (nu of the small) from one of the whole robot: n times the least of n images'."""
         shares = np.abs(self.shares)
         return np.array(

@@ -31,7 +31,7 @@ from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVel
 from trajopt.terms.frames import FrameHeight, FramePose, FrameVelocity
 from trajopt.terms.friction import ContactConstraint, NormalForce
 from trajopt.terms.interfaces import Cost, PointConstraint, Term
-from trajopt.terms.limits import EffortLimits, PositionLimits, VelocityLimits
+from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 from trajopt.terms.node_costs import NodeCost
 from trajopt.terms.node_interfaces import NodeConstraint
 from trajopt.terms.swing import SwingClearance
@@ -106,8 +106,8 @@ def _reduced(term: Term, reduction: Reduction) -> Term | None:
 
 
 @_reduced.register
-def _(term: EffortLimits, reduction: Reduction) -> Term:
-    return term if term.limit is None else replace(term, limit=reduction.drop_effort(term.limit))
+def _(term: TorqueLimits, reduction: Reduction) -> Term:
+    return term if term.limit is None else replace(term, limit=reduction.drop_torques(term.limit))
 
 
 @_reduced.register
@@ -144,4 +144,6 @@ def _(term: FrameHeight | FramePose | FrameVelocity, reduction: Reduction) -> Te
 def _(term: TerminalState | TerminalRest, reduction: Reduction) -> Term:
     if reduction.is_half:
         return HalfEnd(term=term, reduction=reduction)
+    if term.q is None:
+        return term
     return replace(term, q=reduction.drop_q(np.asarray(term.q, dtype=float)))

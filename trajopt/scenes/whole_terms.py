@@ -9,7 +9,7 @@ leave free (`HalfEnd`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import casadi as ca
@@ -24,7 +24,7 @@ from trajopt.terms.context_symbols import Place
 from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term
 from trajopt.terms.node_costs import NodeCost
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
-from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions
+from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions, posture_near
 from trajopt.transcription.robot_layers import robot_layers
 
 # Random points at which rows are compared, and the rounding difference of equal rows, natural units.
@@ -127,11 +127,14 @@ class HalfEnd(WholeNodeRows):
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        combined = context.parameter(self._combinations(place)).T
+        if self.term.q is None:
+            q = self.reduction.lift_q(posture_near(context))
+            return replace(self, term=replace(self.term, q=q)).rows(context, units, place)
+        combined = context.parameter(self._combinations(place, self.term.q)).T
         return Rows.create(ca.mtimes(combined, self._whole_rows(context, place).expression), 0, 0, 1.0)
 
-    def _combinations(self, place: NodePlace) -> np.ndarray:
-        reduction, q = self.reduction, np.asarray(self.term.q, dtype=float)
+    def _combinations(self, place: NodePlace, goal: np.ndarray) -> np.ndarray:
+        reduction, q = self.reduction, np.asarray(goal, dtype=float)
         position = Units(reduction.whole).position
         free = free_directions(reduction.whole, q, whole_place(place, reduction).phase.contacts)
         small = free_directions(reduction.small, reduction.drop_q(q), place.phase.contacts)

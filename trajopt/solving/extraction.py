@@ -213,7 +213,7 @@ def _problem_meta(transcription: Transcription) -> dict[str, Any]:
 def robot_meta(problem: Problem) -> dict[str, Any]:
     """Meta entries about the problem's robot: contacts and what they touch, limits, drives, shapes."""
     robot = problem.robot
-    limits = {"effort_limit": robot.effort_limit, "velocity_limit": robot.velocity_limit}
+    limits = {"effort_limit": robot.torque_limit, "velocity_limit": robot.velocity_limit}
     for term in problem.point_constraints:
         limits |= term.limits(robot)
     limits["effort_limit"] = robot.actuated_row_limit(limits["effort_limit"])

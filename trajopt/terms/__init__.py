@@ -1,7 +1,7 @@
 """Costs and constraints, one idea per file.
 
 Dynamics: `BaseDynamics`, `ContactAcceleration`, `ContactVelocity`, `ImpactDynamics`.
-Limits: `PositionLimits`, `VelocityLimits`, `EffortLimits`, `DriveLimits`.
+Limits: `PositionLimits`, `VelocityLimits`, `TorqueLimits`, `DriveLimits`.
 Contact forces: `FrictionCone`, `FrictionPyramid`, `NormalForce`, `SoleCone`, `SoleLimits`, `SlidingFriction`.
 Running costs: `AccelerationCost`, `VelocityCost`, `PostureCost`, `TorqueCost`, `MotorTorqueCost`,
     `WrenchCost`, `PowerCost`, `TrackingCost`, `TimeCost`; `ImpulseCost` at impacts.

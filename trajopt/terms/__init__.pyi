@@ -31,8 +31,8 @@ from .interfaces import PointConstraint as PointConstraint
 from .interfaces import Rows as Rows
 from .interfaces import Term as Term
 from .landing import ContactLanding as ContactLanding
-from .limits import EffortLimits as EffortLimits
 from .limits import PositionLimits as PositionLimits
+from .limits import TorqueLimits as TorqueLimits
 from .limits import VelocityLimits as VelocityLimits
 from .node_costs import DistanceCost as DistanceCost
 from .node_costs import FrameHeightCost as FrameHeightCost

@@ -49,7 +49,8 @@ class Context(Parameters):
         mode: minimal coordinates of the phase, None for the whole robot's.
         kept_rows: rows of each contact's motion that are independent of the others', by its name; default
             all.
-        near: a node's state (n_node,) from which goals take their whole turns; None for no whole turns.
+        near: the guess's state (n_node,) at a node, from which goals take their whole turns; None where
+            it does not matter.
     """
 
     def __init__(

@@ -29,14 +29,14 @@ def _driven_rows(robot: Robot) -> list[tuple[int, Drive]]:
 
 @dataclass(frozen=True, kw_only=True)
 class DriveLimits(PointConstraint):
-    """Voltage and current of every drive stay within their limits; replaces `EffortLimits`.
+    """Voltage and current of every drive stay within their limits; replaces `TorqueLimits`.
 
     For a joint with a drive, on the motor side and dimensionless,
 
         |tau_m / stall_torque + omega_m / no_load_speed| <= 1        |tau_m / torque_limit| <= 1
 
     with tau_m the motor torque of what the drive delivers (friction included); for a joint without one, the
-    robot's effort limit. Together with `EffortLimits` the same row would appear twice. Rows that cannot bind,
+    robot's torque limit. Together with `TorqueLimits` the same row would appear twice. Rows that cannot bind,
     as judged by `Units`, are left out; the check verifies them.
     """
 
@@ -53,8 +53,8 @@ class DriveLimits(PointConstraint):
                     ca.dot(context.parameter(factors), ca.vertcat(torque, rate))
                     for factors in _drive_rows(driven[row], units)
                 ]
-            elif robot.effort_limit is not None and 0 < robot.effort_limit[row] < units.unreachable_torque:
-                parts.append(context.parameter(1 / robot.effort_limit[row]) * torque)
+            elif robot.torque_limit is not None and 0 < robot.torque_limit[row] < units.unreachable_torque:
+                parts.append(context.parameter(1 / robot.torque_limit[row]) * torque)
         return Rows.create(ca.vertcat(*parts), -1.0, 1.0, 1.0) if parts else None
 
 

@@ -29,7 +29,7 @@ def _rows_within(
 
 
 @dataclass(frozen=True, kw_only=True)
-class EffortLimits(PointConstraint):
+class TorqueLimits(PointConstraint):
     """Joint torques within limits.
 
     Args:
@@ -49,7 +49,7 @@ class EffortLimits(PointConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        limit = context.robot.effort_limit if self.limit is None else context.actuated(self.limit)
+        limit = context.robot.torque_limit if self.limit is None else context.actuated(self.limit)
         if limit is None:
             return None
         upper = np.where(limit < units.unreachable_torque, limit, np.inf)

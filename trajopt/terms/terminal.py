@@ -116,13 +116,26 @@ def configuration_difference(context: Context, q: np.ndarray) -> ca.SX:
 
 @dataclass(frozen=True, kw_only=True)
 class TerminalRest(NodeConstraint):
-    """The motion ends at rest in the directions that active contacts leave free at ``q`` (nq,)."""
+    """The motion ends at rest, in the directions that active contacts leave free.
 
-    q: np.ndarray
+    Args:
+        q: configuration (nq,) at which these directions are taken; default that of the guess.
+    """
+
+    q: np.ndarray | None = None
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        return free_rows(context, place, self.q, context.dxi / units.velocity)
+        q = posture_near(context) if self.q is None else self.q
+        return free_rows(context, place, q, context.dxi / units.velocity)
+
+
+def posture_near(context: Context) -> np.ndarray:
+    """Configuration (nq,) of the guess at a node, or the reference where no guess is known."""
+    if context.near is None:
+        return context.robot.reference
+    found: np.ndarray = context.coordinates.node_to_pinocchio(context.near)[0][0]
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,7 @@ from trajopt.terms.context_symbols import Place
 from trajopt.terms.dynamics import ImpactDynamics
 from trajopt.terms.interfaces import Rows, Term
 from trajopt.terms.moments import MomentConstraint
+from trajopt.terms.node_interfaces import NodePlace
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.redundancy import independent_rows
 from trajopt.transcription.stage_functions import PointFunction, point_function
@@ -80,7 +81,7 @@ class TermFunctions:
             priced = [t for t in prices if place is not None and t.acts_at(place)]
             if place is None or not (acting or priced):
                 continue
-            own, near = self.units[id(form.robot)], self._unwrapped_guess.get(k)
+            own, near = self.units[id(form.robot)], self._guess_near(k, place)
             context = self.context(phase, form, Place.NODE, near)
             name = place.phase.name
             named = [(t.name, _of(t, name, t.rows, context, own, place)) for t in acting]
@@ -187,6 +188,14 @@ class TermFunctions:
 
     def _in_coordinates_of(self, form: NodeLayout, q: np.ndarray) -> np.ndarray:
         return self.layout.in_coordinates_of(form, q, *np.zeros((2, self.layout.robot.nv)))[0]
+
+    def _guess_near(self, k: int, place: NodePlace) -> np.ndarray | None:
+        """The guess at the last node, and at all in coordinates that count whole turns; else None."""
+        if not place.last or k in self._unwrapped_guess:
+            return self._unwrapped_guess.get(k)
+        form, time = self.layout.forms[k], float(self.layout.node_times[k])
+        q = self._in_coordinates_of(form, self.problem.guess_at(time))
+        return form.coordinates.node_from_pinocchio(q, np.zeros(form.coordinates.nv))
 
     @cached_property
     def _unwrapped_guess(self) -> dict[int, np.ndarray]:

@@ -18,7 +18,7 @@ Drives = tuple[Drive | None, ...]
 def drive_fields(
     model: pin.Model, effort: np.ndarray | None, velocity: np.ndarray, drives: Drives
 ) -> dict[str, Any]:
-    """Return the fields of a robot that drives change: model, effort_limit, velocity_limit and drives.
+    """Return the fields of a robot that drives change: model, torque_limit, velocity_limit and drives.
 
     Args:
         model: of the robot without them; not changed.
@@ -44,7 +44,7 @@ def drive_fields(
     model.armature, model.rotorGearRatio, model.rotorInertia = armature, gear, rotor
     return {
         "model": model,
-        "effort_limit": effort if np.isfinite(effort).any() else None,
+        "torque_limit": effort if np.isfinite(effort).any() else None,
         "velocity_limit": velocity,
         "drives": drives,
     }
@@ -125,7 +125,7 @@ def drive_torque_values(drives: Drives, torque: np.ndarray, rates: np.ndarray) -
 def actuated_row_limit(
     drives: Drives | None, effort: np.ndarray | None, rates: np.ndarray
 ) -> np.ndarray | None:
-    """Bound (nu,) on the actuated rows that follows from an effort limit (nu,) of the drives, N m.
+    """Bound (nu,) on the actuated rows that follows from an torque limit (nu,) of the drives, N m.
 
     Friction helps a drive to brake: actuated rows may exceed what it delivers by the friction at the
     joint's velocity limit, ``rates`` (nu,) rad/s.

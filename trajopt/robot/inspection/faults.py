@@ -89,7 +89,7 @@ def _bodies(robot: Robot) -> _Lines:
 
 def _limits(robot: Robot) -> _Lines:
     units, model, first = Units(robot), robot.model, robot.n_unactuated
-    effort = np.full(robot.nu, np.inf) if robot.effort_limit is None else robot.effort_limit
+    effort = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
     velocity = robot.velocity_limit[first:]
     moving = [joint for joint in list(model.joints)[1:] if joint.idx_v >= first]
     torque = {model.names[j.id]: effort[j.idx_v - first : j.idx_v - first + j.nv] for j in moving}
@@ -99,12 +99,12 @@ def _limits(robot: Robot) -> _Lines:
         for j in moving
     }
     for values, is_fault, what in (
-        (torque, lambda x: x == 0, "effort limit 0, so that it can hold nothing:"),
-        (torque, np.isinf, "no effort limit:"),
+        (torque, lambda x: x == 0, "torque limit 0, so that it can hold nothing:"),
+        (torque, np.isinf, "no torque limit:"),
         (
             torque,
             lambda x: np.isfinite(x) & (x > units.unreachable_torque),
-            f"effort limit beyond {units.unreachable_torque:.3g} N m, which limits nothing (a placeholder?):",
+            f"torque limit beyond {units.unreachable_torque:.3g} N m, which limits nothing (a placeholder?):",
         ),
         (rates, lambda x: x == 0, "velocity limit 0, so that it cannot move:"),
         (rates, np.isinf, "no velocity limit:"),
@@ -132,16 +132,16 @@ def _reference(robot: Robot, standing: StandingPosture) -> _Lines:
             near.append(robot.model.names[joint.id])
     if near:
         yield f"the reference posture is at a position limit of {listed(near)}"
-    if robot.effort_limit is None or not standing.balanced:
+    if robot.torque_limit is None or not standing.balanced:
         return
-    over = np.flatnonzero(np.abs(standing.effort) > robot.effort_limit)
+    over = np.flatnonzero(np.abs(standing.effort) > robot.torque_limit)
     owners = [robot.model.names[j.id] for j in list(robot.model.joints)[1:] for _ in range(j.nv)]
     if len(over):
         worst = max(over, key=lambda row: round(float(abs(standing.effort[row])), DIGITS))
         yield (
             f"the reference posture takes {abs(standing.effort[worst]):.3g} at joint"
-            f" '{owners[robot.n_unactuated + worst]}', beyond its effort limit"
-            f" {robot.effort_limit[worst]:.3g}"
+            f" '{owners[robot.n_unactuated + worst]}', beyond its torque limit"
+            f" {robot.torque_limit[worst]:.3g}"
         )
 
 

@@ -125,7 +125,7 @@ def robot_report(robot: Robot) -> RobotReport:
 
 def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
     found, first = [], robot.n_unactuated
-    effort = np.full(robot.nu, np.inf) if robot.effort_limit is None else robot.effort_limit
+    effort = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
     for joint in list(robot.model.joints)[1:]:
         if joint.idx_v < BASE_ROWS[robot.base]:
             continue

@@ -30,7 +30,7 @@ CONTACTS = ("contact_acceleration", "contact_velocity", "contact_landing", "impa
 # Limits that conflict with a goal, and the remedy.
 REMEDIES = {
     "velocity_limits": "lengthen the phase, or raise the velocity limit",
-    "effort_limits": "lengthen the phase, raise the effort limit, or carry less",
+    "torque_limits": "lengthen the phase, raise the torque limit, or carry less",
     "position_limits": "choose a goal within the joint's range, or start from another posture",
     "friction_pyramid": "raise the friction, accelerate less, or use FrictionCone, which holds more",
     "friction_cone": "raise the friction, or accelerate less",

@@ -73,8 +73,7 @@ def _problem_of(solution: Solution) -> Problem:
         )
     family = known[name]
     own = {parameter.name: parameter for parameter in family.parameters}
-    given = solution.meta.get("parameters") or {}
-    values = {key: value for key, value in given.items() if key in own and value is not None}
+    values = family.of_file(solution.meta.get("parameters") or {})
     try:
         return family.load(values)
     except InputError:  # a derived value may be outside the parameter's range
