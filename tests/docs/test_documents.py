@@ -14,7 +14,7 @@ import trajopt
 from tests.support.repository import ROOT
 
 NOT_OURS = {"puppy.py", "paw.py"}  # files that a reader makes
-SOURCES = ("trajopt", "problems", "robots", "scripts", "tests")
+SOURCES = ("trajopt", "problems", "robots", "scripts", "tests", "docs")
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Packages of this repository that documents import from.
 OURS = ("trajopt", "trajopt_library")

@@ -64,7 +64,7 @@ def render_command(
     labels: tuple[str, ...],
     **options: Any,
 ) -> None:
-    """Write the replay of FILE, or of several files, to a video, an animated GIF or a picture."""
+    """Write the replay of FILE, or of several files, to a video, a moving picture or a still."""
     from trajopt.solution.solution import Solution
     from trajopt.view.replay.render import render
 
