@@ -173,3 +173,17 @@ def renamed(**words: str) -> Callable[[_Renamed], _Renamed]:
         return target
 
     return decorate
+
+
+def lazy_names(
+    loader: tuple[Callable[[str], Any], Callable[[], list[str]], list[str]], module: str, **words: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """What `lazy_loader.attach_stub` makes; an old name raises an `ImportError` that names the new one."""
+    load, listed, names = loader
+
+    def found(name: str) -> Any:
+        if name in words:
+            raise ImportError(f"{module} has no '{name}'; it is now '{words[name]}'", name=module)
+        return load(name)
+
+    return found, listed, names

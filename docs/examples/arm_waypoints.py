@@ -3,7 +3,7 @@
 import numpy as np
 
 import trajopt
-from trajopt import FlatGround, Phase, Problem, Schedule, terms
+from trajopt import Phase, Problem, Schedule, terms
 from trajopt.robot import inverse_kinematics
 from trajopt.schedule import start_of
 
@@ -37,9 +37,6 @@ problem = Problem(
     name="arm-waypoints",
     robot=robot,
     schedule=Schedule(tuple(legs)),
-    terrain=FlatGround(),
-    initial_q=robot.reference,
-    initial_v=np.zeros(robot.nv),
     guess=guess,
     terms=(
         terms.TimeCost(weight=1.0),

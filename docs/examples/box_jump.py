@@ -42,8 +42,6 @@ problem = Problem(
     robot=robot,
     schedule=schedule,
     terrain=box,
-    initial_q=start,
-    initial_v=np.zeros(robot.nv),
     guess=guess,
     terms=(
         *(*terms.effort_costs(acceleration=2e-2), terms.TrackingCost(weight=3.0, reference=guess)),
@@ -54,6 +52,7 @@ problem = Problem(
         *(terms.TerminalState(q=goal), terms.TerminalRest(q=goal)),
     ),
 )
+
 if __name__ == "__main__":
     solution = trajopt.solve(problem)
     print(solution.meta["status"], trajopt.check(solution).failures())

@@ -49,11 +49,10 @@ problem = Problem(
     robot=robot,
     schedule=Schedule((lean, lift)),
     terrain=FlatGround(friction=0.7),
-    initial_q=robot.reference,
-    initial_v=np.zeros(robot.nv),
     guess=lambda t: robot.reference if t < LEAN else lifted,
     terms=(*own, *terms.effort_costs(), *limits, terms.TerminalRest(q=lifted)),
 )
+
 if __name__ == "__main__":
     solution = trajopt.solve(problem)
     print(solution.meta["status"], trajopt.check(solution).failures())

@@ -178,7 +178,7 @@ BAD = {
     "no command": ((), ["Missing command"]),
     "unknown command": (
         ("sole",),
-        ["sole", "allowed: check, continue, diagnose, list"],
+        ["sole", "allowed: check, continue, diagnose, export, list"],
     ),
     "no problem": (("solve",), ["PROBLEM"]),
     "unknown problem": (("solve", "solo12-jmp"), ["did you mean solo12-jump?"]),
@@ -200,7 +200,7 @@ BAD = {
     "intervals no number": ((*HOP, "--intervals", "many"), ["'--intervals'", "whole number"]),
     "intervals beyond memory": ((*HOP, "--intervals", "10000000"), ["'--intervals'", "100000"]),
     "unknown solver": ((*HOP, "--solver", "snopt"), ["snopt", "allowed: ipopt, fatrop"]),
-    "tolerance": ((*HOP, "--tol", "nan"), ["tolerance is nan", "between 0 and 1"]),
+    "tolerance": ((*HOP, "--tolerance", "nan"), ["tolerance is nan", "between 0 and 1"]),
     "perturbation": ((*HOP, "--perturb", "-1"), ["perturb is -1"]),
     "seed": ((*HOP, "--seed", "-1"), ["'--seed'", "-1"]),
     "iterations": ((*HOP, "--max-iterations", "1e3"), ["'--max-iterations'", "whole number"]),
@@ -329,3 +329,11 @@ def test_solve_without_a_mesh_tells_the_grade_and_passes_the_check(tmp_path: Pat
     fixed = strict(invoke("solve", "ur5-reach", "--fixed-mesh", "--json", "-o", target).stdout)
     assert fixed["intervals"] == 30
     assert_refused(invoke("solve", "ur5-reach", "--draft", "--fixed-mesh"), "--draft and a mesh")
+
+
+@pytest.mark.parametrize("command", ["solve", "sweep", "reference"])
+def test_the_shorter_name_of_the_tolerance_is_accepted_and_not_shown(command):
+    shown = invoke(command, "--help").output
+    assert "--tolerance" in shown
+    assert "--tol " not in shown
+    assert_refused(invoke(command, "hopper-hop", "--tol", "x"), "--tolerance")

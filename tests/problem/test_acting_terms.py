@@ -123,6 +123,13 @@ def test_old_words_are_refused_with_the_new_one(case):
     assert str(refused.value) == f"{owner} has no argument '{case.split()[0]}'; allowed: {new}"
 
 
+def test_old_names_of_classes_and_fields_are_refused_with_the_new_one():
+    with pytest.raises(ImportError, match=r"trajopt\.terms has no 'EffortLimits'; it is now 'TorqueLimits'"):
+        from trajopt.terms import EffortLimits  # noqa: F401
+    with pytest.raises(InputError, match=r"^Robot has no argument 'effort_limit'; allowed: torque_limit$"):
+        replace(HOP.robot, effort_limit=None)
+
+
 def test_a_term_at_the_end_has_no_phases_to_name():
     with pytest.raises(InputError, match=r"^TerminalState has no argument 'phases'; leave it out$"):
         TerminalState(q=HOP.initial_q, phases=("landing",))

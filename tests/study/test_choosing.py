@@ -225,7 +225,7 @@ def test_command_that_misses_its_goal_ends_with_one(front, tmp_path):
     [
         (("--accuracy", "1e-3", "--budget", "1s"), "--accuracy and --budget are both given"),
         (("--accuracy", "1e-3", "--intervals", "20"), "--intervals is given with --accuracy or --budget"),
-        (("--budget", "1s", "--tol", "1e-3"), "--tol is given with --accuracy or --budget"),
+        (("--budget", "1s", "--tolerance", "1e-3"), "--tolerance is given with --accuracy or --budget"),
         (("--budget", "soon"), "'soon' is not a time, allowed: such as 0.5s, 500ms or 2min"),
         (("--accuracy", "-1"), "accuracy is -1 m; allowed: finite and > 0"),
         (("--accuracy", "nan"), "accuracy is nan m; allowed: finite and > 0"),

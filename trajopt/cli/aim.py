@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 CHOSEN = ("transcription", "intervals", "tolerance")
 WITHOUT = ("ladder", "compare")
 UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
-NAMES = {"tolerance": "tol"}
 
 
 class Seconds(click.ParamType):
@@ -98,9 +97,7 @@ def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
 
     for name in (*CHOSEN, *WITHOUT):
         if named(name):
-            raise InputError(
-                f"--{NAMES.get(name, name)} is given with --accuracy or --budget", "allowed: one of them"
-            )
+            raise InputError(f"--{name} is given with --accuracy or --budget", "allowed: one of them")
         del arguments[name]
     fixed = {name: arguments.pop(name) for name in ("solver", "hessian")}
     wanted = {name: value for name, value in fixed.items() if named(name)}

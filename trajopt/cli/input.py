@@ -48,6 +48,20 @@ THREADS = WholeNumber(1, 1024)
 FORMER_LEVELS = ("none", "quick", "fast", "background")
 
 
+class RenamedOption(click.Option):
+    """An option whose earlier name is accepted, and not shown."""
+
+    def __init__(self, *declarations: Any, earlier: str, **settings: Any) -> None:
+        super().__init__(*declarations, **settings)
+        self.earlier = earlier
+
+    @override
+    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
+        shown, self.opts = self.opts, [*self.opts, self.earlier]
+        super().add_to_parser(parser, ctx)
+        self.opts = shown
+
+
 def default_option(
     name: str,
     default: Any,
@@ -56,10 +70,15 @@ def default_option(
     *,
     to: str | None = None,
     kind: click.ParamType | None = None,
+    **settings: Any,
 ) -> Callable[[_Command], _Command]:
     """Return an option with a default that its help shows; ``to`` names the command's argument."""
-    names = (name,) if to is None else (name, to)
-    return click.option(*names, default=default, type=kind, metavar=metavar, show_default=True, help=help)
+    names, settings = (name,) if to is None else (name, to), {"show_default": True, **settings}
+    return click.option(*names, default=default, type=kind, metavar=metavar, help=help, **settings)
+
+
+# The tolerance's option had a shorter name.
+TOLERANCE: dict[str, Any] = {"cls": RenamedOption, "earlier": "--tol"}
 
 
 def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
@@ -99,7 +118,7 @@ grid_options = option_group(
     ),
     solver_option,
 )
-tolerance_option = default_option("--tol", 1e-6, "TOL", "Solver tolerance.", to="tolerance")
+tolerance_option = default_option("--tolerance", 1e-6, "TOL", "Solver tolerance.", **TOLERANCE)
 function_options = option_group(compile_option, _threads_option)
 
 

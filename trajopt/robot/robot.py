@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from trajopt.dynamics.base_joint import Base, base_of, position_limits, require_base
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
-from trajopt.errors import InputError
+from trajopt.errors import InputError, renamed
 from trajopt.robot import building
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
@@ -25,6 +25,7 @@ from trajopt.robot.reading import read_mjcf, read_urdf
 from trajopt.robot.validation import require_contacts, require_inertias, require_limits, require_reference
 
 
+@renamed(effort_limit="torque_limit")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
     """A robot as problems use it. Arrays are copied and read-only.

@@ -22,7 +22,8 @@ class Status(Enum):
     )
     STEP_FAILED = "no step makes progress: try another solver, a finer grid or a perturbed start"
     INACCURATE = (
-        "the solver reports success but rows are violated beyond tolerance: tighten --tol, change the solver"
+        "the solver reports success but rows are violated beyond tolerance: tighten --tolerance, "
+        "change the solver"
     )
     COARSE_GRID = (
         "the rows hold at the points, but the motion between them does not: use more intervals or a higher "

@@ -18,4 +18,8 @@ Interfaces for user-defined terms: `Term`, `Cost`, `PointConstraint`, `NodeConst
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from trajopt.errors import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(
+    lazy_loader.attach_stub(__name__, __file__), __name__, EffortLimits="TorqueLimits"
+)

@@ -111,7 +111,15 @@ class Cost(DuringPhases, ABC):
 
     @abstractmethod
     def residual(self, context: Context, units: Units) -> ca.SX:
-        """Quantity over its unit, (n,); the cost is the weighted mean of its squares."""
+        """Quantity over its unit, (n,); the cost is the weighted mean of its squares.
+
+        Args:
+            context: symbols of one collocation point; see `Context` for names, frames and units.
+            units: natural units of the robot, see `Units`.
+
+        Returns:
+            Expression (n,) of type SX.
+        """
 
     def value(self, context: Context, units: Units) -> ca.SX:
         """Cost rate at one point."""
@@ -164,7 +172,15 @@ class PointConstraint(DuringPhases, ABC):
 
     @abstractmethod
     def rows(self, context: Context, units: Units) -> Rows | None:
-        """Rows at one point, or None where there is nothing to constrain."""
+        """Rows at one point, or None where there is nothing to constrain.
+
+        Args:
+            context: symbols of one collocation point; see `Context` for names, frames and units.
+            units: natural units of the robot, see `Units`.
+
+        Returns:
+            Expression, bounds and natural units of the rows, by `Rows.create`.
+        """
 
     def node_bounds(self, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
         """Simple bounds at nodes on the local positions and rates: four arrays (nv,), or None."""
