@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
-from trajopt.errors import InputError, TrajoptError
+from trajopt.errors import InputError, TrajoptError, failure, line_in
 from trajopt.robot import Robot, feet_in_base
 
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum")
@@ -37,10 +37,12 @@ def load(name: str) -> Robot:
     module = _module(name)
     try:
         robot = module.build()
-    except TrajoptError:
+    except TrajoptError as error:
+        if name.endswith(".py"):
+            raise InputError(f"{name}, line {line_in(_file(module), error)}: {error}") from error
         raise
     except Exception as error:
-        raise InputError(f"build() of {name} failed: {_line(error)}") from error
+        raise InputError(f"build() of {name} failed: {failure(error, _file(module))}") from error
     if not isinstance(robot, Robot):
         raise InputError(f"build() of {name} returns {type(robot).__name__}", "allowed: a Robot")
     return robot
@@ -137,15 +139,14 @@ def _from_file(path: Path, _changed: int) -> ModuleType:
     module = importlib.util.module_from_spec(specification)
     try:
         specification.loader.exec_module(module)
-    except TrajoptError:
-        raise
+    except TrajoptError as error:
+        raise InputError(f"{path}, line {line_in(path, error)}: {error}") from error
     except Exception as error:
-        raise InputError(f"robot file {path} cannot be run: {_line(error)}") from error
+        raise InputError(f"robot file {path} cannot be run: {failure(error, path)}") from error
     if not callable(getattr(module, "build", None)):
         raise InputError(f"robot file {path} has no build()", "def build() -> Robot")
     return module
 
 
-def _line(error: Exception) -> str:
-    text = str(error).strip().splitlines()
-    return f"{type(error).__name__}: {text[0]}" if text else type(error).__name__
+def _file(module: ModuleType) -> Path:
+    return Path(module.__file__ or module.__name__)

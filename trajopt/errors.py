@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import difflib
 import math
+import traceback
 from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from numbers import Real
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 
 if TYPE_CHECKING:
@@ -73,6 +75,30 @@ class VersionMismatchError(TrajoptError):
 def first_line(error: Exception) -> str:
     """The first line of a library's exception, or its type if it has no text."""
     return next(iter(str(error).strip().splitlines()), type(error).__name__)
+
+
+def line_in(path: Path, error: BaseException) -> int | None:
+    """The line of a file in which an exception arose, the innermost of it; None if it is not of the file."""
+    if isinstance(error, SyntaxError) and error.filename is not None and Path(error.filename) == path:
+        return error.lineno
+    entries = traceback.extract_tb(error.__traceback__)
+    return next((each.lineno for each in reversed(entries) if Path(each.filename) == path), None)
+
+
+def in_file(error: Exception, function: Callable[..., Any] | None = None) -> str:
+    """An exception in one line, with the line of the function's file, else the one in which it arose."""
+    code = getattr(function, "__code__", None)
+    given = getattr(error, "filename", None) if code is None else code.co_filename
+    path = Path(given or traceback.extract_tb(error.__traceback__)[-1].filename)
+    return f"{path}, {failure(error, path)}"
+
+
+def failure(error: Exception, path: Path) -> str:
+    """An exception from a file in one line: its type, its first line, and the line of the file."""
+    line = line_in(path, error)
+    text = next(iter(str(error).strip().splitlines()), "")
+    said = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    return said if line is None else f"line {line}: {said}"
 
 
 def is_number(value: Any) -> TypeGuard[float]:

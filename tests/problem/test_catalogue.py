@@ -57,7 +57,8 @@ def test_a_package_that_cannot_be_loaded_leaves_the_others(
     result = trajopt("list", "--json")
     assert result.exit_code == 0
     assert "solo12-jump" in result.stdout
-    assert "warning: problems of 'broken_problems' cannot be loaded: ModuleNotFoundError" in result.stderr
+    assert "warning: problems of 'broken_problems' cannot be loaded: " in result.stderr
+    assert "broken_problems.py, line 1: ModuleNotFoundError" in result.stderr
 
 
 def test_a_name_offered_twice_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING
 
-from trajopt.errors import TrajoptError, VersionMismatchError
+from trajopt.arguments import checked
+from trajopt.errors import TrajoptError, VersionMismatchError, in_file
 from trajopt.robot.catalogue import GROUP
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
 
 
+@checked
 def families() -> dict[str, Family]:
     """Return all families by name, sorted; a package that cannot be loaded is left out with a warning.
 
@@ -45,7 +47,7 @@ def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
     except VersionMismatchError:
         raise
     except Exception as error:  # an error in one package must not affect the others
-        reason = f"{type(error).__name__}: {error}"
+        reason = in_file(error)
         warnings.warn(f"problems of '{entry.value}' cannot be loaded: {reason}", stacklevel=3)
         return {}
     return offered
@@ -56,6 +58,7 @@ def problem_modules() -> tuple[str, ...]:
     return tuple(entry.module for entry in entry_points(group=GROUP) if entry.module in sys.modules)
 
 
+@checked
 def load(name: str, **parameters: object) -> Problem:
     """Build the problem of that name, as ``load("solo12-jump", distance=0.3)``. Raises `InputError`."""
     from trajopt.problem.family import choose

@@ -8,7 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from trajopt.errors import InputError, not_among
+from trajopt.arguments import checked
+from trajopt.errors import InputError, TrajoptError, in_file, not_among
+from trajopt.kinds import shown
 
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
@@ -24,6 +26,7 @@ _SUFFIXES = {
 }
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
     """A numeric parameter of a family.
@@ -78,6 +81,7 @@ class Parameter:
         return sizes
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Choice:
     """A parameter of a family that is one of the words ``choices``."""
@@ -118,6 +122,7 @@ class RobotName:
         return value.strip()
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Family:
     """A problem family.
@@ -176,10 +181,24 @@ class Family:
                 raise not_among(known, name, f"{self.name} has no parameter '{name}'")
         chosen: dict[str, float | str | None] = {name: own.default for name, own in known.items()}
         chosen |= {name: known[name].parse(value) for name, value in values.items()}
-        problem = self.build(**chosen)
+        from trajopt.problem.problem import Problem
+
+        try:
+            problem = self.build(**chosen)
+        except TrajoptError:
+            raise
+        except Exception as error:
+            raise InputError(
+                f"problem '{self.name}' cannot be built: {in_file(error, self.build)}"
+            ) from error
+        if not isinstance(problem, Problem):
+            raise InputError(
+                f"build() of problem '{self.name}' returns {shown(problem)}", "allowed: a Problem"
+            )
         return replace(problem, parameters={**chosen, **problem.parameters})
 
 
+@checked
 def choose(families: Mapping[str, Family], name: str) -> Family:
     """The family of that name; raises InputError that lists the known names."""
     if name not in families:

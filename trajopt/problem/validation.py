@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from trajopt.arguments import check_fields
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.errors import InputError, not_among
@@ -41,6 +42,7 @@ def require_terms(problem: str, terms: Sequence[Term]) -> None:
     for term in terms:
         if not isinstance(term, Term):
             raise InputError(f"a term of problem '{problem}' is {term!r}", "allowed: costs and constraints")
+        check_fields(term)
 
 
 def require_phase(schedule: Schedule, name: str, what: str) -> None:

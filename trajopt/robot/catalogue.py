@@ -8,6 +8,7 @@ from __future__ import annotations
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, cast
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError, VersionMismatchError
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 GROUP = "trajopt.problems"
 
 
+@checked
 def robot(name: str) -> Robot:
     """The robot of that name, or of a ``.py`` file that builds one.
 

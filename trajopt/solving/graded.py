@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.arguments import check_settings
 from trajopt.certify.report import GRADE, Tolerances
 from trajopt.errors import InputError, require_positive
 from trajopt.problem.problem import Problem
@@ -133,6 +134,7 @@ def solve_graded(
     Raises:
         InputError: As `trajopt.solve` does.
     """
+    check_settings(solve_on_mesh, settings)
     if accuracy is not None:
         require_positive("accuracy", accuracy, "m")
         wanted = tolerance_for(accuracy, problem.robot.length)

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
@@ -16,6 +17,7 @@ from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Cost
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class TorqueCost(Cost):
     """Joint torques over weight times length."""
@@ -25,6 +27,7 @@ class TorqueCost(Cost):
         return context.torque / units.torque
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class AccelerationCost(Cost):
     """Second derivatives of the local coordinates over g and g / length.
@@ -42,6 +45,7 @@ class AccelerationCost(Cost):
         return (context.ddxi / units.acceleration)[first:]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class VelocityCost(Cost):
     """Rates of the local coordinates over sqrt(g length) and sqrt(g / length).
@@ -59,6 +63,7 @@ class VelocityCost(Cost):
         return (context.dxi / units.velocity)[first:]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class PostureCost(Cost):
     """Distance of the actuated joints from a posture ``q`` (nq,), default the robot's reference."""
@@ -78,6 +83,7 @@ class PostureCost(Cost):
         return (selected - target) / units.position[[i for i, _ in joints]]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class WrenchCost(Cost):
     """Contact forces over weight, moments over weight times length; zero in flight."""
@@ -89,6 +95,7 @@ class WrenchCost(Cost):
         return _scaled_wrenches(context, units)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class TimeCost(Cost):
     """Time itself, over sqrt(l / g): with free durations, minimum time."""
@@ -98,6 +105,7 @@ class TimeCost(Cost):
         return ca.SX(1)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ImpulseCost(Cost):
     """Impulses over weight times sqrt(l / g), once at every impact.

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.dynamics.rotations import rotation_error
 from trajopt.errors import InputError, finite_array, unit_vector
 from trajopt.robot.units import Units
@@ -19,6 +20,7 @@ from trajopt.terms.interfaces import DuringPhases, Rows
 from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class FrameHeight(AtMoment, NodeConstraint):
     """A frame is at least ``height`` high at one moment.
@@ -40,6 +42,7 @@ class FrameHeight(AtMoment, NodeConstraint):
         return Rows.create(context.frame(self.frame).position[2], *bounds, units.length)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class FramePose(AtMoment, NodeConstraint):
     """A frame has a given position, orientation or both at one moment.
@@ -94,6 +97,7 @@ class FramePose(AtMoment, NodeConstraint):
         return Rows.create(ca.vertcat(*expressions), bound, bound, np.concatenate(scales))
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class FrameVelocity(AtMoment, NodeConstraint):
     """A frame has a given velocity at one moment.
@@ -112,6 +116,7 @@ class FrameVelocity(AtMoment, NodeConstraint):
         return Rows.create(context.frame(self.frame).velocity, self.velocity, self.velocity, units.twist)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class FramesAbove(DuringPhases, NodeConstraint):
     """Frames stay above a height at all nodes of its phases except the start of a phase.
@@ -143,6 +148,7 @@ class FramesAbove(DuringPhases, NodeConstraint):
         return Rows.create(ca.vertcat(*heights), self.height, np.inf, units.length)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class FrameDirection(AtMoment, NodeConstraint):
     """An axis of a frame points near a direction at one moment; the row is the cosine of the angle.

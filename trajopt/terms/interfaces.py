@@ -14,13 +14,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError, renamed, require_not_negative
+from trajopt.arguments import checked
+from trajopt.errors import InputError, numbers_of, renamed, require_not_negative
+from trajopt.kinds import Shape, shown
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
@@ -28,6 +30,7 @@ from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
 
 
+@checked
 @renamed(phase="at during", phases="during at", fraction="at")
 @dataclass(frozen=True, kw_only=True)
 class Term:
@@ -75,6 +78,7 @@ class Term:
         return ()
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class DuringPhases(Term):
     """A term that acts over time.
@@ -93,6 +97,7 @@ class DuringPhases(Term):
         return (self.during,) if isinstance(self.during, str) else tuple(self.during)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Cost(DuringPhases, ABC):
     """A running cost at collocation points.
@@ -123,7 +128,7 @@ class Cost(DuringPhases, ABC):
 
     def value(self, context: Context, units: Units) -> ca.SX:
         """Cost rate at one point."""
-        residual = self.residual(context, units)
+        residual = column("result of residual()", self.residual(context, units))
         if residual.numel() == 0:
             return ca.SX(0)
         weight = context.parameter(self.weight)
@@ -131,14 +136,15 @@ class Cost(DuringPhases, ABC):
         return weight * ca.sumsqr(residual) / residual.numel()
 
 
+@checked
 @dataclass(frozen=True)
 class Rows:
     """Rows of a constraint at one place: expression (n,), bounds and unit of each row."""
 
     expression: ca.SX
-    lower: np.ndarray
-    upper: np.ndarray
-    unit: np.ndarray
+    lower: Annotated[np.ndarray, Shape((None,), infinite=True)]
+    upper: Annotated[np.ndarray, Shape((None,), infinite=True)]
+    unit: Annotated[np.ndarray, Shape((None,))]
 
     @classmethod
     def create(cls, expression: ca.SX, lower: object, upper: object, unit: object) -> Rows:
@@ -153,19 +159,39 @@ class Rows:
         Raises:
             InputError: for bounds that are NaN, or lower above upper.
         """
-        n = expression.numel()
-        low, high, size = (
-            np.broadcast_to(np.asarray(given, dtype=float), n).copy() for given in (lower, upper, unit)
-        )
+        rows = column("expression of Rows", expression)
+        named = {"lower": lower, "upper": upper, "unit": unit}
+        low, high, size = (_each(f"{name} of Rows", given, rows.numel()) for name, given in named.items())
         wrong = ~((low <= high) & (low < np.inf) & (high > -np.inf))
         if wrong.any():
             row = int(np.argmax(wrong))
             raise InputError(
                 f"row {row} is bounded by {low[row]:g} and {high[row]:g}", "allowed: lower <= upper, no NaN"
             )
-        return cls(expression, low, high, size)
+        return cls(rows, low, high, size)
 
 
+def column(what: str, expression: Any) -> ca.SX:
+    """An expression as a column (n,). Raises `InputError`, beginning with ``what``, for anything else."""
+    if isinstance(expression, ca.DM):
+        return ca.SX(expression)
+    if not isinstance(expression, ca.SX) or expression.shape[1] > 1:
+        raise InputError(
+            f"{what} is {shown(expression)}",
+            "allowed: a column (n,) of type casadi.SX, made of symbols of the context",
+        )
+    return expression
+
+
+def _each(what: str, given: object, n: int) -> np.ndarray:
+    """A number for each of n rows, from one or n. Raises `InputError`."""
+    numbers = np.array(given, dtype=float) if isinstance(given, np.ndarray) else numbers_of(given)
+    if numbers.shape not in ((), (1,), (n,)) or (given is None and n):
+        raise InputError(f"{what} is {shown(given)}", f"allowed: one number, or {n}, one for each row")
+    return np.broadcast_to(numbers, n).copy()
+
+
+@checked
 @dataclass(frozen=True, kw_only=True)
 class PointConstraint(DuringPhases, ABC):
     """A constraint at every collocation point of its phases."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -16,15 +15,14 @@ from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.dynamics import ImpactDynamics
-from trajopt.terms.interfaces import Rows, Term
+from trajopt.terms.interfaces import Rows
 from trajopt.terms.moments import MomentConstraint
 from trajopt.terms.node_interfaces import NodePlace
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.redundancy import independent_rows
 from trajopt.transcription.stage_functions import PointFunction, point_function
+from trajopt.transcription.term_results import result_of
 from trajopt.transcription.timeline import NodeLayout
-
-_Built = TypeVar("_Built")
 
 
 @dataclass(frozen=True)
@@ -55,9 +53,9 @@ class TermFunctions:
         form = self.layout.form_of(phase)
         own, context = self.units[id(form.robot)], self.context(phase, form, Place.POINT)
         name, problem = self.problem.schedule.phases[phase].name, self.problem
-        costs = [_of(t, name, t.value, context, own) for t in problem.costs if t.acts_in(name)]
+        costs = [result_of(t, name, t.value, context, own) for t in problem.costs if t.acts_in(name)]
         acting = [term for term in problem.point_constraints if term.acts_in(name)]
-        rows = [(t.name, _of(t, name, t.rows, context, own)) for t in acting]
+        rows = [(t.name, result_of(t, name, t.rows, context, own)) for t in acting]
         return _stage_terms(name, context, context.time_scale * sum(costs, ca.SX(0)), rows)
 
     def impact(self, k: int) -> StageTerms:
@@ -66,9 +64,9 @@ class TermFunctions:
         own = self.units[id(form.robot)].impulsive()
         context = self.context(phase, form, Place.IMPACT)
         name, problem = self.problem.schedule.phases[phase].name, self.problem
-        costs = [_of(t, name, t.value, context, own) for t in problem.impact_costs if t.acts_in(name)]
+        costs = [result_of(t, name, t.value, context, own) for t in problem.impact_costs if t.acts_in(name)]
         acting = [t for t in problem.point_constraints if t.acts_in(name) and t.acts_at_impacts]
-        rows = [(t.name, _of(t, name, t.rows, context, own)) for t in (ImpactDynamics(), *acting)]
+        rows = [(t.name, result_of(t, name, t.rows, context, own)) for t in (ImpactDynamics(), *acting)]
         return _stage_terms(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
 
     def nodes(self) -> dict[int, StageTerms]:
@@ -84,8 +82,8 @@ class TermFunctions:
             own, near = self.units[id(form.robot)], self._guess_near(k, place)
             context = self.context(phase, form, Place.NODE, near)
             name = place.phase.name
-            named = [(t.name, _of(t, name, t.rows, context, own, place)) for t in acting]
-            cost = sum((_of(t, name, t.value, context, own, place) for t in priced), ca.SX(0))
+            named = [(t.name, result_of(t, name, t.rows, context, own, place)) for t in acting]
+            cost = sum((result_of(t, name, t.value, context, own, place) for t in priced), ca.SX(0))
             terms = _stage_terms(f"node_{name}", context, cost, named)
             if terms.blocks or priced:
                 key = (id(form), name, *(id(term) for term in (*acting, *priced)))
@@ -112,7 +110,7 @@ class TermFunctions:
             mode=self.problem.modes.get(term.during),
         )
         parameters = context.parameter(np.zeros(term.parameters.shape[1]))
-        rows = _of(term, term.during, term.row, context, self.units[id(form.robot)], parameters)
+        rows = result_of(term, term.during, term.row, context, self.units[id(form.robot)], parameters)
         return _stage_terms(f"moment_{term.name}", context, ca.SX(0), [(term.name, rows)])
 
     def end(self, form: NodeLayout) -> PointFunction | None:
@@ -235,16 +233,6 @@ class TermFunctions:
             mode=self.problem.modes.get(name),
             near=near,
         )
-
-
-def _of(term: Term, phase: str, build: Callable[..., _Built], *arguments: object) -> _Built:
-    """Result of a term in a phase. Raises InputError, with the term's name."""
-    try:
-        return build(*arguments)
-    except InputError as error:
-        if type(error) is not InputError:
-            raise
-        raise InputError(f"{term.name} in phase '{phase}': {error.what}", error.allowed) from None
 
 
 def _stage_terms(
