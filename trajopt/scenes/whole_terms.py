@@ -24,7 +24,7 @@ from trajopt.terms.context_symbols import Place
 from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term
 from trajopt.terms.node_costs import NodeCost
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
-from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions, posture_near
+from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions, guessed_posture
 from trajopt.transcription.robot_layers import robot_layers
 
 # Random points at which rows are compared, and the rounding difference of equal rows, natural units.
@@ -128,7 +128,7 @@ class HalfEnd(WholeNodeRows):
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         if self.term.q is None:
-            q = self.reduction.lift_q(posture_near(context))
+            q = self.reduction.lift_q(guessed_posture(context))
             return replace(self, term=replace(self.term, q=q)).rows(context, units, place)
         combined = context.parameter(self._combinations(place, self.term.q)).T
         return Rows.create(ca.mtimes(combined, self._whole_rows(context, place).expression), 0, 0, 1.0)

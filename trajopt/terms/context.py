@@ -7,7 +7,7 @@ accelerations) are *symbols* here; their graph is joined, and differentiated, on
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType
 
@@ -49,8 +49,8 @@ class Context(Parameters):
         mode: minimal coordinates of the phase, None for the whole robot's.
         kept_rows: rows of each contact's motion that are independent of the others', by its name; default
             all.
-        near: the guess's state (n_node,) at a node, from which goals take their whole turns; None where
-            it does not matter.
+        near: a node's state (n_node,) from which goals take their whole turns; None for no whole turns.
+        guess: the guess's configuration (nq,) at a node, evaluated when it is asked for.
     """
 
     def __init__(
@@ -67,9 +67,11 @@ class Context(Parameters):
         mode: StanceMode | None = None,
         kept_rows: Mapping[str, tuple[int, ...]] = MappingProxyType({}),
         near: np.ndarray | None = None,
+        guess: Callable[[], np.ndarray] | None = None,
     ) -> None:
         super().__init__()
         self.robot, self.coordinates, self.contacts, self.near = robot, coordinates, contacts, near
+        self.guess = guess
         self.place = place or (Place.NODE if node else Place.POINT)
         self.actuation, self._surfaces, self._kept_rows = actuation, surfaces, kept_rows
         own = ca.SX.sym("time_scale", 0 if time_scales[1] is None else 1)

@@ -126,16 +126,13 @@ class TerminalRest(NodeConstraint):
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        q = posture_near(context) if self.q is None else self.q
+        q = guessed_posture(context) if self.q is None else self.q
         return free_rows(context, place, q, context.dxi / units.velocity)
 
 
-def posture_near(context: Context) -> np.ndarray:
+def guessed_posture(context: Context) -> np.ndarray:
     """Configuration (nq,) of the guess at a node, or the reference where no guess is known."""
-    if context.near is None:
-        return context.robot.reference
-    found: np.ndarray = context.coordinates.node_to_pinocchio(context.near)[0][0]
-    return found
+    return context.robot.reference if context.guess is None else context.guess()
 
 
 @dataclass(frozen=True, kw_only=True)

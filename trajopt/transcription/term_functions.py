@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
@@ -17,7 +17,6 @@ from trajopt.terms.context_symbols import Place
 from trajopt.terms.dynamics import ImpactDynamics
 from trajopt.terms.interfaces import Rows
 from trajopt.terms.moments import MomentConstraint
-from trajopt.terms.node_interfaces import NodePlace
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.redundancy import independent_rows
 from trajopt.transcription.stage_functions import PointFunction, point_function
@@ -79,8 +78,8 @@ class TermFunctions:
             priced = [t for t in prices if place is not None and t.acts_at(place)]
             if place is None or not (acting or priced):
                 continue
-            own, near = self.units[id(form.robot)], self._guess_near(k, place)
-            context = self.context(phase, form, Place.NODE, near)
+            own, near = self.units[id(form.robot)], self._unwrapped_guess.get(k)
+            context = self.context(phase, form, Place.NODE, near, partial(self._guess_at, k))
             name = place.phase.name
             named = [(t.name, result_of(t, name, t.rows, context, own, place)) for t in acting]
             cost = sum((result_of(t, name, t.value, context, own, place) for t in priced), ca.SX(0))
@@ -187,13 +186,10 @@ class TermFunctions:
     def _in_coordinates_of(self, form: NodeLayout, q: np.ndarray) -> np.ndarray:
         return self.layout.in_coordinates_of(form, q, *np.zeros((2, self.layout.robot.nv)))[0]
 
-    def _guess_near(self, k: int, place: NodePlace) -> np.ndarray | None:
-        """The guess at the last node, and at all in coordinates that count whole turns; else None."""
-        if not place.last or k in self._unwrapped_guess:
-            return self._unwrapped_guess.get(k)
-        form, time = self.layout.forms[k], float(self.layout.node_times[k])
-        q = self._in_coordinates_of(form, self.problem.guess_at(time))
-        return form.coordinates.node_from_pinocchio(q, np.zeros(form.coordinates.nv))
+    def _guess_at(self, k: int) -> np.ndarray:
+        """The guess (nq,) at node k, in the coordinates of its form."""
+        time = float(self.layout.node_times[k])
+        return self._in_coordinates_of(self.layout.forms[k], self.problem.guess_at(time))
 
     @cached_property
     def _unwrapped_guess(self) -> dict[int, np.ndarray]:
@@ -217,7 +213,14 @@ class TermFunctions:
             before[id(coordinates)] = found[k]
         return found
 
-    def context(self, phase: int, form: NodeLayout, place: Place, near: np.ndarray | None = None) -> Context:
+    def context(
+        self,
+        phase: int,
+        form: NodeLayout,
+        place: Place,
+        near: np.ndarray | None = None,
+        guess: Callable[[], np.ndarray] | None = None,
+    ) -> Context:
         """Fresh symbols of a point, node or impact of a phase."""
         contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}
         name = self.problem.schedule.phases[phase].name
@@ -232,6 +235,7 @@ class TermFunctions:
             kept_rows=self.kept_rows(phase),
             mode=self.problem.modes.get(name),
             near=near,
+            guess=guess,
         )
 
 
