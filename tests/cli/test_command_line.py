@@ -72,7 +72,7 @@ def test_list_json_names_robot_phases_and_parameters() -> None:
 
 
 def test_list_shows_every_parameter_with_its_unit() -> None:
-    result = invoke("list")
+    result = invoke("list", "--full")
     assert result.exit_code == 0
     for family in catalogue.families().values():
         assert family.name in result.stdout
@@ -178,7 +178,7 @@ BAD = {
     "no command": ((), ["Missing command"]),
     "unknown command": (
         ("sole",),
-        ["sole", "allowed: check, continue, diagnose, export, list"],
+        ["sole", "allowed: bench, check, continue, diagnose, export, list"],
     ),
     "no problem": (("solve",), ["PROBLEM"]),
     "unknown problem": (("solve", "solo12-jmp"), ["did you mean solo12-jump?"]),
@@ -200,7 +200,7 @@ BAD = {
     "intervals no number": ((*HOP, "--intervals", "many"), ["'--intervals'", "whole number"]),
     "intervals beyond memory": ((*HOP, "--intervals", "10000000"), ["'--intervals'", "100000"]),
     "unknown solver": ((*HOP, "--solver", "snopt"), ["snopt", "allowed: ipopt, fatrop"]),
-    "tolerance": ((*HOP, "--tolerance", "nan"), ["tolerance is nan", "between 0 and 1"]),
+    "tolerance": ((*HOP, "--tolerance", "nan"), ["tolerance of solve is nan", "allowed: a finite number"]),
     "perturbation": ((*HOP, "--perturb", "-1"), ["perturb is -1"]),
     "seed": ((*HOP, "--seed", "-1"), ["'--seed'", "-1"]),
     "iterations": ((*HOP, "--max-iterations", "1e3"), ["'--max-iterations'", "whole number"]),
@@ -337,3 +337,46 @@ def test_the_shorter_name_of_the_tolerance_is_accepted_and_not_shown(command):
     assert "--tolerance" in shown
     assert "--tol " not in shown
     assert_refused(invoke(command, "hopper-hop", "--tol", "x"), "--tolerance")
+
+
+CONTRADICTIONS = {
+    "seed": (("solve", *HOP[1:], "--seed", "5"), "--seed has no effect here; allowed: with --perturb SIGMA"),
+    "solution": (("solve", *HOP[1:], "-o", "x.txt"), "x.txt does not end with .npz; allowed: NAME.npz"),
+    "accuracy": (
+        ("solve", *HOP[1:], "--accuracy", "1km"),
+        "'1km' is not a length, allowed: such as 1e-3, 1mm",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CONTRADICTIONS)
+def test_contradictions_and_silences_are_one_line(case, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments, said = CONTRADICTIONS[case]
+    assert_refused(invoke(*arguments), said)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_options_of_solve_are_grouped():
+    shown = invoke("solve", "--help").output
+    headings = [line for line in shown.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    assert headings == [
+        "Problem:", "Accuracy and mesh:", "Start:", "Solver:", "Watching:", "Output:", "Other options:",
+    ]  # fmt: skip
+    assert shown.split("Other options:")[1].split() == [
+        "-h,",
+        "--help",
+        "Show",
+        "this",
+        "message",
+        "and",
+        "exit.",
+    ]
+
+
+@pytest.mark.parametrize("command", ["suite", "sweep", "reference"])
+def test_commands_of_bench_are_accepted_beside_the_others_and_not_shown(command):
+    assert f"  {command} " not in invoke("--help").output
+    assert f"  {command} " in invoke("bench", "--help").output
+    first, second = (invoke(*words, "--help").output for words in (["bench", command], [command]))
+    assert first.split("\n", 1)[1] == second.split("\n", 1)[1]

@@ -7,6 +7,7 @@ import json
 import pytest
 
 from tests.support.command_lines import assert_refused, invoke
+from trajopt.problem.catalogue import families
 
 
 def _listed(*arguments: str) -> list[str]:
@@ -25,10 +26,23 @@ def test_a_robot_chooses_the_problems_it_is_tested_on() -> None:
     assert all(name.startswith("quadruped-") for name in found)
 
 
-def test_brief_is_one_table_of_names_robots_and_summaries() -> None:
-    result = invoke("list", "arm-reach", "--brief")
-    assert "panda" in result.output
-    assert "parameter" not in result.output
+def test_without_a_problem_each_has_a_line_under_the_robots_of_its_kind() -> None:
+    result = invoke("list")
+    assert {line.split(":")[0] for line in result.output.splitlines() if line[:1].isupper()} == {
+        "Arms", "Quadrupeds", "Bipeds", "Others",
+    }  # fmt: skip
+    assert max(map(len, result.output.splitlines())) <= 80
+    assert "torque_limit" not in result.output
+    for name in families():
+        assert sum(line.startswith(f"  {name} ") for line in result.output.splitlines()) == 1, name
+
+
+def test_a_named_problem_is_shown_in_full_unless_brief_is_asked_for() -> None:
+    assert "parameter  " in invoke("list", "arm-reach").output
+    brief = invoke("list", "arm-reach", "--brief").output
+    assert "panda" in brief
+    assert "parameter  " not in brief
+    assert_refused(invoke("list", "--brief", "--full"), "--brief and --full are both given")
 
 
 @pytest.mark.parametrize(

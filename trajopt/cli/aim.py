@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 # Options that are chosen, and options without a meaning then.
 CHOSEN = ("transcription", "intervals", "tolerance")
 WITHOUT = ("ladder", "compare")
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
 
 
@@ -43,9 +44,24 @@ class Seconds(click.ParamType):
         return found
 
 
+class Metres(click.ParamType):
+    """A length: a number of m, or with a unit."""
+
+    name = "length"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Metres."""
+        text = str(value).strip()
+        unit = next((unit for unit in ("mm", "cm", "m") if text.endswith(unit)), "")
+        try:
+            return float(text.removesuffix(unit)) * LENGTHS.get(unit, 1.0)
+        except ValueError:
+            self.fail(f"'{value}' is not a length, allowed: such as 1e-3, 1mm or 0.1cm", param, ctx)
+
+
 aim_options = option_group(
     click.option(
-        "--accuracy", type=float, metavar="M", help="Choose settings for this open-loop error in m."
+        "--accuracy", type=Metres(), metavar="M", help="Choose settings for this open-loop error, e.g. 1mm."
     ),
     click.option(
         "--budget", type=Seconds(), metavar="TIME", help="Choose settings for this time, e.g. 0.5s."

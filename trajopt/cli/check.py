@@ -18,7 +18,7 @@ from trajopt.cli.report import to_json
 )
 @json_option
 def check_command(file: Path, accuracy: bool, reference: Path | None, as_json: bool) -> int:
-    """Recompute all figures of FILE with numeric Pinocchio alone.
+    """Recompute the figures of FILE with numeric Pinocchio alone.
 
     --accuracy adds the open-loop error of the planned torques over intervals, phases and the whole motion,
     and the residuals of dynamics and constraints between collocation points. Exit status 1 when a figure is

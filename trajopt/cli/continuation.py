@@ -65,12 +65,12 @@ def continue_command(
     log: str | None,
     **arguments: Any,
 ) -> int:
-    """Solve PROBLEM for a sequence of values of a parameter, each from the last solution.
+    """Solve PROBLEM for several values of a parameter in turn.
 
-    Every value is solved until its motion holds at any time, on the mesh of the last one, refined where it
-    misses; --transcription or --intervals name a mesh that stays. A step that fails is halved. With --compare
-    every value is also solved from its default guess, and the time saved is printed. Exit status 0 when every
-    value has a motion that holds, 1 when not.
+    Every value is solved from the last solution, until its motion holds at any time, on the mesh of the last
+    one, refined where it misses; --transcription or --intervals name a mesh that stays. A step that fails is
+    halved. With --compare every value is also solved from its default guess, and the time saved is printed.
+    Exit status 0 when every value has a motion that holds, 1 when not.
     """
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose

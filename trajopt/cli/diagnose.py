@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @compile_option
 @json_option
 def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...], as_json: bool) -> None:
-    """Say why FILE failed, or what makes its problem hard, and what to try.
+    """Explain why FILE failed or is hard, and what to try.
 
     Reports rank and condition of the constraints by phase, linearly dependent constraints, curvature,
     scaling, active limits, the first value that is not finite, and constraints in conflict. Exit status 0
@@ -33,8 +33,23 @@ def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...],
 
     if settings and problem is None:
         raise InputError("--set is given without a problem", "allowed: with --problem NAME")
-    diagnosis = diagnose(file, None if problem is None else chosen_problem(problem, settings))
+    given = None if problem is None else chosen_problem(problem, settings)
+    if given is not None:
+        _require_same_robot(file, given)
+    diagnosis = diagnose(file, given)
     click.echo(to_json(diagnosis.to_dict()) if as_json else str(diagnosis))
+
+
+def _require_same_robot(file: Path, problem: Problem) -> None:
+    """Raise `InputError` for a problem on another robot than the file's."""
+    from trajopt.solution.solution import Solution
+
+    robot = str(Solution.load(file).meta["robot"])
+    if robot != problem.robot.name:
+        raise InputError(
+            f"--problem is on robot '{problem.robot.name}', and {file} on '{robot}'",
+            f"allowed: a problem on it, such as with --set robot={robot}",
+        )
 
 
 diagnose_option = click.option("--diagnose", "diagnosed", is_flag=True, help="Diagnose the result.")

@@ -57,10 +57,11 @@ def export_command(
     rate: float,
     **conventions: Any,
 ) -> None:
-    """Write the motion in FILE at an even rate: times, q, v, a, torques, contacts and contact forces.
+    """Write the motion in FILE at an even rate, for a robot.
 
-    Columns have names, such as q/FL_hip_joint; units are SI. Where values jump, as at a touchdown, those
-    after it are written. The format mjcf is the robot and its ground for MuJoCo, as simulate uses them.
+    Times, q, v, a, torques, contacts and contact forces. Columns have names, such as q/FL_hip_joint; units
+    are SI. Where values jump, as at a touchdown, those after it are written. The format mjcf is the robot and
+    its ground for MuJoCo, as simulate uses them.
     """
     from trajopt.solution.solution import Solution
 

@@ -2,26 +2,43 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from trajopt.cli.report import console, plain_table, to_json
+from trajopt.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.table import Table
 
     from trajopt.problem.family import Choice, Family, Parameter, RobotName
+
+# Headings of the brief list, and the kinds of robots below them; the last has all others.
+KINDS = {"Arms": {"arm"}, "Quadrupeds": {"quadruped"}, "Bipeds": {"biped"}, "Others": set[str]()}
+NAMED = frozenset[str]().union(*KINDS.values())
+WIDTH = 80
 
 
 @click.command("list")
 @click.argument("problems", nargs=-1, metavar="[PROBLEM]...")
 @click.option("--robot", metavar="NAME", help="Only problems that are tested on that robot.")
-@click.option("--brief", is_flag=True, help="One row per problem: name, robots, summary.")
+@click.option("--brief", is_flag=True, help="One row per problem.  [default without PROBLEM]")
+@click.option("--full", is_flag=True, help="With robots, phases and parameters.  [default with PROBLEM]")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def list_command(problems: tuple[str, ...], robot: str | None, brief: bool, as_json: bool) -> None:
-    """List problems with robots, phases and parameters: all, or those that match patterns such as biped-*."""
+def list_command(
+    problems: tuple[str, ...], robot: str | None, brief: bool, full: bool, as_json: bool
+) -> None:
+    """List problems, or the parameters of some.
+
+    PROBLEM is a name or a pattern such as 'biped-*'.
+    """
+    if brief and full:
+        raise InputError("--brief and --full are both given", "allowed: one of them")
     from trajopt.problem.catalogue import families
     from trajopt.study.suite.cases import select
 
@@ -30,14 +47,37 @@ def list_command(problems: tuple[str, ...], robot: str | None, brief: bool, as_j
     listed = [family for name, family in known.items() if name in wanted]
     if as_json:
         click.echo(to_json({"problems": [_family_dict(family) for family in listed]}))
-    elif brief:
-        rows = [(family.name, " ".join(family.robots), family.summary) for family in listed]
-        console().print(plain_table(("problem", "robots", "summary"), rows, gap=2))
+    elif brief or not (full or problems):
+        _print_brief(listed)
     else:
         shown = console()
         for family in listed:
             shown.print(_heading(family), soft_wrap=True)
             shown.print(_parameter_table(family))
+
+
+def _print_brief(families: Sequence[Family]) -> None:
+    """Name and summary of each family, under headings with the robots of their kind."""
+    for heading, kinds in KINDS.items():
+        own = [family for family in families if (kind_of(family) in kinds) == bool(kinds)]
+        own = [family for family in own if kinds or kind_of(family) not in NAMED]
+        if not own:
+            continue
+        robots = ", ".join(dict.fromkeys(name for family in own for name in family.robots))
+        click.echo("\n".join(textwrap.wrap(f"{heading}: {robots}", WIDTH, subsequent_indent="  ")))
+        indent = max(len(family.name) for family in own) + 4
+        for family in own:
+            text = f"  {family.name:{indent - 2}}{family.summary}"
+            click.echo("\n".join(textwrap.wrap(text, WIDTH, subsequent_indent=indent * " ")))
+        click.echo()
+    click.echo("trajopt list PROBLEM shows its robots, phases and parameters.")
+
+
+def kind_of(family: Family) -> str:
+    """Kind of a family's first robot; empty for one of no known kind."""
+    from trajopt.robot.catalogue import robot_kind
+
+    return robot_kind(family.robot) or ""
 
 
 def _family_dict(family: Family) -> Mapping[str, Any]:

@@ -27,7 +27,9 @@ from trajopt.solution.output import check_apart
 def plot_command(
     files: tuple[Path, ...], output: Path, labels: tuple[str, ...], pages: tuple[str, ...]
 ) -> None:
-    """Plot the solution in FILE; several FILEs of one robot are overlaid.
+    """Plot the solution in FILE, with all limits.
+
+    Several FILEs of one robot are overlaid.
 
     Pages that do not apply to the robot (without contacts, drives or a moving base) are left out.
     """

@@ -50,9 +50,10 @@ def reference_command(
     as_json: bool,
     **arguments: Any,
 ) -> int:
-    """Solve PROBLEM on finer and finer meshes until two agree, and write the finest.
+    """Solve PROBLEM on finer meshes until two agree.
 
-    Exit status 1 when no two agree within the time limit: the reason is printed and no file is written.
+    The finest solution is written. Exit status 1 when no two agree within the time limit: the reason is
+    printed and no file is written.
     """
     from trajopt.solving.reference import Agreement, NoReferenceError, converged_reference
 

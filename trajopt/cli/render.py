@@ -64,7 +64,10 @@ def render_command(
     labels: tuple[str, ...],
     **options: Any,
 ) -> None:
-    """Write the replay of FILE, or of several files, to a video, a moving picture or a still."""
+    """Write the replay of FILE to a video or a picture.
+
+    Several files are shown in one scene.
+    """
     from trajopt.solution.solution import Solution
     from trajopt.view.replay.render import render
 

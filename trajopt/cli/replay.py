@@ -9,7 +9,7 @@ from typing import Literal
 import click
 
 from trajopt.cli.input import default_option, layout_options
-from trajopt.solution.output import check_apart
+from trajopt.solution.output import check_apart, check_output, require_ending
 from trajopt.solving.interruption import interruptible
 
 
@@ -27,10 +27,15 @@ def replay_command(
     layout: Literal["side-by-side", "overlaid"],
     labels: tuple[str, ...],
 ) -> None:
-    """Show FILE, or several files in one scene, in Meshcat until Ctrl-C, or write them to a page."""
+    """Show FILE in the browser, or write it to a page.
+
+    Several files are shown in one scene. Without --html it is served by Meshcat until Ctrl-C.
+    """
     from trajopt.view.replay.show import replay, serve
 
     check_apart([html], files)
+    if html is not None:
+        require_ending(check_output(html), ".html")
     shown = replay(
         files,
         html=html,

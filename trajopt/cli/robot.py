@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 )
 @json_option
 def robot_command(robot: str, base: str | None, write: Path | None, html: Path | None, as_json: bool) -> None:
-    """Print joints, limits, contacts, torques needed to stand, and warnings of ROBOT.
+    """Print joints, limits and contacts of ROBOT, and warnings.
+
+    Also the torques needed to stand.
 
     ROBOT is a name (as in --set robot=go2), a .py file with build() -> Robot, or a .urdf file, for which
     base, feet and posture are guessed from the geometry: --write saves them as a .py file. Warnings do not

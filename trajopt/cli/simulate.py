@@ -9,7 +9,7 @@ import click
 
 from trajopt.cli.input import COUNT, NOT_REACHED, default_option, json_option
 from trajopt.cli.report import to_json
-from trajopt.solution.output import check_apart, check_output, check_solution_output
+from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
 
 
 @click.command("simulate")
@@ -31,7 +31,7 @@ from trajopt.solution.output import check_apart, check_output, check_solution_ou
 def simulate_command(
     file: Path, output: Path | None, html: Path | None, as_json: bool, **settings: Any
 ) -> int:
-    """Run the plan in FILE in MuJoCo and report how well it is tracked.
+    """Run the plan in FILE in MuJoCo: how well is it tracked?
 
     The model is made from the file alone. Exit status 0 when the plan is tracked, 1 when the robot falls or
     ends too far from it, 2 for bad input.
@@ -41,6 +41,8 @@ def simulate_command(
 
     check_apart([output, html], [file])
     motion, page = output and check_solution_output(output), html and check_output(html)
+    if page is not None:
+        require_ending(page, ".html")
     plan = Solution.load(file)
     simulated = simulate(plan, **settings)
     if motion is not None:

@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.diagnose import diagnose_option, diagnosis_of
 from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.grade import grade_options, solve_to_grade, solve_whole, wants_grade
+from trajopt.cli.groups import grouped
 from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
@@ -38,7 +40,17 @@ if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
 
 
-@click.command("solve")
+@click.command(
+    "solve",
+    cls=grouped(
+        Problem="settings smallest explain keep nearest",
+        Accuracy_and_mesh="draft fixed_mesh transcription intervals accuracy budget front",
+        Start="start ladder compare seed perturb",
+        Solver="solver hessian tolerance max_iterations max_time threads solver_options",
+        Watching="watch log diagnosed",
+        Output="output as_json help",
+    ),
+)
 @click.argument("problem")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter, e.g. yaw=45deg.")
 @grid_options
@@ -101,6 +113,9 @@ def solve_command(
     solver, keeps the last iterate and ends with 1.
     """
     options = options_of(solver_options)
+    seeded = click.get_current_context().get_parameter_source("seed") is ParameterSource.COMMANDLINE
+    if seeded and not arguments["perturb"]:
+        raise InputError("--seed has no effect here", "allowed: with --perturb SIGMA")
     loaded = chosen_problem(problem, settings)
     target = check_solution_output(output or file_of_settings(click.get_current_context()))
     if arguments["log"] not in (None, "-"):  # the solution may overwrite the start file, the table may not

@@ -94,7 +94,7 @@ def suite(
     as_json: bool,
     **arguments: Any,
 ) -> int:
-    """Solve every problem on every robot it is made for, and print the results.
+    """Solve all problem-robot pairs and print a table.
 
     Each pair is solved as by trajopt solve, from its default guess and from --perturbed starts. With
     --simulate the plans of legged robots are also run in MuJoCo. Exit status 0 when all pairs are solved

@@ -91,7 +91,7 @@ def sweep(
     as_json: bool,
     **arguments: Any,
 ) -> int:
-    """Solve PROBLEM at many settings: time and accuracy of each, and the Pareto front.
+    """Benchmark settings: time, accuracy, Pareto front.
 
     An axis with one value holds for all settings; axes with several values are varied one at a time around
     the default setting, schemes and intervals as a grid. Without any axis a default plan is run. Writes

@@ -27,9 +27,17 @@ def check_output(path: Path) -> Path:
     return target
 
 
+def require_ending(path: Path, ending: str) -> None:
+    """Raise `InputError` unless a file's name has that ending."""
+    if path.suffix.lower() != ending:
+        raise InputError(f"the name of {path} does not end with {ending}", f"allowed: NAME{ending}")
+
+
 def check_solution_output(path: Path) -> Path:
-    """As `check_output`, of a solution file; one that holds something else is not written over."""
+    """As `check_output`, of a solution file (.npz); one that holds something else is not written over."""
     target = check_output(path)
+    if target.suffix:
+        require_ending(target, ".npz")
     with contextlib.suppress(OSError), target.open("rb") as old:
         start = old.read(len(ARCHIVE))
         if start not in (b"", ARCHIVE):

@@ -107,7 +107,9 @@ class SimulationReport:
             ("slips, largest travel", f"{self.slips}, {_length(self.slip_travel)}"),
         ]
         moving = self.base_error_end is not None
-        shown = [line for line in lines if moving or not line[0].startswith(("base", "load"))]
+        unused: tuple[str, ...] = () if moving else ("base", "load")
+        unused += () if self.contacts else ("contact", "touchdowns", "slips", "load")
+        shown = [line for line in lines if not line[0].startswith(unused)] if unused else lines
         text = [f"{name:27} {value}" for name, value in shown if value != "-"]
         text += [f"note: {note}" for note in self.notes]
         return "\n".join([*text, "tracked" if self.passed else "not tracked: " + "; ".join(self.failures)])

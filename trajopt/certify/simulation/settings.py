@@ -13,9 +13,11 @@ STEP, CONTACT_TIME, FEEDBACK_TIME = 1 / 500, 1 / 100, 1 / 25
 # After a plan that ends at rest, its last posture is held for this many natural times, to test balance.
 HOLD = 2.0
 LONGEST_STEP = 1e-3
+# Longest step that may be asked for, s: with longer ones a robot's contacts are no longer resolved.
+LONGEST = 0.01
 # Allowed ranges: far beyond any robot, and still numerically sound.
 ALLOWED = {
-    "timestep": (1e-9, 1.0),
+    "timestep": (1e-9, LONGEST),
     "control_rate": (1e-3, 1e6),
     "kp": (0.0, 1e6),
     "kd": (0.0, 1e6),

@@ -60,6 +60,8 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     if unknown:
         raise InputError(f"a simulation has no setting {unknown}", f"allowed: {', '.join(known)}")
     wanted = SimulationSettings(**settings)
+    if wanted.push and base_of(plan.model) == "fixed":
+        raise InputError(f"push of {wanted.push:g} N on the base, which is fixed", "allowed: 0 N for an arm")
     with muted_mujoco():
         reference = reference_of(plan, wanted)
         world = build_world(plan, wanted)

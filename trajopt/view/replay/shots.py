@@ -32,6 +32,14 @@ FINEST_RATE = 1001
 # Rounding error, in pictures, allowed at the end of a motion.
 SAME_TIME = 1e-6
 
+# What options are for that do not apply to every kind of file.
+USES = {
+    **dict.fromkeys(("--fps", "--speed"), "a video"),
+    "--time": "a .png of one picture, which is without --strip",
+    "--strip": "a .png",
+    **dict.fromkeys(("--from", "--to"), "a video, or a .png with --strip"),
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Shots:
@@ -142,11 +150,12 @@ class Shots:
             "--from": self.start is not None and one_picture,
             "--to": self.end is not None and one_picture,
         }
+        what = "a .png of one picture" if one_picture else f"a {self.ending}"
+        if self.strip is not None and not self.is_video:
+            what = "a strip"
         for name, given in unused.items():
             if given:
-                what = "a .png of one picture" if one_picture else f"a {self.ending}"
-                allowed = "--fps, --speed, --from and --to are for videos, --time and --strip for a .png"
-                raise InputError(f"{name} has no use for {what}", allowed)
+                raise InputError(f"{name} has no use for {what}", f"allowed: with {USES[name]}")
 
     def _check_size(self) -> None:
         pair = isinstance(self.pixels, Sequence) and len(self.pixels) == 2
