@@ -398,3 +398,13 @@ def test_missing_mujoco_is_said_in_one_line(stand, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
     with pytest.raises(InputError, match="MuJoCo, which is not installed; pip install mujoco"):
         simulate(stand)
+
+
+def test_an_arm_is_not_pushed_and_its_report_says_nothing_of_feet():
+    robot = robots.load("ur5")
+    plan = sampled(robot, [arm_motion(robot)], 10)
+    with pytest.raises(InputError, match="push of 50 N on the base, which is fixed; allowed: 0 N for an arm"):
+        simulate(plan, push=50.0)
+    table = simulate(plan).report.table()
+    assert not any(word in table for word in ("touchdown", "slips", "contact forces", "base"))
+    assert "joints, rms" in table

@@ -182,6 +182,10 @@ def test_telling_moment_is_the_middle_of_the_first_flight_after_a_contact():
         ({"ending": ".png", "fps": 30.0}, "--fps has no use for a .png"),
         ({"ending": ".png", "start": 0.1}, "--from has no use for a .png of one picture"),
         ({"ending": ".gif", "time": 0.1}, "--time has no use for a .gif"),
+        (
+            {"ending": ".png", "strip": 3, "time": 0.5},
+            "--time has no use for a strip; allowed: with a .png of one",
+        ),
         ({"ending": ".gif", "fps": 60.0}, "--fps is 60; allowed for a .gif: 1 to 50"),
         ({"ending": ".mp4", "fps": 0.0}, "--fps is 0"),
         ({"ending": ".mp4", "fps": float("nan")}, "--fps is nan"),
