@@ -380,3 +380,24 @@ def test_commands_of_bench_are_accepted_beside_the_others_and_not_shown(command)
     assert f"  {command} " in invoke("bench", "--help").output
     first, second = (invoke(*words, "--help").output for words in (["bench", command], [command]))
     assert first.split("\n", 1)[1] == second.split("\n", 1)[1]
+
+
+def test_layers_that_may_be_hidden_are_listed():
+    from trajopt.cli.render import LAYERS
+    from trajopt.view.replay.layers import LAYERS as KNOWN
+
+    assert LAYERS.replace(" or ", ", ").split(", ") == [layer[0] for layer in KNOWN]
+
+
+def test_a_file_without_a_table_of_bands_is_refused_before_solving(tmp_path):
+    (tmp_path / "bands.csv").write_text("garbage\n", "utf-8")
+    arguments = ("suite", "--problems", "ur5-reach", "--compare", tmp_path / "bands.csv")
+    assert_refused(invoke(*arguments), "bands.csv has no table of bands: column problem is missing")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_said_with_the_name_of_the_log(tmp_path):
+    target = tmp_path / "arm.npz"
+    result = invoke("solve", "ur5-reach", "--draft", "--log", "/dev/full", "-o", target)
+    assert result.exit_code == 2
+    assert_refused(result, "cannot write /dev/full: No space left on device")

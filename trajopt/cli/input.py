@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import click
 from typing_extensions import override
@@ -13,8 +13,10 @@ from trajopt.errors import InputError
 
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
+    from trajopt.solution.solution import Solution
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
+Layout: TypeAlias = Literal["side-by-side", "overlaid"]
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
 # Exit status of a command that ran but did not reach its goal.
 NOT_REACHED = 1
@@ -130,13 +132,21 @@ solver_options = option_group(
         "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="Option of the solver."
     ),
 )
+
+
+def layout_of(solutions: Sequence[Solution], asked: Layout) -> Layout:
+    """The layout asked for; different robots are side by side in any case, as one hides the other."""
+    robots = {str(solution.meta["robot"]) for solution in solutions}
+    return "side-by-side" if len(robots) > 1 else asked
+
+
 layout_options = option_group(
     click.option(
         "--side-by-side",
         "layout",
         flag_value="side-by-side",
         default="overlaid",
-        help="Show several files side by side, not overlaid.",
+        help="Show files side by side, not overlaid.  [default for different robots]",
     ),
     click.option("--label", "labels", multiple=True, metavar="NAME", help="Label of each file, in order."),
 )

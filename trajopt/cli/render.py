@@ -12,11 +12,15 @@ from typing import Any
 import click
 from typing_extensions import override
 
-from trajopt.cli.input import WholeNumber, default_option, layout_options
+from trajopt.cli.input import WholeNumber, default_option, layout_of, layout_options
 from trajopt.solution.output import check_apart
 
 # Most digits of a side: more would be too many pixels in any case.
 _SIZE = re.compile(r"([0-9]{1,6})[xX×]([0-9]{1,6})", re.ASCII)
+LAYERS = (
+    "robot, shapes, forces, impulses, cones, com, zmp, "
+    "support, trails, ghosts, goals, payloads, obstacles, surfaces or terrain"
+)
 ANY_COUNT = WholeNumber(0, 10**6)
 
 
@@ -48,13 +52,13 @@ class PictureSize(click.ParamType):
 )
 @click.option("--fps", type=float, metavar="F", help="Pictures per second.  [default: a .mp4 30, others 25]")
 @default_option("--speed", 1.0, "S", "Playback speed, 1 is real time.")
-@click.option("--camera", metavar="NAME", help="overview, follow, side, front or top.")
+@click.option("--camera", metavar="NAME", help="overview, follow, side, front, top or free.")
 @click.option("--from", "start", type=float, metavar="S", help="Start there, s of the solution.")
 @click.option("--to", "end", type=float, metavar="S", help="End there, s of the solution.")
 @click.option("--time", type=float, metavar="S", help="Time of a .png.  [default: in the first flight]")
 @click.option("--strip", type=ANY_COUNT, metavar="N", help="A .png of N pictures side by side.")
 @click.option("--no-caption", is_flag=True, help="No text in the picture.")
-@click.option("--hide", "hidden", multiple=True, metavar="LAYER", help="Hide a layer; may be repeated.")
+@click.option("--hide", "hidden", multiple=True, metavar="LAYER", help=f"Hide a layer: {LAYERS}.")
 @click.option("--show", "shown", multiple=True, metavar="LAYER", help="Show a layer; may be repeated.")
 @layout_options
 def render_command(
@@ -73,6 +77,7 @@ def render_command(
 
     check_apart([output], files)
     solutions = [Solution.load(file) for file in files]
+    options["layout"] = layout_of(solutions, options["layout"])
     with _progress(f"{output.name}") as shown:
         done = render(
             solutions,

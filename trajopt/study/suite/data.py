@@ -157,7 +157,14 @@ def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
     heads = (line[1:].partition(":") for line in lines if line.startswith("#"))
     versions = {name.strip(): value.strip() for name, colon, value in heads if colon}
     table = (re.sub(r"\s*,\s*", ",", line.strip()) for line in lines if not line.startswith("#"))
-    entries = [_entry(path, number, row) for number, row in enumerate(csv.DictReader(table), 1)]
+    rows = csv.DictReader(table)
+    lacking = [own.name for own in fields(PairBands) if own.name not in (rows.fieldnames or ())]
+    if set(lacking) - {"physics"}:
+        raise InputError(
+            f"{path} has no table of bands: column {lacking[0]} is missing",
+            "allowed: a file that --update wrote",
+        )
+    entries = [_entry(path, number, row) for number, row in enumerate(rows, 1)]
     return {entry.name: entry for entry in entries}, versions
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import warnings
 from pathlib import Path
 from typing import TextIO
 
@@ -17,35 +19,45 @@ HEADING = f"{'iter':>5} {'objective':>14} {'primal':>9} {'dual':>9} {'barrier':>
 
 
 class IterationTable:
-    """A watch that writes every iteration as a row of a CSV file, at once, so that it can be followed."""
+    """A watch that writes every iteration as a row of a CSV file, at once, so that it can be followed.
+
+    Where the disk is full the table ends, with a warning, and the solve goes on.
+    """
 
     def __init__(self, path: str | Path) -> None:
         """Open the file; raises `InputError` where it cannot be written."""
         target = Path(path).expanduser()
         try:
             self._file = target.open("w", encoding="utf-8", newline="", buffering=1)
+            self._rows, self._history = csv.writer(self._file, lineterminator="\n"), History()
+            self._rows.writerow(COLUMNS)
         except OSError as error:
             raise InputError(
                 f"cannot write {target}: {error.strerror or error}", "allowed: a file in an existing folder"
             ) from None
-        self._rows, self._history = csv.writer(self._file, lineterminator="\n"), History()
-        self._rows.writerow(COLUMNS)
+        self._path, self._ended = target, False
 
     def __enter__(self) -> IterationTable:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._file.close()
+        with contextlib.suppress(OSError):  # what could not be written is said already
+            self._file.close()
 
     def __call__(self, iterate: Iterate) -> None:
         """Write an iteration."""
         self._history.add(iterate)
-        if iterate.stage != "iteration":
+        if iterate.stage != "iteration" or self._ended:
             return
         layout, row = iterate.transcription.layout, self._history.rows[-1]
         own = (self._history.number, iterate.label, layout.mesh.transcription, layout.n_intervals)
         figures = [f"{row[name]:.9g}" for name in FIGURES]
-        self._rows.writerow([*own, iterate.solver, int(row["iteration"]), f"{row['time']:.6f}", *figures])
+        try:
+            self._rows.writerow([*own, iterate.solver, int(row["iteration"]), f"{row['time']:.6f}", *figures])
+        except OSError as error:
+            self._ended = True
+            text = f"cannot write {self._path}: {error.strerror or error}; iterations are no longer logged"
+            warnings.warn(text, stacklevel=2)
 
 
 class IterationLines:
