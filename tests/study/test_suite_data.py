@@ -142,7 +142,9 @@ def test_an_update_keeps_the_line_of_a_failed_pair_and_drops_one_that_is_gone():
 @pytest.mark.parametrize("text", ["problem, robot\nx, y\n", "\x00\n1\n", "# casadi: 3\nproblem\nx\n"])
 def test_a_foreign_table_is_one_line(text: str, tmp_path: Path):
     (tmp_path / "bands.csv").write_text(text)
-    with pytest.raises(InputError, match=r"line 1 of the table in .*bands\.csv is not one; columns: problem"):
+    with pytest.raises(
+        InputError, match=r"bands\.csv has no table of bands: column (mesh|problem|robot) is missing"
+    ):
         data.read(tmp_path / "bands.csv")
 
 
