@@ -154,7 +154,7 @@ def test_friction_of_drives_is_overcome_by_the_planned_torques():
 
 def test_source_of_velocities_has_no_torque_limits():
     robot = robots.load("ur5")
-    weak = sampled(robot, [arm_motion(robot)], 10, torque_limit=[1.0] * robot.nu)
+    weak = sampled(robot, [arm_motion(robot)], 10, effort_limit=[1.0] * robot.nu)
     assert simulate(weak).report.saturated > 0.5
     source = simulate(with_meta(weak, actuation="acceleration")).report
     assert source.saturated == 0
