@@ -15,7 +15,7 @@ import pytest
 from rich.cells import cell_len
 
 from tests.support.problems import hop
-from tests.support.processes import python
+from tests.support.processes import AtTerminal, python
 from trajopt import solve
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
@@ -259,3 +259,24 @@ def test_figures_alone_never_request_the_variables(tmp_path: Path):
         seen_by(refuse)
     assert history.rows
     assert asked == []
+
+
+BUSY = """\
+import time
+from trajopt.cli.progress import busy
+with busy("diagnosing jump.npz"):
+    time.sleep(2.5)
+print("done")
+"""
+
+
+def test_what_lasts_says_on_a_terminal_what_it_does_and_for_how_long() -> None:
+    status, output, seen = AtTerminal(sys.executable, "-c", BUSY, piped=True).finish()
+    assert (status, output) == (0, "done\n")
+    assert "\rdiagnosing jump.npz, 1 s" in seen
+    assert seen.endswith("\r\x1b[K")
+
+
+def test_elsewhere_nothing_is_shown_while_waiting() -> None:
+    done = python(BUSY)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")

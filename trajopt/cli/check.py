@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from trajopt.cli.input import NOT_REACHED, json_option
+from trajopt.cli.progress import busy
 from trajopt.cli.report import to_json
 
 
@@ -28,13 +29,15 @@ def check_command(file: Path, accuracy: bool, reference: Path | None, as_json: b
     from trajopt.solution.solution import Solution
 
     plan = Solution.load(file)
-    report = check(plan)
+    with busy(f"checking {file}"):
+        report = check(plan)
     shown, text = report.to_dict(), report.table()
     if accuracy or reference is not None:
         from trajopt.certify.accuracy.measures import measure
         from trajopt.certify.accuracy.table import accuracy_table
 
-        accuracy_figures = measure(plan, reference)
+        with busy(f"integrating the torques of {file}"):
+            accuracy_figures = measure(plan, reference)
         shown["accuracy"] = accuracy_figures.to_dict()
         text = f"{text}\n\n{accuracy_table(accuracy_figures)}"
     click.echo(to_json(shown) if as_json else text)

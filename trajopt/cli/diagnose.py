@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from trajopt.cli.input import chosen_problem, compile_option, json_option
+from trajopt.cli.progress import busy
 from trajopt.cli.report import to_json
 from trajopt.errors import InputError, TrajoptError
 
@@ -36,7 +37,8 @@ def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...],
     given = None if problem is None else chosen_problem(problem, settings)
     if given is not None:
         _require_same_robot(file, given)
-    diagnosis = diagnose(file, given)
+    with busy(f"diagnosing {file}: ranks, curvature, conflicts"):
+        diagnosis = diagnose(file, given)
     click.echo(to_json(diagnosis.to_dict()) if as_json else str(diagnosis))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from trajopt.cli.progress import busy
 from trajopt.solution.output import check_apart
 
 
@@ -37,6 +38,7 @@ def plot_command(
 
     check_apart([output], files)
     names = [name.strip() for given in pages for name in given.split(",") if name.strip()]
-    plotted = write_plots(list(files), output, labels=labels or None, pages=names or None)
+    with busy(f"plotting {output}"):
+        plotted = write_plots(list(files), output, labels=labels or None, pages=names or None)
     shown = ", ".join(dict.fromkeys(plotted.pages))
     click.echo(f"{plotted.path}: {shown}, {plotted.size / 1e6:.2f} MB")

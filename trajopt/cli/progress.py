@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 # Value of ``log`` for a line per iteration on stderr.
 LINES = "-"
+# Seconds between two displays of `busy`; and what clears the rest of a terminal's line.
+SECOND, CLEAR = 1.0, "\x1b[K"
 # Added to the message of a second Ctrl-C while a problem is solved.
 LOST = ", nothing was written"
 
@@ -105,6 +108,32 @@ def watched(
         finally:
             control.cancel_deadline()
         control.settle()
+
+
+@contextmanager
+def busy(text: str) -> Iterator[None]:
+    """Say on a terminal what lasts over a second, and for how long it has: a line that goes away.
+
+    Where stderr is no terminal nothing is shown.
+    """
+    if not sys.stderr.isatty():
+        yield
+        return
+    done, begun = threading.Event(), time.monotonic()
+
+    def show() -> None:
+        while not done.wait(SECOND):
+            print(f"\r{text}, {time.monotonic() - begun:.0f} s{CLEAR}", end="", file=sys.stderr, flush=True)
+
+    shown = threading.Thread(target=show, name="busy", daemon=True)
+    shown.start()
+    try:
+        yield
+    finally:
+        done.set()
+        shown.join()
+        if time.monotonic() - begun >= SECOND:
+            print(f"\r{CLEAR}", end="", file=sys.stderr, flush=True)
 
 
 def runs_to_its_end(work: Callable[[Callable[[], None]], object]) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from trajopt.cli.input import COUNT, NOT_REACHED, default_option, json_option
+from trajopt.cli.progress import busy
 from trajopt.cli.report import to_json
 from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
 
@@ -44,7 +45,8 @@ def simulate_command(
     if page is not None:
         require_ending(page, ".html")
     plan = Solution.load(file)
-    simulated = simulate(plan, **settings)
+    with busy(f"simulating {plan.t[-1]:.3g} s of {file} in MuJoCo"):
+        simulated = simulate(plan, **settings)
     if motion is not None:
         simulated.as_solution().save(motion)
     if page is not None:
