@@ -109,7 +109,7 @@ BAD = {
         lambda: stance(surfaces={FOOT: WALL}, footholds={FOOT: np.zeros(3)}),
         "within 1e-06 m",
     ),
-    "friction of a term": (lambda: FrictionCone(friction=float("nan")), "finite and >= 0"),
+    "friction of a term": (lambda: FrictionCone(friction=float("nan")), "a finite number >= 0"),
     "normal force without bounds": (lambda: NormalForce(contact=FOOT), "at least one bound"),
     "normal force between nothing": (lambda: NormalForce(contact=FOOT, lower=2.0, upper=1.0), "<= upper"),
     "incomplete description": (lambda: Surface.from_description({"point": [0, 0, 0]}), "normal"),

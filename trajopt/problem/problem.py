@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.problem.acting_terms import require_acting
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
@@ -46,6 +47,7 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.terrain import Ground, Terrain
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Problem:
     """Everything a transcription needs, independent of how it is transcribed or solved.

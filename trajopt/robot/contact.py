@@ -9,12 +9,14 @@ from typing import Literal, get_args
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError, require_not_negative
 from trajopt.terrain.terrain import Ground
 
 ContactKind = Literal["point", "surface"]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Contact:
     """A place where the robot may touch its surroundings: a point, or a sole.
@@ -41,7 +43,7 @@ class Contact:
     kind: ContactKind = "point"
     half_length: float = 0.0
     half_width: float = 0.0
-    radius: float = 0.0
+    radius: NonNegative = 0.0
     rows: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from trajopt.arguments import Fraction, checked
 from trajopt.errors import InputError, is_number
 
 
+@checked
 @dataclass(frozen=True)
 class Moment:
     """A fraction of a phase's duration; by default the end of the motion.
@@ -23,7 +25,7 @@ class Moment:
     """
 
     phase: str | None = None
-    fraction: float = 1.0
+    fraction: Fraction = 1.0
 
     def __post_init__(self) -> None:
         if self.phase is not None and not (isinstance(self.phase, str) and self.phase):

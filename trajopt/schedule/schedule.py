@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from trajopt.arguments import Positive, checked
 from trajopt.errors import InputError, finite_array, require_positive
 from trajopt.robot.contact import Contact
 from trajopt.terrain.patch import Patch
@@ -20,6 +21,7 @@ from trajopt.terrain.terrain import Ground, Terrain
 Motion = Callable[[float], np.ndarray]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Phase:
     """A stretch of motion with a constant set of active contacts.
@@ -45,7 +47,7 @@ class Phase:
     """
 
     name: str
-    duration: float
+    duration: Positive
     contacts: tuple[str, ...] = ()
     footholds: Mapping[str, np.ndarray] = field(default_factory=dict)
     duration_bounds: tuple[float, float] | None = None
@@ -163,6 +165,7 @@ class Phase:
         object.__setattr__(self, "duration_bounds", (lower, upper))
 
 
+@checked
 @dataclass(frozen=True)
 class Schedule:
     """Phases in time order."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.arguments import check_settings
+from trajopt.arguments import check_settings, checked
 from trajopt.certify.report import GRADE, Tolerances
 from trajopt.errors import InputError, require_positive
 from trajopt.problem.problem import Problem
@@ -61,6 +61,7 @@ def tolerance_for(accuracy: float, length: float) -> float:
 
 
 @accepts_compile
+@checked
 def solve(
     problem: Problem,
     *,

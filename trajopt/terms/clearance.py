@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from trajopt.arguments import checked
 from trajopt.errors import require_not_negative
 from trajopt.robot.collision.shapes import LinkShape, Obstacle, require_different_names
 from trajopt.terms.interfaces import Term
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Clearance(Term):
     """The robot's links stay clear of obstacles, of the ground and of each other, at all times.

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.robot import Robot
@@ -27,6 +28,7 @@ def _driven_rows(robot: Robot) -> list[tuple[int, Drive]]:
     return rows
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class DriveLimits(PointConstraint):
     """Voltage and current of every drive stay within their limits; replaces `TorqueLimits`.
@@ -78,6 +80,7 @@ def _voltage_is_tighter(drive: Drive) -> bool:
     return drive.torque_limit >= 2 * drive.stall_torque
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class MotorTorqueCost(Cost):
     """Motor torques over their limits, or over stall torques without a limit: the share of copper losses.

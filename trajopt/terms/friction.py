@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
@@ -34,6 +35,7 @@ TIGHT = 1e-6
 TIP = APEX / 6
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ContactConstraint(PointConstraint):
     """A constraint on the wrenches of unilateral contacts, and at an impact on their impulses.
@@ -52,7 +54,7 @@ class ContactConstraint(PointConstraint):
     acts_at_impacts: ClassVar[bool] = True
     acts_on_forces: ClassVar[bool] = True
 
-    friction: float | None = None
+    friction: NonNegative | None = None
     contacts: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -147,6 +149,7 @@ class _ConeRows:
         return Rows.create(ca.vertcat(*self.parts), 0, np.array(self.upper), np.array(self.units))
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class FrictionPyramid(ContactConstraint):
     """Unilateral force inside a pyramid inscribed in the Coulomb cone: |f_1|, |f_2| <= mu f_n / sqrt 2.
@@ -170,6 +173,7 @@ class FrictionPyramid(ContactConstraint):
         return found.rows()
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class FrictionCone(ContactConstraint):
     """Unilateral force inside the exact Coulomb cone: f_1^2 + f_2^2 <= (mu f_n)^2, f_n >= 0.
@@ -203,6 +207,7 @@ class FrictionCone(ContactConstraint):
         return found.rows()
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SoleLimits(ContactConstraint):
     """Centre of pressure of surface contacts inside the sole, and yaw moment within a box.
@@ -234,6 +239,7 @@ class SoleLimits(ContactConstraint):
         return found.rows()
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SoleCone(ContactConstraint):
     """Wrench of each sole inside the exact contact wrench cone, 16 rows.
@@ -267,6 +273,7 @@ class SoleCone(ContactConstraint):
         return found.rows()
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class NormalForce(PointConstraint):
     """Normal force of one contact within bounds, where the contact is active.

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.robot.contact import Contact
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -30,6 +31,7 @@ def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
     return columns[2, :] if surface.is_level else ca.mtimes(context.parameter(surface.normal).T, columns)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ContactLanding(AtMoment, NodeConstraint):
     """New contacts of a phase lie on their surface, patch or foothold and do not move.

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
@@ -28,6 +29,7 @@ def _rows_within(
     return Rows.create(values()[bound.tolist()], lower[bound], upper[bound], unit[bound])
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class TorqueLimits(PointConstraint):
     """Joint torques within limits.
@@ -60,6 +62,7 @@ class TorqueLimits(PointConstraint):
         return {} if self.limit is None else {"effort_limit": np.asarray(self.limit, dtype=float)}
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class VelocityLimits(PointConstraint):
     """Joint rates within the robot's limits, at points and nodes."""
@@ -82,6 +85,7 @@ class VelocityLimits(PointConstraint):
         return -free, free, -limit, limit
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class PositionLimits(PointConstraint):
     """Joint positions within the robot's limits, at points and nodes.

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.errors import require_not_negative, unit_vector
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -21,6 +22,7 @@ from trajopt.terms.interfaces import Term
 from trajopt.terms.node_interfaces import AtMoment, NodePlace
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class NodeCost(Term, ABC):
     """A cost at some nodes (a Mayer term); ``weight`` is dimensionless, finite and >= 0."""
@@ -45,6 +47,7 @@ class NodeCost(Term, ABC):
         return context.parameter(self.weight) * self.quantity(context, units, place)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class FrameHeightCost(AtMoment, NodeCost):
     """Minus the height of a frame over the robot's length at one moment: as high as possible.
@@ -69,6 +72,7 @@ class FrameHeightCost(AtMoment, NodeCost):
         return -context.frame(self.frame).position[2] / units.length
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class DistanceCost(AtMoment, NodeCost):
     """Minus a frame's coordinate along a direction over the robot's length at a moment: as far as possible.

@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError, require_positive
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
@@ -49,6 +50,7 @@ def require_recovered(recovered: float) -> None:
         raise InputError(f"recovered part of power is {recovered:g}", "allowed: -1 to 1")
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class PowerCost(Cost):
     """Power drawn by all joints over weight times sqrt(g length); integrated, energy / (weight length).

@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -57,6 +58,7 @@ def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tup
                 raise InputError(f"'{name}' slides in phase '{phase.name}'", f"allowed: {allowed}")
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SlidingFriction(PointConstraint):
     """Friction law of this module at every sliding contact: the force is unilateral and opposes the motion.

@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -100,6 +101,7 @@ class SwingClearance(DuringPhases, NodeConstraint):
         return Rows.create(ca.vertcat(*heights), least, np.inf, units.length)
 
 
+@checked
 @dataclass(frozen=True)
 class SwingPart:
     """The part of a contact's swing in one phase: fractions of the swing where the phase begins and ends."""
@@ -109,6 +111,7 @@ class SwingPart:
     end: float
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SwingArc(NodeConstraint):
     """Swinging contacts stay above flat or smooth ground over swings that may span several phases.
@@ -159,6 +162,7 @@ class SwingArc(NodeConstraint):
         return Rows.create(ca.vertcat(*heights), np.array(least), np.inf, units.length)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SwingCrossing:
     """One swing of a contact over piecewise ground.
@@ -222,6 +226,7 @@ def _above(plane: Surface, lift: float) -> tuple[np.ndarray, float]:
     return plane.normal / upward, plane.height / upward + lift
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SwingOver(NodeConstraint):
     """Feet stay above piecewise ground over their swings, and cut no edge between the nodes.

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.dynamics.rotations import rotation_error, rotation_matrix
@@ -69,6 +70,7 @@ def _node_with_rate(coordinates: Coordinates, q: np.ndarray, index: int) -> np.n
     return node
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class TerminalState(NodeConstraint):
     """The final configuration is ``q`` (nq,), in the directions that active contacts leave free."""
@@ -114,6 +116,7 @@ def configuration_difference(context: Context, q: np.ndarray) -> ca.SX:
     return error
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class TerminalRest(NodeConstraint):
     """The motion ends at rest, in the directions that active contacts leave free.
@@ -135,6 +138,7 @@ def guessed_posture(context: Context) -> np.ndarray:
     return context.robot.reference if context.guess is None else context.guess()
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class TerminalVelocity(NodeConstraint):
     """The motion ends with a given velocity in the directions that active contacts leave free.
@@ -157,6 +161,7 @@ class TerminalVelocity(NodeConstraint):
 HORIZONTAL = {"planar": (0, -1), "freeflyer": (0, 1)}
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class TerminalPosture(NodeConstraint):
     """The motion ends in a given posture wherever a contact has landed, without turning.

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.dynamics.manifold import Joint
 from trajopt.dynamics.rotations import quaternion_product
 from trajopt.errors import InputError
@@ -29,6 +30,7 @@ PARTS: tuple[Part, ...] = get_args(Part)
 NORMALIZED = 1e-4
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class TrackingCost(Cost):
     """Distance of the configuration from a reference motion.
@@ -101,6 +103,7 @@ def _distance(context: Context, joint: Joint, goal: ca.SX, quaternion: ca.SX | N
     return away / units.position[joint.v]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class KeyFrames:
     """A motion through ``configurations`` (n, nq) at ``times`` (n,), s; see `key_frames`."""

@@ -6,10 +6,12 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError, require_finite, require_not_negative
 from trajopt.terrain.surface import UP, Surface
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class FlatGround:
     """A plane to stand on with Coulomb friction: level, or a slope.
@@ -19,7 +21,7 @@ class FlatGround:
     """
 
     height: float = 0.0
-    friction: float = 0.7
+    friction: NonNegative = 0.7
     normal: tuple[float, float, float] = UP
 
     def __post_init__(self) -> None:

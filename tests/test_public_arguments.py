@@ -1,0 +1,73 @@
+"""Wrong arguments of public constructors are refused in one line that names the field."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import trajopt
+from trajopt import InputError
+from trajopt.arguments import annotations_of
+
+ROOMS = (
+    "trajopt",
+    "trajopt.terms",
+    "trajopt.schedule",
+    "trajopt.terrain",
+    "trajopt.robot",
+    "trajopt.problem",
+)
+
+
+class Wrong:
+    """A value that no field takes."""
+
+
+def constructors() -> Iterator[type]:
+    """Every public dataclass whose arguments are checked."""
+    seen = set()
+    for room in map(importlib.import_module, ROOMS):
+        for name in dir(room):
+            found = getattr(room, name)
+            made = inspect.isclass(found) and not inspect.isabstract(found)
+            if made and dataclasses.is_dataclass(found) and found not in seen:
+                seen.add(found)
+                if "checked" in found.__init__.__code__.co_qualname:
+                    yield found
+
+
+CASES = [
+    (kind, field.name)
+    for kind in sorted(constructors(), key=lambda kind: kind.__name__)
+    for field in dataclasses.fields(kind)
+    if annotations_of(kind).get(field.name, Any) is not Any and field.init
+]
+
+
+def test_the_classes_that_a_problem_is_made_of_are_checked() -> None:
+    names = {kind.__name__ for kind, _ in CASES}
+    terms = {"FrameHeight", "FramePose", "FrictionCone", "NormalForce", "TorqueCost", "TorqueLimits"}
+    assert names >= terms | {"Contact", "FlatGround", "Moment", "Phase", "Problem", "Schedule"}
+
+
+@pytest.mark.parametrize(("kind", "field"), CASES, ids=lambda part: getattr(part, "__name__", part))
+def test_a_wrong_value_is_refused_with_the_name_of_the_field(kind: type, field: str) -> None:
+    with pytest.raises(InputError) as refused:
+        kind(**{field: Wrong()})
+    message = str(refused.value)
+    assert field in message
+    assert kind.__name__ in message
+    assert "allowed" in message
+    assert "\n" not in message
+
+
+def test_a_problems_name_is_no_problem() -> None:
+    with pytest.raises(
+        InputError, match=r"^problem of solve is 'solo12-jump'; allowed: .*trajopt\.load\('solo12-jump'\)"
+    ):
+        trajopt.solve("solo12-jump")  # type: ignore[arg-type]
