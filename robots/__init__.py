@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
-from trajopt.errors import InputError, TrajoptError, failure, line_in
+from trajopt.errors import InputError, TrajoptError, failure, line_in, placed
 from trajopt.robot import Robot, feet_in_base
 
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum")
@@ -39,7 +39,7 @@ def load(name: str) -> Robot:
         robot = module.build()
     except TrajoptError as error:
         if name.endswith(".py"):
-            raise InputError(f"{name}, line {line_in(_file(module), error)}: {error}") from error
+            raise placed(error, f"{name}, line {line_in(_file(module), error)}") from error
         raise
     except Exception as error:
         raise InputError(f"build() of {name} failed: {failure(error, _file(module))}") from error
@@ -140,7 +140,7 @@ def _from_file(path: Path, _changed: int) -> ModuleType:
     try:
         specification.loader.exec_module(module)
     except TrajoptError as error:
-        raise InputError(f"{path}, line {line_in(path, error)}: {error}") from error
+        raise placed(error, f"{path}, line {line_in(path, error)}") from error
     except Exception as error:
         raise InputError(f"robot file {path} cannot be run: {failure(error, path)}") from error
     if not callable(getattr(module, "build", None)):

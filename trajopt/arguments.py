@@ -130,12 +130,21 @@ def annotations_of(target: Any) -> dict[str, Any]:
     for owner in reversed(target.__mro__) if isinstance(target, type) else [inspect.unwrap(target)]:
         names = _Names(vars(sys.modules[owner.__module__]))
         for name, hint in inspect.get_annotations(owner).items():
-            found[name] = eval(hint, {}, names) if isinstance(hint, str) else hint
+            found[name] = _evaluated(hint, names) if isinstance(hint, str) else hint
     return found
+
+
+def _evaluated(hint: str, names: _Names) -> Any:
+    try:
+        return eval(hint, {}, names)
+    except Exception:  # of names that are known to a type checker alone
+        return Any
 
 
 class _Names(dict[str, Any]):
     """Names of a module, or Any."""
 
     def __missing__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise KeyError(name)
         return getattr(builtins, name, Any)

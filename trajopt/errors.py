@@ -85,6 +85,13 @@ def line_in(path: Path, error: BaseException) -> int | None:
     return next((each.lineno for each in reversed(entries) if Path(each.filename) == path), None)
 
 
+def placed(error: TrajoptError, where: str) -> InputError:
+    """The error with where it arose before it, and still with what is allowed."""
+    if isinstance(error, InputError):
+        return InputError(f"{where}: {error.what}", error.allowed)
+    return InputError(f"{where}: {error}")
+
+
 def in_file(error: Exception, function: Callable[..., Any] | None = None) -> str:
     """An exception in one line, with the line of the function's file, else the one in which it arose."""
     code = getattr(function, "__code__", None)

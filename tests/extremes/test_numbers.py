@@ -52,43 +52,49 @@ def spoiled(array: np.ndarray, value: float) -> np.ndarray:
 Q = np.zeros(6)
 HEIGHT = "frame's height"
 PLACES: dict[str, tuple[str, Make]] = {
-    "initial_q": ("initial_q .* not finite", lambda x: arm_problem(initial_q=spoiled(Q, x))),
-    "initial_v": ("initial_v .* not finite", lambda x: arm_problem(initial_v=spoiled(Q, x))),
-    "goal": ("q of terminal_state is not finite", lambda x: ending(TerminalState(q=spoiled(Q, x)))),
+    "initial_q": ("initial_q of Problem .*finite numbers", lambda x: arm_problem(initial_q=spoiled(Q, x))),
+    "initial_v": ("initial_v of Problem .*finite numbers", lambda x: arm_problem(initial_v=spoiled(Q, x))),
+    "goal": ("q of TerminalState .*finite numbers", lambda x: ending(TerminalState(q=spoiled(Q, x)))),
     "rest": (
-        "terminal_rest in phase 'reach': q is not finite",
+        "q of TerminalRest .*finite numbers",
         lambda x: ending(TerminalRest(q=spoiled(Q, x))),
     ),
-    "frame": ("position of frame_pose", lambda x: ending(FramePose(frame="tool0", position=[0.3, 0.0, x]))),
+    "frame": (
+        "position of FramePose .*finite numbers",
+        lambda x: ending(FramePose(frame="tool0", position=[0.3, 0.0, x])),
+    ),
     "frame's rotation": (
-        "rotation of frame_pose",
+        "rotation of FramePose .*finite numbers",
         lambda x: ending(FramePose(frame="tool0", rotation=spoiled(np.eye(3), x))),
     ),
     "frame's velocity": (
-        "frame_velocity in phase 'reach': row 5 is bounded",
+        "velocity of FrameVelocity .*finite numbers",
         lambda x: ending(FrameVelocity(frame="tool0", velocity=spoiled(Q, x))),
     ),
     HEIGHT: (
-        "frame_height in phase 'reach': row 0 is bounded",
+        "height of FrameHeight .*finite number",
         lambda x: ending(FrameHeight(frame="tool0", height=x, at=middle_of("reach"))),
     ),
-    "posture": ("posture_cost in phase 'reach'", lambda x: ending(PostureCost(weight=1.0, q=spoiled(Q, x)))),
-    "weight": ("weight of torque_cost", lambda x: TorqueCost(weight=x)),
-    "friction": ("friction of friction_cone", lambda x: FrictionCone(friction=x)),
-    "ground's friction": ("friction coefficient", lambda x: FlatGround(friction=x)),
-    "ground's height": ("ground height", lambda x: FlatGround(height=x)),
+    "posture": (
+        "q of PostureCost .*finite numbers",
+        lambda x: ending(PostureCost(weight=1.0, q=spoiled(Q, x))),
+    ),
+    "weight": ("weight of TorqueCost .*finite number", lambda x: TorqueCost(weight=x)),
+    "friction": ("friction of FrictionCone .*finite number", lambda x: FrictionCone(friction=x)),
+    "ground's friction": ("friction of FlatGround .*finite number", lambda x: FlatGround(friction=x)),
+    "ground's height": ("height of FlatGround .*finite number", lambda x: FlatGround(height=x)),
     "ground's normal": (
-        "normal of (the ground|a surface)",
+        "normal of FlatGround .*finite numbers",
         lambda x: FlatGround(normal=np.array([0.0, 0.0, x])),
     ),
     "surface": ("normal of a surface", lambda x: Surface(point=np.zeros(3), normal=[0.0, x, 1.0])),
     "foothold": (
-        "foothold of 'FL_FOOT'",
+        "footholds of Phase 'p'.*'FL_FOOT'.* finite numbers",
         lambda x: Phase(name="p", duration=1.0, contacts=("FL_FOOT",), footholds={"FL_FOOT": [0.0, x, 0.0]}),
     ),
-    "duration": ("duration of phase", lambda x: Phase(name="p", duration=x)),
+    "duration": ("duration of Phase .*finite number", lambda x: Phase(name="p", duration=x)),
     "duration bounds": (
-        "duration_bounds of phase",
+        "duration_bounds of Phase .*finite numbers",
         lambda x: Phase(name="p", duration=1.0, duration_bounds=(0.5, x)),
     ),
     "clearance": ("swing clearance", lambda x: SwingClearance(height=x, terrain=FlatGround())),
@@ -122,7 +128,7 @@ def test_an_invalid_number_is_refused_where_it_is_given(where, value):
 
 @pytest.mark.parametrize("limit", [[NAN] * 6, [1.0] * 5 + [-1.0], [1.0] * 5])
 def test_invalid_torque_limits_are_refused(limit):
-    refused("torque_limits", lambda: ending(TorqueLimits(limit=np.array(limit))))
+    refused("torque_limits|limit of TorqueLimits", lambda: ending(TorqueLimits(limit=np.array(limit))))
 
 
 # How a guess may be wrong after 0.5 s, and what is said of it.

@@ -87,4 +87,7 @@ def cost_of(solution: Solution, cost: str) -> float:
 
 @pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf")])
 def test_an_invalid_weight_is_refused(weight):
-    assert_outcome(Refused("weight of torque_cost is"), partial(weighed, "ur5-reach", weight, "torque_cost"))
+    assert_outcome(
+        Refused("weight of TorqueCost is .*finite number"),
+        partial(weighed, "ur5-reach", weight, "torque_cost"),
+    )

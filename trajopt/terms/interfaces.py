@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.arguments import checked
+from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError, numbers_of, renamed, require_not_negative
 from trajopt.kinds import Shape, shown
 from trajopt.robot.robot import Robot
@@ -109,7 +109,7 @@ class Cost(DuringPhases, ABC):
         InputError: for another weight.
     """
 
-    weight: float
+    weight: NonNegative
 
     def __post_init__(self) -> None:
         require_not_negative(f"weight of {self.name}", self.weight)

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.arguments import checked
+from trajopt.arguments import NonNegative, checked
 from trajopt.errors import require_not_negative, unit_vector
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -29,7 +29,7 @@ class NodeCost(Term, ABC):
 
     acts_at_points: ClassVar[bool] = False
 
-    weight: float
+    weight: NonNegative
 
     def __post_init__(self) -> None:
         require_not_negative(f"weight of {self.name}", self.weight)
