@@ -28,17 +28,34 @@ class Wrong:
     """A value that no field takes."""
 
 
+# Public dataclasses that check their arguments themselves, where they do: not yet by the annotations.
+OPEN = {
+    *("Beam", "BoxObstacle", "Bump", "CapsuleObstacle", "CollisionScene", "CurvedSurface", "Drive", "Gait"),
+    *(
+        "Incline",
+        "Legs",
+        "NodePlace",
+        "Patch",
+        "Payload",
+        "Periodicity",
+        "PiecewiseTerrain",
+        "Posture",
+        "Ramp",
+    ),
+    *("Robot", "SmoothTerrain", "Solution", "StanceMode", "Surface", "SwingClearance", "Target", "Wave"),
+    *("AtMoment", "BaseDynamics", "ContactAcceleration", "ContactVelocity", "ImpactDynamics"),
+}
+
+
+def public_dataclasses() -> set[type]:
+    found = (getattr(room, name) for room in map(importlib.import_module, ROOMS) for name in dir(room))
+    classes = {each for each in found if inspect.isclass(each) and dataclasses.is_dataclass(each)}
+    return {each for each in classes if not inspect.isabstract(each)}
+
+
 def constructors() -> Iterator[type]:
     """Every public dataclass whose arguments are checked."""
-    seen = set()
-    for room in map(importlib.import_module, ROOMS):
-        for name in dir(room):
-            found = getattr(room, name)
-            made = inspect.isclass(found) and not inspect.isabstract(found)
-            if made and dataclasses.is_dataclass(found) and found not in seen:
-                seen.add(found)
-                if "checked" in found.__init__.__code__.co_qualname:
-                    yield found
+    return (kind for kind in public_dataclasses() if "checked" in kind.__init__.__code__.co_qualname)
 
 
 CASES = [
@@ -47,6 +64,11 @@ CASES = [
     for field in dataclasses.fields(kind)
     if annotations_of(kind).get(field.name, Any) is not Any and field.init
 ]
+
+
+def test_what_is_not_checked_by_its_annotations_is_listed() -> None:
+    checked = set(constructors())
+    assert {kind.__name__ for kind in public_dataclasses() - checked} == OPEN
 
 
 def test_the_classes_that_a_problem_is_made_of_are_checked() -> None:

@@ -10,7 +10,7 @@ import click
 from trajopt.cli.input import json_option
 from trajopt.cli.report import to_json
 from trajopt.errors import InputError
-from trajopt.solution.output import check_apart, check_output
+from trajopt.solution.output import check_apart, check_output, replacing
 
 if TYPE_CHECKING:
     from trajopt.dynamics.base_joint import Base
@@ -48,7 +48,8 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
     found = robot_report(loaded)
     click.echo(to_json(found.to_dict()) if as_json else found.table())
     if write is not None and text is not None:
-        write.write_text(text, encoding="utf-8")
+        with replacing(write) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")
         click.echo(f"  file       {write}: feet and posture are guesses, edit them", err=as_json)
     if html is not None:
         from trajopt.solving.rest import rest

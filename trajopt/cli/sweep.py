@@ -177,8 +177,11 @@ def _print(plan: SweepPlan, records: SweepRecords, rows: Sequence[Summary]) -> N
             f"{quiet['calibration_90']:.2f} at 90 %; "
             f"{quiet['disturbed']} of {quiet['runs']} runs were disturbed"
         )
-    shown = console(PIPE_WIDTH)
-    shown.print(summary_table(rows))
+    shown, run = console(PIPE_WIDTH), [row for row in rows if row.runs]
+    if run:
+        shown.print(summary_table(run))
+    else:
+        notes.insert(0, f"no run has ended of {len(rows)} settings")
     for text in (*notes, f"tables and plot in {records.folder}"):
         shown.print(text, soft_wrap=True)
 
