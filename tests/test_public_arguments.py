@@ -42,8 +42,8 @@ OPEN = {
         "Posture",
         "Ramp",
     ),
-    *("Robot", "SmoothTerrain", "Solution", "StanceMode", "Surface", "SwingClearance", "Target", "Wave"),
-    *("AtMoment", "BaseDynamics", "ContactAcceleration", "ContactVelocity", "ImpactDynamics"),
+    *("Ramp", "Robot", "SmoothTerrain", "Solution", "StanceMode", "Surface", "SwingClearance", "Target"),
+    *("AtMoment", "BaseDynamics", "ContactAcceleration", "ContactVelocity", "ImpactDynamics", "Wave"),
 }
 
 
