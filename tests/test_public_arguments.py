@@ -12,7 +12,7 @@ import pytest
 
 import trajopt
 from trajopt import InputError
-from trajopt.arguments import annotations_of
+from trajopt.arguments import annotations_of, check_fields
 
 ROOMS = (
     "trajopt",
@@ -93,3 +93,23 @@ def test_a_problems_name_is_no_problem() -> None:
         InputError, match=r"^problem of solve is 'solo12-jump'; allowed: .*trajopt\.load\('solo12-jump'\)"
     ):
         trajopt.solve("solo12-jump")  # type: ignore[arg-type]
+
+
+FILE = """
+from dataclasses import dataclass
+from trajopt.terms import Cost
+
+@dataclass(frozen=True, kw_only=True)
+class Own(Cost):
+    height: float = 0.3
+    def residual(self, context, units):
+        return context.frame("base").position[2] - self.height
+"""
+
+
+def test_a_term_from_a_file_that_is_no_known_module_is_checked() -> None:
+    names: dict[str, Any] = {"__name__": "no_module_of_that_name"}
+    exec(compile(FILE, "own.py", "exec"), names)
+    check_fields(names["Own"](weight=1.0))
+    with pytest.raises(InputError, match=r"^height of Own is 'high'; allowed: a finite number$"):
+        check_fields(names["Own"](weight=1.0, height="high"))

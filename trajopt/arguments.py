@@ -128,10 +128,21 @@ def annotations_of(target: Any) -> dict[str, Any]:
     """Annotations of a class's fields or a function's arguments; names for type checkers alone become Any."""
     found = {}
     for owner in reversed(target.__mro__) if isinstance(target, type) else [inspect.unwrap(target)]:
-        names = _Names(vars(sys.modules[owner.__module__]))
+        names = _Names(_globals_of(owner))
         for name, hint in inspect.get_annotations(owner).items():
             found[name] = _evaluated(hint, names) if isinstance(hint, str) else hint
     return found
+
+
+def _globals_of(owner: Any) -> dict[str, Any]:
+    """Names where a class or function was defined, which may be a file that is no known module."""
+    if not isinstance(owner, type):
+        return dict(owner.__globals__)
+    module = sys.modules.get(owner.__module__)
+    if module is not None:
+        return vars(module)
+    methods = (each for each in vars(owner).values() if inspect.isfunction(each))
+    return next((each.__globals__ for each in methods), {})
 
 
 def _evaluated(hint: str, names: _Names) -> Any:
