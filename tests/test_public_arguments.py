@@ -109,7 +109,7 @@ class Own(Cost):
 
 def test_a_term_from_a_file_that_is_no_known_module_is_checked() -> None:
     names: dict[str, Any] = {"__name__": "no_module_of_that_name"}
-    exec(compile(FILE, "own.py", "exec"), names)
+    exec(compile(FILE, "own.py", "exec", dont_inherit=True), names)
     check_fields(names["Own"](weight=1.0))
     with pytest.raises(InputError, match=r"^height of Own is 'high'; allowed: a finite number$"):
         check_fields(names["Own"](weight=1.0, height="high"))
