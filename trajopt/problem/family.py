@@ -185,7 +185,7 @@ class Family:
 
         try:
             problem = self.build(**chosen)
-        except TrajoptError:
+        except (TrajoptError, MemoryError):
             raise
         except Exception as error:
             raise InputError(
