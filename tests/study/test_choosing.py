@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from tests.support.command_lines import invoke
 from tests.support.problems import hop, reach
 from trajopt.certify.accuracy.measures import measure
-from trajopt.cli.aim import Seconds
+from trajopt.cli.aim import TIME
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.solving.rounds import phase_errors, unknowns_on_mesh
@@ -198,7 +198,7 @@ def test_packaged_front_is_of_the_same_kind_of_motion():
 
 @pytest.mark.parametrize(("text", "seconds"), [("0.5s", 0.5), ("500ms", 0.5), ("2min", 120.0), ("3", 3.0)])
 def test_times_are_read_with_their_units(text, seconds):
-    assert_allclose(Seconds().convert(text, None, None), seconds)
+    assert_allclose(TIME.convert(text, None, None), seconds)
 
 
 def run(*arguments):

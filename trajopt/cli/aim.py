@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
-from trajopt.cli.input import option_group
+from trajopt.cli.input import is_given, option_group
 from trajopt.cli.progress import watched
 from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError
@@ -22,50 +21,35 @@ if TYPE_CHECKING:
 # Options that are chosen, and options without a meaning then.
 CHOSEN = ("transcription", "intervals", "tolerance")
 WITHOUT = ("ladder", "compare")
-LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
 
 
-class Seconds(click.ParamType):
-    """A time: a number of s, or with a unit."""
+class Quantity(click.ParamType):
+    """A number in SI units, or one with a unit of ``units``; ``such`` are examples for the message."""
 
-    name = "time"
+    def __init__(self, name: str, units: Mapping[str, float], such: str, *, positive: bool = False) -> None:
+        self.name, self.units, self.such, self.positive = name, units, such, positive
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Seconds."""
+        """The number in SI units."""
         text = str(value).strip()
-        unit = next((unit for unit in ("ms", "min", "s") if text.endswith(unit)), "")
+        unit = max((unit for unit in self.units if text.endswith(unit)), key=len, default="")
         try:
-            found = float(text.removesuffix(unit)) * UNITS.get(unit, 1.0)
+            found = float(text.removesuffix(unit)) * self.units.get(unit, 1.0)
         except ValueError:
-            found = math.nan
-        if not (math.isfinite(found) and found > 0):
-            self.fail(f"'{value}' is not a time, allowed: such as 0.5s, 500ms or 2min", param, ctx)
+            found = None
+        if found is None or (self.positive and not 0 < found < math.inf):
+            self.fail(f"'{value}' is not a {self.name}, allowed: such as {self.such}", param, ctx)
         return found
 
 
-class Metres(click.ParamType):
-    """A length: a number of m, or with a unit."""
-
-    name = "length"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Metres."""
-        text = str(value).strip()
-        unit = next((unit for unit in ("mm", "cm", "m") if text.endswith(unit)), "")
-        try:
-            return float(text.removesuffix(unit)) * LENGTHS.get(unit, 1.0)
-        except ValueError:
-            self.fail(f"'{value}' is not a length, allowed: such as 1e-3, 1mm or 0.1cm", param, ctx)
-
+LENGTH = Quantity("length", {"mm": 1e-3, "cm": 1e-2, "m": 1.0}, "1e-3, 1mm or 0.1cm")
+TIME = Quantity("time", {"ms": 1e-3, "s": 1.0, "min": 60.0}, "0.5s, 500ms or 2min", positive=True)
 
 aim_options = option_group(
     click.option(
-        "--accuracy", type=Metres(), metavar="M", help="Choose settings for this open-loop error, e.g. 1mm."
+        "--accuracy", type=LENGTH, metavar="M", help="Choose settings for this open-loop error, e.g. 1mm."
     ),
-    click.option(
-        "--budget", type=Seconds(), metavar="TIME", help="Choose settings for this time, e.g. 0.5s."
-    ),
+    click.option("--budget", type=TIME, metavar="TIME", help="Choose settings for this time, e.g. 0.5s."),
     click.option(
         "--front", metavar="FRONT", help="Measured front to choose from.  [default: the most similar]"
     ),
@@ -106,17 +90,12 @@ def solve_aimed(
 
 def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
     """Filter for the named solver and Hessian; removes options that are chosen from ``arguments``."""
-    context = click.get_current_context()
-
-    def named(name: str) -> bool:
-        return context.get_parameter_source(name) is ParameterSource.COMMANDLINE
-
     for name in (*CHOSEN, *WITHOUT):
-        if named(name):
+        if is_given(name):
             raise InputError(f"--{name} is given with --accuracy or --budget", "allowed: one of them")
         del arguments[name]
     fixed = {name: arguments.pop(name) for name in ("solver", "hessian")}
-    wanted = {name: value for name, value in fixed.items() if named(name)}
+    wanted = {name: value for name, value in fixed.items() if is_given(name)}
     return lambda setting: all(getattr(setting, name) == value for name, value in wanted.items())
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import click
 
 from trajopt.cli.groups import LazyGroup
@@ -16,12 +13,8 @@ COMMANDS = {
 }
 
 
-class Bench(LazyGroup):
-    """The commands of ``trajopt bench``."""
-
-    modules: ClassVar[Mapping[str, str]] = COMMANDS
-
-
-@click.command("bench", cls=Bench, context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    "bench", cls=LazyGroup, modules=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]}
+)
 def bench() -> None:
     """Solve many problems or settings, timed and compared."""

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import Any
 
 import click
 from typing_extensions import override
@@ -45,10 +45,6 @@ COMMANDS = {
 
 class CommandLine(LazyGroup):
     """The commands; bad input is reported in one line, with exit status 2."""
-
-    # The commands of `trajopt bench` stood beside the others in earlier versions.
-    modules: ClassVar[Mapping[str, str]] = {**COMMANDS, **BENCH}
-    earlier: ClassVar[frozenset[str]] = frozenset(BENCH)
 
     @override
     def main(  # type: ignore[override]
@@ -112,7 +108,14 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     click.echo(f"trajopt: warning: {' '.join(str(message).split())}", err=True)
 
 
-@click.group(cls=CommandLine, no_args_is_help=False, context_settings={"help_option_names": ["-h", "--help"]})
+# The commands of `trajopt bench` stood beside the others in earlier versions.
+@click.group(
+    cls=CommandLine,
+    modules={**COMMANDS, **BENCH},
+    earlier=BENCH,
+    no_args_is_help=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(__version__)
 def main() -> None:
     """Trajectory optimisation for robots with contacts."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from trajopt.cli.input import default_option
+from trajopt.cli.input import default_option, is_given
 from trajopt.errors import InputError
 from trajopt.solution.output import check_apart, check_output
 
@@ -48,9 +48,7 @@ OF_SAMPLES = ("rate", "quaternion", "base_velocity")
     show_default=True,
     help="Axes of the velocity and acceleration of a moving base.",
 )
-@click.pass_context
 def export_command(
-    context: click.Context,
     file: Path,
     format: str | None,
     output: Path | None,
@@ -79,7 +77,7 @@ def export_command(
     else:
         from trajopt.certify.simulation.mjcf import write_mjcf
 
-        _refuse_options(context)
+        _refuse_options()
         click.echo(write_mjcf(file, target))
 
 
@@ -93,10 +91,10 @@ def _format(format: str | None, output: Path | None) -> str:
     return allowed[output.suffix.lower()]
 
 
-def _refuse_options(context: click.Context) -> None:
+def _refuse_options() -> None:
     """Raise `InputError` where options of samples are given for a model."""
     for name in OF_SAMPLES:
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+        if is_given(name):
             raise InputError(f"--{name.replace('_', '-')} is of no use for mjcf", "allowed: --output")
 
 

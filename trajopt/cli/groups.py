@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Collection, Mapping
+from typing import Any
 
 import click
 from typing_extensions import override
@@ -13,10 +13,12 @@ from typing_extensions import override
 class GroupedCommand(click.Command):
     """A command whose help shows its options under headings.
 
-    groups: by heading, the names of the arguments. Options without a group come last.
+    groups: by heading, the names of the arguments, separated by spaces. Options without a group come last.
     """
 
-    groups: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    def __init__(self, *args: Any, groups: Mapping[str, str], **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self.groups = groups
 
     @override
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -27,14 +29,14 @@ class GroupedCommand(click.Command):
             record = parameter.get_help_record(ctx)
             if record is not None:
                 records[str(parameter.name)] = record
-        for heading, names in self.groups.items():
-            shown = [records.pop(name) for name in names if name in records]
+        sections = {
+            heading: [records.pop(name) for name in names.split() if name in records]
+            for heading, names in self.groups.items()
+        }
+        for heading, shown in {**sections, "Other options": list(records.values())}.items():
             if shown:
                 with formatter.section(heading):
                     formatter.write_dl(shown)
-        if records:
-            with formatter.section("Other options"):
-                formatter.write_dl(list(records.values()))
 
 
 class LazyGroup(click.Group):
@@ -43,12 +45,15 @@ class LazyGroup(click.Group):
     modules: by the command's name ``module:function``. earlier: names that are accepted, and not listed.
     """
 
-    modules: ClassVar[Mapping[str, str]] = {}
-    earlier: ClassVar[frozenset[str]] = frozenset()
+    def __init__(
+        self, *args: Any, modules: Mapping[str, str], earlier: Collection[str] = (), **settings: Any
+    ) -> None:
+        super().__init__(*args, **settings)
+        self.modules, self.earlier = modules, earlier
 
     @override
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted(self.modules.keys() - self.earlier)
+        return sorted(set(self.modules) - set(self.earlier))
 
     @override
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -66,13 +71,3 @@ class LazyGroup(click.Group):
             known = ", ".join(self.list_commands(ctx))
             raise click.UsageError(f"no command '{args[0]}', allowed: {known}", ctx)
         return super().resolve_command(ctx, args)
-
-
-def grouped(**groups: str) -> type[GroupedCommand]:
-    """A `GroupedCommand` with headings and the names of their arguments, separated by spaces.
-
-    A heading is written with underscores for spaces.
-    """
-    listed = {heading.replace("_", " "): tuple(names.split()) for heading, names in groups.items()}
-    settings: dict[str, Any] = {"groups": listed}
-    return type("GroupedCommand", (GroupedCommand,), settings)

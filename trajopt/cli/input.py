@@ -83,6 +83,12 @@ def default_option(
 TOLERANCE: dict[str, Any] = {"cls": RenamedOption, "earlier": "--tol"}
 
 
+def is_given(name: str) -> bool:
+    """Whether the option of that name is on the command line that runs."""
+    source = click.get_current_context().get_parameter_source(name)
+    return source is click.core.ParameterSource.COMMANDLINE
+
+
 def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
     """Return a decorator that adds several options to a command, in the order in which they are listed."""
 

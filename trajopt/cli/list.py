@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from trajopt.problem.family import Choice, Family, Parameter, RobotName
 
-# Headings of the brief list, and the kinds of robots below them; the last has all others.
-KINDS = {"Arms": {"arm"}, "Quadrupeds": {"quadruped"}, "Bipeds": {"biped"}, "Others": set[str]()}
-NAMED = frozenset[str]().union(*KINDS.values())
+# Headings of the brief list by kind of robot; the last has all other kinds.
+OTHERS = "Others"
+HEADINGS = {"arm": "Arms", "quadruped": "Quadrupeds", "biped": "Bipeds", "": OTHERS}
 WIDTH = 80
 
 
@@ -58,26 +58,24 @@ def list_command(
 
 def _print_brief(families: Sequence[Family]) -> None:
     """Name and summary of each family, under headings with the robots of their kind."""
-    for heading, kinds in KINDS.items():
-        own = [family for family in families if (kind_of(family) in kinds) == bool(kinds)]
-        own = [family for family in own if kinds or kind_of(family) not in NAMED]
-        if not own:
-            continue
-        robots = ", ".join(dict.fromkeys(name for family in own for name in family.robots))
-        click.echo("\n".join(textwrap.wrap(f"{heading}: {robots}", WIDTH, subsequent_indent="  ")))
-        indent = max(len(family.name) for family in own) + 4
-        for family in own:
-            text = f"  {family.name:{indent - 2}}{family.summary}"
-            click.echo("\n".join(textwrap.wrap(text, WIDTH, subsequent_indent=indent * " ")))
-        click.echo()
+    from trajopt.robot.catalogue import robot_kind
+
+    groups: dict[str, list[Family]] = {heading: [] for heading in HEADINGS.values()}
+    for family in families:
+        groups[HEADINGS.get(robot_kind(family.robot) or "", OTHERS)].append(family)
+    for heading, own in groups.items():
+        if own:
+            robots = ", ".join(dict.fromkeys(name for family in own for name in family.robots))
+            _print_wrapped(f"{heading}: {robots}", 2)
+            indent = max(len(family.name) for family in own) + 4
+            for family in own:
+                _print_wrapped(f"  {family.name:{indent - 2}}{family.summary}", indent)
+            click.echo()
     click.echo("trajopt list PROBLEM shows its robots, phases and parameters.")
 
 
-def kind_of(family: Family) -> str:
-    """Kind of a family's first robot; empty for one of no known kind."""
-    from trajopt.robot.catalogue import robot_kind
-
-    return robot_kind(family.robot) or ""
+def _print_wrapped(text: str, indent: int) -> None:
+    click.echo("\n".join(textwrap.wrap(text, WIDTH, subsequent_indent=indent * " ")))
 
 
 def _family_dict(family: Family) -> Mapping[str, Any]:

@@ -6,19 +6,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.diagnose import diagnose_option, diagnosis_of
 from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.grade import grade_options, solve_to_grade, solve_whole, wants_grade
-from trajopt.cli.groups import grouped
+from trajopt.cli.groups import GroupedCommand
 from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
     chosen_problem,
     default_option,
     grid_options,
+    is_given,
     json_option,
     options_of,
     solver_options,
@@ -42,14 +42,15 @@ if TYPE_CHECKING:
 
 @click.command(
     "solve",
-    cls=grouped(
-        Problem="settings smallest explain keep nearest",
-        Accuracy_and_mesh="draft fixed_mesh transcription intervals accuracy budget front",
-        Start="start ladder compare seed perturb",
-        Solver="solver hessian tolerance max_iterations max_time threads solver_options",
-        Watching="watch log diagnosed",
-        Output="output as_json help",
-    ),
+    cls=GroupedCommand,
+    groups={
+        "Problem": "settings smallest explain keep nearest",
+        "Accuracy and mesh": "draft fixed_mesh transcription intervals accuracy budget front",
+        "Start": "start ladder compare seed perturb",
+        "Solver": "solver hessian tolerance max_iterations max_time threads solver_options",
+        "Watching": "watch log diagnosed",
+        "Output": "output as_json",
+    },
 )
 @click.argument("problem")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter, e.g. yaw=45deg.")
@@ -113,8 +114,7 @@ def solve_command(
     solver, keeps the last iterate and ends with 1.
     """
     options = options_of(solver_options)
-    seeded = click.get_current_context().get_parameter_source("seed") is ParameterSource.COMMANDLINE
-    if seeded and not arguments["perturb"]:
+    if is_given("seed") and not arguments["perturb"]:
         raise InputError("--seed has no effect here", "allowed: with --perturb SIGMA")
     loaded = chosen_problem(problem, settings)
     target = check_solution_output(output or file_of_settings(click.get_current_context()))
