@@ -69,7 +69,7 @@ def test_the_problem_of_a_file_may_be_named(capsys, folder):
         (("nowhere.npz",), "nowhere.npz does not exist"),
         (("FILE", "--problem", "ur5-rech"), "did you mean ur5-reach"),
         (("FILE", "--set", "x=1"), "allowed: with --problem NAME"),
-        (("FILE", "--problem", "double-pendulum"), "--problem is on robot 'double_pendulum'"),
+        (("FILE", "--problem", "double-pendulum"), "problem 'double-pendulum' is on robot 'double_pendulum'"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(capsys, folder, words, message):

@@ -35,23 +35,9 @@ def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...],
     if settings and problem is None:
         raise InputError("--set is given without a problem", "allowed: with --problem NAME")
     given = None if problem is None else chosen_problem(problem, settings)
-    if given is not None:
-        _require_same_robot(file, given)
     with busy(f"diagnosing {file}: ranks, curvature, conflicts"):
         diagnosis = diagnose(file, given)
     click.echo(to_json(diagnosis.to_dict()) if as_json else str(diagnosis))
-
-
-def _require_same_robot(file: Path, problem: Problem) -> None:
-    """Raise `InputError` for a problem on another robot than the file's."""
-    from trajopt.solution.solution import Solution
-
-    robot = str(Solution.load(file).meta["robot"])
-    if robot != problem.robot.name:
-        raise InputError(
-            f"--problem is on robot '{problem.robot.name}', and {file} on '{robot}'",
-            f"allowed: a problem on it, such as with --set robot={robot}",
-        )
 
 
 diagnose_option = click.option("--diagnose", "diagnosed", is_flag=True, help="Diagnose the result.")

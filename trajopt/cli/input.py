@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from typing_extensions import override
@@ -13,10 +13,8 @@ from trajopt.errors import InputError
 
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
-    from trajopt.solution.solution import Solution
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
-Layout: TypeAlias = Literal["side-by-side", "overlaid"]
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
 # Exit status of a command that ran but did not reach its goal.
 NOT_REACHED = 1
@@ -140,18 +138,12 @@ solver_options = option_group(
 )
 
 
-def layout_of(solutions: Sequence[Solution], asked: Layout) -> Layout:
-    """The layout asked for; different robots are side by side in any case, as one hides the other."""
-    robots = {str(solution.meta["robot"]) for solution in solutions}
-    return "side-by-side" if len(robots) > 1 else asked
-
-
 layout_options = option_group(
     click.option(
         "--side-by-side",
         "layout",
         flag_value="side-by-side",
-        default="overlaid",
+        default=None,
         help="Show files side by side, not overlaid.  [default for different robots]",
     ),
     click.option("--label", "labels", multiple=True, metavar="NAME", help="Label of each file, in order."),

@@ -12,7 +12,7 @@ from typing import Any
 import click
 from typing_extensions import override
 
-from trajopt.cli.input import WholeNumber, default_option, layout_of, layout_options
+from trajopt.cli.input import WholeNumber, default_option, layout_options
 from trajopt.solution.output import check_apart
 
 # Most digits of a side: more would be too many pixels in any case.
@@ -72,15 +72,12 @@ def render_command(
 
     Several files are shown in one scene.
     """
-    from trajopt.solution.solution import Solution
     from trajopt.view.replay.render import render
 
     check_apart([output], files)
-    solutions = [Solution.load(file) for file in files]
-    options["layout"] = layout_of(solutions, options["layout"])
     with _progress(f"{output.name}") as shown:
         done = render(
-            solutions,
+            files,
             output,
             labels=list(labels) or None,
             progress=shown,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from trajopt.cli.input import Layout, default_option, layout_of, layout_options
+from trajopt.cli.input import default_option, layout_options
 from trajopt.solution.output import check_apart, check_output, require_ending
 from trajopt.solving.interruption import interruptible
 
@@ -23,26 +23,24 @@ def replay_command(
     html: Path | None,
     no_open: bool,
     speed: float,
-    layout: Layout,
+    layout: str | None,
     labels: tuple[str, ...],
 ) -> None:
     """Show FILE in the browser, or write it to a page.
 
     Several files are shown in one scene. Without --html it is served by Meshcat until Ctrl-C.
     """
-    from trajopt.solution.solution import Solution
     from trajopt.view.replay.show import replay, serve
 
     check_apart([html], files)
     if html is not None:
         require_ending(check_output(html), ".html")
-    own = layout if len(files) == 1 else layout_of([Solution.load(file) for file in files], layout)
     shown = replay(
         files,
         html=html,
         open_browser=not no_open,
         speed=speed,
-        layout=own,
+        layout=layout,
         labels=list(labels) or None,
     )
     if shown.html is not None:

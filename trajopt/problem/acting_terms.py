@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
-from itertools import zip_longest
 from typing import Any
 
 from trajopt.errors import InputError, not_among
@@ -14,7 +13,7 @@ from trajopt.schedule.moment import Moment
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.interfaces import DuringPhases, Term
 from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terms.node_interfaces import NodeConstraint, NodePlace, nodes_of
 
 # Fields of terms that hold names, and what they name.
 NAMES = {
@@ -56,7 +55,7 @@ def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> N
 def _require_names(term: Term, known: Mapping[str, tuple[str, ...]], schedule: Schedule) -> None:
     """Names in the fields of a term are among those ``known`` of their kind."""
     during = getattr(term, "during", None)
-    if during is not None and (not isinstance(during, str | tuple | list) or not during):
+    if during is not None and not during:
         what = f"during of {term.name}: {during!r}"
         raise InputError(what, "allowed: the name of a phase, names of several, or None for all")
     for field in fields(term):
@@ -111,15 +110,10 @@ def _uses_phases(term: Any, schedule: Schedule) -> bool:
 
 
 def _places(schedule: Schedule, name: str = "") -> Iterator[NodePlace]:
-    """Nodes of a fine mesh, in phases renamed to ``name``; the last of a phase where the schedule ends."""
+    """Nodes of a fine mesh, in phases renamed to ``name``."""
     fractions = tuple(k / INTERVALS for k in range(INTERVALS + 1))
-    before = None
-    for phase, following in zip_longest(schedule.phases, schedule.phases[1:]):
-        ends, shown = following is None, copy.copy(phase)
-        object.__setattr__(shown, "name", name or phase.name)
-        for k in range(INTERVALS + ends):
-            here = None if k or phase.impact else before
-            yield NodePlace(phase=shown, index=k, fractions=fractions, last=k == INTERVALS, before=here)
-        before = NodePlace(phase=shown, index=INTERVALS, fractions=fractions, last=False)
-        if following is not None and following.impact:
-            yield before
+    phases = [copy.copy(phase) for phase in schedule.phases]
+    for phase in phases:
+        object.__setattr__(phase, "name", name or phase.name)
+    for index in range(len(phases)):
+        yield from nodes_of(phases, index, fractions)

@@ -21,7 +21,7 @@ from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term
 from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terms.node_interfaces import NodeConstraint, NodePlace, nodes_of
 from trajopt.transcription.mesh import equal_fractions
 from trajopt.transcription.robot_layers import robot_layers
 
@@ -133,18 +133,11 @@ class TermReader:
 
     def _at_nodes(self, phase: int) -> Iterator[TermInstance]:
         """Node constraints and costs in a phase, at those of some nodes where they act."""
-        phases = self.problem.schedule.phases
-        ends = phase == len(phases) - 1
         terms: tuple[NodeConstraint | NodeCost, ...] = (
             *self.problem.node_constraints,
             *self.problem.node_costs,
         )
-        for index in range(NODE_INTERVALS + ends):
-            last = index == NODE_INTERVALS
-            before = None
-            if index == 0 and phase > 0 and not phases[phase].impact:
-                before = NodePlace(phases[phase - 1], NODE_INTERVALS, equal_fractions(NODE_INTERVALS), False)
-            node = NodePlace(phases[phase], index, equal_fractions(NODE_INTERVALS), last, before)
+        for node in nodes_of(self.problem.schedule.phases, phase, equal_fractions(NODE_INTERVALS)):
             for term in terms:
                 if term.acts_at(node):
                     yield self._instance(term, phase, Place.NODE, node)

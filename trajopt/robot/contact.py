@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import NonNegative, checked
-from trajopt.errors import InputError, require_not_negative
+from trajopt.errors import InputError
 from trajopt.terrain.terrain import Ground
 
 ContactKind = Literal["point", "surface"]
@@ -49,8 +49,6 @@ class Contact:
     def __post_init__(self) -> None:
         if not self.name:
             object.__setattr__(self, "name", self.frame)
-        if self.kind not in get_args(ContactKind):
-            raise InputError(f"contact '{self.name}' has kind={self.kind!r}", "'point' or 'surface'")
         size = np.array([self.half_length, self.half_width], dtype=float)
         if self.kind == "surface" and not (np.isfinite(size).all() and (size > 0).all()):
             raise InputError(
@@ -59,7 +57,6 @@ class Contact:
             )
         if self.kind == "point" and size.any():
             raise InputError(f"point contact '{self.name}' has a size", "kind='surface' for a sole")
-        require_not_negative(f"radius of contact '{self.name}'", self.radius, "m")
         if self.kind == "surface" and self.radius:
             raise InputError(f"surface contact '{self.name}' has a radius", "kind='point' for a ball")
         every = tuple(range(3 if self.kind == "point" else 6))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trajopt.arguments import Fraction, checked
-from trajopt.errors import InputError, is_number
+from trajopt.errors import InputError
 
 
 @checked
@@ -28,13 +28,11 @@ class Moment:
     fraction: Fraction = 1.0
 
     def __post_init__(self) -> None:
-        if self.phase is not None and not (isinstance(self.phase, str) and self.phase):
-            raise InputError(f"phase of a moment is {self.phase!r}", "allowed: the name of a phase")
-        known = is_number(self.fraction) and 0 <= self.fraction <= 1
-        if not known or (self.phase is None and self.fraction != 1):
+        if self.phase == "":
+            raise InputError("phase of a moment is ''", "allowed: the name of a phase")
+        if self.phase is None and self.fraction != 1:
             raise InputError(
-                f"fraction of a moment is {self.fraction!r} of {self._phase}",
-                "allowed: 0 to 1 of a phase",
+                f"fraction of a moment is {self.fraction!r} of {self._phase}", "allowed: 0 to 1 of a phase"
             )
 
     @property

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.arguments import Positive, checked
-from trajopt.errors import InputError, finite_array, require_positive
+from trajopt.errors import InputError, finite_array
 from trajopt.robot.contact import Contact
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import SAME_PLANE, Surface
@@ -56,9 +56,6 @@ class Phase:
     patches: Mapping[str, Patch] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        require_positive(f"duration of phase '{self.name}'", self.duration, "s")
-        if not isinstance(self.impact, bool):
-            raise InputError(f"impact of phase '{self.name}' is {self.impact!r}", "allowed: True or False")
         if self.duration_bounds is not None:
             self._require_bounds(self.duration_bounds)
         if len(set(self.contacts)) != len(self.contacts):
@@ -69,7 +66,10 @@ class Phase:
         self._require_active("foothold", self.footholds)
         self._require_active("surface", self.surfaces)
         self._require_active("patch", self.patches)
-        self._require_kinds()
+        for name in self.surfaces.keys() & self.patches.keys():
+            raise InputError(
+                f"'{name}' has a surface and a patch in phase '{self.name}'", "allowed: one of them"
+            )
         points = {
             name: finite_array(f"foothold of '{name}' in phase '{self.name}'", point, unit="m")
             for name, point in self.footholds.items()
@@ -98,20 +98,6 @@ class Phase:
                 " surface",
                 f"allowed: within {SAME_PLANE:g} m",
             )
-
-    def _require_kinds(self) -> None:
-        for name, surface in self.surfaces.items():
-            if not isinstance(surface, Surface):
-                raise InputError(
-                    f"surface of '{name}' in phase '{self.name}' is {surface!r}", "allowed: a Surface"
-                )
-        for name, patch in self.patches.items():
-            if not isinstance(patch, Patch):
-                raise InputError(f"patch of '{name}' in phase '{self.name}' is {patch!r}", "allowed: a Patch")
-            if name in self.surfaces:
-                raise InputError(
-                    f"'{name}' has a surface and a patch in phase '{self.name}'", "allowed: one of them"
-                )
 
     def _require_on_patch(self, name: str, foothold: np.ndarray) -> None:
         patch = self.patches.get(name)
@@ -153,10 +139,7 @@ class Phase:
         return np.asarray(place + contact.radius * normal)
 
     def _require_bounds(self, bounds: tuple[float, float]) -> None:
-        try:
-            lower, upper = (float(bound) for bound in bounds)
-        except (TypeError, ValueError):
-            lower = upper = math.nan
+        lower, upper = bounds
         if not 0 < lower <= self.duration <= upper < math.inf:
             raise InputError(
                 f"duration_bounds of phase '{self.name}' are {bounds} s",

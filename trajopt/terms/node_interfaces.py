@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +64,25 @@ class NodePlace:
         """Width of the wider interval at this node, as a fraction of the phase's duration."""
         here = slice(max(self.index - 1, 0), self.index + 2)
         return float(np.diff(self.fractions[here]).max())
+
+
+def nodes_of(phases: Sequence[Phase], index: int, fractions: tuple[float, ...]) -> Iterator[NodePlace]:
+    """Nodes of a phase that are its own: its last one belongs to the next phase, unless that has an impact.
+
+    Args:
+        phases: of the schedule.
+        index: of the phase among them.
+        fractions: of the duration of each phase, of all its nodes.
+    """
+    phase, count = phases[index], len(fractions) - 1
+    ends = index == len(phases) - 1
+    before = None
+    if index > 0 and not phase.impact:
+        before = NodePlace(phases[index - 1], count, fractions, False)
+    for k in range(count):
+        yield NodePlace(phase, k, fractions, False, None if k else before)
+    if ends or phases[index + 1].impact:
+        yield NodePlace(phase, count, fractions, ends)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from trajopt.arguments import NonNegative, checked
-from trajopt.errors import InputError, require_finite, require_not_negative
+from trajopt.errors import InputError
 from trajopt.terrain.surface import UP, Surface
 
 
@@ -25,8 +25,6 @@ class FlatGround:
     normal: tuple[float, float, float] = UP
 
     def __post_init__(self) -> None:
-        require_not_negative("friction coefficient", self.friction)
-        require_finite("ground height", self.height, "m")
         normal = self.surface.normal
         if not normal[2] > 0:
             raise InputError(f"normal of the ground is {self.normal}", "allowed: upwards, z > 0")

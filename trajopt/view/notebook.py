@@ -42,7 +42,7 @@ def show(
     solutions: Solution | Sequence[Solution],
     *,
     speed: float = 1.0,
-    layout: str = "overlaid",
+    layout: str | None = None,
     labels: Sequence[str] | None = None,
     height: int = HEIGHT,
 ) -> InlineReplay:
@@ -51,7 +51,8 @@ def show(
     Args:
         solutions: One or several, or the paths of their files.
         speed: Solution time over playback time; 1 is real time.
-        layout: Of several solutions, "overlaid" or "side-by-side".
+        layout: Of several solutions, "overlaid" or "side-by-side"; default: side by side if their
+            robots differ.
         labels: Their names.
         height: Of the frame, pixels.
 

@@ -50,7 +50,7 @@ def diagnose(
         problem: Of the solution; default: the one in the catalogue that the file names, with its parameters.
 
     Raises:
-        InputError: Where the problem is unknown, or has other joints or phases than the solution.
+        InputError: Where the problem is unknown, on another robot, or has other phases than the solution.
     """
     if isinstance(what, PreparedProblem):
         return _diagnosed(
@@ -59,6 +59,12 @@ def diagnose(
     solution = solution_of(what)
     source = str(what) if isinstance(what, str | Path) else "solution"
     rebuilt = _problem_of(solution) if problem is None else problem
+    robot = str(solution.meta["robot"])
+    if robot != rebuilt.robot.name:
+        raise InputError(
+            f"problem '{rebuilt.name}' is on robot '{rebuilt.robot.name}', and {source} on '{robot}'",
+            f"allowed: a problem on robot {robot}",
+        )
     prepared = prepare(rebuilt, mesh=mesh_of(solution))
     return _diagnosed(at_solution(prepared, solution), solution, source)
 

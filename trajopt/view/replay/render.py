@@ -47,7 +47,7 @@ def render(
     solutions: SolutionOrFile | Sequence[SolutionOrFile],
     target: str | Path,
     *,
-    layout: str = "overlaid",
+    layout: str | None = None,
     labels: Sequence[str] | None = None,
     progress: _Progress | None = None,
     **options: Any,

@@ -78,13 +78,15 @@ def drawn_runs(
     vis: Any,
     solutions: Sequence[Solution],
     motions: Sequence[ReplayMotion],
-    layout: str,
+    layout: str | None,
     labels: Sequence[str] | None,
 ) -> list[DrawnSolution]:
     """Draw the robot of every solution; those after the first are tinted (overlaid) or moved aside.
 
     Raises `InputError` for an unknown layout and for labels of another number.
     """
+    if layout is None:
+        layout = "side-by-side" if len({str(s.meta.get("robot")) for s in solutions}) > 1 else "overlaid"
     if layout not in LAYOUTS:
         raise InputError(f"unknown layout '{layout}'", f"allowed: {', '.join(LAYOUTS)}")
     if labels is not None and len(labels) != len(solutions):

@@ -58,13 +58,14 @@ class ReplayScene:
 def build_scene(
     solutions: Sequence[Solution],
     motions: Sequence[ReplayMotion],
-    layout: str = "overlaid",
+    layout: str | None = None,
     labels: Sequence[str] | None = None,
 ) -> ReplayScene:
     """Return the Meshcat commands that show ``motions``, with equal frames.
 
     With several solutions, the later ones are tinted and laid over the first (``layout`` "overlaid") or moved
-    aside ("side-by-side"); ``labels`` name them. Raises `InputError` for a layout or labels that do not fit.
+    aside ("side-by-side", the default for different robots); ``labels`` name them. Raises
+    `InputError` for a layout or labels that do not fit.
     """
     recorder = Recorder()
     vis = meshcat.Visualizer(window=recorder)

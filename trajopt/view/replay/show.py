@@ -48,7 +48,7 @@ def replay(
     html: str | Path | None = None,
     open_browser: bool = True,
     speed: float = 1.0,
-    layout: str = "overlaid",
+    layout: str | None = None,
     labels: Sequence[str] | None = None,
 ) -> Replay:
     """Show solutions in Meshcat, or write them to the self-contained page ``html``; does not block.
@@ -61,7 +61,8 @@ def replay(
         html: The page; without one a Meshcat server is started.
         open_browser: Open the server's page, if there is a screen.
         speed: Initial playback speed; 1 is real time, 0.2 five times slower.
-        layout: Of several solutions, "overlaid" or "side-by-side".
+        layout: Of several solutions, "overlaid" or "side-by-side"; default: side by side if their
+            robots differ.
         labels: Their names.
 
     Raises:
