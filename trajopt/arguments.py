@@ -108,7 +108,12 @@ def checked(target: _Target) -> _Target:
 
 def check_settings(function: Callable[..., Any], settings: Mapping[str, Any]) -> None:
     """Check arguments that are handed on to a function, which needs more. Raises `InputError`."""
-    _Arguments(inspect.unwrap(function), inspect.unwrap(function)).check(settings)
+    _arguments_of(inspect.unwrap(function)).check(settings)
+
+
+@functools.cache
+def _arguments_of(function: Callable[..., Any]) -> _Arguments:
+    return _Arguments(function, function)
 
 
 def check_fields(thing: Any) -> None:
@@ -137,7 +142,7 @@ def annotations_of(target: Any) -> dict[str, Any]:
 def _globals_of(owner: Any) -> dict[str, Any]:
     """Names where a class or function was defined, which may be a file that is no known module."""
     if not isinstance(owner, type):
-        return dict(owner.__globals__)
+        return owner.__globals__  # type: ignore[no-any-return]
     module = sys.modules.get(owner.__module__)
     if module is not None:
         return vars(module)

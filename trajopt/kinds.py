@@ -63,7 +63,7 @@ class Range:
 
 
 @dataclass(frozen=True)
-class Shape:
+class ArrayShape:
     """Shape of an array, None for any size along an axis; inf and NaN are allowed as in `Range`."""
 
     sizes: tuple[int | None, ...] | None = None
@@ -160,7 +160,7 @@ def kind_of(hint: Any) -> Kind:
     if origin in (collections.abc.Sequence, collections.abc.Collection, collections.abc.Iterable, list):
         return _several(parts[0], list if origin is list else tuple)
     if (getattr(hint, "__module__", "") == "numpy" and hint.__name__ == "ndarray") or _is_array(origin):
-        return _array(Shape())
+        return _array(ArrayShape())
     if origin is type:
         return Kind("a class", lambda value, keeps: _only(isinstance(value, type), value))
     kind = origin or hint
@@ -184,7 +184,7 @@ def _only(right: bool, value: Any) -> Any:
 def _annotated(hint: Any, mark: Any) -> Kind:
     if isinstance(mark, Range):
         return _number(hint, mark)
-    return _array(mark) if isinstance(mark, Shape) else kind_of(hint)
+    return _array(mark) if isinstance(mark, ArrayShape) else kind_of(hint)
 
 
 def _number(hint: type, span: Range) -> Kind:
@@ -233,7 +233,7 @@ def _union(hints: tuple[Any, ...]) -> Kind:
     from numpy.typing import ArrayLike
 
     general = set(get_args(ArrayLike))
-    arrays = [_array(Shape())] if general <= set(hints) else []
+    arrays = [_array(ArrayShape())] if general <= set(hints) else []
     kinds = [kind_of(each) for each in hints if not (arrays and each in general)]
     if any(kind.text == NAMES for kind in kinds):
         kinds = [kind for kind in kinds if kind.text not in ("a string", NAMES)] + [
@@ -325,7 +325,7 @@ def _mapping(key: Any, value: Any) -> Kind:
     return Kind(f"a mapping of {keys.text} to {values.text}", accept)
 
 
-def _array(shape: Shape) -> Kind:
+def _array(shape: ArrayShape) -> Kind:
     """Arrays of numbers: kept ones become read-only copies, lists arrays of floats."""
     import numpy as np
 

@@ -13,6 +13,7 @@ from trajopt.solution.grid import interpolated, mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import NodePlace
+from trajopt.terms.node_interfaces import nodes_of
 from trajopt.transcription.mesh import Mesh, PhaseMesh, equal_fractions
 from trajopt.transcription.transcription import transcribe
 
@@ -139,6 +140,15 @@ def test_the_end_of_a_phase_is_the_start_of_the_next_one():
     assert end.is_at(Moment("stance", 0.9))
     assert not end.is_at(END)
     assert not shared.is_at(middle_of("flight"))
+
+
+@pytest.mark.parametrize(("impact", "counts"), [(False, [4, 5]), (True, [5, 5])])
+def test_the_last_node_of_a_phase_is_its_own_before_an_impact_and_at_the_end(impact, counts):
+    phases = Phase(name="flight", duration=0.2), Phase(name="stance", duration=0.3, impact=impact)
+    nodes = [list(nodes_of(phases, index, equal_fractions(4))) for index in range(2)]
+    assert [len(own) for own in nodes] == counts
+    assert [place.last for own in nodes for place in own] == [False] * (sum(counts) - 1) + [True]
+    assert sum(place.is_at(end_of("flight")) for own in nodes for place in own) == 1
 
 
 def test_step_at_a_node_is_the_wider_of_its_intervals():

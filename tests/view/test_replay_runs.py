@@ -115,6 +115,19 @@ def test_side_by_side_robots_are_apart_across_their_way_and_in_their_own_colours
     assert colours[0] == colours[1]
 
 
+def test_robots_that_differ_are_side_by_side_unless_told(bones):
+    other = replace(bones, meta={**bones.meta, "robot": "another"})
+
+    overlaid = scene([bones, bones], layout="overlaid").facts["box"]
+
+    def laid_over(solutions, **layout):
+        return bool(np.allclose(scene(solutions, **layout).facts["box"], overlaid))
+
+    assert laid_over([bones, bones])
+    assert laid_over([bones, other], layout="overlaid")
+    assert not laid_over([bones, other])
+
+
 def test_robots_on_one_plane_stand_on_one_ground(bones):
     paths = [
         c.message["path"]

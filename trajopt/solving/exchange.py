@@ -44,7 +44,7 @@ LOOKS, LOOK_STEP = 5, 0.03
 DIGITS = 12
 
 # Phase, fraction of its duration; and a motion over these.
-Moment = tuple[int, float]
+PhaseMoment = tuple[int, float]
 PhaseMotion = Callable[[int, float], np.ndarray]
 
 
@@ -53,7 +53,7 @@ class Look:
     """Distances (K, n_pairs) m along a motion at K moments; ``regular`` (K,) are its nodes and points."""
 
     distances: np.ndarray
-    moments: tuple[Moment, ...]
+    moments: tuple[PhaseMoment, ...]
     regular: np.ndarray
 
 
@@ -67,8 +67,10 @@ class Exchange:
     """
 
     problem: Problem
-    moments: defaultdict[ShapePair, set[Moment]] = field(default_factory=lambda: defaultdict(set))
-    corners: dict[tuple[ShapePair, Moment, str | None, str | None], np.ndarray] = field(default_factory=dict)
+    moments: defaultdict[ShapePair, set[PhaseMoment]] = field(default_factory=lambda: defaultdict(set))
+    corners: dict[tuple[ShapePair, PhaseMoment, str | None, str | None], np.ndarray] = field(
+        default_factory=dict
+    )
     lacking: defaultdict[ShapePair, float] = field(default_factory=lambda: defaultdict(float))
     beyond_feet: bool = False
 
@@ -205,7 +207,7 @@ class Exchange:
         columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
         return bool((short[:, columns] >= 0).all())
 
-    def _laid(self, motion: PhaseMotion) -> Iterator[tuple[Moment, SeparatingPlane]]:
+    def _laid(self, motion: PhaseMotion) -> Iterator[tuple[PhaseMoment, SeparatingPlane]]:
         every = sorted({moment for moments in self.moments.values() for moment in moments})
         if not every:
             return
@@ -279,7 +281,7 @@ def _moments_to_look_at(
     return np.concatenate(numbers), np.concatenate(fractions), np.concatenate(regular)
 
 
-def _in_phases(plan: Solution, numbers: np.ndarray, fractions: np.ndarray) -> tuple[Moment, ...]:
+def _in_phases(plan: Solution, numbers: np.ndarray, fractions: np.ndarray) -> tuple[PhaseMoment, ...]:
     """Phase and fraction of it at fractions of intervals."""
     start, end = plan.interval_t[numbers].T
     times = start + fractions * (end - start)

@@ -22,7 +22,7 @@ from typing_extensions import override
 
 from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError, numbers_of, renamed, require_not_negative
-from trajopt.kinds import Shape, shown
+from trajopt.kinds import ArrayShape, shown
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
@@ -142,9 +142,9 @@ class Rows:
     """Rows of a constraint at one place: expression (n,), bounds and unit of each row."""
 
     expression: ca.SX
-    lower: Annotated[np.ndarray, Shape((None,), infinite=True)]
-    upper: Annotated[np.ndarray, Shape((None,), infinite=True)]
-    unit: Annotated[np.ndarray, Shape((None,))]
+    lower: Annotated[np.ndarray, ArrayShape((None,), infinite=True)]
+    upper: Annotated[np.ndarray, ArrayShape((None,), infinite=True)]
+    unit: Annotated[np.ndarray, ArrayShape((None,))]
 
     @classmethod
     def create(cls, expression: ca.SX, lower: object, upper: object, unit: object) -> Rows:

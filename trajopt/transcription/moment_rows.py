@@ -19,7 +19,7 @@ DIGITS = 12
 
 
 @dataclass(frozen=True)
-class Moment:
+class MomentPlace:
     """One moment of a term (by its number, and the moment's): the interval (stage) and the fraction of it."""
 
     term: int
@@ -28,17 +28,17 @@ class Moment:
     fraction: float
 
 
-def moments_by_stage(problem: Problem, layout: Layout) -> Mapping[int, list[Moment]]:
+def moments_by_stage(problem: Problem, layout: Layout) -> Mapping[int, list[MomentPlace]]:
     """Moments of a problem's terms by the interval in which they lie, in the order of terms.
 
     A node between two intervals of a phase belongs to the later one. Moments at a start that is fixed are
     left out: nothing moves there.
     """
-    found: defaultdict[int, list[Moment]] = defaultdict(list)
+    found: defaultdict[int, list[MomentPlace]] = defaultdict(list)
     for number, term in enumerate(problem.moment_constraints):
         for index, (stage, fraction) in enumerate(_places(problem, layout, term)):
             if not (stage == 0 and fraction == 0.0 and problem.periodicity is None):
-                found[stage].append(Moment(number, index, stage, fraction))
+                found[stage].append(MomentPlace(number, index, stage, fraction))
     return found
 
 
@@ -51,9 +51,9 @@ def _places(problem: Problem, layout: Layout, term: MomentConstraint) -> list[tu
     return [(int(stages[n]), round(float(c), DIGITS)) for n, c in zip(numbers, local, strict=True)]
 
 
-def alike(layout: Layout, moments: Mapping[int, list[Moment]]) -> list[list[Moment]]:
+def alike(layout: Layout, moments: Mapping[int, list[MomentPlace]]) -> list[list[MomentPlace]]:
     """Moments of one term at the same fraction of intervals of the same width: they share their gather."""
-    groups: defaultdict[tuple[int, float, float], list[Moment]] = defaultdict(list)
+    groups: defaultdict[tuple[int, float, float], list[MomentPlace]] = defaultdict(list)
     for stage, own in moments.items():
         for moment in own:
             groups[moment.term, moment.fraction, float(layout.steps[stage])].append(moment)

@@ -19,7 +19,7 @@ from trajopt.robot.units import Units
 from trajopt.transcription.collocation import Collocation
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.mesh import Mesh
-from trajopt.transcription.moment_rows import Moment, alike, moments_by_stage
+from trajopt.transcription.moment_rows import MomentPlace, alike, moments_by_stage
 from trajopt.transcription.row_collection import RowCollection, RowInfo
 from trajopt.transcription.schedule_rows import schedule_rows
 from trajopt.transcription.stage_functions import PointFunction
@@ -94,7 +94,7 @@ class _Numbers:
     point: dict[int, list[np.ndarray]]
     impact: dict[int, np.ndarray]
     node: dict[int, np.ndarray]
-    moment: dict[Moment, int]
+    moment: dict[MomentPlace, int]
 
 
 class Transcriber:
@@ -284,7 +284,7 @@ class Transcriber:
                 )
             )
 
-    def _add_moment_groups(self, terms: Sequence[StageTerms], numbers: dict[Moment, int]) -> None:
+    def _add_moment_groups(self, terms: Sequence[StageTerms], numbers: dict[MomentPlace, int]) -> None:
         constraints = self.problem.moment_constraints
         for members in alike(self.layout, self.moments):
             first, own = members[0], constraints[members[0].term]

@@ -17,15 +17,15 @@ ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, kw_only=True)
-class Range:
+class Spread:
     """Smallest and largest magnitude of entries above rounding; both 0 if there are none."""
 
     smallest: float
     largest: float
 
     @classmethod
-    def of(cls, values: np.ndarray) -> Range:
-        """Range of an array."""
+    def of(cls, values: np.ndarray) -> Spread:
+        """Spread of an array."""
         magnitudes = np.abs(values)
         magnitudes = magnitudes[magnitudes > ROUNDING * max(1.0, magnitudes.max(initial=0.0))]
         return cls(
@@ -48,9 +48,9 @@ class BlockScale:
 
     block: str
     rows: int
-    row_norm: Range
-    entries: Range
-    multiplier: Range | None
+    row_norm: Spread
+    entries: Spread
+    multiplier: Spread | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,10 +63,10 @@ class KindScale:
 
     kind: str
     unknowns: int
-    value: Range
-    unit: Range
-    column_norm: Range
-    hessian: Range
+    value: Spread
+    unit: Spread
+    column_norm: Spread
+    hessian: Spread
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,9 +75,9 @@ class Scaling:
 
     blocks: tuple[BlockScale, ...]
     kinds: tuple[KindScale, ...]
-    jacobian: Range
-    hessian: Range
-    gradient: Range
+    jacobian: Spread
+    hessian: Spread
+    gradient: Spread
 
     @property
     def worst_blocks(self) -> tuple[BlockScale, ...]:
@@ -101,9 +101,9 @@ def scaling(snapshot: Snapshot) -> Scaling:
     return Scaling(
         blocks=_blocks(snapshot, rows),
         kinds=_kinds(snapshot, columns, hessian.diagonal()),
-        jacobian=Range.of(jacobian.data),
-        hessian=Range.of(hessian.data),
-        gradient=Range.of(snapshot.gradient),
+        jacobian=Spread.of(jacobian.data),
+        hessian=Spread.of(hessian.data),
+        gradient=Spread.of(snapshot.gradient),
     )
 
 
@@ -114,9 +114,9 @@ def _blocks(snapshot: Snapshot, norms: np.ndarray) -> tuple[BlockScale, ...]:
         BlockScale(
             block=name,
             rows=len(rows),
-            row_norm=Range.of(norms[rows]),
-            entries=Range.of(snapshot.jacobian[rows].data),
-            multiplier=None if known is None else Range.of(known[rows]),
+            row_norm=Spread.of(norms[rows]),
+            entries=Spread.of(snapshot.jacobian[rows].data),
+            multiplier=None if known is None else Spread.of(known[rows]),
         )
         for name, rows in zip(info.names, members, strict=True)
     ]
@@ -131,10 +131,10 @@ def _kinds(snapshot: Snapshot, norms: np.ndarray, diagonal: np.ndarray) -> tuple
         KindScale(
             kind=kind,
             unknowns=len(own),
-            value=Range.of(snapshot.x[own]),
-            unit=Range.of(snapshot.transcription.scale[own]),
-            column_norm=Range.of(norms[own]),
-            hessian=Range.of(diagonal[own]),
+            value=Spread.of(snapshot.x[own]),
+            unit=Spread.of(snapshot.transcription.scale[own]),
+            column_norm=Spread.of(norms[own]),
+            hessian=Spread.of(diagonal[own]),
         )
         for kind, own in members.items()
         if len(own)
