@@ -142,7 +142,7 @@ def annotations_of(target: Any) -> dict[str, Any]:
 def _globals_of(owner: Any) -> dict[str, Any]:
     """Names where a class or function was defined, which may be a file that is no known module."""
     if not isinstance(owner, type):
-        return owner.__globals__  # type: ignore[no-any-return]
+        return owner.__globals__
     module = sys.modules.get(owner.__module__)
     if module is not None:
         return vars(module)

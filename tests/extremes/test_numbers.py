@@ -87,7 +87,7 @@ PLACES: dict[str, tuple[str, Make]] = {
         "normal of FlatGround .*finite numbers",
         lambda x: FlatGround(normal=np.array([0.0, 0.0, x])),
     ),
-    "surface": ("normal of a surface", lambda x: Surface(point=np.zeros(3), normal=[0.0, x, 1.0])),
+    "surface": ("normal of Surface", lambda x: Surface(point=np.zeros(3), normal=[0.0, x, 1.0])),
     "foothold": (
         "footholds of Phase 'p'.*'FL_FOOT'.* finite numbers",
         lambda x: Phase(name="p", duration=1.0, contacts=("FL_FOOT",), footholds={"FL_FOOT": [0.0, x, 0.0]}),
@@ -97,8 +97,8 @@ PLACES: dict[str, tuple[str, Make]] = {
         "duration_bounds of Phase .*finite numbers",
         lambda x: Phase(name="p", duration=1.0, duration_bounds=(0.5, x)),
     ),
-    "clearance": ("swing clearance", lambda x: SwingClearance(height=x, terrain=FlatGround())),
-    "reference": ("reference of robot 'ur5'", lambda x: replace(ur5(), reference=spoiled(Q, x))),
+    "clearance": ("height of SwingClearance", lambda x: SwingClearance(height=x, terrain=FlatGround())),
+    "reference": ("reference of Robot 'ur5'", lambda x: replace(ur5(), reference=spoiled(Q, x))),
 }
 
 

@@ -83,13 +83,13 @@ def test_mass_is_that_of_the_material():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"length": 0.0}, "length of a beam is 0"),
-        ({"width": -1.0}, "width of a beam"),
-        ({"height": float("nan")}, "height of a beam"),
+        ({"length": 0.0}, "length of Beam is 0"),
+        ({"width": -1.0}, "width of Beam"),
+        ({"height": float("nan")}, "height of Beam"),
         ({"wall": 0.09}, "at most 0.08 m"),
-        ({"wall": 0.0}, "wall of a beam"),
+        ({"wall": 0.0}, "wall of Beam"),
         ({"density": "wood"}, "steel, aluminium, iron"),
-        ({"density": -5.0}, "density of a beam"),
+        ({"density": -5.0}, "density of Beam"),
     ],
 )
 def test_beams_that_cannot_be_are_refused(change, message):

@@ -87,11 +87,11 @@ def test_drive_without_limits_has_all_margin():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"gear_ratio": 0.0}, "gear_ratio of a drive is 0"),
+        ({"gear_ratio": 0.0}, "gear_ratio of Drive is 0"),
         ({"gear_ratio": math.inf}, "gear_ratio"),
-        ({"gear_ratio": "nine"}, "gear_ratio of a drive is 'nine'"),
+        ({"gear_ratio": "nine"}, "gear_ratio of Drive is 'nine'"),
         ({"rotor_inertia": -1.0}, "rotor_inertia"),
-        ({"viscous_friction": math.nan}, "viscous_friction of a drive is NaN"),
+        ({"viscous_friction": math.nan}, "viscous_friction of Drive is nan"),
         ({"coulomb_friction": math.inf}, "coulomb_friction"),
         ({"coulomb_speed": 0.0}, "coulomb_speed"),
         ({"coulomb_speed": math.inf}, "coulomb_speed"),

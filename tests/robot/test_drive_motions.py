@@ -212,7 +212,7 @@ def test_file_keeps_the_drives_and_refuses_wrong_ones(tmp_path):
     for wrong, message in (
         ([], "0 entries, expected 1"),
         ({}, "not a list"),
-        ([{"gear_ratio": 0.0}], "gear_ratio of a drive is 0"),
+        ([{"gear_ratio": 0.0}], "gear_ratio of Drive is 0"),
         ([{"ratio": 1.0}], "not an object of its fields"),
     ):
         broken = replace(solution, meta={**solution.meta, "drives": wrong})

@@ -22,8 +22,9 @@ import numpy as np
 import pinocchio as pin
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.dynamics.manifold import Coordinates
-from trajopt.errors import InputError, finite_array
+from trajopt.errors import InputError
 from trajopt.robot.mirror import TWIST, find_mirror, mirrored_rows, paired_contacts
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 PAIRED = 5e-2
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Periodicity:
     """The final state equals the initial one up to a translation, a turn and a reflection.
@@ -63,13 +65,6 @@ class Periodicity:
     def __post_init__(self) -> None:
         if self.translation is not None and self.velocity is not None:
             raise InputError("a periodicity has both a translation and a velocity", "allowed: one of them")
-        for name in ("translation", "velocity"):
-            given = getattr(self, name)
-            if given is not None:
-                vector = finite_array(f"{name} of a periodicity", given)
-                object.__setattr__(self, name, tuple(vector.tolist()))
-        if not (isinstance(self.turn, int | float) and math.isfinite(self.turn)):
-            raise InputError(f"turn of a periodicity is {self.turn!r}", "allowed: a finite number, rad")
         if self.mirror and self.turn:
             raise InputError("a mirrored periodicity turns", "allowed: turn=0 with mirror=True")
 

@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions
@@ -29,6 +30,7 @@ SAME_JOINT = 0.25
 SAME_PLACE = 1e-9
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Legs:
     """Names of the contacts of a quadruped's feet."""

@@ -19,10 +19,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError, finite_array, require_not_negative
+from trajopt.arguments import NonNegative, checked
+from trajopt.errors import InputError, finite_array
 from trajopt.robot.robot import Robot
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Payload:
     """A rigid body held at a contact of the robot.
@@ -38,12 +40,11 @@ class Payload:
     """
 
     contact: str
-    mass: float
+    mass: NonNegative
     centre: np.ndarray | None = None
     inertia: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        require_not_negative("mass of a payload", self.mass, "kg")
         for name, shape in (("centre", (3,)), ("inertia", (3, 3))):
             given = np.zeros(shape) if getattr(self, name) is None else getattr(self, name)
             object.__setattr__(self, name, finite_array(f"{name} of a payload", given, shape))

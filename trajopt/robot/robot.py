@@ -6,16 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import Base, base_of, position_limits, require_base
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
 from trajopt.errors import InputError, renamed
+from trajopt.kinds import ArrayShape
 from trajopt.robot import building
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
@@ -25,6 +27,7 @@ from trajopt.robot.reading import read_mjcf, read_urdf
 from trajopt.robot.validation import require_contacts, require_inertias, require_limits, require_reference
 
 
+@checked
 @renamed(effort_limit="torque_limit")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
@@ -54,11 +57,11 @@ class Robot:
     name: str
     model: pin.Model
     base: Base
-    reference: np.ndarray
-    velocity_limit: np.ndarray
-    position_lower: np.ndarray
-    position_upper: np.ndarray
-    torque_limit: np.ndarray | None = None
+    reference: Annotated[np.ndarray, ArrayShape((None,))]
+    velocity_limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)]
+    position_lower: Annotated[np.ndarray, ArrayShape((None,), infinite=True)]
+    position_upper: Annotated[np.ndarray, ArrayShape((None,), infinite=True)]
+    torque_limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)] | None = None
     contacts: tuple[Contact, ...] = ()
     visual: VisualSource | None = None
     passive: tuple[str, ...] = ()
@@ -66,14 +69,12 @@ class Robot:
     drives: tuple[Drive | None, ...] | None = None
 
     def __post_init__(self) -> None:
-        require_base(self.base)
         found = base_of(self.model)
         if found != self.base:
             raise InputError(
                 f"robot '{self.name}' has a {found} root joint but base={self.base!r}", f"{found!r}"
             )
-        object.__setattr__(self, "contacts", building.within_plane(self.model, tuple(self.contacts)))
-        object.__setattr__(self, "passive", tuple(self.passive))
+        object.__setattr__(self, "contacts", building.within_plane(self.model, self.contacts))
         building.count_unactuated_rows(self.model, self.base, self.passive)
         shapes = {
             "reference": self.nq,
@@ -83,8 +84,11 @@ class Robot:
             "torque_limit": self.nu,
         }
         for field, size in shapes.items():
-            if getattr(self, field) is not None:
-                object.__setattr__(self, field, self._read_only(field, size))
+            array = getattr(self, field)
+            if array is not None and len(array) != size:
+                raise InputError(
+                    f"{field} of robot '{self.name}' has {len(array)} numbers", f"allowed: {size}"
+                )
         position = self.position_lower, self.position_upper
         others = {"velocity_limit": self.velocity_limit, "torque_limit": self.torque_limit}
         require_contacts(self.name, self.model, self.contacts)
@@ -92,18 +96,7 @@ class Robot:
         require_limits(self.name, self.given_length, position, others)
         require_reference(self.name, self.model, self.reference, position)
         if self.drives is not None:
-            object.__setattr__(self, "drives", tuple(self.drives))
             require_drives(self.name, self.model, self.nu, self.drives)
-
-    def _read_only(self, field: str, size: int) -> np.ndarray:
-        try:
-            array = np.array(getattr(self, field), dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"{field} of robot '{self.name}' is not numeric", f"shape ({size},)") from None
-        if array.shape != (size,):
-            raise InputError(f"{field} of robot '{self.name}' has shape {array.shape}", f"shape ({size},)")
-        array.setflags(write=False)
-        return array
 
     @property
     def nq(self) -> int:

@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 
-from trajopt.errors import InputError, require_finite, require_positive
+from trajopt.arguments import checked
+from trajopt.errors import InputError, require_positive
 from trajopt.schedule.schedule import Phase
 
 # Events closer than this fraction of the period are one event: rounding of sums of decimal fractions.
@@ -36,6 +37,7 @@ class SupportPhase:
     feet: tuple[str, ...]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Gait:
     """A periodic pattern of stances.
@@ -63,9 +65,6 @@ class Gait:
                 f"gait '{self.name}' has duty factors for {', '.join(given)}",
                 f"allowed: one number, or one for each of {', '.join(self.offsets)}",
             )
-        for name, value in self.offsets.items():
-            require_finite(f"duty factor of '{name}'", given[name])
-            require_finite(f"offset of '{name}'", value)
         duty = {name: float(given[name]) for name in self.offsets}
         offsets = {name: float(value) % 1.0 for name, value in self.offsets.items()}
         for name, value in duty.items():

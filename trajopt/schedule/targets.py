@@ -8,17 +8,20 @@ or, with a key more, another ``fraction`` of it. Without a phase it is the end o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from trajopt.errors import InputError, SolutionFileError, finite_array
+from trajopt.arguments import checked
+from trajopt.errors import InputError, SolutionFileError
+from trajopt.kinds import ArrayShape
 from trajopt.schedule.moment import END, Moment
 
 KEYS = ("frame", "position", "rotation", "q", "phase")
 FRACTION = "fraction"
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Target:
     """A goal for a frame or the whole robot at one moment.
@@ -35,18 +38,12 @@ class Target:
     """
 
     frame: str | None = None
-    position: np.ndarray | None = None
-    rotation: np.ndarray | None = None
-    q: np.ndarray | None = None
+    position: Annotated[np.ndarray, ArrayShape((3,))] | None = None
+    rotation: Annotated[np.ndarray, ArrayShape((3, 3))] | None = None
+    q: Annotated[np.ndarray, ArrayShape((None,))] | None = None
     at: Moment = END
 
     def __post_init__(self) -> None:
-        for name, shape in (("position", (3,)), ("rotation", (3, 3)), ("q", None)):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            size = shape or (np.size(value),)
-            object.__setattr__(self, name, finite_array(f"{name} of a target", value, size))
         if (self.frame is None) != (self.position is None and self.rotation is None):
             raise InputError("a target has a frame without a place, or a place without a frame", "both")
         if self.frame is None and self.q is None:

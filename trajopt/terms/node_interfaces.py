@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.robot.units import Units
 from trajopt.schedule.moment import END, Moment, as_moment
 from trajopt.schedule.schedule import Phase
@@ -98,6 +99,7 @@ class NodeConstraint(Term, ABC):
         """Rows at the node; only bounds and parameter values may depend on ``place``."""
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class AtMoment(Term):
     """A term at one moment: at the node that is nearest to it.

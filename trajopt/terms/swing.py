@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.arguments import checked
+from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -30,10 +30,11 @@ from trajopt.terms.landing import along_normal, contact_points
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
 from trajopt.terrain.crossing import Crossing
 from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import CurvedSurface, SmoothTerrain
 from trajopt.terrain.surface import UP, Surface
 from trajopt.terrain.swing_profile import require_clearance, swing_profile
-from trajopt.terrain.terrain import Ground
+from trajopt.terrain.terrain import Ground, Terrain
 
 LEVEL = np.array(UP)
 # Rounding of times of nodes, as a fraction of a swing.
@@ -52,6 +53,7 @@ def _acts_at(place: NodePlace, between_phases: bool) -> bool:
     return place.index == 0 if between_phases else 0 < place.index < place.count
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SwingClearance(DuringPhases, NodeConstraint):
     """Contacts that are inactive in a phase stay above the terrain at the nodes inside the phase.
@@ -61,12 +63,11 @@ class SwingClearance(DuringPhases, NodeConstraint):
     which there is `SwingOver`. Raises `InputError`.
     """
 
-    height: float
-    terrain: FlatGround | SmoothTerrain
+    height: NonNegative
+    terrain: Terrain
 
     def __post_init__(self) -> None:
-        require_clearance(self.height)
-        if not isinstance(self.terrain, FlatGround | SmoothTerrain):
+        if isinstance(self.terrain, PiecewiseTerrain):
             raise InputError(
                 "SwingClearance over piecewise ground, where feet would cut edges between nodes",
                 "allowed: flat or smooth ground; swing_clearance() of trajopt.terms for any",

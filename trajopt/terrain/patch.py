@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError, finite_array, is_number, numbers_of, require_not_negative
+from trajopt.arguments import NonNegative, checked
+from trajopt.errors import InputError, finite_array, is_number, numbers_of
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface
 
 # Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
@@ -18,6 +19,7 @@ STRAIGHT = 1e-9
 DESCRIBED = ("name", "surface", "vertices", "margin")
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Patch:
     """A plane inside a convex polygon.
@@ -35,15 +37,12 @@ class Patch:
 
     surface: Surface
     vertices: np.ndarray
-    margin: float = 0.0
+    margin: NonNegative = 0.0
     name: str = "patch"
     inward: np.ndarray = field(init=False, repr=False)
     """Unit normals (n, 3) of the edges, in the plane, pointing inward; edge i starts at corner i."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.surface, Surface):
-            raise InputError(f"surface of patch '{self.name}' is {self.surface!r}", "allowed: a Surface")
-        require_not_negative(f"margin of patch '{self.name}'", self.margin, "m")
         vertices = _corners(self.vertices, self.name)
         off = float(np.abs(self.surface.distance(vertices)).max())
         if not off <= SAME_PLANE:
@@ -79,7 +78,7 @@ class Patch:
         *,
         yaw: float = 0.0,
         friction: float = 0.7,
-        margin: float = 0.0,
+        margin: NonNegative = 0.0,
         name: str = "patch",
     ) -> Patch:
         """A level rectangle: ``centre`` (3,) m, ``size`` along its own axes in m, turned by ``yaw`` rad."""

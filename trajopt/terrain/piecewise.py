@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError, require_finite
 from trajopt.terrain.obstacle import ObstacleAxes, PlanePoint, require_lengths
 from trajopt.terrain.patch import Patch
@@ -20,6 +21,7 @@ REACH = 20.0
 CRACK = 1e-9
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PiecewiseTerrain:
     """Ground of one or more faces with different names; the first is the one to stand on by default.
@@ -34,11 +36,8 @@ class PiecewiseTerrain:
     """Distance in m of these faces from the ground, where they are parallel to it (see `offset`)."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "faces", tuple(self.faces))
-        if not self.faces or not all(isinstance(face, Patch) for face in self.faces):
-            raise InputError(
-                "a piecewise terrain has no faces, or some are no patches", "allowed: patches, at least one"
-            )
+        if not self.faces:
+            raise InputError("a piecewise terrain has no faces", "allowed: patches, at least one")
         names = self.names
         if len(set(names)) != len(names):
             raise InputError(f"two faces of a terrain have the same name: {', '.join(names)}")

@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.errors import InputError, numbers_of
+from trajopt.arguments import Positive, checked
+from trajopt.errors import InputError
 
 ParameterOf = Callable[[np.ndarray], ca.SX]
 
@@ -20,21 +21,6 @@ ParameterOf = Callable[[np.ndarray], ca.SX]
 @dataclass(frozen=True, kw_only=True)
 class Shape(ABC):
     """A smooth height z(x, y) in m; heights of shapes add up. Raises `InputError`."""
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            size = 2 if entry.name in ("centre", "at") else 1
-            array = numbers_of(value).ravel()
-            if array.size != size or not np.isfinite(array).all():
-                raise InputError(
-                    f"{entry.name} of a {self.kind} is {value!r}",
-                    f"allowed: {size} finite number{'s'[: size - 1]}",
-                )
-            object.__setattr__(self, entry.name, tuple(array.tolist()) if size == 2 else float(array[0]))
-        for name in ("radius", "length", "wavelength"):
-            if getattr(self, name, 1.0) <= 0:
-                raise InputError(f"{name} of a {self.kind} is {getattr(self, name):g} m", "allowed: > 0")
 
     @property
     def kind(self) -> str:
@@ -59,6 +45,7 @@ class Shape(ABC):
         return {"shape": self.kind, **numbers}
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Incline(Shape):
     """A tilted plane: z = level + slope_x x + slope_y y; slopes are tangents of angles."""
@@ -81,12 +68,13 @@ class Incline(Shape):
         return p[0] + p[1] * x + p[2] * y
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Bump(Shape):
     """A Gaussian hill (or hollow): z = rise exp(-r^2 / (2 radius^2)), r the distance from ``centre`` (2,)."""
 
     rise: float
-    radius: float
+    radius: Positive
     centre: tuple[float, float] = (0.0, 0.0)
 
     @override
@@ -123,12 +111,13 @@ class _Along(Shape):
         return p[0] * (x - p[2]) + p[1] * (y - p[3])
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Ramp(_Along):
     """A smooth rise to ``rise``: z = rise / 2 (1 + tanh(2 s / length)), slopes to rise / length."""
 
     rise: float
-    length: float
+    length: Positive
 
     @override
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -144,12 +133,13 @@ class Ramp(_Along):
         return p[0] / 2 * (1 + ca.tanh(2 * self._along_symbols(x, y, parameter) / p[1]))
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Wave(_Along):
     """Waves along one direction: z = amplitude sin(2 pi s / wavelength)."""
 
     amplitude: float
-    wavelength: float
+    wavelength: Positive
 
     @override
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from trajopt.errors import InputError, require_not_negative
+from trajopt.arguments import NonNegative, checked
+from trajopt.errors import InputError
 from trajopt.terrain.shapes import ParameterOf, Shape, shape_from_description
 from trajopt.terrain.surface import Surface
 
@@ -17,22 +18,19 @@ from trajopt.terrain.surface import Surface
 STEPS = 3
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SmoothTerrain:
     """Ground at height h(x, y), the sum of ``shapes``, with one Coulomb ``friction``. Raises `InputError`."""
 
     shapes: tuple[Shape, ...]
-    friction: float = 0.7
+    friction: NonNegative = 0.7
     raised: float = field(default=0.0, init=False, repr=False)
     """Distance in m of this surface from the ground with these shapes, to which it is parallel."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "shapes", tuple(self.shapes))
-        if not self.shapes or not all(isinstance(shape, Shape) for shape in self.shapes):
-            raise InputError(
-                "a smooth terrain has no shapes, or some that are not shapes", "allowed: shapes, at least one"
-            )
-        require_not_negative("friction coefficient", self.friction)
+        if not self.shapes:
+            raise InputError("a smooth terrain has no shapes", "allowed: shapes, at least one")
 
     @property
     def surface(self) -> CurvedSurface:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from trajopt.errors import InputError, finite_array, is_number, require_not_negative
+from trajopt.arguments import NonNegative, Positive, checked
+from trajopt.errors import InputError
+from trajopt.kinds import ArrayShape
 
 UP = (0.0, 0.0, 1.0)
 # Two surfaces are one plane within this distance, m, and this error of the normal: rounding of forward
@@ -34,6 +36,7 @@ def frame_of_normal(normal: Sequence[float] | np.ndarray) -> np.ndarray:
     return np.column_stack([first, second, [x, y, z]])
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
     """A plane in the world that a contact touches.
@@ -52,31 +55,24 @@ class Surface:
         InputError: for a wrong shape, a normal without length, a number out of range.
     """
 
-    point: np.ndarray
-    normal: np.ndarray
-    friction: float = 0.7
+    point: Annotated[np.ndarray, ArrayShape((3,))]
+    normal: Annotated[np.ndarray, ArrayShape((3,))]
+    friction: NonNegative = 0.7
     bilateral: bool = False
-    slip_speed: float | None = None
+    slip_speed: Positive | None = None
 
     def __post_init__(self) -> None:
-        point, normal = (
-            finite_array(f"{name} of a surface", getattr(self, name)) for name in ("point", "normal")
-        )
-        length = float(np.linalg.norm(normal))
+        length = float(np.linalg.norm(self.normal))
         if not length > 0:
             raise InputError("normal of a surface has no length", "allowed: any direction")
-        require_not_negative("friction of a surface", self.friction)
-        if not isinstance(self.bilateral, bool):
-            raise InputError(f"bilateral of a surface is {self.bilateral!r}", "allowed: True or False")
-        slip = self.slip_speed
-        if slip is not None and (self.bilateral or not (is_number(slip) and slip > 0)):
+        if self.slip_speed is not None and self.bilateral:
             raise InputError(
-                f"slip_speed of a surface is {slip!r}", "allowed: > 0 m/s on a surface that is not bilateral"
+                f"slip_speed of a bilateral surface is {self.slip_speed!r}",
+                "allowed: on a surface that is not bilateral",
             )
-        for name, vector in (("point", point), ("normal", normal / length)):
-            vector.setflags(write=False)
-            object.__setattr__(self, name, vector)
-        object.__setattr__(self, "friction", float(self.friction))
+        normal = self.normal / length
+        normal.setflags(write=False)
+        object.__setattr__(self, "normal", normal)
 
     @property
     def frame(self) -> np.ndarray:

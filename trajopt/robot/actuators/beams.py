@@ -18,12 +18,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from trajopt.errors import InputError, require_positive
+from trajopt.arguments import Positive, checked
+from trajopt.errors import InputError
 
 # kg/m^3, at room temperature: carbon steel, wrought aluminium alloys, grey cast iron.
 DENSITY = {"steel": 7850.0, "aluminium": 2700.0, "iron": 7200.0}
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Beam:
     """A uniform straight beam along its own x axis, closed at neither end.
@@ -41,24 +43,19 @@ class Beam:
         InputError: for sizes or densities not above zero, a wall too thick, an unknown material.
     """
 
-    length: float
-    width: float
-    height: float
-    wall: float | None = None
-    density: float | str = "steel"
+    length: Positive
+    width: Positive
+    height: Positive
+    wall: Positive | None = None
+    density: Positive | str = "steel"
 
     def __post_init__(self) -> None:
-        for name in ("length", "width", "height"):
-            require_positive(f"{name} of a beam", getattr(self, name), "m")
         if isinstance(self.density, str) and self.density not in DENSITY:
             raise InputError(f"material '{self.density}' is unknown", "one of " + ", ".join(DENSITY))
-        require_positive("density of a beam", self.kilograms_per_cubic_metre, "kg/m^3")
-        if self.wall is not None:
-            require_positive("wall of a beam", self.wall, "m")
-            if self.wall > min(self.width, self.height) / 2:
-                raise InputError(
-                    f"wall of a beam is {self.wall:g} m", f"at most {min(self.width, self.height) / 2:g} m"
-                )
+        if self.wall is not None and self.wall > min(self.width, self.height) / 2:
+            raise InputError(
+                f"wall of a beam is {self.wall:g} m", f"at most {min(self.width, self.height) / 2:g} m"
+            )
 
     @property
     def kilograms_per_cubic_metre(self) -> float:

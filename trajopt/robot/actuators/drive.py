@@ -19,7 +19,8 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from trajopt.errors import InputError, require_not_negative, require_positive
+from trajopt.arguments import NonNegative, Positive, UnboundedPositive, checked
+from trajopt.errors import InputError, require_positive
 
 Quantity = TypeVar("Quantity", float, np.ndarray, ca.SX)
 
@@ -28,6 +29,7 @@ Quantity = TypeVar("Quantity", float, np.ndarray, ca.SX)
 COULOMB_SPEED = 0.1
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Drive:
     """A motor and its gear on one joint of one degree of freedom.
@@ -50,25 +52,17 @@ class Drive:
     """
 
     gear_ratio: float
-    rotor_inertia: float = 0.0
-    viscous_friction: float = 0.0
-    coulomb_friction: float = 0.0
-    coulomb_speed: float = COULOMB_SPEED
-    torque_limit: float = math.inf
-    stall_torque: float = math.inf
-    no_load_speed: float = math.inf
+    rotor_inertia: NonNegative = 0.0
+    viscous_friction: NonNegative = 0.0
+    coulomb_friction: NonNegative = 0.0
+    coulomb_speed: Positive = COULOMB_SPEED
+    torque_limit: UnboundedPositive = math.inf
+    stall_torque: UnboundedPositive = math.inf
+    no_load_speed: UnboundedPositive = math.inf
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            object.__setattr__(self, field.name, _number(field.name, getattr(self, field.name)))
-        if self.gear_ratio == 0 or not math.isfinite(self.gear_ratio):
-            raise InputError(f"gear_ratio of a drive is {self.gear_ratio:g}", "allowed: finite, not zero")
-        for name in ("rotor_inertia", "viscous_friction", "coulomb_friction"):
-            require_not_negative(f"{name} of a drive", getattr(self, name))
-        require_positive("coulomb_speed of a drive", self.coulomb_speed)
-        for name in ("torque_limit", "stall_torque", "no_load_speed"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} of a drive is {getattr(self, name):g}", "allowed: > 0")
+        if self.gear_ratio == 0:
+            raise InputError("gear_ratio of Drive is 0", "allowed: a finite number, not zero")
         if math.isfinite(self.stall_torque) != math.isfinite(self.no_load_speed):
             raise InputError(
                 f"a drive has stall_torque={self.stall_torque:g} and no_load_speed={self.no_load_speed:g}",

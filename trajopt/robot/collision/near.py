@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.dynamics.joint_placements import Placements, joint_placements
 from trajopt.dynamics.model_content import frame_content
 from trajopt.errors import InputError
@@ -27,6 +28,7 @@ ShapePair = tuple[str, str]
 GROUND = "ground"
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CollisionScene:
     """Shapes on a model's links, obstacles and the ground, and pairs of shapes that must not touch.

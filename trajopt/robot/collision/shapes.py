@@ -6,11 +6,13 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from trajopt.arguments import Positive, checked
 from trajopt.errors import InputError, finite_array, numbers_of, require_not_negative, require_positive
+from trajopt.kinds import ArrayShape
 
 # Tolerance of a rotation matrix: rounding of numbers written as decimals.
 ROTATION_ERROR = 1e-6
@@ -134,17 +136,14 @@ def ball_around(points: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SphereObstacle:
     """A ball around ``centre`` (3,) m, world, of ``radius`` m. Raises InputError."""
 
     name: str
-    centre: np.ndarray
-    radius: float
-
-    def __post_init__(self) -> None:
-        _set_vectors(self, f"obstacle '{self.name}'", ("centre",))
-        _set_radius(self, f"obstacle '{self.name}'")
+    centre: Annotated[np.ndarray, ArrayShape((3,))]
+    radius: Positive
 
     @property
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
@@ -161,18 +160,15 @@ class SphereObstacle:
         return {"kind": "sphere", **_described(self)}
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CapsuleObstacle:
     """All points within ``radius`` m of a segment, ``start`` to ``end`` (3,) m, world. Raises InputError."""
 
     name: str
-    start: np.ndarray
-    end: np.ndarray
-    radius: float
-
-    def __post_init__(self) -> None:
-        _set_vectors(self, f"obstacle '{self.name}'", ("start", "end"))
-        _set_radius(self, f"obstacle '{self.name}'")
+    start: Annotated[np.ndarray, ArrayShape((3,))]
+    end: Annotated[np.ndarray, ArrayShape((3,))]
+    radius: Positive
 
     @property
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
@@ -189,6 +185,7 @@ class CapsuleObstacle:
         return {"kind": "capsule", **_described(self)}
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoxObstacle:
     """A box with full ``sides`` (3,) m, its centre at ``position`` (3,) m, world.
@@ -197,19 +194,16 @@ class BoxObstacle:
     """
 
     name: str
-    sides: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray | None = None
+    sides: Annotated[np.ndarray, ArrayShape((3,))]
+    position: Annotated[np.ndarray, ArrayShape((3,))]
+    rotation: Annotated[np.ndarray, ArrayShape((3, 3))] | None = None
 
     def __post_init__(self) -> None:
         label = f"obstacle '{self.name}'"
-        _set_vectors(self, label, ("sides", "position"))
         if not (self.sides > 0).all():
             raise InputError(f"sides of {label} are {self.sides} m", "allowed: > 0")
-        rotation = numbers_of(np.eye(3) if self.rotation is None else self.rotation)
-        orthogonal = rotation.shape == (3, 3) and np.isfinite(rotation).all()
-        if orthogonal:
-            orthogonal = bool(np.abs(rotation.T @ rotation - np.eye(3)).max() < ROTATION_ERROR)
+        rotation = np.eye(3) if self.rotation is None else self.rotation
+        orthogonal = np.abs(rotation.T @ rotation - np.eye(3)).max() < ROTATION_ERROR
         if not orthogonal or np.linalg.det(rotation) < 0:
             raise InputError(f"rotation of {label} is not a rotation", "allowed: (3, 3), orthogonal, det 1")
         rotation.setflags(write=False)
@@ -259,17 +253,6 @@ def require_different_names(what: str, names: Sequence[str]) -> None:
     double = sorted({name for name in names if names.count(name) > 1})
     if double:
         raise InputError(f"two {what} are named {', '.join(double)}", "allowed: different names")
-
-
-def _set_vectors(shape: Any, label: str, names: Sequence[str]) -> None:
-    for name in names:
-        vector = finite_array(f"{name} of {label}", getattr(shape, name), unit="m")
-        object.__setattr__(shape, name, vector)
-
-
-def _set_radius(shape: Any, label: str) -> None:
-    require_positive(f"radius of {label}", shape.radius, "m")
-    object.__setattr__(shape, "radius", float(shape.radius))
 
 
 def _described(shape: Any, names: Sequence[str] | None = None) -> dict[str, Any]:

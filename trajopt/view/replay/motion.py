@@ -10,12 +10,11 @@ import pinocchio as pin
 
 from trajopt.certify.contact_figures import is_sole
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
-from trajopt.errors import InputError
+from trajopt.errors import InputError, is_number
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, held_samples, touched_surfaces
-from trajopt.terrain.surface import is_number
 
 # Pictures a second of playback: what screens show.
 FRAME_RATE = 60.0

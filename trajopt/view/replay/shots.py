@@ -9,9 +9,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, is_number
 from trajopt.solution.solution import Solution
-from trajopt.terrain.surface import is_number
 from trajopt.view.replay.motion import require_speed
 
 # Pixels (width, height): fewer for a GIF, which compresses badly; of each picture of a strip.
