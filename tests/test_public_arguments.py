@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -22,6 +22,7 @@ ROOMS = (
     "trajopt.robot",
     "trajopt.problem",
 )
+MORE_ROOMS = ("certify", "guesses", "reduced", "scenes", "solution", "study", "view")
 
 
 class Wrong:
@@ -72,6 +73,43 @@ def test_a_wrong_value_is_refused_with_the_name_of_the_field(kind: type, field: 
     message = str(refused.value)
     assert field in message
     assert kind.__name__ in message
+    assert "allowed" in message
+    assert "\n" not in message
+
+
+# Functions of one number or array that are called at every sample.
+NUMERIC = {"smooth_step"}
+# Readers of what a file says, with errors of their own.
+DESCRIPTIONS = {"from_description", "from_meta", "load"}
+
+
+def public_functions() -> Iterator[Callable[..., Any]]:
+    """Every public function, and the functions of public classes that make one."""
+    rooms = [importlib.import_module(room) for room in (*ROOMS, *(f"trajopt.{room}" for room in MORE_ROOMS))]
+    listed = [getattr(room, name) for room in rooms for name in dir(room) if not name.startswith("_")]
+    yield from {each for each in listed if inspect.isfunction(each) and each.__name__ not in NUMERIC}
+    for kind in {each for each in listed if inspect.isclass(each)}:
+        for name, made in vars(kind).items():
+            makes = isinstance(made, classmethod) and annotations_of(made.__func__).get("return") is kind
+            if makes and name not in DESCRIPTIONS and not name.startswith("_"):
+                yield getattr(kind, name)
+
+
+CALLS = [
+    (function, name)
+    for function in sorted(public_functions(), key=lambda function: function.__qualname__)
+    for name, parameter in inspect.signature(function).parameters.items()
+    if annotations_of(function).get(name, Any) not in (Any, object)
+    and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
+]
+
+
+@pytest.mark.parametrize(("function", "name"), CALLS, ids=lambda part: getattr(part, "__qualname__", part))
+def test_a_wrong_argument_is_refused_by_name(function: Callable[..., Any], name: str) -> None:
+    with pytest.raises(InputError) as refused:
+        function(**{name: Wrong()})
+    message = str(refused.value)
+    assert message.startswith(f"{name} of {function.__name__}") or f".{function.__name__} is" in message
     assert "allowed" in message
     assert "\n" not in message
 

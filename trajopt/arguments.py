@@ -33,7 +33,7 @@ class _Arguments:
     """The arguments of one class or function: their names and kinds, and what is said of wrong ones."""
 
     def __init__(self, called: Callable[..., Any], target: Any) -> None:
-        self.owner, self.keeps = target.__name__, isinstance(target, type)
+        self.owner, self.keeps = target.__qualname__, isinstance(target, type)
         self.parameters = dict(inspect.signature(called).parameters)
         if self.keeps:
             del self.parameters["self"]
@@ -42,7 +42,8 @@ class _Arguments:
         self.takes_any_name = any(each.kind is each.VAR_KEYWORD for each in listed)
         single = [each for each in listed if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)]
         self.placed = [each.name for each in single if each.kind is not each.KEYWORD_ONLY]
-        self.named = [each.name for each in single if each.kind is not each.POSITIONAL_ONLY]
+        bound = ("self", "cls")
+        self.named = [e.name for e in single if e.kind is not e.POSITIONAL_ONLY and e.name not in bound]
         self.needed = [each.name for each in single if each.default is each.empty]
         hints = annotations_of(target)
         self.kinds = {each.name: kind_of(hints.get(each.name, Any)) for each in single}
@@ -74,7 +75,7 @@ class _Arguments:
 
     def _value(self, name: str, value: Any, owner: str) -> Any:
         kind = self.kinds.get(name)
-        return value if kind is None else kind.checked(f"{name} of {owner}", value, self.keeps)
+        return value if kind is None else kind.checked(name, owner, value, self.keeps)
 
 
 def checked(target: _Target) -> _Target:
@@ -120,7 +121,7 @@ def check_fields(thing: Any) -> None:
     """Check the fields of a dataclass that is made already, such as a term of the user's own."""
     target: Any = type(thing)
     for name, kind in _kinds(target).items():
-        kind.checked(f"{name} of {target.__name__}", getattr(thing, name), True)
+        kind.checked(name, target.__name__, getattr(thing, name), True)
 
 
 @functools.cache

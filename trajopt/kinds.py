@@ -98,14 +98,16 @@ class Kind:
     accept: Callable[[Any, bool], Any]
     hint: Callable[[Any], str] = lambda value: ""
 
-    def checked(self, what: str, value: Any, keeps: bool) -> Any:
-        """The value as it is handed on. Raises `InputError` that begins with ``what``."""
+    def checked(self, name: str, owner: str, value: Any, keeps: bool) -> Any:
+        """The value as it is handed on. Raises `InputError` that begins with the name of the argument."""
         try:
             return self.accept(value, keeps)
         except _PartError as part:
-            raise InputError(f"{what}{part.where} is {shown(part.value)}", part.allowed) from None
+            raise InputError(f"{name}{part.where} of {owner} is {shown(part.value)}", part.allowed) from None
         except ValueError:
-            raise InputError(f"{what} is {shown(value)}", f"allowed: {self.text}{self.hint(value)}") from None
+            raise InputError(
+                f"{name} of {owner} is {shown(value)}", f"allowed: {self.text}{self.hint(value)}"
+            ) from None
 
 
 NAMES = "a name, or a sequence of names"
@@ -332,10 +334,12 @@ def _array(shape: ArrayShape) -> Kind:
     def accept(value: Any, keeps: bool) -> Any:
         _only(not isinstance(value, str | bytes | bool) and value is not None, value)
         try:
-            array = value if isinstance(value, np.ndarray) else np.array(value, dtype=float)
+            array = value if isinstance(value, np.ndarray) else np.array(value)
+            numbers = array.dtype.kind in "fiub"
+            array = array if array is value or not numbers else array.astype(float)
         except Exception:  # a conversion of the user's own
             raise ValueError from None
-        _only(array.dtype.kind in "fiub" and shape.holds(array), value)
+        _only(numbers and shape.holds(array), value)
         if keeps and array.flags.writeable:
             array = array.copy() if array is value else array
             array.setflags(write=False)

@@ -222,7 +222,7 @@ def test_cone_margins_are_distances_to_coulombs_limit():
         (np.ones(3), np.ones(3), 0.5, "wrenches"),
         (np.ones((2, 3)), np.ones((3, 3)), 0.5, "shapes"),
         (np.ones((2, 3)), [0.0, 0.0, 2.0], 0.5, "length one"),
-        (np.ones((2, 3)), [0.0, 0.0, np.nan], 0.5, "length one"),
+        (np.ones((2, 3)), [0.0, 0.0, np.nan], 0.5, "normals of cone_margins"),
         (np.ones((2, 3)), [0.0, 0.0, 1.0], -0.5, "friction"),
     ],
 )

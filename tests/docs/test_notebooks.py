@@ -106,7 +106,11 @@ def test_a_plot_is_a_png(solution: Solution) -> None:
     assert plots(solution)._repr_png_().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("height", [0, 119, "tall"])
-def test_a_frame_too_low_for_its_controls_is_refused(solution: Solution, height: object) -> None:
-    with pytest.raises(InputError, match="120 pixels"):
+@pytest.mark.parametrize(
+    ("height", "allowed"), [(0, "120 pixels"), (119, "120 pixels"), ("tall", "a whole number")]
+)
+def test_a_frame_too_low_for_its_controls_is_refused(
+    solution: Solution, height: object, allowed: str
+) -> None:
+    with pytest.raises(InputError, match=allowed):
         show(solution, height=height)  # type: ignore[arg-type]

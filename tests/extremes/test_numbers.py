@@ -89,7 +89,7 @@ PLACES: dict[str, tuple[str, Make]] = {
     ),
     "surface": ("normal of Surface", lambda x: Surface(point=np.zeros(3), normal=[0.0, x, 1.0])),
     "foothold": (
-        "footholds of Phase 'p'.*'FL_FOOT'.* finite numbers",
+        r"footholds\['FL_FOOT'\] of Phase 'p' is .* finite numbers",
         lambda x: Phase(name="p", duration=1.0, contacts=("FL_FOOT",), footholds={"FL_FOOT": [0.0, x, 0.0]}),
     ),
     "duration": ("duration of Phase .*finite number", lambda x: Phase(name="p", duration=x)),

@@ -322,6 +322,12 @@ def flight() -> StepPhase:
     return StepPhase(name="flight", duration=0.1)
 
 
+def still() -> PendulumMotion:
+    return PendulumMotion(
+        pendulum=PENDULUM, times=[0.0, 1.0], zmp=np.zeros((1, 2, 2)), com_start=COM, dcm_end=COM
+    )
+
+
 BAD = {
     "height": lambda: Pendulum(height=0.0),
     "steps": lambda: Walk(steps=1),
@@ -344,7 +350,7 @@ BAD = {
     "increasing": lambda: PendulumMotion(
         pendulum=PENDULUM, times=[0.0, 0.0], zmp=np.zeros((1, 2, 2)), com_start=COM, dcm_end=COM
     ),
-    "free-flyer": lambda: guess_from_lip(robots.load("ur5"), FootstepPlan((flight(),)), None),
+    "free-flyer": lambda: guess_from_lip(robots.load("ur5"), FootstepPlan((flight(),)), still()),
 }
 
 

@@ -159,7 +159,7 @@ def test_drives_that_do_not_fit_the_robot_are_refused():
         robot.with_drives({"base": MOTOR})
     with pytest.raises(InputError, match="each of its 2 actuated rows"):
         robot.with_drives([MOTOR])
-    with pytest.raises(InputError, match="of kind int"):
+    with pytest.raises(InputError, match=r"drives\[1\] of Robot.with_drives is 3; allowed: a Drive or None"):
         robot.with_drives([MOTOR, 3])
     with pytest.raises(InputError, match="each of its 2 actuated rows"):
         replace(robot, drives=(MOTOR,) * 3)

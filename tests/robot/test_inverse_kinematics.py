@@ -9,7 +9,12 @@ import pytest
 
 from trajopt.errors import InputError
 from trajopt.robot.data import robot_file
-from trajopt.robot.kinematics import contact_positions, frame_pose, inverse_kinematics_branches
+from trajopt.robot.kinematics import (
+    contact_positions,
+    frame_pose,
+    inverse_kinematics,
+    inverse_kinematics_branches,
+)
 from trajopt.robot.robot import Robot
 from trajopt_library import robots
 from trajopt_library.robots import irb1600
@@ -196,3 +201,20 @@ def test_pose_of_an_unknown_frame_names_those_close_to_it():
     robot = robots.load("irb1600")
     with pytest.raises(InputError, match=r"no frame 'tool1'.*tool0"):
         frame_pose(robot, robot.reference, "tool1")
+
+
+@pytest.mark.parametrize(
+    ("q", "targets", "message"),
+    [
+        (None, {"tool1": np.zeros(3)}, r"no frame 'tool1'.*tool0"),
+        (None, {"tool0": np.zeros(2)}, r"target of 'tool0' has shape \(2,\); allowed: \(3,\), or an SE3"),
+        (None, {}, "targets are empty"),
+        (np.zeros(3), {"tool0": np.zeros(3)}, r"q has shape \(3,\); allowed: \(6,\)"),
+    ],
+)
+def test_targets_that_are_none_are_refused(q, targets, message):
+    robot = robots.load("irb1600")
+    with pytest.raises(InputError, match=message):
+        inverse_kinematics(robot, robot.reference if q is None else q, targets)
+    with pytest.raises(InputError, match=message):
+        inverse_kinematics_branches(robot, targets, near=q)

@@ -239,7 +239,7 @@ def test_inconsistent_robot_is_refused(change, message):
         ({"reference": {"FL_KNEE": 1.0}}, "joint 'FL_KNEE' of the reference is unknown"),
         ({"reference": np.zeros(5)}, r"joints alone, \(12,\)"),
         ({"reference": np.zeros(19)}, "norm 1"),
-        ({"base": "rail"}, "base='rail' is unknown"),
+        ({"base": "rail"}, "base of Robot.from_urdf is 'rail'; allowed: freeflyer"),
     ],
 )
 def test_bad_description_of_a_robot_is_refused(options, message):

@@ -266,7 +266,7 @@ def test_command_prints_names_files_and_json(tmp_path: Path) -> None:
         (("nobody.urdf",), "does not exist"),
         (("nobody.py",), "does not exist"),
         (("ur5", "--write", "mine.py"), "--write needs a .urdf file"),
-        ((str(URDF), "--base", "wheels"), "base='wheels' is unknown"),
+        ((str(URDF), "--base", "wheels"), "base of read_urdf is 'wheels'; allowed: freeflyer"),
         ((str(URDF), "--write", "mine.txt"), "a .py file in an existing folder"),
         ((str(URDF), "--write", "/nowhere/mine.py"), "a .py file in an existing folder"),
         ((str(URDF), "--write", __file__), "exists and is not overwritten"),

@@ -136,7 +136,7 @@ def test_joints_to_lock_may_be_named_and_must_exist_and_be_free() -> None:
             smallest(problem, lock=lock, keep=keep)
     with pytest.raises(InputError, match="joint 'tail' to keep is unknown"):
         smallest(problem, keep=["tail"])
-    with pytest.raises(InputError, match="'auto', True or False"):
+    with pytest.raises(InputError, match=r"plane of smallest is .*; allowed: auto, True, False"):
         smallest(problem, plane="yes")  # type: ignore[arg-type]
 
 

@@ -35,7 +35,7 @@ def test_a_fraction_is_from_zero_to_one(fraction):
     ("phase", "allowed"), [("", "the name of a phase"), (3, "a string"), (("a", "b"), "a string")]
 )
 def test_a_phase_is_a_name(phase, allowed):
-    with pytest.raises(InputError, match=rf"^phase of (a moment|Moment) is .*; allowed: {allowed}"):
+    with pytest.raises(InputError, match=rf"^phase of (a moment|start_of) is .*; allowed: {allowed}"):
         start_of(phase)
 
 

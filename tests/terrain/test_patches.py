@@ -122,7 +122,7 @@ BAD = {
     "margin of all": (lambda: replace(SQUARE, margin=0.11), "half of its width"),
     "negative margin": (lambda: replace(SQUARE, margin=-0.01), ">= 0"),
     "plane that is none": (lambda: Patch(surface=0.5, vertices=np.zeros((3, 3))), "a Surface"),
-    "size of one number": (lambda: Patch.rectangle((0, 0, 0), (0.1,)), "two lengths"),
+    "size of one number": (lambda: Patch.rectangle((0, 0, 0), (0.1,)), "size of Patch.rectangle is (0.1,)"),
     "incomplete description": (lambda: Patch.from_description({"name": "face"}), "vertices"),
     "patch of no contact": (lambda: stance(patches={"hand": SQUARE}), "active in the phase"),
     "patch that is none": (lambda: stance(patches={FOOT: PLANE}), "a Patch"),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trajopt.arguments import checked
 from trajopt.certify.accuracy.local_errors import LocalErrors, local_errors
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.body_figures import FileBodies, missing_shapes
@@ -59,6 +60,7 @@ DRIFTS = ("foot_drift", "stance_drift", "foot_turn")
 BODIES = ("link_depth", "obstacle_distance", "self_distance", "clearance_margin")
 
 
+@checked
 def check(solution: SolutionOrFile, *, integrate: bool = True) -> CheckReport:
     """Recompute every figure of a solution from its arrays and its model with numeric Pinocchio.
 

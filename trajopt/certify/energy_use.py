@@ -7,12 +7,14 @@ import math
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.solution.grid import interval_schemes
 from trajopt.solution.solution import Solution
 from trajopt.terms.power import heat_coefficients, require_recovered
 
 
+@checked
 def energy(solution: Solution, *, recovered: float = -1.0) -> float:
     """Return the energy in J that the drives draw: the integral of `power` by the scheme's quadrature.
 
@@ -42,6 +44,7 @@ def _quadrature(solution: Solution) -> np.ndarray:
     return weights
 
 
+@checked
 def cost_of_transport(solution: Solution, *, recovered: float = -1.0) -> float:
     """Return energy over weight times horizontal displacement of the centre of mass, dimensionless.
 

@@ -11,8 +11,6 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError
-
 Base = Literal["freeflyer", "virtual", "planar", "fixed"]
 BASES: tuple[Base, ...] = ("freeflyer", "virtual", "planar", "fixed")
 BASE_ROWS: dict[Base, int] = {"freeflyer": 6, "virtual": 6, "planar": 3, "fixed": 0}
@@ -28,12 +26,6 @@ AXES = "XYZ"
 ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
 PREFIX = "virtual_"
 ROWS = 6
-
-
-def require_base(base: str) -> None:
-    """Raise `InputError` for a kind of base that is not in ``BASES``."""
-    if base not in BASES:
-        raise InputError(f"base={base!r} is unknown", "one of " + ", ".join(repr(name) for name in BASES))
 
 
 def base_of(model: pin.Model) -> Base:

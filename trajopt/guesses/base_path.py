@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError, finite_array, require_finite
 from trajopt.schedule.schedule import Schedule
@@ -20,6 +21,7 @@ SAME_TIME = 1e-9
 MOST_SUPPORTED_TURN = 2 * math.pi - 0.1
 
 
+@checked
 def hermite(
     s: float,
     duration: float,

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.guesses.foot_motion import (
     CACHED_POSTURES,
@@ -108,6 +109,7 @@ class _LegPosture:
         return Foothold(position=carried, yaw=self.feet.foothold(name, t).yaw)
 
 
+@checked
 def guess_from_srb(problem: Problem, solution: Solution, *, clearance: float = DEFAULT_CLEARANCE) -> Motion:
     """Return a guess ``t -> q`` (nq,) for a problem from the solution of its `body_problem`.
 

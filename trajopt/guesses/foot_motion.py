@@ -11,6 +11,7 @@ from itertools import accumulate
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.reduced.com_planning import ComMotion
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, feet_of
 from trajopt.robot.kinematics import contact_targets, inverse_kinematics
@@ -141,6 +142,7 @@ class WalkPosture:
         return inverse_kinematics(self.robot, q, targets).q
 
 
+@checked
 def guess_from_lip(
     robot: Robot,
     plan: FootstepPlan,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses.base_path import (
@@ -105,6 +106,7 @@ def base_pose(robot: Robot, pace: Pace, t: float) -> pin.SE3:
     return pin.SE3(np.array(pin.utils.rotate("z", angle)) @ start.rotation, position)
 
 
+@checked
 def commanded_motion(robot: Robot, pace: Pace) -> Motion:
     """The reference posture carried along by the pace, ``t -> q`` (nq,): the reference motion of a gait."""
 
@@ -189,6 +191,7 @@ class GaitPlan:
         return q, v
 
 
+@checked
 def plan_of_cycle(
     robot: Robot, cycle: Schedule, pace: Pace, *, mirror: Mapping[str, str] | None = None, clearance: float
 ) -> GaitPlan:
@@ -201,6 +204,7 @@ def plan_of_cycle(
     return plan_of_part(robot, cycle, whole, first * len(cycle.phases), pace, clearance=clearance)
 
 
+@checked
 def plan_of_part(
     robot: Robot, part: Schedule, whole: Schedule, first: int, pace: Pace, *, clearance: float
 ) -> GaitPlan:

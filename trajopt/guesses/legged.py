@@ -10,6 +10,7 @@ from functools import cache, cached_property, lru_cache
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import require_finite
 from trajopt.guesses.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
@@ -208,6 +209,7 @@ class LeggedPosture:
         return contact_poses(self.robot, self.robot.reference)
 
 
+@checked
 def legged_guess(
     robot: Robot,
     schedule: Schedule,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses.base_path import BaseWaypoint, WaypointPath, flights, turn_to_heading
@@ -40,6 +41,7 @@ class TerrainPlan:
     guess: Motion
 
 
+@checked
 def plan_over_terrain(
     robot: Robot, schedule: Schedule, pace: Pace, terrain: Terrain, *, clearance: float, free: bool = False
 ) -> TerrainPlan:

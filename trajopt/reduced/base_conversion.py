@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import AXES, virtual_order
 from trajopt.dynamics.virtual_base import (
     DEFAULT_ORDER,
@@ -38,6 +39,7 @@ from trajopt.terms.interfaces import Term
 SAMPLES = 120
 
 
+@checked
 def with_virtual_base(problem: Problem, order: str = DEFAULT_ORDER) -> Problem:
     """Return ``problem`` on the robot `Robot.with_virtual_base`, with angles about the axes of ``order``.
 

@@ -21,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 from typing_extensions import override
 
+from trajopt.arguments import checked
 from trajopt.dynamics.rotations import rotation_matrix
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
@@ -203,6 +204,7 @@ class FootReach(PointConstraint):
         return Rows.create(ca.vertcat(*parts), self.shortest**2, self.longest**2, 1.0)
 
 
+@checked
 def body_problem(
     problem: Problem,
     *,

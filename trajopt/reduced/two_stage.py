@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.certify.samples import sample_quantities
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
@@ -48,6 +49,7 @@ def torque_terms(problem: Problem) -> list[Term]:
     return [term for term in problem.terms if id(term) in users]
 
 
+@checked
 def base_rows_problem(problem: Problem, *, replacement: tuple[Cost, ...] | None = None) -> Problem:
     """Stage one of a problem: its terms without those on torques, and costs in their place.
 
@@ -189,6 +191,7 @@ class TorqueReport:
         return "\n".join([*lines, f"base rows: {self.base_residual:.1e} of the weight"])
 
 
+@checked
 def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, TorqueReport]:
     """Stage two: torques (K, nu) of every sample from the actuated rows, and the report on their limits.
 

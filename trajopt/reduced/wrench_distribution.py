@@ -25,6 +25,7 @@ import osqp
 from scipy import sparse
 from scipy.linalg import null_space
 
+from trajopt.arguments import checked
 from trajopt.certify.samples import SampleQuantities, sample_quantities
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
@@ -52,6 +53,7 @@ TRUSTED = 5e-7
 BISECTIONS = 20
 
 
+@checked
 def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
     """Return the solution with wrenches redistributed and the torques that follow; the motion is kept.
 

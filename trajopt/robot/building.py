@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import (
     BASE_COORDINATES,
     BASE_JOINT,
@@ -75,6 +76,7 @@ def _carried_by(model: pin.Model, frame: str) -> set[int]:
     return set(model.supports[carrier])
 
 
+@checked
 def sagittal(model: pin.Model) -> pin.Model:
     """Return ``model`` with its planar root joint turned into the world's x-z plane.
 

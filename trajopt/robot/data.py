@@ -9,6 +9,7 @@ from typing import Any
 
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError, first_line
 
 DATA_PACKAGE = "example-robot-data"
@@ -41,6 +42,7 @@ def data_share() -> Path:
     return share
 
 
+@checked
 def robot_file(relative: str) -> Path:
     """Return the path of a description, ``relative`` to ``example-robot-data/robots``."""
     return data_share() / DATA_PACKAGE / "robots" / relative

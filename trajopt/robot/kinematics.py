@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.dynamics.model_content import frame_content
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
@@ -27,6 +28,7 @@ MOST_ITERATIONS = 60
 TOLERANCE = 1e-10
 
 
+@checked
 def frame_pose(robot: Robot, q: np.ndarray, frame: str) -> pin.SE3:
     """Pose of a frame in the world, m.
 
@@ -38,24 +40,29 @@ def frame_pose(robot: Robot, q: np.ndarray, frame: str) -> pin.SE3:
     Raises:
         InputError: for an unknown frame; it lists close names.
     """
+    _require_size(robot, q)
     frame_content(robot.model, frame)  # checks the name: for an unknown one Pinocchio's index is past the end
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, q)
     return data.oMf[robot.model.getFrameId(frame)].copy()
 
 
+@checked
 def contact_poses(robot: Robot, q: np.ndarray) -> dict[str, pin.SE3]:
     """Pose of every contact's frame at ``q`` (nq,), world, m, by the contact's name."""
+    _require_size(robot, q)
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, q)
     return {c.name: data.oMf[robot.model.getFrameId(c.frame)].copy() for c in robot.contacts}
 
 
+@checked
 def contact_positions(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
     """Where every contact is at ``q`` (nq,): its frame's origin (3,), world, m, by the contact's name."""
     return {name: pose.translation for name, pose in contact_poses(robot, q).items()}
 
 
+@checked
 def contact_targets(robot: Robot, poses: Mapping[str, pin.SE3]) -> dict[str, pin.SE3 | np.ndarray]:
     """Targets that bring contacts to ``poses`` (world, m, by name): poses of soles, positions of points."""
     return {
@@ -73,6 +80,7 @@ class Posture:
     error: float
 
 
+@checked
 def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_base: bool = False) -> Posture:
     """Posture near ``q`` (nq,) that brings frames to their targets, within position limits.
 
@@ -83,7 +91,12 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
         q: configuration (nq,) from which the search starts.
         targets: by the frame's name a pose (SE3, 6 rows) or a position (3,) in the world, m.
         move_base: whether the base may move, too.
+
+    Raises:
+        InputError: for an unknown frame, no target, a position that is not (3,) and a ``q`` that is not (nq,).
     """
+    _require_size(robot, q)
+    _require_targets(robot, targets)
     model, data = robot.model, robot.model.createData()
     movable = np.arange(0 if move_base else robot.n_unactuated, robot.nv)
     damping, error = FIRST_DAMPING, _errors(model, data, q, targets)
@@ -102,6 +115,20 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
         else:
             damping *= DAMPING_GROWTH
     return Posture(q, float(np.linalg.norm(error)))
+
+
+def _require_size(robot: Robot, q: np.ndarray) -> None:
+    if q.shape != (robot.nq,):
+        raise InputError(f"q has shape {q.shape}", f"allowed: ({robot.nq},), one for each coordinate")
+
+
+def _require_targets(robot: Robot, targets: Targets) -> None:
+    if not targets:
+        raise InputError("targets are empty", "allowed: a pose or a position for each frame by name")
+    for name, target in targets.items():
+        frame_content(robot.model, name)
+        if not isinstance(target, pin.SE3) and np.shape(target) != (3,):
+            raise InputError(f"target of '{name}' has shape {np.shape(target)}", "allowed: (3,), or an SE3")
 
 
 def _held_by_limits(robot: Robot, q: np.ndarray, gradient: np.ndarray) -> np.ndarray:
@@ -154,6 +181,7 @@ SAME_BRANCH = 1e-4
 SEPARATION = 1.0
 
 
+@checked
 def inverse_kinematics_branches(
     robot: Robot,
     targets: Targets,
@@ -183,11 +211,13 @@ def inverse_kinematics_branches(
         turns: whether to return a branch in every whole turn of a joint within its limits, too.
 
     Raises:
-        InputError: for ``starts`` below one.
+        InputError: for ``starts`` below one, and as `inverse_kinematics`.
     """
     if starts < 1:
         raise InputError(f"inverse kinematics from {starts} starts", "allowed: at least 1")
     near = robot.reference if near is None else np.asarray(near, dtype=float)
+    _require_size(robot, near)
+    _require_targets(robot, targets)
     data = robot.model.createData()
     rows = len(_errors(robot.model, data, near, targets))
     redundant = robot.nv - robot.n_unactuated > rows

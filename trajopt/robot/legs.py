@@ -52,6 +52,7 @@ class Legs:
         return MappingProxyType({own: other for pair in pairs for own, other in (pair, pair[::-1])})
 
 
+@checked
 def feet_in_base(robot: Robot, q: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Positions (3,) of the robot's feet in axes of its base, m, by contact name.
 
@@ -79,6 +80,7 @@ def feet_in_base(robot: Robot, q: np.ndarray | None = None) -> dict[str, np.ndar
     }
 
 
+@checked
 def quadruped_legs(robot: Robot) -> Legs:
     """Which of a robot's four feet is which in its reference posture. Raises `InputError`."""
     feet = feet_in_base(robot)
@@ -90,6 +92,7 @@ def quadruped_legs(robot: Robot) -> Legs:
     return Legs(front_left=front_left, front_right=front_right, hind_left=hind_left, hind_right=hind_right)
 
 
+@checked
 def biped_legs(robot: Robot) -> tuple[str, str]:
     """Contacts of a robot's left and right foot in its reference posture. Raises `InputError`."""
     feet = feet_in_base(robot)
@@ -114,6 +117,7 @@ def _halves(
     return {name: feet[name] for name in ordered[:half]}, {name: feet[name] for name in ordered[half:]}
 
 
+@checked
 def leg_joints(robot: Robot) -> tuple[str, ...]:
     """Frames at the joints of the legs: hips and knees, the root of each limb and every joint a link further.
 

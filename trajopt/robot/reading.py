@@ -12,7 +12,8 @@ from xml.etree import ElementTree
 
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import Base, base_of, require_base
+from trajopt.arguments import checked
+from trajopt.dynamics.base_joint import Base, base_of
 from trajopt.dynamics.virtual_base import virtual_model
 from trajopt.errors import InputError, first_line
 from trajopt.robot.building import sagittal
@@ -21,10 +22,10 @@ from trajopt.robot.building import sagittal
 PREFIX = "Error:"
 
 
+@checked
 def read_urdf(path: str | Path, base: Base) -> pin.Model:
     """Read a URDF file with the given base; raises `InputError` if it is missing or malformed."""
     source = existing_file(path, "URDF")
-    require_base(base)
     require_xml(source)
     messages: list[str] = []
     try:
@@ -82,7 +83,6 @@ def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
         own = base_of(model)
         if base is None or base == own:
             return model
-        require_base(base)
         if (own, base) == ("freeflyer", "virtual"):
             return virtual_model(model)
         if own != "fixed":

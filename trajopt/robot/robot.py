@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from trajopt.arguments import checked
-from trajopt.dynamics.base_joint import Base, base_of, position_limits, require_base
+from trajopt.dynamics.base_joint import Base, base_of, position_limits
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
 from trajopt.errors import InputError, renamed
@@ -167,6 +167,7 @@ class Robot:
         known = ", ".join(contact.name for contact in self.contacts) or "none"
         raise InputError(f"robot '{self.name}' has no contact '{name}'", f"contacts: {known}")
 
+    @checked
     def with_locked(self, joints: Sequence[str], reference: ArrayLike | None = None) -> Robot:
         """Return this robot with ``joints`` welded at their value in ``reference`` (nq,), default its own."""
         at = self.reference if reference is None else np.asarray(reference, dtype=float)
@@ -192,6 +193,7 @@ class Robot:
             "drives": None if self.drives is None else tuple(self.drives[int(row)] for row in own),
         }
 
+    @checked
     def with_drives(self, drives: Mapping[str, Drive | None] | Sequence[Drive | None]) -> Robot:
         """Return this robot with drives: by joint name, or one (or None) for each actuated row (nu).
 
@@ -230,6 +232,7 @@ class Robot:
         )
 
     @classmethod
+    @checked
     def from_urdf(
         cls,
         path: str | Path,
@@ -274,6 +277,7 @@ class Robot:
         )
 
     @classmethod
+    @checked
     def from_mjcf(cls, path: str | Path, *, base: Base | None = None, **options: Any) -> Robot:
         """Build a robot from an MJCF file, as far as Pinocchio reads it; options as in `from_model`.
 
@@ -292,6 +296,7 @@ class Robot:
         return cls.from_model(model, **{"base": base, "visual": source, **options})
 
     @classmethod
+    @checked
     def from_model(
         cls,
         model: pin.Model,
@@ -306,7 +311,6 @@ class Robot:
     ) -> Robot:
         """Build a robot from a numeric Pinocchio model and its limits; arguments as in `from_urdf`."""
         kind = base if base is not None else base_of(model)
-        require_base(kind)
         named = tuple(entry if isinstance(entry, Contact) else Contact(frame=entry) for entry in contacts)
         for contact in named:
             require_frame(model, contact.frame, f"contact '{contact.name}'")

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError, finite_array
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import require_frame
@@ -34,6 +35,7 @@ Goals = Mapping[str, pin.SE3 | ArrayLike] | ArrayLike
 CLEARANCE = 0.1
 
 
+@checked
 def scene(
     robot: Robot,
     schedule: Schedule,

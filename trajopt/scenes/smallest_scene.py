@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.term_reader import TermReader
@@ -58,6 +59,7 @@ class Scene:
         return found if self.soles is None else self.soles.lift(found, self.original)
 
 
+@checked
 def smallest(
     problem: Problem,
     *,
@@ -85,12 +87,11 @@ def smallest(
         InputError: For an unknown joint, and with ``plane=True`` where robot or task is not symmetric; the
             message says what is not.
     """
-    if plane not in get_args(Plane) or (isinstance(plane, int) and not isinstance(plane, bool)):
-        raise InputError(f"plane={plane!r} is unknown", "'auto', True or False")
     made = _Smallest(problem, tuple(keep), plane, (transcription, intervals))
     return made.build(tuple(lock), soles, torques)
 
 
+@checked
 def size_of(problem: Problem, transcription: str | None = None, intervals: int | None = None) -> ProblemSize:
     """Variables and rows of a problem's transcription."""
     made = transcribe(problem, transcription, intervals)

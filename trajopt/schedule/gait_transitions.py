@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.schedule.gaits import SHORTEST, SIMULTANEOUS, Gait, SupportPhase, phases_of
 from trajopt.schedule.schedule import Phase
@@ -26,6 +27,7 @@ class _Stances:
         return any(begin < time < end for begin, end in self.times)
 
 
+@checked
 def transition(
     gait: Gait,
     period: float,

@@ -102,6 +102,7 @@ class Gait:
             offsets={names[foot]: self.offsets[foot] for foot in self.feet},
         )
 
+    @checked
     def with_duty(self, duty: Mapping[str, float] | float) -> Gait:
         """This gait with other duty factors, one for all or one per foot."""
         return replace(self, duty=duty)
@@ -163,6 +164,7 @@ class Gait:
             for foot in self.feet
         )
 
+    @checked
     def phases(
         self,
         period: float,
@@ -188,6 +190,7 @@ class Gait:
             raise InputError(f"{cycles} cycles of gait '{self.name}'", "allowed: a whole number, 1 or more")
         return phases_of(self.supports(start) * int(cycles), period, duration_bounds)
 
+    @checked
     def half_cycle(
         self,
         period: float,

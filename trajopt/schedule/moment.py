@@ -47,16 +47,19 @@ class Moment:
 END = Moment()
 
 
+@checked
 def start_of(phase: str) -> Moment:
     """The start of a phase, just after its impact where it begins with one."""
     return Moment(phase, 0.0)
 
 
+@checked
 def middle_of(phase: str) -> Moment:
     """The middle of a phase: of a ballistic flight the apex, if it ends as high as it began."""
     return Moment(phase, 0.5)
 
 
+@checked
 def end_of(phase: str) -> Moment:
     """The end of a phase, just before the next one's impact where that begins with one."""
     return Moment(phase, 1.0)

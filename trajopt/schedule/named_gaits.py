@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError, not_among
 from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
 from trajopt.robot.robot import Robot
@@ -58,6 +59,7 @@ BIPED = _by_name(
 HOPPER = _by_name(Gait(name="hop", duty=0.5, offsets={"foot": 0.0}))
 
 
+@checked
 def gait_of(robot: Robot, name: str) -> Gait:
     """The gait of that name on the feet of a robot: a quadruped, a biped or a hopper.
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
@@ -16,6 +17,7 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.terrain import Terrain
 
 
+@checked
 def footholds_at(robot: Robot, q: np.ndarray, terrain: Terrain | None = None) -> dict[str, np.ndarray]:
     """Points (3,) of the ground that contacts touch at ``q`` (nq,), world, m, by the contact's name.
 
@@ -36,6 +38,7 @@ def _normal_under(terrain: Terrain, place: np.ndarray) -> np.ndarray:
     return terrain.normal(place[0], place[1])
 
 
+@checked
 def placed_on(schedule: Schedule, terrain: Terrain, *, free: bool = False) -> Schedule:
     """The schedule with every foothold moved vertically onto the ground.
 

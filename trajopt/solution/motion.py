@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
@@ -48,6 +49,7 @@ class SolutionMotion:
         return rows_of(self.solution.polynomials.at(np.array([number]), fraction), 0)
 
 
+@checked
 def motion_of(solution: Solution) -> Motion:
     """Return the motion of a solution as a guess or a reference: a time in s -> configuration (nq,).
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
@@ -85,6 +85,7 @@ class Continuation:
 
 
 @accepts_compile
+@checked
 def continuation(
     load: Callable[[float], Problem],
     values: Sequence[float],
@@ -118,7 +119,9 @@ def continuation(
     Raises:
         InputError: As ``load`` and `trajopt.solve` do.
     """
-    asked = _numbers(values)
+    asked = tuple(float(value) for value in values)
+    if not asked:
+        raise InputError("values of continuation are empty", "allowed: at least one finite number")
     if not isinstance(max_halvings, int) or isinstance(max_halvings, bool) or max_halvings < 0:
         raise InputError(f"max_halvings is {max_halvings!r}", "allowed: a whole number of at least 0")
     walk = _Walk(load, (transcription, intervals), settings, on_step, start)
@@ -156,7 +159,6 @@ def nearest(
     Raises:
         InputError: As ``load`` and `trajopt.solve` do.
     """
-    _numbers((first, asked))
     walk = _Walk(load, (transcription, intervals), settings, on_step, None)
     value, beyond = first, asked
     for _ in range(most):
@@ -171,16 +173,6 @@ def nearest(
         key=lambda step: -abs(step.value - asked),
         default=None,
     )
-
-
-def _numbers(values: Sequence[float]) -> tuple[float, ...]:
-    try:
-        asked = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
-        asked = ()
-    if not asked or not all(math.isfinite(value) for value in asked):
-        raise InputError(f"values of a continuation are {values!r}", "allowed: at least one finite number")
-    return asked
 
 
 @dataclass

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.graded import solve_graded
-from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.transcription import chosen_mesh
 
 # A scheme and a number of intervals over the whole schedule; None is the problem's.
@@ -63,6 +63,7 @@ def total_effort(solutions: Sequence[Solution]) -> dict[str, Any]:
 
 
 @accepts_compile
+@checked
 def solve_ladder(
     problem: Problem,
     ladder: Sequence[GridLevel],
@@ -88,7 +89,7 @@ def solve_ladder(
     Raises:
         InputError: As `trajopt.solve` does, and for a ladder without grids.
     """
-    rungs = [_mesh(problem, entry) for entry in ladder]
+    rungs = [chosen_mesh(problem, *entry) for entry in ladder]
     if not rungs:
         raise InputError("the ladder has no rung", "allowed: pairs of scheme and number of intervals")
     found: list[Solution] = []
@@ -107,10 +108,3 @@ def solve_ladder(
         own = {**settings, "label": FROM_DEFAULT_GUESS}
         cold = solve_graded(problem, mesh=rungs[-1], refine=False, **own).solution
     return Ladder(rungs=tuple(found), cold=cold)
-
-
-def _mesh(problem: Problem, entry: GridLevel) -> Mesh:
-    """The mesh of a rung; wrong ones are refused before anything is solved."""
-    if not isinstance(entry, tuple | list) or len(entry) != 2:
-        raise InputError(f"rung {entry!r}", "allowed: (scheme, intervals), such as ('legendre:1', 15)")
-    return chosen_mesh(problem, *entry)

@@ -147,7 +147,8 @@ class Rows:
     unit: Annotated[np.ndarray, ArrayShape((None,))]
 
     @classmethod
-    def create(cls, expression: ca.SX, lower: object, upper: object, unit: object) -> Rows:
+    @checked
+    def create(cls, expression: ca.SX | ca.DM, lower: object, upper: object, unit: object) -> Rows:
         """Rows with scalars broadcast to the expression's length.
 
         Args:

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError, not_among, renamed
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -41,6 +42,7 @@ REST = 1e-2
 REST_OF_LINEAR = 1e-1
 
 
+@checked
 def effort_costs(
     *, acceleration: float = 1e-2, velocity: float = 1e-2, posture: float = 1e-1, joints_only: bool = False
 ) -> tuple[Cost, ...]:
@@ -62,6 +64,7 @@ def effort_costs(
 
 
 @renamed(phase="at")
+@checked
 def goal_terms(
     goal: str,
     robot: Robot,

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from trajopt.arguments import checked
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
@@ -27,6 +28,7 @@ from trajopt.terrain.terrain import Terrain
 SAMPLES = 101
 
 
+@checked
 def swing_clearance(
     robot: Robot, schedule: Schedule, terrain: Terrain, *, height: float, guess: Motion
 ) -> tuple[Term, ...]:
@@ -146,6 +148,7 @@ def _last_before(distances: np.ndarray) -> int:
     return int(max(beyond[0] - 1, 0)) if len(beyond) else len(distances) - 1
 
 
+@checked
 def swing_arcs(
     schedule: Schedule,
     contacts: tuple[str, ...],

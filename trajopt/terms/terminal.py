@@ -29,6 +29,7 @@ from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
 RANK_TOLERANCE = 1e-6
 
 
+@checked
 def free_directions(
     robot: Robot,
     q: np.ndarray,

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.arguments import NonNegative, checked
-from trajopt.errors import InputError, finite_array, is_number, numbers_of
+from trajopt.arguments import NonNegative, Positive, checked
+from trajopt.errors import InputError, finite_array, numbers_of
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface
 
 # Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
@@ -71,10 +71,11 @@ class Patch:
             )
 
     @classmethod
+    @checked
     def rectangle(
         cls,
         centre: Sequence[float] | np.ndarray,
-        size: tuple[float, float],
+        size: tuple[Positive, Positive],
         *,
         yaw: float = 0.0,
         friction: float = 0.7,
@@ -83,8 +84,6 @@ class Patch:
     ) -> Patch:
         """A level rectangle: ``centre`` (3,) m, ``size`` along its own axes in m, turned by ``yaw`` rad."""
         middle = finite_array(f"centre of patch '{name}'", centre, unit="m")
-        if len(size) != 2 or not all(is_number(length) and length > 0 for length in size):
-            raise InputError(f"size of patch '{name}' is {size!r} m", "allowed: two lengths > 0")
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(size) / 2
         vertices = middle + np.column_stack([corners @ turn.T, np.zeros(4)])

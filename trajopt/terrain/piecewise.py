@@ -138,6 +138,7 @@ class PiecewiseTerrain:
         return cls(faces=tuple(Patch.from_description(face) for face in faces))
 
     @classmethod
+    @checked
     def steps(
         cls,
         heights: Sequence[float],
@@ -166,6 +167,7 @@ class PiecewiseTerrain:
         return cls(faces=tuple(place.rectangle(name, (a, b), side, (z, z)) for name, a, b, z in strips))
 
     @classmethod
+    @checked
     def stairs(
         cls,
         rise: float,
@@ -186,6 +188,7 @@ class PiecewiseTerrain:
         return cls.steps(heights, run, width=width, at=at, yaw=yaw, friction=friction, margin=margin)
 
     @classmethod
+    @checked
     def box(
         cls,
         height: float,
@@ -216,6 +219,7 @@ class PiecewiseTerrain:
         return cls(faces=faces)
 
     @classmethod
+    @checked
     def gap(
         cls,
         width: float,
@@ -240,6 +244,7 @@ class PiecewiseTerrain:
         return cls(faces=faces)
 
     @classmethod
+    @checked
     def slope(
         cls,
         rise: float,
@@ -262,6 +267,7 @@ class PiecewiseTerrain:
         return cls(faces=faces)
 
     @classmethod
+    @checked
     def stepping_stones(
         cls,
         centres: Sequence[PlanePoint] | np.ndarray,

@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from trajopt.arguments import checked
 from trajopt.terrain.crossing import Crossing, Edge, crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
@@ -33,6 +34,7 @@ DONE = np.array([smooth_step(float(time)) for time in TIMES])
 SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
 
+@checked
 def swing_path(
     terrain: Terrain,
     clearance: float,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
@@ -15,6 +16,7 @@ Terrain = FlatGround | PiecewiseTerrain | SmoothTerrain
 Ground = Surface | CurvedSurface
 
 
+@checked
 def terrain_from_description(described: Any) -> Terrain:
     """The terrain that ``describe`` wrote. Raises `InputError`."""
     kind = described.get("kind") if isinstance(described, dict) else described

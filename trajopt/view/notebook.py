@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 
@@ -38,6 +39,7 @@ class InlinePlot:
         return self.png
 
 
+@checked
 def show(
     solutions: Solution | Sequence[Solution],
     *,
@@ -61,7 +63,7 @@ def show(
     """
     from trajopt.view.replay.show import replay
 
-    if not isinstance(height, int) or height < LEAST_HEIGHT:
+    if height < LEAST_HEIGHT:
         raise InputError(f"height is {height}", f"allowed: {LEAST_HEIGHT} pixels or more")
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "replay.html"
@@ -69,6 +71,7 @@ def show(
         return InlineReplay(page.read_text(encoding="utf-8"), height)
 
 
+@checked
 def plots(
     solutions: Solution | Sequence[Solution],
     *,

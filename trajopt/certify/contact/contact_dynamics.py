@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from trajopt.arguments import checked
 from trajopt.certify.contact.contact_response import ContactRank, contact_rank, contact_response, mass_factor
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.dynamics.base_joint import BASE_ROWS, base_of
@@ -54,6 +55,7 @@ class InverseDynamics:
     base_residual: np.ndarray
 
 
+@checked
 def forward_dynamics(
     model: pin.Model, q: np.ndarray, v: np.ndarray, tau: np.ndarray, contacts: ContactSet
 ) -> ContactMotion:

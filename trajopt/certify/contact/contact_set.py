@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
 from trajopt.robot.contact import Contact, require_frame
@@ -41,6 +42,7 @@ class ContactSet:
     moment_arm: float
 
     @classmethod
+    @checked
     def of(
         cls,
         model: pin.Model,

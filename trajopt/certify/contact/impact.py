@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.arguments import checked
 from trajopt.certify.contact.contact_dynamics import require_arrays
 from trajopt.certify.contact.contact_response import ContactRank, contact_rank, contact_response, mass_factor
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
@@ -79,6 +80,7 @@ class Impact:
         return self.jump - self.impulse
 
 
+@checked
 def impact(model: pin.Model, q: np.ndarray, v_minus: np.ndarray, contacts: ContactSet) -> Impact:
     """Return velocity and impulses after the impact of ``contacts``, all that hold afterwards.
 
@@ -130,6 +132,7 @@ def total_wrench(
     return MomentumAbout(linear=linear, angular=angular, point=centre)
 
 
+@checked
 def cone_margins(wrenches: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> np.ndarray:
     """Return ``mu f_n - |f_t|`` (n,) of forces or impulses: negative outside Coulomb's cone.
 

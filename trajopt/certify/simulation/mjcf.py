@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.arguments import checked
 from trajopt.certify.simulation.bodies import (
     body_name,
     joint_axis,
@@ -47,6 +48,7 @@ PARTS = {
 DRIVE_ATTRIBUTES = {"armature": "dof_armature", "damping": "dof_damping", "frictionloss": "dof_frictionloss"}
 
 
+@checked
 def write_mjcf(solution: SolutionOrFile, path: str | Path) -> Path:
     """Write the model that `simulate` builds of a plan as an MJCF file; return its path.
 

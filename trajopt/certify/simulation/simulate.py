@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.arguments import checked
 from trajopt.certify.simulation import figures
 from trajopt.certify.simulation.bodies import muted_mujoco
 from trajopt.certify.simulation.reference import ReferenceTrajectory, reference_of
@@ -44,6 +45,7 @@ class Simulation:
         return simulated_solution(self.plan, self.reference, self.record, self.world, self.report)
 
 
+@checked
 def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     """Run a plan in MuJoCo with its torques and feedback of the joints.
 

@@ -70,6 +70,7 @@ class Drive:
             )
 
     @classmethod
+    @checked
     def from_motor(
         cls,
         *,

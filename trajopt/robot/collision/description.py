@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError
 from trajopt.robot.collision.near import CollisionScene, ShapePair
@@ -93,6 +94,7 @@ class RobotShapes:
         )
 
 
+@checked
 def robot_shapes(robot: Robot) -> RobotShapes:
     """Return the shapes of a robot's description, and the pairs of them that must not touch.
 

@@ -10,6 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.robot.collision.fitting import Segment, enclosing_capsule, round_corners
 from trajopt.robot.collision.reading import joint_frame
@@ -23,6 +24,7 @@ MERGED = 2.0
 SOURCES: tuple[Source, ...] = ("collision", "visual", "inertia")
 
 
+@checked
 def robot_capsules(
     robot: Robot,
     *,

@@ -16,16 +16,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.arguments import checked
 from trajopt.dynamics import rigid_body
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.dynamics.rerooting import joint_motion, path_to_base, reroot
-from trajopt.errors import InputError, finite_array
+from trajopt.errors import InputError
+from trajopt.kinds import ArrayShape
 from trajopt.robot.building import joint_entries
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
@@ -136,7 +139,10 @@ def _evaluated(
     return [np.array(output).T.reshape(*q.shape[:-1], -1) for output in outputs]
 
 
-def stance_mode(robot: Robot, contact: str, *, anchor: ArrayLike | None = None) -> StanceMode:
+@checked
+def stance_mode(
+    robot: Robot, contact: str, *, anchor: Annotated[ArrayLike, ArrayShape((3,))] | None = None
+) -> StanceMode:
     """Return the minimal coordinates of ``robot`` while it stands on one point contact.
 
     Args:
@@ -158,7 +164,7 @@ def stance_mode(robot: Robot, contact: str, *, anchor: ArrayLike | None = None) 
         _require_plane(robot, chosen)
     here = contact_positions(robot, robot.reference)[contact]
     given = here if anchor is None else anchor
-    place = finite_array(f"anchor of the stance on '{contact}'", given, unit="m")
+    place = np.asarray(given, dtype=float)
     if robot.base == "planar":  # the contact stays at its own distance from the plane
         normal = robot.model.jointPlacements[1].rotation[:, 2]
         place = place + normal * float(normal @ (here - place))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from trajopt.arguments import checked
 from trajopt.certify.accuracy.measures import Accuracy, measure
 from trajopt.errors import require_positive
 from trajopt.problem import Problem
@@ -73,6 +74,7 @@ class TargetSolve:
 
 
 @accepts_compile
+@checked
 def solve_to_accuracy(
     problem: Problem,
     accuracy: float,
@@ -100,6 +102,7 @@ def solve_to_accuracy(
 
 
 @accepts_compile
+@checked
 def solve_within(
     problem: Problem,
     budget: float,

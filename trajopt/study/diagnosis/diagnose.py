@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.problem.problem import Problem
@@ -39,6 +40,7 @@ SAME = 1e-4
 
 
 @accepts_compile
+@checked
 def diagnose(
     what: Solution | PreparedProblem | str | Path,
     problem: Problem | None = None,

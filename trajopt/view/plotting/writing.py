@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.solution.input import solutions_of
 from trajopt.solution.output import check_output, replacing
@@ -37,6 +38,7 @@ class Plotted:
     pages: tuple[str, ...]
 
 
+@checked
 def write_plots(
     solutions: Solution | str | Path | Sequence[Solution | str | Path],
     target: str | Path,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from trajopt.arguments import checked
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solution.output import check_output, replacing
 from trajopt.solving.interruption import LOOK
@@ -43,6 +44,7 @@ class Replay:
             self.window.close()
 
 
+@checked
 def replay(
     solutions: SolutionOrFile | Sequence[SolutionOrFile],
     html: str | Path | None = None,
