@@ -4,7 +4,6 @@ import numpy as np
 
 import trajopt
 from trajopt import Phase, Problem, Schedule, terms
-from trajopt.robot import inverse_kinematics
 from trajopt.schedule import start_of
 
 TOOL = "tool0"
@@ -13,20 +12,6 @@ WAYPOINTS = np.array([[0.45, 0.25, 0.55], [0.55, -0.05, 0.35], [0.35, -0.40, 0.5
 GUESSED, SHORTEST, LONGEST = 0.6, 0.05, 3.0  # s, from one waypoint to the next
 
 robot = trajopt.robot("ur5")
-
-# Postures at the waypoints, each from the one before: for the guess.
-postures = [robot.reference]
-for place in WAYPOINTS:
-    found = inverse_kinematics(robot, postures[-1], {TOOL: place})
-    assert found.error < 1e-6, f"{place} m is out of reach by {found.error:.2g} m"
-    postures.append(found.q)
-
-
-def guess(t: float) -> np.ndarray:
-    """Straight from posture to posture (nq,)."""
-    i = int(np.clip(t / GUESSED, 0, len(WAYPOINTS) - 1))
-    return postures[i] + (t / GUESSED - i) * (postures[i + 1] - postures[i])
-
 
 # One phase to each waypoint, of free duration.
 legs = [
@@ -37,7 +22,6 @@ problem = Problem(
     name="arm-waypoints",
     robot=robot,
     schedule=Schedule(tuple(legs)),
-    guess=guess,
     terms=(
         terms.TimeCost(weight=1.0),
         terms.AccelerationCost(weight=1e-4),  # smooth where time alone leaves a choice
@@ -45,7 +29,7 @@ problem = Problem(
         terms.FramePose(frame=TOOL, position=WAYPOINTS[0], at=start_of("second")),
         terms.FramePose(frame=TOOL, position=WAYPOINTS[1], at=start_of("third")),
         terms.FramePose(frame=TOOL, position=WAYPOINTS[2]),  # at the end
-        terms.TerminalRest(q=postures[-1]),
+        terms.TerminalRest(),
     ),
 )
 

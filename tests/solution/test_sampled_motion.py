@@ -93,7 +93,14 @@ def test_npz_has_all_fields_without_pickles(motion: SampledMotion, tmp_path: Pat
         read = {name: archive[name] for name in archive.files}
     for name, values in motion.arrays.items():
         assert_array_equal(read[name], values)
-    for name in ("position_names", "velocity_names", "torque_names", "contact_frames", "phase_names"):
+    for name in (
+        "position_names",
+        "velocity_names",
+        "torque_names",
+        "contact_frames",
+        "contact_names",
+        "phase_names",
+    ):
         assert tuple(read[name]) == getattr(motion, name)
     assert (str(read["quaternion"]), str(read["base_velocity"])) == ("wxyz", "world")
 

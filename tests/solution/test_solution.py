@@ -82,6 +82,9 @@ def test_phases_and_intervals_are_ranges_of_samples(jump):
     assert [len(phase) for phase in jump.phases] == [4 * INTERVALS] * 2
     assert jump.intervals[INTERVALS] == range(4 * INTERVALS, 4 * INTERVALS + 4)
     assert jump.contact_frames == ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+    assert jump.contact_names == tuple(contact.name for contact in robots.load("solo12").contacts)
+    old = {key: value for key, value in jump.meta.items() if key != "contact_names"}
+    assert replace(jump, meta=old).contact_names == jump.contact_frames
     assert jump.n_unactuated == 6
 
 
@@ -166,9 +169,11 @@ def test_foreign_file_is_refused(saved, write, message):
                 "contact_kinds": ["point"],
                 "friction": [1.0],
                 "contact_radius": [0.0],
+                "contact_names": ["paw"],
             },
             r"'f' has shape",
         ),
+        ({"contact_names": ["paw"]}, "contact_names .* a name for each of the 0 contact_frames"),
         ({"effort_limit": [1.0]}, "effort_limit of meta has 1 entries, expected 6"),
         ({"velocity_limit": "fast"}, "velocity_limit of meta is not null"),
         ({"success": "yes"}, "success of meta"),

@@ -12,6 +12,7 @@ import numpy as np
 from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.problem.acting_terms import require_acting
+from trajopt.problem.default_guess import default_guess
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.problem.places import Stances, require_places
 from trajopt.problem.validation import (
@@ -63,7 +64,8 @@ class Problem:
         initial_v: velocity at the start (nv,), default rest.
         terms: costs and constraints.
         guess: time in s -> configuration (nq,), a motion that follows the schedule and is defined a little
-            beyond its ends. Rates follow by differences, contact forces by a distribution that balances it.
+            beyond its ends; default from goal to goal, see `default_guess`. Rates follow by differences,
+            contact forces by a distribution that balances it.
         parameters: values of the family's parameters.
         default_intervals: number of intervals if the caller gives none.
         default_transcription: transcription if the caller gives none.
@@ -85,7 +87,7 @@ class Problem:
     robot: Robot
     schedule: Schedule
     terms: tuple[Term, ...]
-    guess: Motion
+    guess: Motion = None  # type: ignore[assignment]
     terrain: Terrain = field(default_factory=FlatGround)
     initial_q: np.ndarray = None  # type: ignore[assignment]
     initial_v: np.ndarray = None  # type: ignore[assignment]
@@ -130,6 +132,9 @@ class Problem:
             bounds = checked_duration_bounds(self.name, schedule, self.duration_bounds)
             object.__setattr__(self, "duration_bounds", bounds)
         require_acting(robot, schedule, self.terms)
+        if self.guess is None:
+            where = {"terrain": self.terrain, "start": self.initial_q, "periodicity": self.periodicity}
+            object.__setattr__(self, "guess", default_guess(robot, schedule, self.terms, **where))
         first = schedule.names[0]
         limits = [rows for rows in self.point_constraints if rows.acts_in(first) and self.periodicity is None]
         require_start(self.name, robot, *start, limits)

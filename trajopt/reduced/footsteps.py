@@ -11,12 +11,10 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.errors import InputError, finite_array, require_finite, require_positive
-from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terrain.surface import UP
-from trajopt.terrain.terrain import Terrain
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,17 +88,6 @@ class FootstepPlan:
             )
             before = support.feet
         return Schedule(tuple(phases))
-
-
-def landing_place(phase: Phase, contact: Contact, terrain: Terrain, point: np.ndarray) -> np.ndarray:
-    """Return where a contact's frame lands (3,), m: over its foothold, else over its ground at ``point``."""
-    centre = phase.centre(contact, terrain)
-    if centre is not None:
-        return centre
-    if contact.name in phase.patches:
-        return np.asarray(phase.patches[contact.name].offset(contact.radius).nearest(point))
-    surface = phase.surface(contact.name, terrain, contact.radius).plane_at(point)
-    return np.asarray(point - float(surface.distance(point)) * surface.normal)
 
 
 def support_vertices(robot: Robot, support: StepPhase, shrink: float = 0.0) -> np.ndarray:

@@ -25,11 +25,12 @@ from trajopt.arguments import checked
 from trajopt.dynamics.rotations import rotation_matrix
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.footsteps import Foothold, FootstepPlan, StepPhase, feet_of, landing_place
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, StepPhase, feet_of
 from trajopt.robot.kinematics import frame_pose, inverse_kinematics
 from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.schedule.placing import landing_place
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.costs import AccelerationCost, TimeCost, VelocityCost, WrenchCost

@@ -93,7 +93,7 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
         move_base: whether the base may move, too.
 
     Raises:
-        InputError: for an unknown frame, no target, a position that is not (3,) and a ``q`` that is not (nq,).
+        InputError: for an unknown frame, no target, and shapes other than these.
     """
     _require_size(robot, q)
     _require_targets(robot, targets)

@@ -14,7 +14,6 @@ from trajopt.errors import InputError, finite_array
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import require_frame
 from trajopt.robot.robot import Robot
-from trajopt.scenes.guess import SceneGuess, end_posture
 from trajopt.scenes.smallest_scene import Plane, Scene, smallest
 from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Motion, Schedule
@@ -70,7 +69,7 @@ def scene(
         costs: Default: torques 1, contact forces, accelerations and rates 1e-2, distance from the start 1e-1,
             each over its natural unit.
         terms: More constraints or costs.
-        guess: Motion t -> (nq,); default: by inverse kinematics from the start to the goals.
+        guess: Motion t -> (nq,); default: as of `Problem`.
         name: Of the problem.
         keep: Joints that are never locked.
         plane: As in `smallest`.
@@ -90,7 +89,6 @@ def scene(
     posture = _posture(robot, goals)
     if posture is not None:
         schedule = _landing_on(robot, schedule, ground, posture)
-    end = posture if posture is not None else end_posture(robot, schedule, ground, first, targets)
     problem = Problem(
         name=name,
         robot=robot,
@@ -102,11 +100,12 @@ def scene(
             *(_costs(schedule, first) if costs is None else costs),
             *_limits(robot, schedule, ground),
             *_goals(targets, posture),
-            *([TerminalRest(q=end)] if rest else []),
+            *([TerminalRest()] if rest else []),
             *terms,
         ),
-        guess=SceneGuess(robot, schedule, ground, first, end) if guess is None else guess,
     )
+    if guess is not None:
+        problem = replace(problem, guess=guess)
     return smallest(problem, keep=keep, plane=plane)
 
 

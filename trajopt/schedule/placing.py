@@ -8,6 +8,7 @@ import numpy as np
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError
+from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
@@ -83,3 +84,14 @@ def _onto(terrain: Terrain, point: np.ndarray, what: str) -> np.ndarray:
     plane = terrain.surface_at(point).plane_at(point)
     upward = np.array([0.0, 0.0, float(plane.distance(point)) / float(plane.normal[2])])
     return np.asarray(point - upward)
+
+
+def landing_place(phase: Phase, contact: Contact, terrain: Terrain, point: np.ndarray) -> np.ndarray:
+    """Return where a contact's frame lands (3,), m: over its foothold, else over its ground at ``point``."""
+    centre = phase.centre(contact, terrain)
+    if centre is not None:
+        return centre
+    if contact.name in phase.patches:
+        return np.asarray(phase.patches[contact.name].offset(contact.radius).nearest(point))
+    surface = phase.surface(contact.name, terrain, contact.radius).plane_at(point)
+    return np.asarray(point - float(surface.distance(point)) * surface.normal)

@@ -70,6 +70,9 @@ def _wrong_meta(meta: dict[str, Any]) -> str:
         return "contact_frames, contact_kinds and friction of meta must be lists"
     if not len(frames) == len(kinds) == len(friction):
         return f"meta has {len(frames)} contact_frames, {len(kinds)} contact_kinds, {len(friction)} friction"
+    names = meta.get("contact_names", frames)
+    if not isinstance(names, list) or len(names) != len(frames) or not all(isinstance(n, str) for n in names):
+        return f"contact_names {names} are not a name for each of the {len(frames)} contact_frames"
     if not all(kind in ("point", "surface") for kind in kinds):
         return f"contact_kinds {kinds} are not all 'point' or 'surface'"
     if not all(is_number(mu) and mu >= 0 for mu in friction):

@@ -59,6 +59,7 @@ class SampledMotion:
     torque_names: tuple[str, ...]
     angle_names: tuple[str, ...]
     contact_frames: tuple[str, ...]
+    contact_names: tuple[str, ...]
     contact_kinds: tuple[str, ...]
     phase_names: tuple[str, ...]
     quaternion: QuaternionOrder

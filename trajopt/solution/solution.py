@@ -104,6 +104,11 @@ class Solution:
         return tuple(self.meta["contact_frames"])
 
     @property
+    def contact_names(self) -> tuple[str, ...]:
+        """Name of each contact, in the same order; of files without names their frames."""
+        return tuple(self.meta.get("contact_names") or self.meta["contact_frames"])
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Joints of the model in Pinocchio's order, a moving base's among them."""
         return tuple(self.model.names)[1:]
@@ -264,6 +269,7 @@ class Solution:
             torque_names=self.torque_names,
             angle_names=angle_names,
             contact_frames=self.contact_frames,
+            contact_names=self.contact_names,
             contact_kinds=tuple(self.meta["contact_kinds"]),
             phase_names=self.phase_names,
             quaternion=quaternion,

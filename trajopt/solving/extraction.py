@@ -220,6 +220,7 @@ def robot_meta(problem: Problem) -> dict[str, Any]:
     meta: dict[str, Any] = {
         "robot": robot.name,
         "contact_frames": [contact.frame for contact in robot.contacts],
+        "contact_names": [contact.name for contact in robot.contacts],
         "contact_kinds": [contact.kind for contact in robot.contacts],
         "contact_sizes": [
             [c.half_length, c.half_width] if c.kind == "surface" else None for c in robot.contacts

@@ -1,0 +1,182 @@
+"""The guess of problems that give none: goals at their moments, feet where they stand, free falls."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+import trajopt
+from trajopt import Phase, Problem, Schedule, end_of, terms
+from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
+from trajopt.problem.default_guess import default_guess
+from trajopt.problem.periodicity import Periodicity
+from trajopt.robot.kinematics import contact_positions, frame_pose
+from trajopt.robot.robot import Robot
+from trajopt.schedule import footholds_at
+from trajopt.terrain import Ramp, SmoothTerrain
+from trajopt_library import robots
+
+# Of inverse kinematics, m.
+REACHED = 1e-6
+FORWARD = np.array([0.06, 0.0, 0.0])
+TIMES = np.linspace(0.0, 1.0, 21)
+EFFORT = terms.TorqueCost(weight=1.0)
+
+
+def leap(robot: Robot, *, by: float = FORWARD[0], landed: bool = True) -> Problem:
+    """All contacts, none, and all again on footholds ahead."""
+    feet = tuple(contact.name for contact in robot.contacts)
+    goal = robot.reference.copy()
+    goal[0] += by
+    footholds = footholds_at(robot, goal) if landed else {}
+    phases = (
+        Phase(name="push", duration=0.4, contacts=feet),
+        Phase(name="flight", duration=0.2),
+        Phase(name="landing", duration=0.4, contacts=feet, footholds=footholds),
+    )
+    return Problem(
+        name="leap", robot=robot, schedule=Schedule(phases), terms=(EFFORT, terms.TerminalState(q=goal))
+    )
+
+
+def feet_of(robot: Robot) -> dict[str, np.ndarray]:
+    """Positions of the contacts that stand in the reference posture; hands are higher."""
+    places = contact_positions(robot, robot.reference)
+    lowest = min(place[2] for place in places.values())
+    return {name: place for name, place in places.items() if place[2] < lowest + 0.01}
+
+
+def step(robot: Robot) -> Problem:
+    """The first foot is put forward, then the second one is lifted and put down where it was."""
+    first, second, *others = feet_of(robot)
+    there = {first: footholds_at(robot, robot.reference)[first] + FORWARD}
+    phases = (
+        Phase(name="first", duration=0.5, contacts=(second, *others)),
+        Phase(name="second", duration=0.3, contacts=(first, *others), footholds=there),
+        Phase(name="end", duration=0.2, contacts=(first, second, *others)),
+    )
+    return Problem(name="step", robot=robot, schedule=Schedule(phases), terms=(EFFORT,))
+
+
+@pytest.mark.parametrize("name", ["solo12", "anymal_c", "talos"])
+def test_feet_stand_still_on_their_footholds_and_swing_above_the_ground(name: str) -> None:
+    robot = robots.load(name)
+    problem, here = step(robot), feet_of(robot)
+    first, second, *others = here
+    for t in TIMES:
+        places = contact_positions(robot, problem.guess_at(t))
+        for contact in others:
+            assert_allclose(places[contact], here[contact], atol=REACHED)
+        if t <= 0.5 or t >= 0.8:
+            assert_allclose(places[second], here[second], atol=REACHED)
+        if t >= 0.5:
+            assert_allclose(places[first], here[first] + FORWARD, atol=REACHED)
+    lifted = contact_positions(robot, problem.guess_at(0.25))[first]
+    assert lifted[2] > here[first][2] + 0.1 * robot.length
+
+
+@pytest.mark.parametrize("name", ["solo12", "solo12 with a virtual base", "hopper"])
+def test_flight_is_a_free_fall_for_base_and_feet(name: str) -> None:
+    robot = robots.load(name.split()[0])
+    robot = robot.with_virtual_base() if "virtual" in name else robot
+    problem = leap(robot)
+    before, apex, after = (problem.guess_at(t) for t in (0.4, 0.5, 0.6))
+    height = 2 if robot.base != "planar" else 1
+    rise = apex[height] - 0.5 * (before[height] + after[height])
+    assert rise == pytest.approx(STANDARD_GRAVITY * 0.2**2 / 8, rel=1e-3)
+    ground = contact_positions(robot, robot.reference)
+    for contact, place in contact_positions(robot, apex).items():
+        assert place[2] > ground[contact][2] + 0.9 * rise
+
+
+def test_goals_are_reached_at_their_moments() -> None:
+    robot = robots.load("ur5")
+    first, second = np.array([0.45, 0.25, 0.55]), np.array([0.55, -0.05, 0.35])
+    turned = pin.rpy.rpyToMatrix(0.3, 0.2, 0.1) @ frame_pose(robot, robot.reference, "tool0").rotation
+    problem = Problem(
+        name="waypoints",
+        robot=robot,
+        schedule=Schedule((Phase(name="first", duration=0.7), Phase(name="second", duration=0.3))),
+        terms=(
+            terms.FramePose(frame="tool0", position=first, at=end_of("first")),
+            terms.FramePose(frame="tool0", position=second, rotation=turned),
+        ),
+    )
+    assert_allclose(problem.guess_at(0.0), robot.reference)
+    assert_allclose(frame_pose(robot, problem.guess_at(0.7), "tool0").translation, first, atol=REACHED)
+    end = frame_pose(robot, problem.guess_at(1.0), "tool0")
+    assert_allclose(end.translation, second, atol=REACHED)
+    assert_allclose(end.rotation, turned, atol=REACHED)
+    assert_allclose(problem.guess_at(1.2), problem.guess_at(1.0))
+
+
+def test_a_rotation_alone_is_reached_in_place() -> None:
+    robot = robots.load("ur5")
+    here = frame_pose(robot, robot.reference, "tool0")
+    turned = here.rotation @ pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
+    schedule = Schedule((Phase(name="all", duration=1.0),))
+    guess = default_guess(robot, schedule, [terms.FramePose(frame="tool0", rotation=turned)])
+    end = frame_pose(robot, guess(1.0), "tool0")
+    assert_allclose(end.rotation, turned, atol=REACHED)
+    assert_allclose(end.translation, here.translation, atol=REACHED)
+
+
+def test_a_base_is_carried_to_where_its_feet_land() -> None:
+    robot = robots.load("solo12")
+    schedule = leap(robot, by=0.3).schedule
+    base = robot.reference[:3] + np.array([0.3, 0.0, 0.02])
+    guess = default_guess(robot, schedule, [terms.FramePose(frame="base_link", position=base)])
+    assert_allclose(guess(1.0)[:3], base, atol=REACHED)
+
+
+def test_a_landing_without_foothold_is_on_the_ground_below() -> None:
+    robot, hill = robots.load("solo12"), SmoothTerrain(shapes=(Ramp(rise=0.05, length=0.3, at=(0.4, 0.0)),))
+    goal = robot.reference.copy()
+    goal[:3] += [0.8, 0.0, 0.05]
+    schedule = leap(robot, landed=False, by=0.0).schedule
+    guess = default_guess(robot, schedule, [terms.TerminalState(q=goal)], terrain=hill)
+    radius = robot.contacts[0].radius
+    for x, y, z in contact_positions(robot, guess(0.7)).values():
+        assert z - radius == pytest.approx(float(hill.height(x, y)), abs=1e-3)
+
+
+def test_a_periodic_motion_ends_at_the_image_of_its_start() -> None:
+    robot = robots.load("solo12")
+    feet = tuple(contact.name for contact in robot.contacts)
+    phases = Phase(name="stance", duration=0.5, contacts=feet), Phase(name="flight", duration=0.1)
+    problem = Problem(
+        name="cycle",
+        robot=robot,
+        schedule=Schedule(phases),
+        terms=(EFFORT,),
+        periodicity=Periodicity(velocity=(0.5, 0.0, 0.0)),
+    )
+    assert_allclose(problem.guess_at(0.6)[:3] - problem.guess_at(0.0)[:3], [0.3, 0.0, 0.0], atol=REACHED)
+
+
+def test_an_arm_finds_its_way_without_a_guess() -> None:
+    robot = robots.load("ur5")
+    goal = terms.FramePose(frame="tool0", position=np.array([0.45, 0.25, 0.55]))
+    problem = Problem(
+        name="reach",
+        robot=robot,
+        schedule=Schedule((Phase(name="all", duration=1.0),)),
+        terms=(terms.AccelerationCost(weight=1.0), terms.TorqueLimits(), goal, terms.TerminalRest()),
+    )
+    assert trajopt.solve(problem).meta["success"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["solo12", "go2"])
+def test_a_quadruped_leaps_without_a_guess(name: str) -> None:
+    problem = leap(robots.load(name), by=0.2)
+    limits = terms.TorqueLimits(), terms.PositionLimits(), terms.VelocityLimits(), terms.FrictionPyramid()
+    costs = terms.effort_costs(acceleration=1e-2)
+    goal = problem.terms[1]
+    problem = replace(problem, terms=(*costs, *limits, goal, terms.TerminalRest()))
+    found = trajopt.solve(problem)
+    assert found.meta["success"], trajopt.check(found).failures()
