@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import trajopt
 from trajopt import Phase, Problem, Schedule, end_of, terms
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.problem.default_guess import default_guess
+from trajopt.problem.guessing import default_guess
 from trajopt.problem.periodicity import Periodicity
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.robot import Robot

@@ -4,5 +4,6 @@ from .family import Choice as Choice
 from .family import Family as Family
 from .family import Parameter as Parameter
 from .family import choose as choose
+from .guessing import default_guess as default_guess
 from .periodicity import Periodicity as Periodicity
 from .problem import Problem as Problem

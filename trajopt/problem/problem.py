@@ -12,7 +12,7 @@ import numpy as np
 from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.problem.acting_terms import require_acting
-from trajopt.problem.default_guess import default_guess
+from trajopt.problem.guessing import default_guess
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.problem.places import Stances, require_places
 from trajopt.problem.validation import (
