@@ -100,7 +100,7 @@ def main(names: tuple[str, ...], resume: bool, only_document: bool) -> None:
 def publish(front: Published, resume: bool) -> None:
     """Run one sweep and copy what it wrote."""
     folder = WORK / front.name
-    command = ["sweep", *front.arguments, "--output-dir", str(folder)] + ["--resume"] * resume
+    command = ["bench", "sweep", *front.arguments, "--output-dir", str(folder)] + ["--resume"] * resume
     click.echo(f"trajopt {shlex.join(command)}", err=True)
     done = subprocess.run(
         [sys.executable, "-m", "trajopt", *command], stdout=subprocess.PIPE, text=True, check=False
@@ -124,7 +124,7 @@ def section(front: Published) -> str:
     lines = [
         f"### {front.name}, {front.what}",
         "",
-        f"    uv run trajopt sweep {shlex.join(front.arguments)}",
+        f"    uv run trajopt bench sweep {shlex.join(front.arguments)}",
         "",
         f"![{front.name}](front/{front.name}.png)",
         "",

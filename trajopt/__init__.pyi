@@ -1,6 +1,5 @@
 from . import robot as robot
 from .certify.check import check as check
-from .certify.simulation.simulate import simulate as simulate
 from .errors import InputError as InputError
 from .errors import TrajoptError as TrajoptError
 from .problem.catalogue import load as load
@@ -13,6 +12,7 @@ from .schedule.moment import middle_of as middle_of
 from .schedule.moment import start_of as start_of
 from .schedule.schedule import Phase as Phase
 from .schedule.schedule import Schedule as Schedule
+from .simulation.simulate import simulate as simulate
 from .solution.motion import motion_of as motion_of
 from .solution.solution import Solution as Solution
 from .solving.continuation import continuation as continuation

@@ -344,7 +344,7 @@ CONTRADICTIONS = {
     "solution": (("solve", *HOP[1:], "-o", "x.txt"), "x.txt does not end with .npz; allowed: NAME.npz"),
     "accuracy": (
         ("solve", *HOP[1:], "--accuracy", "1km"),
-        "'1km' is not a length, allowed: such as 1e-3, 1mm",
+        "'1km' is not a length above 0, allowed: such as 1e-3, 1mm",
     ),
 }
 

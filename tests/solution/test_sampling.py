@@ -245,7 +245,7 @@ def test_torques_of_drives_overcome_friction() -> None:
 
 def test_a_simulated_motion_is_sampled_too(hop: Solution) -> None:
     pytest.importorskip("mujoco")
-    from trajopt.certify.simulation.simulate import simulate
+    from trajopt.simulation.simulate import simulate
 
     simulated = simulate(hop).as_solution()
     motion = simulated.sample(250)

@@ -173,9 +173,11 @@ def test_budget_too_small_for_any_solve_says_so(front):
 
 def test_accuracy_and_budget_must_be_positive_numbers(front):
     for value in (0.0, -1.0, math.nan, math.inf, "1"):
-        with pytest.raises(InputError, match=r"accuracy is .* m; allowed: finite and > 0"):
+        with pytest.raises(
+            InputError, match=r"^accuracy of solve_to_accuracy is .*; allowed: a finite number > 0"
+        ):
             solve_to_accuracy(reach(), value, front=front)
-        with pytest.raises(InputError, match=r"budget is .* s; allowed: finite and > 0"):
+        with pytest.raises(InputError, match=r"^budget of solve_within is .*; allowed: a finite number > 0"):
             solve_within(reach(), value, front=front)
 
 
@@ -226,9 +228,9 @@ def test_command_that_misses_its_goal_ends_with_one(front, tmp_path):
         (("--accuracy", "1e-3", "--budget", "1s"), "--accuracy and --budget are both given"),
         (("--accuracy", "1e-3", "--intervals", "20"), "--intervals is given with --accuracy or --budget"),
         (("--budget", "1s", "--tolerance", "1e-3"), "--tolerance is given with --accuracy or --budget"),
-        (("--budget", "soon"), "'soon' is not a time, allowed: such as 0.5s, 500ms or 2min"),
-        (("--accuracy", "-1"), "accuracy is -1 m; allowed: finite and > 0"),
-        (("--accuracy", "nan"), "accuracy is nan m; allowed: finite and > 0"),
+        (("--budget", "soon"), "'soon' is not a time above 0, allowed: such as 0.5s, 500ms or 2min"),
+        (("--accuracy", "-1"), "'-1' is not a length above 0, allowed: such as"),
+        (("--accuracy", "nan"), "'nan' is not a length above 0, allowed: such as"),
         (("--front", "solo12-jump"), "--front has no effect here; allowed: with --accuracy or --budget"),
         (("--accuracy", "1e-3", "--front", "nowhere.csv"), "cannot read the front nowhere.csv"),
     ],

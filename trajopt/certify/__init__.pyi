@@ -4,4 +4,3 @@ from .contact.impact import cone_margins as cone_margins
 from .contact.impact import impact as impact
 from .energy_use import cost_of_transport as cost_of_transport
 from .energy_use import energy as energy
-from .simulation.mjcf import write_mjcf as write_mjcf

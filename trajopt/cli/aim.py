@@ -24,10 +24,10 @@ WITHOUT = ("ladder", "compare")
 
 
 class Quantity(click.ParamType):
-    """A number in SI units, or one with a unit of ``units``; ``such`` are examples for the message."""
+    """A number above zero in SI units, or one with a unit of ``units``; ``such`` are examples."""
 
-    def __init__(self, name: str, units: Mapping[str, float], such: str, *, positive: bool = False) -> None:
-        self.name, self.units, self.such, self.positive = name, units, such, positive
+    def __init__(self, name: str, units: Mapping[str, float], such: str) -> None:
+        self.name, self.units, self.such = name, units, such
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """The number in SI units."""
@@ -37,13 +37,13 @@ class Quantity(click.ParamType):
             found = float(text.removesuffix(unit)) * self.units.get(unit, 1.0)
         except ValueError:
             found = None
-        if found is None or (self.positive and not 0 < found < math.inf):
-            self.fail(f"'{value}' is not a {self.name}, allowed: such as {self.such}", param, ctx)
+        if found is None or not 0 < found < math.inf:
+            self.fail(f"'{value}' is not a {self.name} above 0, allowed: such as {self.such}", param, ctx)
         return found
 
 
 LENGTH = Quantity("length", {"mm": 1e-3, "cm": 1e-2, "m": 1.0}, "1e-3, 1mm or 0.1cm")
-TIME = Quantity("time", {"ms": 1e-3, "s": 1.0, "min": 60.0}, "0.5s, 500ms or 2min", positive=True)
+TIME = Quantity("time", {"ms": 1e-3, "s": 1.0, "min": 60.0}, "0.5s, 500ms or 2min")
 
 aim_options = option_group(
     click.option(

@@ -75,7 +75,7 @@ def export_command(
         motion = plan.sample(rate, **conventions)
         click.echo(f"{motion.save(target)}: {len(motion.t)} samples at {rate:g} Hz")
     else:
-        from trajopt.certify.simulation.mjcf import write_mjcf
+        from trajopt.simulation.mjcf import write_mjcf
 
         _refuse_options()
         click.echo(write_mjcf(file, target))

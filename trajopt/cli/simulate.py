@@ -37,7 +37,7 @@ def simulate_command(
     The model is made from the file alone. Exit status 0 when the plan is tracked, 1 when the robot falls or
     ends too far from it, 2 for bad input.
     """
-    from trajopt.certify.simulation.simulate import simulate
+    from trajopt.simulation.simulate import simulate
     from trajopt.solution.solution import Solution
 
     check_apart([output, html], [file])

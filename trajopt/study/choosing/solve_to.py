@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from trajopt.arguments import checked
+from trajopt.arguments import Positive, checked
 from trajopt.certify.accuracy.measures import Accuracy, measure
-from trajopt.errors import require_positive
 from trajopt.problem import Problem
 from trajopt.solution.descriptions import jsonable
 from trajopt.solution.solution import Solution
@@ -77,7 +76,7 @@ class TargetSolve:
 @checked
 def solve_to_accuracy(
     problem: Problem,
-    accuracy: float,
+    accuracy: Positive,
     *,
     front: str | Path | None = None,
     where: SettingFilter | None = None,
@@ -91,7 +90,6 @@ def solve_to_accuracy(
     that may be chosen. ``settings`` are those of `trajopt.solve` but its grid, solver and tolerance.
     Raises InputError for an invalid accuracy, and as `trajopt.solve` does.
     """
-    require_positive("accuracy", accuracy, "m")
     wanted = float(accuracy)
     choice = choose_for_accuracy(problem, accuracy, front=front, where=where)
     own = {**choice.solver, **settings}
@@ -105,7 +103,7 @@ def solve_to_accuracy(
 @checked
 def solve_within(
     problem: Problem,
-    budget: float,
+    budget: Positive,
     *,
     front: str | Path | None = None,
     where: SettingFilter | None = None,
@@ -118,7 +116,6 @@ def solve_within(
     compiling, which happen once, do not count; `Solution.meta` has their times. Arguments as in
     `solve_to_accuracy`. Raises InputError for an invalid budget, and as `trajopt.solve` does.
     """
-    require_positive("budget", budget, "s")
     settings.pop("max_time", None)
     remaining = choices_by_time(problem, front=front, where=where)
     tried: list[ChosenSetting] = []

@@ -1,4 +1,4 @@
-"""Result of a solution in physics: the plan of a legged robot in MuJoCo (`trajopt.certify.simulation`)."""
+"""Result of a solution in physics: the plan of a legged robot in MuJoCo (`trajopt.simulation`)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Physics:
 
 def simulated(solution: Solution, target: Path | None = None) -> Physics:
     """Simulate a plan, or say why it cannot be. target: where the simulated motion is written."""
-    from trajopt.certify.simulation.simulate import simulate
+    from trajopt.simulation.simulate import simulate
 
     try:
         found = simulate(solution)

@@ -10,8 +10,6 @@ from trajopt.errors import InputError, require_finite
 # Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
 # a contact pushes a penetration out again, and the time in which the feedback takes out an error of a joint.
 STEP, CONTACT_TIME, FEEDBACK_TIME = 1 / 500, 1 / 100, 1 / 25
-# After a plan that ends at rest, its last posture is held for this many natural times, to test balance.
-HOLD = 2.0
 LONGEST_STEP = 1e-3
 # Longest step that may be asked for, s: with longer ones a robot's contacts are no longer resolved.
 LONGEST = 0.01

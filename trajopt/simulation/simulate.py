@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from trajopt.arguments import checked
-from trajopt.certify.simulation import figures
-from trajopt.certify.simulation.bodies import muted_mujoco
-from trajopt.certify.simulation.reference import ReferenceTrajectory, reference_of
-from trajopt.certify.simulation.report import ContactReport, SimulationReport
-from trajopt.certify.simulation.run import SimulationRecord, run_simulation
-from trajopt.certify.simulation.settings import FEEDBACK_TIME, SimulationSettings
-from trajopt.certify.simulation.simulated import simulated_solution
-from trajopt.certify.simulation.world import World, build_world
+from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
+from trajopt.simulation import figures
+from trajopt.simulation.bodies import muted_mujoco
+from trajopt.simulation.report import ContactReport, SimulationReport
+from trajopt.simulation.run import SimulationRecord, run_simulation
+from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
+from trajopt.simulation.simulated import simulated_solution
+from trajopt.simulation.world import World, build_world
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.solution import Solution
 
@@ -65,7 +65,7 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     if wanted.push and base_of(plan.model) == "fixed":
         raise InputError(f"push of {wanted.push:g} N on the base, which is fixed", "allowed: 0 N for an arm")
     with muted_mujoco():
-        reference = reference_of(plan, wanted)
+        reference = reference_of(plan, wanted.control_rate, wanted.cycles)
         world = build_world(plan, wanted)
         begin = time.perf_counter()
         record = run_simulation(plan, reference, world, wanted)

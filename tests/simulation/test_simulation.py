@@ -12,11 +12,11 @@ from tests.support.synthetic_motions import Motion, arm_motion, sampled, standin
 from trajopt import Contact, Robot, Solution, solve
 from trajopt.certify.closing import periodic_image
 from trajopt.certify.samples import sample_quantities
-from trajopt.certify.simulation.figures import farthest_travel
-from trajopt.certify.simulation.reference import reference_of
-from trajopt.certify.simulation.settings import SimulationSettings
-from trajopt.certify.simulation.simulate import simulate
+from trajopt.control.reference import reference_of
 from trajopt.errors import InputError
+from trajopt.simulation.figures import farthest_travel
+from trajopt.simulation.settings import SimulationSettings
+from trajopt.simulation.simulate import simulate
 from trajopt_library import problems, robots
 
 pytestmark = pytest.mark.long
@@ -312,7 +312,7 @@ def test_carried_object_is_felt():
 
 def test_cycles_follow_each_other_as_images():
     plan = solve(problems.load("hopper-gait"), fixed_mesh=True)
-    reference = reference_of(plan, SimulationSettings(cycles=3))
+    reference = reference_of(plan, SimulationSettings().control_rate, cycles=3)
     count, described = len(reference.t) // 3, plan.meta["periodicity"]
     duration = float(plan.t[-1] - plan.t[0])
     for cycle in (1, 2):

@@ -8,8 +8,8 @@ import pinocchio as pin
 import pytest
 
 from tests.support.models import JOINT_KINDS, hand_built, random_state
-from trajopt.certify.simulation.bodies import body_name, build_bodies, compile_bodies, write_inertias
 from trajopt.errors import InputError
+from trajopt.simulation.bodies import body_name, build_bodies, compile_bodies, write_inertias
 from trajopt_library import robots
 
 # Two recursions over a few dozen bodies in double precision.

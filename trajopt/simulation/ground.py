@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.certify.simulation.bodies import (
+from trajopt.control.reference import image_of_contacts
+from trajopt.robot.collision.shapes import BoxObstacle, LinkShape, Obstacle
+from trajopt.simulation.bodies import (
     Bodies,
     add_geom,
     body_name,
     mujoco_package,
     mujoco_quaternion,
 )
-from trajopt.certify.simulation.reference import image_of_contacts
-from trajopt.robot.collision.shapes import BoxObstacle, LinkShape, Obstacle
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import contact_radii

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.certify.simulation.bodies import body_name, mujoco_package, write_inertias
-from trajopt.certify.simulation.gains import gains_of
-from trajopt.certify.simulation.reference import ReferenceTrajectory
-from trajopt.certify.simulation.settings import SimulationSettings
-from trajopt.certify.simulation.world import World
+from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import BASE_JOINT, UNLIMITED, base_of
 from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
+from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
+from trajopt.simulation.gains import gains_of
+from trajopt.simulation.settings import SimulationSettings
+from trajopt.simulation.world import World
 from trajopt.solution.solution import Solution
 
 # Level part of the forward axis below which the push is reduced: a base with its nose up or down has no side.

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.payloads import carrying_model
-from trajopt.certify.simulation.bodies import mujoco_package, write_inertias
-from trajopt.certify.simulation.reference import ReferenceTrajectory, moving_rows
-from trajopt.certify.simulation.settings import FEEDBACK_TIME, SimulationSettings
-from trajopt.certify.simulation.world import World
+from trajopt.control.reference import ReferenceTrajectory, moving_rows
 from trajopt.dynamics.base_joint import base_of
+from trajopt.simulation.bodies import mujoco_package, write_inertias
+from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
+from trajopt.simulation.world import World
 from trajopt.solution.solution import Solution
 
 # Gains are recomputed after this many periods of the controller, and held in between.

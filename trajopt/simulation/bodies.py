@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.simulation.coordinates import CoordinateMap, JointAddress
 from trajopt.dynamics.manifold import Coordinates, Joint
 from trajopt.errors import InputError
+from trajopt.simulation.coordinates import CoordinateMap, JointAddress
 
 PACKAGE_MISSING = "pip install mujoco"
 # A column of a joint's motion that turns by less than this is a translation.

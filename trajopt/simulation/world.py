@@ -13,7 +13,9 @@ from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.body_figures import FileBodies
 from trajopt.certify.payloads import carrying_model
 from trajopt.certify.samples import SampleQuantities, sample_quantities
-from trajopt.certify.simulation.bodies import (
+from trajopt.dynamics.base_joint import base_of
+from trajopt.robot.collision.near import GROUND
+from trajopt.simulation.bodies import (
     Bodies,
     add_geom,
     body_name,
@@ -22,8 +24,8 @@ from trajopt.certify.simulation.bodies import (
     mujoco_package,
     mujoco_quaternion,
 )
-from trajopt.certify.simulation.coordinates import CoordinateMap
-from trajopt.certify.simulation.ground import (
+from trajopt.simulation.coordinates import CoordinateMap
+from trajopt.simulation.ground import (
     BALL,
     GroundGeometry,
     Surroundings,
@@ -33,9 +35,7 @@ from trajopt.certify.simulation.ground import (
     height_over,
     surroundings_of,
 )
-from trajopt.certify.simulation.settings import CONTACT_TIME, SimulationSettings
-from trajopt.dynamics.base_joint import base_of
-from trajopt.robot.collision.near import GROUND
+from trajopt.simulation.settings import CONTACT_TIME, SimulationSettings
 from trajopt.solution.descriptions import bodies_of, body_scene_of, scene_of_meta, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import held_samples

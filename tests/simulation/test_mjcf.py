@@ -17,11 +17,11 @@ from tests.support.models import JOINT_KINDS, hand_built, random_state
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.sampled_problems import solution_of_kind
 from tests.support.synthetic_motions import Motion, sampled
-from trajopt.certify import write_mjcf
-from trajopt.certify.simulation.mjcf import mjcf_of
-from trajopt.certify.simulation.settings import SimulationSettings
-from trajopt.certify.simulation.world import World, build_world
 from trajopt.robot.robot import Robot
+from trajopt.simulation import write_mjcf
+from trajopt.simulation.mjcf import mjcf_of
+from trajopt.simulation.settings import SimulationSettings
+from trajopt.simulation.world import World, build_world
 from trajopt.solution.solution import Solution
 
 # Numbers are written in full; what MuJoCo needs of a body without mass is below this.

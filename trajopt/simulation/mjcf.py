@@ -15,7 +15,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from trajopt.arguments import checked
-from trajopt.certify.simulation.bodies import (
+from trajopt.errors import InputError, first_line
+from trajopt.simulation.bodies import (
     body_name,
     joint_axis,
     mujoco_package,
@@ -23,10 +24,9 @@ from trajopt.certify.simulation.bodies import (
     muted_mujoco,
     part_name,
 )
-from trajopt.certify.simulation.run import torque_limits
-from trajopt.certify.simulation.settings import SimulationSettings
-from trajopt.certify.simulation.world import World, build_world
-from trajopt.errors import InputError, first_line
+from trajopt.simulation.run import torque_limits
+from trajopt.simulation.settings import SimulationSettings
+from trajopt.simulation.world import World, build_world
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.output import replacing
 from trajopt.solution.solution import Solution

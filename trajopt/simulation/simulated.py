@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.certify.simulation.bodies import mujoco_package
-from trajopt.certify.simulation.figures import loaded_contacts
-from trajopt.certify.simulation.reference import ReferenceTrajectory
-from trajopt.certify.simulation.report import SimulationReport
-from trajopt.certify.simulation.run import SimulationRecord
-from trajopt.certify.simulation.world import World
+from trajopt.control.reference import ReferenceTrajectory
+from trajopt.simulation.bodies import mujoco_package
+from trajopt.simulation.figures import loaded_contacts
+from trajopt.simulation.report import SimulationReport
+from trajopt.simulation.run import SimulationRecord
+from trajopt.simulation.world import World
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import held_samples
 from trajopt.versions import VERSIONED, installed_version

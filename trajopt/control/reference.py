@@ -12,11 +12,12 @@ import pinocchio as pin
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.closing import periodic_image
 from trajopt.certify.payloads import carrying_model
-from trajopt.certify.simulation.settings import HOLD, SimulationSettings
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 
+# After a plan that ends at rest, its last posture is held for this many natural times, to test balance.
+HOLD = 2.0
 # A plan that ends slower than this (reaches and radians over the natural time) ends at rest.
 REST = 1e-3
 # Periods of the controller in one simulation: each is sampled and recorded.
@@ -27,8 +28,8 @@ MOST_PERIODS = 200_000
 class ReferenceTrajectory:
     """A plan at the starts of n periods of the controller.
 
-    t: (n,) s. period: s. q, v: (n, nq), (n, nv), Pinocchio's. torque: (n, nu) that the drives deliver, in the
-    middle of each period. f: (n, nc, 6) of the surroundings. active: (n, nc).
+    t: (n,) s. period: s. q, v: (n, nq), (n, nv), Pinocchio's. torque: (n, nu) that the drives deliver, and a:
+    (n, nv), both in the middle of each period. f: (n, nc, 6) of the surroundings. active: (n, nc).
     phase: (n,) index into ``phase_names``; source: (n,) phase of the file. held: periods after the plan.
     end: (nq,) where the plan ends.
     """
@@ -37,6 +38,7 @@ class ReferenceTrajectory:
     period: float
     q: np.ndarray
     v: np.ndarray
+    a: np.ndarray
     torque: np.ndarray
     f: np.ndarray
     active: np.ndarray
@@ -52,20 +54,20 @@ class ReferenceTrajectory:
         return len(self.t) - self.held
 
 
-def reference_of(plan: Solution, settings: SimulationSettings) -> ReferenceTrajectory:
-    """Sample a plan, repeat it by the settings, and hold its end if it is at rest. Raises `InputError`."""
+def reference_of(plan: Solution, rate: float, cycles: int = 1) -> ReferenceTrajectory:
+    """Sample a plan at ``rate`` Hz, repeat it, and hold its end if it is at rest. Raises `InputError`."""
     described = plan.meta.get("periodicity")
-    whole = settings.cycles * (2 if described and described["mirror"] else 1)
-    periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * settings.control_rate * whole
+    whole = cycles * (2 if described and described["mirror"] else 1)
+    periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * rate * whole
     if periods > MOST_PERIODS:
         raise InputError(
             f"a simulation of {periods:.3g} periods of its controller",
             f"allowed: {MOST_PERIODS}; a lower --control-rate or fewer --cycles",
         )
-    if settings.cycles > 1 and not described:
+    if cycles > 1 and not described:
         raise InputError("the solution is not periodic", "allowed: --cycles 1")
-    one = _once(plan, settings.control_rate)
-    if described and (settings.cycles > 1 or whole > 1):
+    one = _once(plan, rate)
+    if described and whole > 1:
         one = _repeated(plan, one, described, whole)
     return _with_hold(plan, one)
 
@@ -81,6 +83,7 @@ def _once(plan: Solution, rate: float) -> ReferenceTrajectory:
         period=period,
         q=motion.q,
         v=motion.v,
+        a=middle.a,
         torque=middle.drive_torque,
         f=motion.f,
         active=motion.active,
@@ -117,6 +120,7 @@ def _repeated(
                 t=one.t + number * duration,
                 q=np.array([q for q, _ in states]),
                 v=np.array([v for _, v in states]),
+                a=sign * last.a[:, index],
                 torque=sign[first:] * last.torque[:, index[first:] - first],
                 f=np.concatenate([f[..., :3] @ to_force.T, f[..., 3:] @ to_moment.T], axis=-1),
                 active=last.active[:, source],
@@ -126,7 +130,7 @@ def _repeated(
         )
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("t", "q", "v", "torque", "f", "active", "phase", "source")
+        for name in ("t", "q", "v", "a", "torque", "f", "active", "phase", "source")
     }
     return replace(one, **joined, phase_names=one.phase_names * times, end=end)
 
@@ -178,6 +182,7 @@ def _with_hold(plan: Solution, reference: ReferenceTrajectory) -> ReferenceTraje
     last = {
         "q": plan.q[-1],
         "v": np.zeros(plan.model.nv),
+        "a": np.zeros(plan.model.nv),
         "torque": torque,
         "f": force,
         "active": reference.active[-1],

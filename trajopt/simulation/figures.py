@@ -10,10 +10,10 @@ import pinocchio as pin
 
 from trajopt.certify.reintegration import state_distance
 from trajopt.certify.samples import sample_quantities
-from trajopt.certify.simulation.reference import ReferenceTrajectory
-from trajopt.certify.simulation.run import SimulationRecord
-from trajopt.certify.simulation.world import World, touching_places
+from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.simulation.run import SimulationRecord
+from trajopt.simulation.world import World, touching_places
 from trajopt.solution.arrays import rows_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, touched_surfaces

@@ -1,0 +1,13 @@
+from .contact_forces import ActiveContact as ActiveContact
+from .inverse_dynamics import InverseDynamics as InverseDynamics
+from .inverse_dynamics import TickLimits as TickLimits
+from .inverse_dynamics import TickResult as TickResult
+from .robot_state import RobotState as RobotState
+from .tasks import AngularMomentumTask as AngularMomentumTask
+from .tasks import CenterOfMassTask as CenterOfMassTask
+from .tasks import ContactForceTask as ContactForceTask
+from .tasks import FrameTask as FrameTask
+from .tasks import PostureTask as PostureTask
+from .tasks import RegularisationTask as RegularisationTask
+from .tasks import Task as Task
+from .tasks import TaskRows as TaskRows

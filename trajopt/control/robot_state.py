@@ -1,0 +1,86 @@
+"""What a controller needs of a robot at one state: inertia, nonlinear effects, frames, centre of mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameState:
+    """A frame at one state, world axes at its origin.
+
+    placement: in the world. jacobian: (6, nv), linear rows first. velocity, drift: (6,), J v and dJ/dt v.
+    """
+
+    placement: pin.SE3
+    jacobian: np.ndarray
+    velocity: np.ndarray
+    drift: np.ndarray
+
+
+class RobotState:
+    """Quantities of a model at a state (q, v), recomputed by `update`.
+
+    ``mass`` (nv, nv) and ``nonlinear`` (nv,) are of M a + h = S' tau + J' f (Featherstone, Rigid Body
+    Dynamics Algorithms, 2008, sec. 9.2); frames and the centre of mass are computed when asked for.
+    """
+
+    def __init__(self, model: pin.Model) -> None:
+        self.model, self.data = model, model.createData()
+        self.q, self.v = pin.neutral(model), np.zeros(model.nv)
+        self.mass, self.nonlinear = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
+        self._rest = np.zeros(model.nv)
+        self._frames: dict[int, FrameState] = {}
+
+    def update(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Move to a state (nq,), (nv,). Raises `InputError` for other shapes and what is not finite."""
+        model, data = self.model, self.data
+        for name, given, size in (("q", q, model.nq), ("v", v, model.nv)):
+            if np.shape(given) != (size,):
+                raise InputError(f"{name} of a state has shape {np.shape(given)}", f"allowed: ({size},)")
+            if not np.isfinite(given).all():
+                index = int(np.flatnonzero(~np.isfinite(given))[0])
+                raise InputError(f"{name}[{index}] of a state is {given[index]}", "allowed: finite numbers")
+        self.q, self.v = q, v
+        pin.forwardKinematics(model, data, q, v, self._rest)
+        pin.updateFramePlacements(model, data)
+        pin.computeJointJacobians(model, data)
+        upper = pin.crba(model, data, q)
+        self.mass = np.triu(upper) + np.triu(upper, 1).T
+        self.nonlinear = pin.nonLinearEffects(model, data, q, v).copy()
+        pin.forwardKinematics(model, data, q, v, self._rest)  # without gravity, which the line above puts in
+        self._frames = {}
+
+    def frame(self, number: int) -> FrameState:
+        """The state of a frame, by its index in the model."""
+        found = self._frames.get(number)
+        if found is None:
+            axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            jacobian = pin.getFrameJacobian(self.model, self.data, number, axes).reshape(6, self.model.nv)
+            drift = pin.getFrameClassicalAcceleration(self.model, self.data, number, axes).vector
+            found = FrameState(
+                placement=self.data.oMf[number],
+                jacobian=jacobian,
+                velocity=jacobian @ self.v,
+                drift=drift,
+            )
+            self._frames[number] = found
+        return found
+
+    def centre_of_mass(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Position (3,), velocity (3,), Jacobian (3, nv) and drift (3,) of the centre of mass, world."""
+        data = self.data
+        pin.centerOfMass(self.model, data, self.q, self.v, self._rest)
+        jacobian = pin.jacobianCenterOfMass(self.model, data, self.q)
+        return data.com[0].copy(), data.vcom[0].copy(), jacobian, data.acom[0].copy()
+
+    def angular_momentum(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Angular momentum (3,) about the centre of mass, its matrix (3, nv), and the drift of its rate."""
+        pin.computeCentroidalMomentumTimeVariation(self.model, self.data, self.q, self.v, self._rest)
+        momentum, rate = self.data.hg.angular.copy(), self.data.dhg.angular.copy()
+        return momentum, np.array(self.data.Ag[3:]), rate

@@ -1,0 +1,183 @@
+"""Tasks: what accelerations and contact forces should be, as weighted least squares.
+
+A task asks A x = b of x = (a, f), accelerations (nv,) and forces of the active contacts, by
+
+    minimise weight |(A x - b) / unit|^2
+
+With feedback of position and rate the wanted acceleration of a quantity y with goal y_d is (del Prete, Joint
+Position and Torque Control, 2016; Wensing et al., IEEE T-RO 40, 2024, sec. IV)
+
+    dd y = dd y_d + 2 w (d y_d - d y) + w^2 (y_d - y)
+
+with one bandwidth w in 1/s: errors vanish in about 5 / w without overshoot. Tasks of priority 2 act only in
+what tasks of priority 1 leave free.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.control.contact_forces import ActiveContact
+from trajopt.control.robot_state import RobotState
+from trajopt.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskRows:
+    """Rows A x = b: on accelerations (n, nv), on forces (n, nf) or None, and b (n,); each over its unit."""
+
+    acceleration: np.ndarray
+    value: np.ndarray
+    force: np.ndarray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task(ABC):
+    """A task; ``weight`` of its squared error among those of its ``priority``, 1 or 2."""
+
+    weight: float = 1.0
+    priority: int = 1
+
+    def __post_init__(self) -> None:
+        if self.priority not in (1, 2):
+            raise InputError(f"priority of {type(self).__name__} is {self.priority}", "allowed: 1 or 2")
+
+    @abstractmethod
+    def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
+        """Rows at a state, with the contacts that are active."""
+
+
+def _feedback(error: np.ndarray, rate_error: np.ndarray, wanted: np.ndarray, bandwidth: float) -> np.ndarray:
+    return wanted + 2 * bandwidth * rate_error + bandwidth**2 * error
+
+
+@dataclass(frozen=True, kw_only=True)
+class CenterOfMassTask(Task):
+    """The centre of mass follows a position, velocity and acceleration (3,), world, m.
+
+    ``unit`` m/s^2 and ``bandwidth`` 1/s as of the module.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    bandwidth: float
+    unit: float = 1.0
+
+    def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
+        """Rows (3,) of J_c a + drift = wanted."""
+        position, velocity, jacobian, drift = state.centre_of_mass()
+        wanted = _feedback(
+            self.position - position, self.velocity - velocity, self.acceleration, self.bandwidth
+        )
+        return TaskRows(acceleration=jacobian / self.unit, value=(wanted - drift) / self.unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AngularMomentumTask(Task):
+    """Angular momentum about the centre of mass follows a value and its rate (3,), N m s and N m, world."""
+
+    momentum: np.ndarray
+    rate: np.ndarray
+    bandwidth: float
+    unit: float = 1.0
+
+    def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
+        """Rows (3,) of A_g a + drift = rate + w (momentum error)."""
+        momentum, matrix, drift = state.angular_momentum()
+        wanted = self.rate + self.bandwidth * (self.momentum - momentum)
+        return TaskRows(acceleration=matrix / self.unit, value=(wanted - drift) / self.unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameTask(Task):
+    """A frame of the model follows a pose, with its velocity and acceleration (6,), world axes at its origin.
+
+    Errors of rotation are log(R_d R') in world axes. ``mask`` (6,): which of the linear and angular rows act.
+    ``units`` (2,): of linear and angular rows, m/s^2 and rad/s^2.
+    """
+
+    frame: int
+    pose: pin.SE3
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    bandwidth: float
+    mask: np.ndarray
+    units: tuple[float, float] = (1.0, 1.0)
+
+    def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
+        """Rows of J a + drift = wanted."""
+        own = state.frame(self.frame)
+        error = np.concatenate(
+            [
+                self.pose.translation - own.placement.translation,
+                pin.log3(self.pose.rotation @ own.placement.rotation.T),
+            ]
+        )
+        wanted = _feedback(error, self.velocity - own.velocity, self.acceleration, self.bandwidth)
+        unit = np.repeat(self.units, 3)
+        rows = (own.jacobian / unit[:, None])[self.mask]
+        return TaskRows(acceleration=rows, value=((wanted - own.drift) / unit)[self.mask])
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureTask(Task):
+    """Rates ``rows_of_v`` follow a configuration (nq,), v and a (nv,), with a weight for each row.
+
+    weights: (n,), factors on ``weight``. unit: (n,), rad/s^2 or m/s^2.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    bandwidth: float
+    rows_of_v: np.ndarray
+    weights: np.ndarray
+    unit: np.ndarray
+
+    def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
+        """Rows of a = wanted."""
+        picked = self.rows_of_v
+        error = pin.difference(state.model, state.q, self.q)[picked]
+        wanted = _feedback(error, (self.v - state.v)[picked], self.a[picked], self.bandwidth)
+        scale = np.sqrt(self.weights) / self.unit
+        jacobian = np.zeros((len(picked), state.model.nv))
+        jacobian[np.arange(len(picked)), picked] = scale
+        return TaskRows(acceleration=jacobian, value=scale * wanted)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactForceTask(Task):
+    """Forces of the active contacts are near ``wanted`` (nc, 6), N and N m, world axes, by contact index.
+
+    ``units`` (2,): of forces and moments.
+    """
+
+    wanted: np.ndarray
+    units: tuple[float, float] = (1.0, 1.0)
+
+    def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
+        """Rows of f = wanted."""
+        unit = np.concatenate([np.zeros(0), *(np.repeat(self.units, 3)[: c.dimension] for c in contacts)])
+        wanted = np.concatenate([np.zeros(0), *(self.wanted[c.number, : c.dimension] for c in contacts)])
+        return TaskRows(
+            acceleration=np.zeros((len(unit), state.model.nv)),
+            force=np.diag(1.0 / unit),
+            value=wanted / unit,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegularisationTask(Task):
+    """All accelerations are small: makes every program strictly convex. ``unit`` (nv,)."""
+
+    unit: np.ndarray
+
+    def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
+        """Rows of a = 0."""
+        return TaskRows(acceleration=np.diag(1.0 / self.unit), value=np.zeros(state.model.nv))
