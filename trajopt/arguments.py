@@ -33,7 +33,7 @@ class _Arguments:
     """The arguments of one class or function: their names and kinds, and what is said of wrong ones."""
 
     def __init__(self, called: Callable[..., Any], target: Any) -> None:
-        self.owner, self.keeps = target.__qualname__, isinstance(target, type)
+        self.owner, self.keeps = target.__qualname__.removesuffix(".__init__"), isinstance(target, type)
         self.parameters = dict(inspect.signature(called).parameters)
         if self.keeps:
             del self.parameters["self"]

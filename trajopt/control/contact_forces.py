@@ -9,8 +9,10 @@ import numpy as np
 
 from trajopt.control.robot_state import RobotState
 
-# Faces of the friction pyramid, inscribed in Coulomb's cone: its half width over the cone's radius.
-INSCRIBED = 1.0 / math.sqrt(2.0)
+# Faces of the pyramid inscribed in Coulomb's cone: it holds back up to 8 % of the friction, four faces 29 %.
+FACES = 8
+ANGLES = 2.0 * math.pi / FACES * np.arange(FACES)
+INSCRIBED = math.cos(math.pi / FACES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +44,10 @@ class ActiveContact:
     def force_rows(self, state: RobotState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows (m, dimension) on the force in world axes, and their bounds (m,).
 
-        A pyramid of four faces, the normal force in its bounds, and of a sole the centre of pressure within
-        its rectangle and the moment about the normal within mu f_n times its mean half size. What slides
-        transmits mu f_n against its way (Coulomb).
+        A pyramid, the normal force in its bounds, and of a sole the wrench cone of its four corners: centre
+        of pressure within the rectangle, and moment about the normal (Caron, Pham and Nakamura, ICRA 2015,
+        eq. 13 to 18; at most that of Coulomb's cones, mu f_n times half the diagonal). What slides transmits
+        mu f_n against its way.
         """
         n, size = self.normal, self.dimension
         if self.bilateral:
@@ -57,8 +60,8 @@ class ActiveContact:
         y = np.cross(n, x)
         rows: list[np.ndarray] = []
         if self.sliding is None:
-            mu = INSCRIBED * self.friction
-            rows += [mu * n - x, mu * n + x, mu * n - y, mu * n + y]
+            across = np.cos(ANGLES)[:, None] * x + np.sin(ANGLES)[:, None] * y
+            rows += list(INSCRIBED * self.friction * n - across)
         rows.append(n)
         force = np.array(rows)
         low, high = np.zeros(len(force)), np.full(len(force), np.inf)
@@ -70,15 +73,23 @@ class ActiveContact:
             low, high = np.append(low, [0.0, 0.0]), np.append(high, [0.0, 0.0])
         if size == 3:
             return force, low, high
-        length, width = self.half_size
-        moments = [
-            np.concatenate([width * n, -x]), np.concatenate([width * n, x]),
-            np.concatenate([length * n, -y]), np.concatenate([length * n, y]),
-            np.concatenate([self.friction * (length + width) / 2 * n, -n]),
-            np.concatenate([self.friction * (length + width) / 2 * n, n]),
-        ]  # fmt: skip
+        moments = self._moments(x, y)
         whole = np.vstack([np.hstack([force, np.zeros((len(force), 3))]), moments])
-        return whole, np.append(low, np.zeros(6)), np.append(high, np.full(6, np.inf))
+        return whole, np.append(low, np.zeros(len(moments))), np.append(high, np.full(len(moments), np.inf))
+
+    def _moments(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Rows (m, 6), >= 0, of a sole's wrench with axes x, y along its sides."""
+        n, mu, (length, width) = self.normal, self.friction, self.half_size
+        rows = [np.concatenate([width * n, sign * x]) for sign in (-1, 1)]
+        rows += [np.concatenate([length * n, sign * y]) for sign in (-1, 1)]
+        rows += [np.concatenate([mu * math.hypot(length, width) * n, sign * n]) for sign in (-1, 1)]
+        for turn in (-1, 1):
+            for first in (-1, 1):
+                for second in (-1, 1):
+                    force = mu * (length + width) * n - first * width * x - second * length * y
+                    moment = turn * (n + mu * (first * x + second * y))
+                    rows.append(np.concatenate([force, moment]))
+        return np.array(rows)
 
     def motion_rows(self, state: RobotState, damping: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows (m, nv) and values (m,) of an acceleration that takes the contact's velocity out.

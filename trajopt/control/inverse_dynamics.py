@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trajopt.control.contact_forces import ActiveContact
-from trajopt.control.quadratic_programs import QpSolverName, QuadraticSolver, quadratic_solver
+from trajopt.control.quadratic_programs import UNBOUNDED, QpSolverName, QuadraticSolver, quadratic_solver
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import Task
 from trajopt.errors import InputError
@@ -176,8 +176,8 @@ class _Program:
         joints[np.arange(self.nv - u), np.arange(u, self.nv)] = 1.0 / units
         blocks.append(joints)
         low, high = limits.acceleration
-        lows.append(np.full(len(units), -np.inf) if relaxed else low / units)
-        highs.append(np.full(len(units), np.inf) if relaxed else high / units)
+        lows.append(np.full(len(units), -UNBOUNDED) if relaxed else low / units)
+        highs.append(np.full(len(units), UNBOUNDED) if relaxed else high / units)
         return np.vstack(blocks) * self.unit, np.concatenate(lows), np.concatenate(highs)
 
     def objective(self, tasks: Sequence[Task]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

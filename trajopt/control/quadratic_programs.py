@@ -3,8 +3,8 @@
     minimise x' P x / 2 + c' x    subject to    l <= A x <= u
 
 OSQP (Stellato et al., Mathematical Programming Computation 12, 2020) is set up once per structure, starts
-from the last solution, and takes new values alone. PIQP (Schwan et al., CDC 2023) is an interior-point method
-for dense matrices.
+from the last solution, and takes new values alone; where it does not converge PIQP decides. PIQP (Schwan et
+al., CDC 2023) is an interior-point method for dense matrices.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ QpSolverName = Literal["osqp", "piqp"]
 # Accuracy of rows and of stationarity: of rows over their natural units.
 ACCURACY = 1e-5
 MOST_OSQP, MOST_PIQP = 400, 100
+# A bound as large as this, over natural units, is none.
+UNBOUNDED = 1e6
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,20 @@ class QuadraticSolver(ABC):
     def __init__(self, n: int, m: int) -> None:
         self.n, self.m = n, m
 
-    @abstractmethod
     def solve(
         self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
     ) -> QuadraticSolution:
-        """Solve with P (n, n) symmetric, c (n,), A (m, n), bounds (m,) that may be infinite."""
+        """Solve with P (n, n) symmetric, c (n,), A (m, n) and bounds (m,), see `UNBOUNDED`."""
+        if (low > high).any():
+            return QuadraticSolution(np.zeros(self.n), False, 0)
+        low, high = np.where(low <= -UNBOUNDED, -np.inf, low), np.where(high >= UNBOUNDED, np.inf, high)
+        return self._solve(p, c, a, low, high)
+
+    @abstractmethod
+    def _solve(
+        self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
+    ) -> QuadraticSolution:
+        pass
 
 
 def quadratic_solver(name: QpSolverName, n: int, m: int) -> QuadraticSolver:
@@ -60,11 +71,12 @@ class _Osqp(QuadraticSolver):
     def __init__(self, n: int, m: int) -> None:
         super().__init__(n, m)
         self._solver: osqp.OSQP | None = None
+        self._second: _Piqp | None = None
         rows, columns = np.triu_indices(n)
         order = np.lexsort((rows, columns))  # the upper triangle column by column
         self._upper = rows[order], columns[order]
 
-    def solve(
+    def _solve(
         self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
     ) -> QuadraticSolution:
         low, high = np.maximum(low, -1e20), np.minimum(high, 1e20)
@@ -73,9 +85,25 @@ class _Osqp(QuadraticSolver):
         else:
             self._solver.update(Px=p[self._upper], Ax=a.T.ravel(), q=c, l=low, u=high)
         found = self._solver.solve(raise_error=False)
-        solved = found.info.status_val == 1
-        x = np.zeros(self.n) if found.x is None else np.array(found.x, dtype=float)
-        return QuadraticSolution(x, solved and bool(np.isfinite(x).all()), int(found.info.iter))
+        if found.info.status_val != 1:
+            return self._exact(p, c, a, low, high, int(found.info.iter))
+        return QuadraticSolution(np.array(found.x, dtype=float), True, int(found.info.iter))
+
+    def _exact(
+        self,
+        p: np.ndarray,
+        c: np.ndarray,
+        a: np.ndarray,
+        low: np.ndarray,
+        high: np.ndarray,
+        iterations: int,
+    ) -> QuadraticSolution:
+        """What PIQP finds where OSQP does not converge: it tells slow programs from infeasible ones."""
+        self._second = self._second or _Piqp(self.n, self.m)
+        found = self._second.solve(p, c, a, low, high)
+        if found.solved and self._solver is not None:
+            self._solver.warm_start(x=found.x)
+        return QuadraticSolution(found.x, found.solved, found.iterations + iterations)
 
     def _set_up(
         self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
@@ -102,16 +130,17 @@ class _Piqp(QuadraticSolver):
         self._solver.settings.eps_abs = ACCURACY * 1e-2
         self._solver.settings.eps_rel = ACCURACY * 1e-2
         self._solver.settings.max_iter = MOST_PIQP
-        self._equal: np.ndarray | None = None
+        self._rows: np.ndarray | None = None
 
-    def solve(
+    def _solve(
         self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
     ) -> QuadraticSolution:
-        equal = low == high
-        given = (p, c, a[equal], low[equal], a[~equal], low[~equal], high[~equal])
-        if self._equal is None or (self._equal != equal).any():
+        equal, bounded = low == high, (low < high) & (np.isfinite(low) | np.isfinite(high))
+        given = (p, c, a[equal], low[equal], a[bounded], low[bounded], high[bounded])
+        rows = np.stack([equal, bounded])
+        if self._rows is None or (self._rows != rows).any():
             self._solver.setup(*given)
-            self._equal = equal
+            self._rows = rows
         else:
             self._solver.update(*given)
         status = self._solver.solve()

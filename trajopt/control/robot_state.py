@@ -81,6 +81,6 @@ class RobotState:
 
     def angular_momentum(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Angular momentum (3,) about the centre of mass, its matrix (3, nv), and the drift of its rate."""
+        matrix = np.array(pin.ccrba(self.model, self.data, self.q, self.v)[3:])
         pin.computeCentroidalMomentumTimeVariation(self.model, self.data, self.q, self.v, self._rest)
-        momentum, rate = self.data.hg.angular.copy(), self.data.dhg.angular.copy()
-        return momentum, np.array(self.data.Ag[3:]), rate
+        return self.data.hg.angular.copy(), matrix, self.data.dhg.angular.copy()

@@ -98,8 +98,8 @@ class AngularMomentumTask(Task):
 class FrameTask(Task):
     """A frame of the model follows a pose, with its velocity and acceleration (6,), world axes at its origin.
 
-    Errors of rotation are log(R_d R') in world axes. ``mask`` (6,): which of the linear and angular rows act.
-    ``units`` (2,): of linear and angular rows, m/s^2 and rad/s^2.
+    Errors of rotation are log(R_d R') in world axes. ``selection`` (r, 6): rows that act, as combinations of
+    the linear and angular ones. ``units``: of linear and angular rows, m/s^2 and rad/s^2.
     """
 
     frame: int
@@ -107,7 +107,7 @@ class FrameTask(Task):
     velocity: np.ndarray
     acceleration: np.ndarray
     bandwidth: float
-    mask: np.ndarray
+    selection: np.ndarray
     units: tuple[float, float] = (1.0, 1.0)
 
     def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
@@ -121,8 +121,8 @@ class FrameTask(Task):
         )
         wanted = _feedback(error, self.velocity - own.velocity, self.acceleration, self.bandwidth)
         unit = np.repeat(self.units, 3)
-        rows = (own.jacobian / unit[:, None])[self.mask]
-        return TaskRows(acceleration=rows, value=((wanted - own.drift) / unit)[self.mask])
+        rows = self.selection @ (own.jacobian / unit[:, None])
+        return TaskRows(acceleration=rows, value=self.selection @ ((wanted - own.drift) / unit))
 
 
 @dataclass(frozen=True, kw_only=True)

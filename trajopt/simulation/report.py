@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
+from trajopt.control.inverse_dynamics import RELAXED
+from trajopt.control.tracker import TickCounts
 from trajopt.solution.descriptions import jsonable
 
 # A plan is tracked if its base ends within this fraction of the robot's reach and within this angle, rad; on
@@ -23,6 +27,37 @@ class ContactReport:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TickReport:
+    """Quadratic programs of a whole-body controller: ticks, iterations in all, and time of a tick, s.
+
+    relaxed: ticks by what was relaxed in them, see `trajopt.control.inverse_dynamics.RELAXED`.
+    """
+
+    ticks: int
+    iterations: int
+    time_mean: float
+    time_99: float
+    relaxed: dict[str, int]
+
+    @classmethod
+    def of(cls, counts: TickCounts) -> TickReport:
+        """The report of what a tracker counted."""
+        times = np.array(counts.times or [0.0])
+        return cls(
+            ticks=counts.ticks,
+            iterations=counts.iterations,
+            time_mean=float(times.mean()),
+            time_99=float(np.percentile(times, 99)),
+            relaxed={name: count for name, count in zip(RELAXED, counts.relaxed, strict=True) if count},
+        )
+
+    def __str__(self) -> str:
+        found = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
+        times = f"{1e3 * self.time_mean:.2f} ms in the mean, {1e3 * self.time_99:.2f} ms at 99 %"
+        return f"{self.ticks}, {times}; relaxed: {', '.join(found) or RELAXED[0]}"
+
+
+@dataclass(frozen=True, kw_only=True)
 class SimulationReport:
     """Figures of a simulation; base and joint errors are over the plan, without what is held after it.
 
@@ -31,7 +66,7 @@ class SimulationReport:
     joint_error_* rad or m. saturated: share of torques that were clipped. touchdown_error: largest, s;
     missed: touchdowns that never came; swing_load: s of load in the middle of a swing. slips: stances with a
     travel beyond `figures.SLIP`; slip_travel: largest, m. force_error: rms, over the weight. obstacle_hit:
-    a capsule touched an obstacle.
+    a capsule touched an obstacle. controller: programs of a whole-body controller.
     """
 
     problem: str
@@ -62,6 +97,7 @@ class SimulationReport:
     force_error: float | None
     obstacle_hit: bool
     contacts: tuple[ContactReport, ...]
+    controller: TickReport | None
     notes: tuple[str, ...]
 
     @property
@@ -105,6 +141,7 @@ class SimulationReport:
             ("touchdowns that never came", str(self.missed)),
             ("load in mid swing", _time(self.swing_load)),
             ("slips, largest travel", f"{self.slips}, {_length(self.slip_travel)}"),
+            ("ticks of the controller", "-" if self.controller is None else str(self.controller)),
         ]
         moving = self.base_error_end is not None
         unused: tuple[str, ...] = () if moving else ("base", "load")

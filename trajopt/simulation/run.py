@@ -9,14 +9,15 @@ holds for the period; the gains are those of `gains`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trajopt.control.limits import limits_with_drives, torque_limits
 from trajopt.control.reference import ReferenceTrajectory
-from trajopt.dynamics.base_joint import BASE_JOINT, UNLIMITED, base_of
+from trajopt.control.tracker import TickCounts, Tracker
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
-from trajopt.robot.actuators.drive import Drive
 from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
 from trajopt.simulation.gains import gains_of
 from trajopt.simulation.settings import SimulationSettings
@@ -29,6 +30,8 @@ LEAST_LEVEL = 0.1
 PUSHED = 0.1
 # Steps of the physics in one simulation: minutes.
 MOST_STEPS = 20_000_000
+# A contact touches whose force is above this part of the weight.
+TOUCHING = 1e-3
 # Coefficients that MuJoCo takes to be positive are at least this, as by its own compiler.
 LEAST_FRICTION = 1e-5
 
@@ -40,7 +43,7 @@ class SimulationRecord:
     qpos (n + 1, nq'), qvel (n + 1, nv), qacc (n, nv); torque (n, nu) of the drives, where they are saturated
     (n, nu), and friction (n, nu) on them; force (n, nc, 6) of the surroundings on contacts, world axes, at
     the frame's origin; feet (n, nc, 3) m and turns (n, nc, 3, 3) of the contact frames; touched (n,) a link
-    touches the ground; hit (n,) an obstacle.
+    touches the ground; hit (n,) an obstacle. counts: of the ticks of a whole-body controller.
     """
 
     qpos: np.ndarray
@@ -54,6 +57,7 @@ class SimulationRecord:
     turns: np.ndarray
     touched: np.ndarray
     hit: np.ndarray
+    counts: TickCounts | None = None
 
 
 def run_simulation(
@@ -82,6 +86,10 @@ class _Run:
         self.gains = gains_of(plan, world, reference, settings)
         self.drives = plan.drives
         self.low, self.high = torque_limits(plan)
+        self.tracker = None
+        if settings.controller == "whole-body":
+            self.tracker = Tracker(plan, rate=settings.control_rate, cycles=settings.cycles)
+        self.touching = reference.active[0]
         self._plan_in_mujoco()
 
     def _plan_in_mujoco(self) -> None:
@@ -108,13 +116,17 @@ class _Run:
             touched=np.zeros(count, dtype=bool),
             hit=np.zeros(count, dtype=bool),
         )
+        found = replace(found, counts=None if self.tracker is None else self.tracker.counts)
         self._start()
+        least = TOUCHING * self.world.units.weight
         changes = set(np.flatnonzero(np.diff(self.reference.source, prepend=-1)).tolist())
         for k in range(count):
             if k in changes:
                 self._enter(int(self.reference.source[k]))
             self._push(k)
             found.qpos[k], found.qvel[k] = data.qpos, data.qvel
+            if not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
+                return _until(found, k)
             found.torque[k], found.saturated[k] = self._drive(k)
             self.mujoco.mj_forward(model, data)  # forces of this state: a step's stages leave others
             if not self._is_sane():
@@ -123,6 +135,7 @@ class _Run:
             found.feet[k] = data.site_xpos[self.world.sites]
             found.turns[k] = data.site_xmat[self.world.sites].reshape(-1, 3, 3)
             found.touched[k], found.hit[k] = self._contacts(found.force[k], found.feet[k])
+            self.touching = np.linalg.norm(found.force[k, :, :3], axis=1) > least
             self.mujoco.mj_step(model, data, self.substeps)
         found.qpos[count], found.qvel[count] = data.qpos, data.qvel
         return found
@@ -170,17 +183,32 @@ class _Run:
         error = np.zeros(self.model.nv)
         self.mujoco.mj_differentiatePos(self.model, error, 1.0, self.data.qpos, self.qpos[k])
         rate = self.data.qvel[self.rows]
-        wanted = (
-            self.torque[k]
-            + self.gains.kp[k] * error[self.rows]
-            + self.gains.kd[k] * (self.qvel[k][self.rows] - rate)
-        )
+        if self.tracker is None:
+            wanted = (
+                self.torque[k]
+                + self.gains.kp[k] * error[self.rows]
+                + self.gains.kd[k] * (self.qvel[k][self.rows] - rate)
+            )
+        else:
+            wanted = self._tracked(k)
         low, high = self.low, self.high
         if any(drive is not None for drive in self.drives):
-            low, high = _with_drives(self.drives, rate, low, high)
+            low, high = limits_with_drives(self.drives, rate, low, high)
         torque = np.clip(wanted, low, high)
         self.data.qfrc_applied[self.rows] = torque
         return torque, torque != wanted
+
+    def _tracked(self, k: int) -> np.ndarray:
+        """Torques (nu,) of the whole-body controller in MuJoCo's coordinates."""
+        assert self.tracker is not None
+        coordinates, qpos = self.world.coordinates, self.data.qpos[None]
+        q = coordinates.from_mujoco(qpos)[0]
+        v = coordinates.rates_from_mujoco(qpos, self.data.qvel[None])[0]
+        whole = np.zeros((1, self.plan.model.nv))
+        whole[0, self.plan.n_unactuated :] = self.tracker.torque(
+            k * self.reference.period, q, v, self.touching
+        )
+        return np.asarray(coordinates.rates_to_mujoco(qpos, whole)[0, self.rows])
 
     def _friction(self) -> np.ndarray:
         """Torques (nu,) of friction in the drives on their joints: viscous, and Coulomb's as a constraint."""
@@ -243,12 +271,9 @@ def _until(record: SimulationRecord, count: int) -> SimulationRecord:
     rows = max(count - 1, 1)
     if count <= 1:
         record.qpos[1], record.qvel[1] = record.qpos[0], record.qvel[0]
-    return SimulationRecord(
-        **{
-            name: getattr(record, name)[: rows + (name in ("qpos", "qvel"))]
-            for name in SimulationRecord.__dataclass_fields__
-        }
-    )
+    names = [name for name in SimulationRecord.__dataclass_fields__ if name != "counts"]
+    cut = {name: getattr(record, name)[: rows + (name in ("qpos", "qvel"))] for name in names}
+    return replace(record, **cut)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -267,25 +292,3 @@ def _sizes(world: World) -> np.ndarray:
         if kind in (slide, free):
             sizes[row : row + (3 if kind == free else 1)] = world.units.length
     return sizes
-
-
-def torque_limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest torque (nu,); a source of rates or accelerations has none."""
-    limit = np.full(plan.tau.shape[1], np.inf)
-    given = plan.meta.get("effort_limit")
-    if given is not None and plan.meta.get("actuation", "torque") == "torque":
-        own = np.array([np.inf if entry is None else entry for entry in given], dtype=float)
-        limit = np.where(own > UNLIMITED, np.inf, own)
-    return -limit, limit
-
-
-def _with_drives(
-    drives: tuple[Drive | None, ...], rate: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of rows with a drive: those of its voltage and current at the rates."""
-    low, high = low.copy(), high.copy()
-    for row, drive in enumerate(drives):
-        if drive is not None:
-            own = drive.torque_range(float(rate[row]))
-            low[row], high[row] = float(own[0]), float(max(own[0], own[1]))
-    return low, high

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import Literal, get_args
 
-from trajopt.errors import InputError, require_finite
+from trajopt.errors import InputError, not_among, require_finite
 
 # Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
 # a contact pushes a penetration out again, and the time in which the feedback takes out an error of a joint.
@@ -26,6 +27,10 @@ ALLOWED = {
 }
 
 
+# Feedback of single joints, or a quadratic program for the whole body at each tick (`trajopt.control`).
+Controller = Literal["joints", "whole-body"]
+
+
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings:
     """Settings of a simulation; None is a value that follows from the robot.
@@ -36,7 +41,7 @@ class SimulationSettings:
     (m), rad, and their rates over the natural time. seed: of the noise. cycles: of a periodic plan. push: N,
     level on the base for a tenth of the motion, in its middle, to its left; in a plane to its front.
     rolling: contacts with a radius are balls fixed to their links, which roll; otherwise they turn about
-    their centres, as in the plan.
+    their centres, as in the plan. controller: see `Controller`; ``kp`` and ``kd`` are of "joints".
     Raises `InputError`.
     """
 
@@ -51,13 +56,20 @@ class SimulationSettings:
     cycles: int = 1
     push: float = 0.0
     rolling: bool = False
+    controller: Controller = "joints"
 
     def __post_init__(self) -> None:
         if not isinstance(self.rolling, bool):
             raise InputError(f"rolling of a simulation is {self.rolling!r}", "allowed: True or False")
+        if self.controller not in get_args(Controller):
+            raise not_among(
+                get_args(Controller),
+                str(self.controller),
+                f"controller of a simulation is {self.controller!r}",
+            )
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name == "rolling" or (value is None and field.name == "timestep"):
+            if field.name in ("rolling", "controller") or (value is None and field.name == "timestep"):
                 continue
             require_finite(f"{field.name} of a simulation", value)
             least, most = ALLOWED.get(field.name, (-math.inf, math.inf))

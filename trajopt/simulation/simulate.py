@@ -15,7 +15,7 @@ from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.simulation import figures
 from trajopt.simulation.bodies import muted_mujoco
-from trajopt.simulation.report import ContactReport, SimulationReport
+from trajopt.simulation.report import ContactReport, SimulationReport, TickReport
 from trajopt.simulation.run import SimulationRecord, run_simulation
 from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
 from trajopt.simulation.simulated import simulated_solution
@@ -114,6 +114,7 @@ def _report(
         swing_load=figures.swing_load(reference, record, world),
         force_error=None if force is None else force / world.units.weight,
         obstacle_hit=bool(record.hit.any()),
+        controller=None if record.counts is None else TickReport.of(record.counts),
         notes=_notes(plan, world),
         **_contacts(plan, stances, world),
     )

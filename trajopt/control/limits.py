@@ -1,0 +1,71 @@
+"""Limits at a tick: torques of drives, and accelerations that keep joints in their ranges."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajopt.dynamics.base_joint import UNLIMITED, position_limits
+from trajopt.robot.actuators.drive import Drive
+from trajopt.solution.solution import Solution
+
+
+def torque_limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest torque (nu,); a source of rates or accelerations has none."""
+    limit = np.full(plan.tau.shape[1], np.inf)
+    given = plan.meta.get("effort_limit")
+    if given is not None and plan.meta.get("actuation", "torque") == "torque":
+        limit = _numbers(given)
+    return -limit, limit
+
+
+def limits_with_drives(
+    drives: tuple[Drive | None, ...], rate: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of rows with a drive: those of its voltage and current at the rates."""
+    low, high = low.copy(), high.copy()
+    for row, drive in enumerate(drives):
+        if drive is not None:
+            own = drive.torque_range(float(rate[row]))
+            low[row], high[row] = float(own[0]), float(max(own[0], own[1]))
+    return low, high
+
+
+class JointRange:
+    """Bounds on accelerations (nu,) that keep positions and rates of joints in range for ``horizon`` s.
+
+    With constant acceleration a, q + v T + a T^2 / 2 and v + a T are in their ranges. A joint that cannot
+    return within T is braked as hard as its rate allows.
+    """
+
+    def __init__(self, plan: Solution, horizon: float) -> None:
+        model, first = plan.model, plan.n_unactuated
+        self.horizon, size = horizon, plan.model.nv - first
+        self.index = np.full(size, -1)
+        self.low, self.high = np.full(size, -np.inf), np.full(size, np.inf)
+        lower, upper = position_limits(model)
+        for joint in list(model.joints)[1:]:
+            if joint.nq == joint.nv == 1 and joint.idx_v >= first:
+                row = joint.idx_v - first
+                self.index[row] = joint.idx_q
+                self.low[row] = lower[joint.idx_q]
+                self.high[row] = upper[joint.idx_q]
+        given = plan.meta.get("velocity_limit")
+        whole = np.full(model.nv, np.inf) if given is None else _numbers(given)
+        self.fastest = whole[first:]
+
+    def bounds(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest acceleration (nu,) at positions (nq,) and rates (nu,)."""
+        time, known = self.horizon, self.index >= 0
+        low, high = (-self.fastest - v) / time, (self.fastest - v) / time
+        ahead = np.where(known, q[np.maximum(self.index, 0)], 0.0) + v * time
+        low = np.where(known, np.maximum(low, 2 * (self.low - ahead) / time**2), low)
+        high = np.where(known, np.minimum(high, 2 * (self.high - ahead) / time**2), high)
+        brake = np.abs(v) / time
+        high = np.maximum(high, -brake)
+        return np.minimum(np.minimum(low, brake), high), high
+
+
+def _numbers(given: list[float | None]) -> np.ndarray:
+    """Limits of a file, infinite where there is none."""
+    own = np.array([np.inf if entry is None else entry for entry in given], dtype=float)
+    return np.where(own > UNLIMITED, np.inf, own)

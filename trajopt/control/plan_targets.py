@@ -1,0 +1,99 @@
+"""What a plan asks of contacts, centre of mass and base at every tick, in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.payloads import carrying_model
+from trajopt.control.reference import ReferenceTrajectory
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.solution.solution import Solution
+from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanTargets:
+    """Targets at n ticks; velocities and accelerations are of the frames' origins, world axes.
+
+    com: (n, 3, 3) position, velocity, acceleration of the centre of mass, m. momentum: (n, 3) angular about
+    it, N m s. pose: of each contact frame,
+    rotation (n, nc, 3, 3) and position (n, nc, 3); velocity and acceleration (n, nc, 6). base: of the base
+    joint's frame, rotation (n, 3, 3), velocity and acceleration (n, 6). surfaces: under the contacts.
+    next_stance, last_stance: ticks (n, nc) until a contact that is in the air stands, and since it stood.
+    """
+
+    com: np.ndarray
+    momentum: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    base_rotation: np.ndarray
+    base_velocity: np.ndarray
+    base_acceleration: np.ndarray
+    surfaces: TouchedSurfaces
+    next_stance: np.ndarray
+    last_stance: np.ndarray
+
+
+def base_frame(model: pin.Model) -> int:
+    """Index of the frame of a moving base's joint."""
+    name = model.names[BASE_JOINT[base_of(model)]]
+    return int(model.getFrameId(name, pin.FrameType.JOINT))
+
+
+def plan_targets(plan: Solution, reference: ReferenceTrajectory) -> PlanTargets:
+    """Targets of a reference by forward kinematics."""
+    models = [carrying_model(plan, phase) for phase in range(len(plan.phases))]
+    frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
+    n, nc, axes = len(reference.t), len(frames), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    moving = base_of(plan.model) != "fixed"
+    base = base_frame(plan.model) if moving else 0
+    com, momentum = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    position, rotation = np.zeros((n, nc, 3)), np.zeros((n, nc, 3, 3))
+    velocity, acceleration = np.zeros((n, nc, 6)), np.zeros((n, nc, 6))
+    turned, rate, change = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 6)), np.zeros((n, 6))
+    data = [model.createData() for model in models]
+    for k in range(n):
+        model, own = models[reference.source[k]], data[reference.source[k]]
+        state = (reference.q[k], reference.v[k], reference.a[k])
+        pin.forwardKinematics(model, own, *state)
+        pin.updateFramePlacements(model, own)
+        pin.centerOfMass(model, own, *state)
+        momentum[k] = pin.computeCentroidalMomentum(model, own).angular
+        com[k] = own.com[0], own.vcom[0], own.acom[0]
+        for i, frame in enumerate(frames):
+            position[k, i], rotation[k, i] = own.oMf[frame].translation, own.oMf[frame].rotation
+            velocity[k, i] = pin.getFrameVelocity(model, own, frame, axes).vector
+            acceleration[k, i] = pin.getFrameClassicalAcceleration(model, own, frame, axes).vector
+        if moving:
+            turned[k] = own.oMf[base].rotation
+            rate[k] = pin.getFrameVelocity(model, own, base, axes).vector
+            change[k] = pin.getFrameClassicalAcceleration(model, own, base, axes).vector
+    return PlanTargets(
+        com=com,
+        momentum=momentum,
+        position=position,
+        rotation=rotation,
+        velocity=velocity,
+        acceleration=acceleration,
+        base_rotation=turned,
+        base_velocity=rate,
+        base_acceleration=change,
+        surfaces=touched_surfaces(plan, position, reference.source),
+        next_stance=_until(reference.active),
+        last_stance=_until(reference.active[::-1])[::-1],
+    )
+
+
+def _until(active: np.ndarray) -> np.ndarray:
+    """Rows (n, nc) until the next true one, zero where true, n where there is none."""
+    n, found = len(active), np.zeros(active.shape, dtype=int)
+    ahead = np.full(active.shape[1], n)
+    for k in range(n - 1, -1, -1):
+        ahead = np.where(active[k], 0, np.minimum(ahead + 1, n))
+        found[k] = ahead
+    return found

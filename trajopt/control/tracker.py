@@ -1,0 +1,409 @@
+"""Track a plan: its motion as tasks, its contacts as they are measured, a quadratic program a tick."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.arguments import NonNegative, Positive, checked
+from trajopt.certify.accuracy.natural_units import NaturalUnits, turning_rows
+from trajopt.certify.payloads import carrying_model
+from trajopt.control.contact_forces import ActiveContact
+from trajopt.control.inverse_dynamics import RELAXED, InverseDynamics, TickLimits, TickResult
+from trajopt.control.limits import JointRange, limits_with_drives, torque_limits
+from trajopt.control.plan_targets import PlanTargets, base_frame, plan_targets
+from trajopt.control.quadratic_programs import QpSolverName
+from trajopt.control.reference import ReferenceTrajectory, reference_of
+from trajopt.control.robot_state import RobotState
+from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
+from trajopt.dynamics.base_joint import base_of
+from trajopt.errors import InputError
+from trajopt.solution.descriptions import terrain_of
+from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
+from trajopt.terrain.surface import UP, Surface
+
+# Joints are braked towards their limits over so many ticks.
+HORIZON = 10
+# A contact that is early by less than this part of its swing takes load at once.
+EARLY = 1 / 3
+# A stance goes on if the contact is lost for less than this part of the natural time: soft contacts chatter.
+LOST = 0.05
+# A foot that is late is pressed down with this part of sqrt(g l), for at most this part of l.
+PRESSED, DEEPEST = 0.1, 0.1
+# Feedback of the centre of mass is at most so many g: more would only leave the friction cones.
+MOST_FEEDBACK = 1.0
+# The robot balances on lines and points that are its support for at least so many sqrt(l / g).
+LASTING = 1.0
+# Supports narrower than this part of l balance by motion alone; rotations about them weigh this part.
+THIN, TILT_PART = 1e-2, 0.03
+# Surfaces whose normals differ from up by less than this are level: feet may land elsewhere on them.
+LEVEL = 1e-3
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class TrackerGains:
+    """Bandwidths of feedback in 1 / sqrt(l / g), l the robot's reach, and weights of tasks in natural units.
+
+    Args:
+        body: bandwidth of centre of mass and base.
+        foot: of swinging feet.
+        joint: of joints.
+        contact: rate at which the velocity of a contact is taken out.
+        com_weight, base_weight, foot_weight, joint_weight, force_weight: of the tasks while contacts stand.
+        flight_joint_weight: of joints while none does.
+        balance, balance_joint_weight: bandwidth, and weight of joints, on a line or a point.
+        placement: how far a foot lands beside its foothold: times the error of the capture point.
+    """
+
+    body: NonNegative = 8.0
+    foot: NonNegative = 15.0
+    joint: NonNegative = 20.0
+    contact: NonNegative = 20.0
+    com_weight: NonNegative = 1.0
+    base_weight: NonNegative = 1.0
+    foot_weight: NonNegative = 1.0
+    joint_weight: NonNegative = 1e-2
+    force_weight: NonNegative = 1e-3
+    flight_joint_weight: Positive = 1.0
+    balance: NonNegative = 10.0
+    balance_joint_weight: NonNegative = 1e-4
+    placement: NonNegative = 0.5
+
+
+@dataclass
+class TickCounts:
+    """What happened so far: ticks, their programs by what was relaxed (see `RELAXED`), and times, s."""
+
+    ticks: int = 0
+    relaxed: list[int] = field(default_factory=lambda: [0] * len(RELAXED))
+    iterations: int = 0
+    times: list[float] = field(default_factory=list)
+
+
+class Tracker:
+    """A controller that tracks a plan with any robot, contacts and phases of the library.
+
+    At each tick `torque` takes the measured state and which contacts touch, and gives torques of the drives.
+    The tracker knows neither the simulator nor what happens to the robot.
+
+    Args:
+        solution: the plan, or the path of its file.
+        rate: of its ticks, Hz.
+        cycles: of a periodic plan.
+        gains: of the feedback.
+        solver: of the quadratic programs, "osqp" or "piqp".
+
+    Raises:
+        InputError: for a plan that cannot be sampled, and ticks that are longer than one of its phases.
+    """
+
+    @checked
+    def __init__(
+        self,
+        solution: SolutionOrFile,
+        *,
+        rate: Positive = 1000.0,
+        cycles: int = 1,
+        gains: TrackerGains = TrackerGains(),
+        solver: QpSolverName = "osqp",
+    ) -> None:
+        plan = require_motion(solution_of(solution))
+        shortest = min(float(np.ptp(plan.t[list(rows)])) for rows in plan.phases)
+        if rate * shortest < 1:
+            raise InputError(
+                f"a tick of {1 / rate:g} s is longer than a phase of {shortest:g} s",
+                f"allowed: a rate of {1 / shortest:g} Hz or more",
+            )
+        self.plan, self.gains, self.solver = plan, gains, solver
+        self.reference: ReferenceTrajectory = reference_of(plan, rate, cycles)
+        self.targets: PlanTargets = plan_targets(plan, self.reference)
+        self.units = NaturalUnits.of(plan.model)
+        self.counts = TickCounts()
+        self.last: TickResult | None = None
+        self._programs: dict[int, InverseDynamics] = {}
+        self._low, self._high = torque_limits(plan)
+        self._range = JointRange(plan, HORIZON * self.reference.period)
+        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
+        self._sizes = plan.meta.get("contact_sizes") or [None] * len(self._frames)
+        self._touched_at = np.full(len(self._frames), -np.inf)
+        self._moving = base_of(plan.model) != "fixed"
+        turning = turning_rows(plan.model)
+        gravity, length = self.units.gravity, self.units.length
+        self._acceleration = np.where(turning, gravity / length, gravity)
+        self._force = np.where(turning, self.units.weight * length, self.units.weight)
+        self._stands = self.reference.active.any(axis=0)
+        self._balances = self._balanced_ticks()
+        # Feet may land beside their footholds where the ground has no edges.
+        self._level = isinstance(terrain_of(plan.meta["terrain"]), Surface) and not plan.meta.get("surfaces")
+
+    def tick_of(self, t: float) -> int:
+        """The tick at ``t`` s from the start of the plan, within its ticks."""
+        return int(np.clip(round(t / self.reference.period), 0, len(self.reference.t) - 1))
+
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        """Torques of the drives (nu,) for the tick at ``t`` s.
+
+        Args:
+            t: since the start of the plan, s.
+            q: measured configuration (nq,), Pinocchio's.
+            v: measured velocity (nv,).
+            touching: which contacts touch (nc,).
+
+        Raises:
+            InputError: for a state that is not finite or has another shape.
+        """
+        begin = time.perf_counter()
+        k, contacts = self.tick_of(t), np.asarray(touching, dtype=bool)
+        if contacts.shape != (len(self._frames),):
+            raise InputError(
+                f"touching has shape {contacts.shape}",
+                f"allowed: ({len(self._frames)},), one for each contact",
+            )
+        program = self._program(int(self.reference.source[k]))
+        program.state.update(q, v)
+        active = self._active(k, contacts)
+        taken = [self._contact(int(i), k) for i in np.flatnonzero(active)]
+        found = program.solve(taken, self._tasks(k, active, program.state), self._limits(q, v))
+        self.counts.ticks += 1
+        self.counts.relaxed[found.relaxed] += 1
+        self.counts.iterations += found.iterations
+        self.counts.times.append(time.perf_counter() - begin)
+        self.last = found
+        if RELAXED[found.relaxed] == "everything":
+            return self._held(k, program.state)
+        return found.torque
+
+    def _program(self, phase: int) -> InverseDynamics:
+        if phase not in self._programs:
+            self._programs[phase] = InverseDynamics(
+                state=RobotState(carrying_model(self.plan, phase)),
+                n_unactuated=self.plan.n_unactuated,
+                acceleration_unit=self._acceleration,
+                force_units=(self.units.weight, self.units.weight * self.units.length),
+                torque_unit=self._force,
+                damping=self.gains.contact / self.units.time,
+                solver=self.solver,
+            )
+        return self._programs[phase]
+
+    def _active(self, k: int, touching: np.ndarray) -> np.ndarray:
+        """Contacts (nc,) that transmit forces: planned and touching, or early; held ones as planned."""
+        planned, targets = self.reference.active[k], self.targets
+        now = k * self.reference.period
+        self._touched_at = np.where(touching, now, self._touched_at)
+        lately = now - self._touched_at <= LOST * self.units.time
+        swing = targets.next_stance[k] + targets.last_stance[k]
+        early = touching & ~planned & (targets.next_stance[k] <= EARLY * swing)
+        early &= targets.next_stance[k] < len(self.reference.t)
+        held = planned & targets.surfaces.bilateral[k]
+        started = planned & (k == 0)
+        return np.asarray((planned & lately) | early | held | started)
+
+    def _contact(self, i: int, k: int) -> ActiveContact:
+        surfaces, size = self.targets.surfaces, self._sizes[i]
+        sole = self.plan.meta["contact_kinds"][i] == "surface"
+        sliding = None
+        normal = surfaces.normal[k, i]
+        if surfaces.slides[k, i]:
+            velocity = self.targets.velocity[k, i, :3]
+            along = velocity - normal * (normal @ velocity)
+            speed = float(np.linalg.norm(along))
+            sliding = along / speed if speed > 0 else None
+        return ActiveContact(
+            number=i,
+            frame=self._frames[i],
+            dimension=6 if sole else 3,
+            normal=normal,
+            friction=float(surfaces.friction[k, i]),
+            half_size=(0.0, 0.0) if not size else (float(size[0]), float(size[1])),
+            bilateral=bool(surfaces.bilateral[k, i]),
+            sliding=sliding,
+        )
+
+    def _limits(self, q: np.ndarray, v: np.ndarray) -> TickLimits:
+        rate, drives = v[self.plan.n_unactuated :], self.plan.drives
+        low, high, friction = self._low, self._high, np.zeros(len(rate))
+        if any(drive is not None for drive in drives):
+            low, high = limits_with_drives(drives, rate, low, high)
+            own = [
+                0.0 if d is None else float(d.friction_torque(r)) for d, r in zip(drives, rate, strict=True)
+            ]
+            friction = np.array(own)
+        return TickLimits(torque=(low, high), acceleration=self._range.bounds(q, rate), friction=friction)
+
+    def _tasks(self, k: int, active: np.ndarray, state: RobotState) -> list[Task]:
+        gains, units, reference = self.gains, self.units, self.reference
+        planned = reference.active[k]
+        first, flying = self.plan.n_unactuated, not (planned.any() and active.any())
+        rotation, fixed = units.gravity / units.length, not self._moving
+        rows, support = np.arange(first, self.plan.model.nv), active | planned
+        tilting = np.zeros((0, 3)) if flying or fixed else self._tilting(support, k, state)
+        weight = gains.flight_joint_weight if flying else gains.joint_weight
+        weight = gains.balance_joint_weight if len(tilting) else weight
+        tasks: list[Task] = [
+            PostureTask(
+                weight=1.0 if fixed else weight,
+                q=reference.q[k],
+                v=reference.v[k],
+                a=reference.a[k],
+                bandwidth=gains.joint / units.time,
+                rows_of_v=rows,
+                weights=np.ones(len(rows)),
+                unit=self._acceleration[rows],
+            )
+        ]
+        if active.any():
+            tasks.append(
+                ContactForceTask(
+                    weight=gains.force_weight,
+                    wanted=reference.f[k],
+                    units=(units.weight, units.weight * units.length),
+                )
+            )
+        if fixed:
+            return tasks
+        if not flying:
+            tasks.append(self._balance(k, support, tilting, state))
+            tasks.append(
+                FrameTask(
+                    weight=gains.base_weight,
+                    frame=base_frame(self.plan.model),
+                    pose=pin.SE3(self.targets.base_rotation[k], np.zeros(3)),
+                    velocity=self.targets.base_velocity[k],
+                    acceleration=self.targets.base_acceleration[k],
+                    bandwidth=gains.body / units.time,
+                    selection=np.hstack([np.zeros((3, 3)), _without(np.cross(UP, tilting))]),
+                    units=(units.gravity, rotation),
+                )
+            )
+        tasks += [self._swing(int(i), k, state) for i in np.flatnonzero(self._stands & ~active)]
+        return tasks
+
+    def _tilting(self, active: np.ndarray, k: int, state: RobotState) -> np.ndarray:
+        """Level directions (r, 3) in which only motion of the body balances: 2 on a point, 1 on a line."""
+        if not self._balances[k]:
+            return np.zeros((0, 3))
+        picked = np.flatnonzero(active)
+        places = np.array([state.frame(self._frames[i]).placement.translation for i in picked])
+        thin = _thin_axes(places, THIN * self.units.length)
+        return np.hstack([thin, np.zeros((len(thin), 1))])
+
+    def _balanced_ticks(self) -> np.ndarray:
+        """Ticks (n,) of stretches on lines and points that last: shorter ones follow the plan as it is."""
+        standing = [bool(active.any()) for active in self.reference.active]
+        thin = np.array([stands and not self._is_wide(k) for k, stands in enumerate(standing)])
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], thin.astype(int), [0]])))
+        for begin, end in edges.reshape(-1, 2):
+            if (end - begin) * self.reference.period < LASTING * self.units.time:
+                thin[begin:end] = False
+        return thin
+
+    def _is_wide(self, k: int) -> bool:
+        """Whether the planned contacts of a tick hold the body in all directions: a sole, or no line."""
+        picked = np.flatnonzero(self.reference.active[k])
+        kinds = [self.plan.meta["contact_kinds"][i] for i in picked]
+        if "surface" in kinds or self.targets.surfaces.bilateral[k, picked].any():
+            return True
+        return len(picked) > 2 and not len(
+            _thin_axes(self.targets.position[k, picked], THIN * self.units.length)
+        )
+
+    def _balance(
+        self, k: int, active: np.ndarray, tilting: np.ndarray, state: RobotState
+    ) -> CenterOfMassTask:
+        """The centre of mass follows the plan; in directions that tilt, so that the angular momentum does.
+
+        About a support p without extent along u only gravity changes the angular momentum L about the level
+        axis z x u: dL = m g (c - p) u. A triple pole of that chain of integrators (Azad and Featherstone,
+        IEEE Trans. Robotics 32, 2016) gives with e for errors and w the bandwidth
+            dd c = dd c_d - 3 w de - 3 w^2 e - w^3 e_L / (m g)
+        """
+        units, targets = self.units, self.targets
+        w, tilt = self.gains.body / units.time, self.gains.balance / units.time
+        position, velocity, _, _ = state.centre_of_mass()
+        wanted, rate, acceleration = targets.com[k]
+        error, change = position - wanted, velocity - rate
+        feedback = -2 * w * change - w**2 * error
+        if len(tilting):
+            picked = np.flatnonzero(active)
+            here = np.mean([state.frame(self._frames[i]).placement.translation for i in picked], axis=0)
+            planned = targets.position[k, picked].mean(axis=0)
+            mass = units.weight / units.gravity
+            own = state.angular_momentum()[0] + mass * np.cross(position - here, velocity)
+            asked = targets.momentum[k] + mass * np.cross(wanted - planned, rate)
+            error = error - (here - planned)
+            for along in tilting:
+                turned = float((own - asked) @ np.cross(UP, along)) / units.weight
+                pole = -3 * tilt * change - 3 * tilt**2 * error
+                feedback += along * (along @ (pole - feedback) - tilt**3 * turned)
+        most = MOST_FEEDBACK * units.gravity
+        feedback *= min(1.0, most / max(float(np.linalg.norm(feedback)), most))
+        return CenterOfMassTask(
+            weight=self.gains.com_weight,
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration + feedback,
+            bandwidth=0.0,
+            unit=units.gravity,
+        )
+
+    def _swing(self, i: int, k: int, state: RobotState) -> FrameTask:
+        """A contact in the air follows the plan; one that is late is pressed down along its normal."""
+        targets, units = self.targets, self.units
+        position, velocity = targets.position[k, i].copy(), targets.velocity[k, i].copy()
+        acceleration = targets.acceleration[k, i].copy()
+        normal = targets.surfaces.normal[k, i]
+        if self.reference.active[k, i]:
+            late = float(k * self.reference.period - max(self._touched_at[i], self._start_of(i, k)))
+            speed = PRESSED * np.sqrt(units.gravity * units.length)
+            position -= normal * min(speed * late, DEEPEST * units.length)
+            velocity[:3] -= normal * speed
+        if self.gains.placement and self._level and np.allclose(normal, UP, atol=LEVEL):
+            position[:2] += self.gains.placement * self._capture_error(k, state)
+        sole = self.plan.meta["contact_kinds"][i] == "surface"
+        return FrameTask(
+            weight=self.gains.foot_weight,
+            frame=self._frames[i],
+            pose=pin.SE3(targets.rotation[k, i], position),
+            velocity=velocity,
+            acceleration=acceleration,
+            bandwidth=self.gains.foot / units.time,
+            selection=np.eye(6)[: 6 if sole else 3],
+            units=(units.gravity, units.gravity / units.length),
+        )
+
+    def _start_of(self, i: int, k: int) -> float:
+        """Time since when contact ``i`` should stand at tick ``k``, s."""
+        before = np.flatnonzero(~self.reference.active[:k, i])
+        return (before[-1] + 1) * self.reference.period if len(before) else 0.0
+
+    def _capture_error(self, k: int, state: RobotState) -> np.ndarray:
+        """Error (2,) of the capture point x + dx sqrt(l / g), m (Pratt et al., Humanoids 2006)."""
+        position, velocity, _, _ = state.centre_of_mass()
+        wanted, rate, _ = self.targets.com[k]
+        return np.asarray((position - wanted + self.units.time * (velocity - rate))[:2])
+
+    def _held(self, k: int, state: RobotState) -> np.ndarray:
+        """Planned torques with feedback of single joints: where no program has a solution."""
+        first, w = self.plan.n_unactuated, self.gains.joint / self.units.time
+        inertia = np.diagonal(state.mass)[first:]
+        error = pin.difference(state.model, state.q, self.reference.q[k])[first:]
+        rate = (self.reference.v[k] - state.v)[first:]
+        wanted = self.reference.torque[k] + inertia * (w**2 * error + 2 * w * rate)
+        return np.asarray(np.clip(wanted, self._low, self._high))
+
+
+def _thin_axes(places: np.ndarray, least: float) -> np.ndarray:
+    """Level directions (r, 2) in which places (n, 3) are less than ``least`` m apart."""
+    spread = places[:, :2] - places[:, :2].mean(axis=0)
+    _, extent, axes = np.linalg.svd(np.vstack([spread, np.zeros((2, 2))]))
+    return np.asarray(axes[extent < least])
+
+
+def _without(axes: np.ndarray) -> np.ndarray:
+    """Rows (3, 3) of rotations without those about some unit axes (r, 3), but for a small part."""
+    return np.asarray(np.eye(3) - (1.0 - TILT_PART) * axes.T @ axes)
