@@ -138,6 +138,15 @@ solver_options = option_group(
 )
 
 
+controller_option = click.option(
+    "--controller",
+    type=click.Choice(["joints", "whole-body"]),
+    default="joints",
+    show_default=True,
+    help="Feedback of single joints, or of the whole body.",
+)
+
+
 layout_options = option_group(
     click.option(
         "--side-by-side",

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from trajopt.cli.input import COUNT, NOT_REACHED, default_option, json_option
+from trajopt.cli.input import COUNT, NOT_REACHED, controller_option, default_option, json_option
 from trajopt.cli.progress import busy
 from trajopt.cli.report import to_json
 from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
@@ -17,13 +17,7 @@ from trajopt.solution.output import check_apart, check_output, check_solution_ou
 @click.argument("file", type=Path)
 @click.option("--output", "-o", type=Path, metavar="SIM", help="Save the simulated motion as a solution.")
 @click.option("--html", type=Path, metavar="BOTH", help="Write a page that shows plan and simulation.")
-@click.option(
-    "--controller",
-    type=click.Choice(["joints", "whole-body"]),
-    default="joints",
-    show_default=True,
-    help="Feedback of single joints, or of the whole body.",
-)
+@controller_option
 @default_option("--cycles", 1, "N", "Cycles of a periodic plan.", kind=COUNT)
 @default_option("--kp", 1.0, "X", "Factor on position gains.")
 @default_option("--kd", 1.0, "X", "Factor on velocity gains.")

@@ -15,6 +15,7 @@ from trajopt.cli.input import (
     NOT_REACHED,
     THREADS,
     compile_option,
+    controller_option,
     default_option,
     json_option,
     solver_option,
@@ -76,6 +77,7 @@ def _each(option: str, words: str) -> list[str]:
 @compile_option
 @click.option("--fixed-mesh", is_flag=True, help="Solve once, on each problem's own mesh.")
 @click.option("--simulate", is_flag=True, help="Also run solved plans of legged robots in MuJoCo.")
+@controller_option
 @click.option("--output-dir", type=Path, metavar="DIR", help="Write results and solution files there.")
 @click.option("--resume", is_flag=True, help="Continue from the results in --output-dir.")
 @click.option("--update", type=Path, metavar="FILE", help="Write the bands of the pairs to FILE.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -71,7 +72,7 @@ class TrackerGains:
     flight_joint_weight: Positive = 1.0
     balance: NonNegative = 10.0
     balance_joint_weight: NonNegative = 1e-4
-    placement: NonNegative = 0.5
+    placement: NonNegative = 0.25
 
 
 @dataclass
@@ -293,14 +294,16 @@ class Tracker:
         return np.hstack([thin, np.zeros((len(thin), 1))])
 
     def _balanced_ticks(self) -> np.ndarray:
-        """Ticks (n,) of stretches on lines and points that last: shorter ones follow the plan as it is."""
-        standing = [bool(active.any()) for active in self.reference.active]
-        thin = np.array([stands and not self._is_wide(k) for k, stands in enumerate(standing)])
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], thin.astype(int), [0]])))
-        for begin, end in edges.reshape(-1, 2):
-            if (end - begin) * self.reference.period < LASTING * self.units.time:
-                thin[begin:end] = False
-        return thin
+        """Ticks (n,) of stances on one line or point that last: shorter ones follow the plan as it is."""
+        active = self.reference.active
+        found = np.zeros(len(active), dtype=bool)
+        if self.plan.meta.get("periodicity") or any(self._is_wide(k) for k in range(len(active))):
+            return found  # the next steps, or a wider support, balance the robot
+        changes = np.flatnonzero((active[1:] != active[:-1]).any(axis=1)) + 1
+        for begin, end in pairwise([0, *changes.tolist(), len(active)]):
+            lasts = (end - begin) * self.reference.period >= LASTING * self.units.time
+            found[begin:end] = lasts and bool(active[begin].any()) and not self._is_wide(begin)
+        return found
 
     def _is_wide(self, k: int) -> bool:
         """Whether the planned contacts of a tick hold the body in all directions: a sole, or no line."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from trajopt.errors import TrajoptError
+from trajopt.simulation.settings import Controller
 from trajopt.solution.solution import Solution
 
 # From best to worst; a plan that was not or cannot be simulated has no word.
@@ -29,12 +30,12 @@ class Physics:
     detail: str = ""
 
 
-def simulated(solution: Solution, target: Path | None = None) -> Physics:
+def simulated(solution: Solution, target: Path | None = None, controller: Controller = "joints") -> Physics:
     """Simulate a plan, or say why it cannot be. target: where the simulated motion is written."""
     from trajopt.simulation.simulate import simulate
 
     try:
-        found = simulate(solution)
+        found = simulate(solution, controller=controller)
         if target is not None:
             found.as_solution().save(target)
     except (TrajoptError, ArithmeticError, ValueError) as error:

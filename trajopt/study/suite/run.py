@@ -16,6 +16,7 @@ from trajopt.errors import TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
 from trajopt.problem.problem import Problem
+from trajopt.simulation.settings import Controller
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve
@@ -103,7 +104,12 @@ def run_stages(
         hear({"event": "own", "values": asdict(attempt(solution, None, legged))})
         if settings.simulate:
             hear({"event": "stage", "stage": "physics"})
-            hear({"event": "physics", "values": asdict(_physics(case, problem, solution, folder))})
+            hear(
+                {
+                    "event": "physics",
+                    "values": asdict(_physics(case, problem, solution, folder, settings.controller)),
+                }
+            )
     for seed in settings.seeds if seeds is None else seeds:
         hear({"event": "stage", "stage": "start", "seed": seed})
         solution = solve(problem, seed=seed, perturb=settings.sigma, **shared)
@@ -144,12 +150,14 @@ def attempt(solution: Solution, seed: int | None, legged: bool) -> Attempt:
     )
 
 
-def _physics(case: Case, problem: Problem, solution: Solution, folder: Path | None) -> Physics:
+def _physics(
+    case: Case, problem: Problem, solution: Solution, folder: Path | None, controller: Controller
+) -> Physics:
     """Simulate a solved plan of a legged robot; nothing for other robots, or if it was not solved."""
     if not solution.converged or problem.robot.base == "fixed":
         return Physics()
     name = f"{case.problem}@{Path(case.robot).stem}{SIMULATED}.npz"
-    return simulated(solution, None if folder is None else folder / name)
+    return simulated(solution, None if folder is None else folder / name, controller)
 
 
 def _save(solution: Solution, target: Path) -> None:

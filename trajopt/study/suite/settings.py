@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from trajopt.errors import InputError
+from trajopt.simulation.settings import Controller
 from trajopt.solving.solving import check_settings
 
 # Noise on the guess: a tenth of the natural units, metres of leg or half a dozen degrees.
@@ -22,7 +23,8 @@ class SuiteSettings:
 
     perturbed: number of perturbed starts besides the default guess, seeds 0 to perturbed - 1.
     sigma: standard deviation of their noise in scaled units. max_time: s for a solve with all its meshes.
-    simulate: also run solved plans of legged robots in MuJoCo. fixed_mesh: solve once, on the problem's mesh.
+    simulate: also run solved plans of legged robots in MuJoCo, with this controller. fixed_mesh: solve once,
+    on the problem's mesh.
     """
 
     perturbed: int = 0
@@ -33,12 +35,15 @@ class SuiteSettings:
     max_time: float = DEFAULT_MAX_TIME
     simulate: bool = False
     fixed_mesh: bool = False
+    controller: Controller = "joints"
 
     def __post_init__(self) -> None:
         if not 0 <= self.perturbed <= MOST_STARTS:
             raise InputError(f"perturbed is {self.perturbed}", f"allowed: 0 to {MOST_STARTS}")
         if not (math.isfinite(self.sigma) and self.sigma > 0):
             raise InputError(f"sigma is {self.sigma:g}", "allowed: > 0")
+        if self.controller != "joints" and not self.simulate:
+            raise InputError("--controller has no effect here", "allowed: with --simulate")
         check_settings(self.solver, self.tolerance, self.max_iterations, self.max_time, self.sigma, 0)
 
     @property

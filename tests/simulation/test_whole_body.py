@@ -1,0 +1,80 @@
+"""Plans in MuJoCo with the whole-body controller: pushes, balance on a point, arms, and what is reported."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import trajopt
+from tests.support.command_lines import invoke
+from trajopt import Solution
+from trajopt.errors import InputError
+from trajopt.simulation.simulate import simulate
+
+# A push to the side for a tenth of the motion, N: an eighth of the weight.
+PUSH = 20.0
+
+
+@pytest.fixture(scope="module")
+def trot() -> Solution:
+    return trajopt.solve(trajopt.load("quadruped-trot", robot="go2"))
+
+
+@pytest.mark.slow
+def test_a_push_that_overturns_single_joints_is_taken_by_the_whole_body(trot: Solution) -> None:
+    joints = simulate(trot, cycles=6, push=PUSH).report
+    whole = simulate(trot, cycles=6, push=PUSH, controller="whole-body").report
+    assert joints.fell
+    assert whole.passed, whole.failures
+    assert whole.controller is not None
+    assert whole.controller.ticks == sum(whole.controller.relaxed.values())
+
+
+@pytest.mark.slow
+def test_cycles_end_where_the_command_leads(trot: Solution) -> None:
+    report = simulate(trot, cycles=10, controller="whole-body").report
+    assert report.base_error_end is not None
+    assert report.base_error_end < 0.02
+
+
+@pytest.mark.slow
+def test_a_hopper_lands_and_balances_on_one_point() -> None:
+    plan = trajopt.solve(trajopt.load("hopper-hop"))
+    assert simulate(plan, controller="whole-body").report.passed
+    assert not simulate(plan).report.passed
+
+
+@pytest.mark.slow
+def test_other_masses_and_friction_are_tracked_too(trot: Solution) -> None:
+    for settings in ({"mass_scale": 1.2}, {"mass_scale": 0.8}, {"friction_scale": 0.7}, {"noise": 0.01}):
+        report = simulate(trot, cycles=3, controller="whole-body", **settings).report
+        assert report.passed, (settings, report.failures)
+
+
+@pytest.mark.long
+def test_an_arm_is_tracked() -> None:
+    plan = trajopt.solve(trajopt.load("ur5-reach"))
+    report = simulate(plan, controller="whole-body").report
+    assert report.passed, report.failures
+
+
+@pytest.mark.long
+def test_ticks_are_reported(trot: Solution, tmp_path: Path) -> None:
+    file = trot.save(tmp_path / "trot.npz")
+    done = invoke("simulate", file, "--controller", "whole-body")
+    assert done.exit_code == 0, done.stderr
+    assert "ticks of the controller" in done.stdout
+    assert "relaxed: nothing" in done.stdout
+    found = json.loads(invoke("simulate", file, "--controller", "whole-body", "--json").stdout)
+    assert found["controller"]["relaxed"] == {"nothing": found["controller"]["ticks"]}
+    assert json.loads(invoke("simulate", file, "--json").stdout)["controller"] is None
+
+
+def test_bad_words_are_refused(trot: Solution, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is 'wholebody'; did you mean whole-body"):
+        simulate(trot, controller="wholebody")
+    assert invoke("bench", "suite", "--controller", "whole-body").exit_code == 2
+    assert np.isfinite(trot.q).all()
