@@ -10,6 +10,7 @@ import click
 
 from scripts.measure import (
     clearance,
+    control,
     grades,
     guesses,
     infeasible,
@@ -38,6 +39,7 @@ COMMANDS = (
     scenes.scenes,
     shapes.shapes,
     clearance.clearance,
+    control.ticks,
     warm_starts.warm_starts,
     programs.programs,
     machine.compilation,

@@ -78,7 +78,7 @@ class InverseDynamics:
     force_units: tuple[float, float]
     torque_unit: np.ndarray
     damping: float
-    solver: QpSolverName = "osqp"
+    solver: QpSolverName = "piqp"
     _solvers: dict[tuple[object, ...], QuadraticSolver] = field(default_factory=dict, init=False)
 
     def solve(

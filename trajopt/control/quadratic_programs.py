@@ -1,4 +1,4 @@
-"""Convex quadratic programs of one structure, solved tick by tick: OSQP or PIQP.
+"""Convex quadratic programs of one structure, solved tick by tick: PIQP or OSQP.
 
     minimise x' P x / 2 + c' x    subject to    l <= A x <= u
 

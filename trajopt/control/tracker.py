@@ -110,7 +110,7 @@ class Tracker:
         rate: Positive = 1000.0,
         cycles: int = 1,
         gains: TrackerGains = TrackerGains(),
-        solver: QpSolverName = "osqp",
+        solver: QpSolverName = "piqp",
     ) -> None:
         plan = require_motion(solution_of(solution))
         shortest = min(float(np.ptp(plan.t[list(rows)])) for rows in plan.phases)

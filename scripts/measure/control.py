@@ -1,0 +1,36 @@
+"""Ticks of the whole-body controller, and where its plans end (docs/control.md)."""
+
+from __future__ import annotations
+
+import click
+
+import trajopt
+from scripts.measure.shared import head, row
+from trajopt.control.tracker import Tracker
+from trajopt.simulation.simulate import simulate
+
+PLANS = (
+    ("quadruped-trot", "go2", 3),
+    ("quadruped-backflip", "go2", 1),
+    ("biped-walk", "talos", 1),
+    ("biped-walk", "g1", 1),
+)
+
+
+@click.command("ticks")
+def ticks() -> None:
+    """Time of a tick with either solver: mean and 99 %, on one core; run it with OMP_NUM_THREADS=1."""
+    head("plan", "solver", "mean, ms", "99 %, ms", "iterations")
+    for problem, robot, cycles in PLANS:
+        plan = trajopt.solve(trajopt.load(problem, robot=robot))
+        found = simulate(plan, cycles=cycles, controller="whole-body")
+        for solver in ("osqp", "piqp"):
+            tracker = Tracker(plan, cycles=cycles, solver=solver)
+            q = found.world.coordinates.from_mujoco(found.record.qpos)
+            v = found.world.coordinates.rates_from_mujoco(found.record.qpos, found.record.qvel)
+            for k, t in enumerate(tracker.reference.t[: found.reference.planned]):
+                tracker.torque(float(t - tracker.reference.t[0]), q[k], v[k], tracker.reference.active[k])
+            times = sorted(tracker.counts.times)
+            mean, slow = sum(times) / len(times), times[int(0.99 * len(times))]
+            steps = tracker.counts.iterations / tracker.counts.ticks
+            row(f"{problem} {robot}", solver, f"{1e3 * mean:.2f}", f"{1e3 * slow:.2f}", f"{steps:.0f}")
