@@ -129,6 +129,7 @@ def test_bad_input_is_one_line(rising: Solution, tmp_path: Path) -> None:
         r"touching has shape \(2,\); allowed: \(4,\)": lambda: tracker.torque(0.0, q, v, feet[:2]),
         r"a tick of 10 s is longer than a phase": lambda: Tracker(rising, rate=0.1),
         r"solver of Tracker is 'qp'": lambda: Tracker(rising, solver="qp"),  # type: ignore[arg-type]
+        r"cycles of Tracker is 0; allowed: a whole number >= 1": lambda: Tracker(rising, cycles=0),
         r"the solution is not periodic": lambda: Tracker(rising, cycles=2),
         r"none.npz does not exist": lambda: Tracker(tmp_path / "none.npz"),
         r"body of TrackerGains is -1; allowed: a finite number >= 0": lambda: TrackerGains(body=-1),

@@ -67,7 +67,9 @@ class InverseDynamics:
     Args:
         state: of the robot.
         n_unactuated: rows of v without an actuator, which come first.
-        units: (nv,) of accelerations, and of forces and moments, which scale the unknowns.
+        acceleration_unit: (nv,), m/s^2 and rad/s^2, which scales unknowns and rows.
+        force_units: of forces and moments, N and N m.
+        torque_unit: (nv,) of the rows of the dynamics.
         damping: d of contact rows, 1/s.
         solver: of the programs.
     """

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from trajopt.arguments import NonNegative, Positive, checked
+from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.certify.accuracy.natural_units import NaturalUnits, turning_rows
 from trajopt.certify.payloads import carrying_model
 from trajopt.control.contact_forces import ActiveContact
@@ -54,9 +54,14 @@ class TrackerGains:
         foot: of swinging feet.
         joint: of joints.
         contact: rate at which the velocity of a contact is taken out.
-        com_weight, base_weight, foot_weight, joint_weight, force_weight: of the tasks while contacts stand.
-        flight_joint_weight: of joints while none does.
-        balance, balance_joint_weight: bandwidth, and weight of joints, on a line or a point.
+        com_weight: of the centre of mass, while contacts stand.
+        base_weight: of the base's orientation, likewise.
+        foot_weight: of swinging feet.
+        joint_weight: of joints while contacts stand.
+        force_weight: of contact forces.
+        flight_joint_weight: of joints while no contact stands.
+        balance: bandwidth on a line or a point.
+        balance_joint_weight: of joints there.
         placement: how far a foot lands beside its foothold: times the error of the capture point.
     """
 
@@ -96,7 +101,7 @@ class Tracker:
         rate: of its ticks, Hz.
         cycles: of a periodic plan.
         gains: of the feedback.
-        solver: of the quadratic programs, "osqp" or "piqp".
+        solver: of the quadratic programs, "piqp" or "osqp".
 
     Raises:
         InputError: for a plan that cannot be sampled, and ticks that are longer than one of its phases.
@@ -108,7 +113,7 @@ class Tracker:
         solution: SolutionOrFile,
         *,
         rate: Positive = 1000.0,
-        cycles: int = 1,
+        cycles: PositiveCount = 1,
         gains: TrackerGains = TrackerGains(),
         solver: QpSolverName = "piqp",
     ) -> None:
