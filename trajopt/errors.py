@@ -108,6 +108,14 @@ def failure(error: Exception, path: Path) -> str:
     return said if line is None else f"line {line}: {said}"
 
 
+def expanded(path: str | Path) -> Path:
+    """The path with the home folder for a first ``~``; raises `InputError` for a user that does not exist."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise InputError(f"{path}: there is no home folder of that user", "allowed: a path") from None
+
+
 def is_number(value: Any) -> TypeGuard[float]:
     """Whether a value is a finite number, Python's or NumPy's; True and False are not."""
     return _is_real(value) and math.isfinite(value)

@@ -189,7 +189,7 @@ def test_telling_moment_is_the_middle_of_the_first_flight_after_a_contact():
         ({"ending": ".gif", "fps": 60.0}, "--fps is 60; allowed for a .gif: 1 to 50"),
         ({"ending": ".mp4", "fps": 0.0}, "--fps is 0"),
         ({"ending": ".mp4", "fps": float("nan")}, "--fps is nan"),
-        ({"ending": ".mp4", "speed": 0.0}, "speed is 0; a positive number"),
+        ({"ending": ".mp4", "speed": 0.0}, "speed is 0; allowed: > 0 to 1000"),
         ({"ending": ".mp4", "speed": float("inf")}, "speed is inf"),
         ({"ending": ".png", "time": float("nan")}, "time is nan"),
     ],

@@ -14,7 +14,11 @@ COMMANDS = {
 
 
 @click.command(
-    "bench", cls=LazyGroup, modules=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]}
+    "bench",
+    cls=LazyGroup,
+    modules=COMMANDS,
+    no_args_is_help=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 def bench() -> None:
     """Solve many problems or settings, timed and compared."""

@@ -23,8 +23,8 @@ from trajopt.cli.progress import watched
 from trajopt.cli.report import console, plain_table, to_json
 from trajopt.cli.warm import cost
 from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
-from trajopt.errors import InputError
-from trajopt.solution.output import check_output
+from trajopt.errors import InputError, expanded
+from trajopt.solution.output import check_apart, check_output
 
 if TYPE_CHECKING:
     from trajopt.problem.family import Family
@@ -85,11 +85,13 @@ def continue_command(
         return family.load({**fixed, name: value})
 
     load(values[0]), load(values[-1])  # bad values are refused before solving
-    folder = None if output_dir is None else _folder(output_dir, problem)
+    if log not in (None, "-"):
+        check_apart([Path(log)], [] if start is None else [start])
     context = click.get_current_context()
     targets = {value: file_of_settings(context, f"{name}={value:.9g}") for value in values}
     known = None if start is None else solution_of(start)
     arguments |= {"options": options_of(solver_options), "start": known}
+    folder = None if output_dir is None else _folder(output_dir, problem)
     viewer = open_viewer(watch)
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
     most = (arguments["max_time"] + BESIDE) * len(values) * each
@@ -131,7 +133,7 @@ def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, l
 
 def _folder(path: Path, problem: str) -> Path:
     """Return the folder, created if missing; raises `InputError` if no solution can be written there."""
-    folder = path.expanduser()
+    folder = expanded(path)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--output-dir {folder} is not a folder", "allowed: a folder, or a new one")
     folder.mkdir(parents=True, exist_ok=True)

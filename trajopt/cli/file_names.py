@@ -53,4 +53,4 @@ def _words(option: click.Parameter, value: Any) -> list[str]:
         return [each if option.name in NAMED else f"{title}={each}" for each in value]
     if value is True:
         return [title]
-    return [f"{title}={value.with_suffix('') if isinstance(value, Path) else value}"]
+    return [f"{title}={value.with_suffix('') if isinstance(value, Path) and value.name else value}"]

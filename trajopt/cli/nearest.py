@@ -57,7 +57,10 @@ class Search:
         if first is None:
             derived = family.load(fixed).parameters.get(name)
             if isinstance(derived, bool) or not isinstance(derived, (int, float)):
-                raise InputError(f"'{name}' of {family.name} has no number as its default", "allowed: others")
+                raise InputError(
+                    f"'{name}' of {family.name} has no number as its default",
+                    f"allowed: {', '.join(name for name in numbers)}",
+                )
             first = float(derived)
         if first == asked:
             raise InputError(f"{name}={asked:g} is the default", f"allowed: another value of {name}")

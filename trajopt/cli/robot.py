@@ -10,7 +10,7 @@ import click
 from trajopt.cli.input import json_option
 from trajopt.cli.report import to_json
 from trajopt.errors import InputError
-from trajopt.solution.output import check_apart, check_output, replacing
+from trajopt.solution.output import check_apart, check_output, replacing, require_ending
 
 if TYPE_CHECKING:
     from trajopt.dynamics.base_joint import Base
@@ -42,7 +42,7 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
 
     check_apart([write, html], [Path(robot)])
     if html is not None:
-        check_output(html)
+        require_ending(check_output(html), ".html")
     loaded = _loaded(robot, base, write)
     text = None if write is None else _starter(loaded, write)
     found = robot_report(loaded)

@@ -7,9 +7,10 @@ from typing import Any
 
 import click
 
-from trajopt.cli.input import COUNT, NOT_REACHED, controller_option, default_option, json_option
+from trajopt.cli.input import COUNT, NOT_REACHED, controller_option, default_option, is_given, json_option
 from trajopt.cli.progress import busy
 from trajopt.cli.report import to_json
+from trajopt.errors import InputError
 from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
 
 
@@ -42,10 +43,17 @@ def simulate_command(
     from trajopt.solution.solution import Solution
 
     check_apart([output, html], [file])
+    if is_given("seed") and not settings["noise"]:
+        raise InputError("--seed has no effect here", "allowed: with --noise SIGMA")
+    for name in ("kp", "kd"):
+        if is_given(name) and settings["controller"] != "joints":
+            raise InputError(f"--{name} has no effect here", "allowed: with --controller joints")
     motion, page = output and check_solution_output(output), html and check_output(html)
     if page is not None:
         require_ending(page, ".html")
     plan = Solution.load(file)
+    if not plan.success:
+        click.echo(f"trajopt: warning: {file} is no success: {plan.meta['status']}", err=True)
     with busy(f"simulating {plan.t[-1]:.3g} s of {file} in MuJoCo"):
         simulated = simulate(plan, **settings)
     if motion is not None:

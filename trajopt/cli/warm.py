@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import option_group
+from trajopt.cli.input import GRID, option_group
 from trajopt.cli.progress import watched
 from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError
@@ -67,7 +67,7 @@ def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:
     rungs: list[tuple[str | None, int | None]] = []
     for rung in text.split(","):
         name, at, count = rung.strip().partition("@")
-        if not (name and at and count.isascii() and count.isdigit()):
+        if not (name and at and count.isascii() and count.isdigit() and int(count[:9]) <= GRID.most):
             raise InputError(f"rung '{rung}' of --ladder has the wrong form", LADDER_FORM)
         rungs.append((name, int(count)))
     return rungs

@@ -15,7 +15,7 @@ import pinocchio as pin
 from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import Base, base_of
 from trajopt.dynamics.virtual_base import virtual_model
-from trajopt.errors import InputError, first_line
+from trajopt.errors import InputError, expanded, first_line
 from trajopt.robot.building import sagittal
 
 # Prefix of urdfdom's error messages.
@@ -100,7 +100,7 @@ def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
 
 def existing_file(path: str | Path, kind: str) -> Path:
     """Return the absolute path of a file. Raises `InputError` if it does not exist."""
-    source = Path(path).expanduser().absolute()
+    source = expanded(path).absolute()
     if not source.is_file():
         raise InputError(f"{kind} file {source} does not exist")
     return source

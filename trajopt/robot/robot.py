@@ -16,7 +16,7 @@ from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import Base, base_of, position_limits
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
-from trajopt.errors import InputError, renamed
+from trajopt.errors import InputError, expanded, renamed
 from trajopt.kinds import ArrayShape
 from trajopt.robot import building
 from trajopt.robot.actuators.drive import Drive
@@ -262,7 +262,7 @@ class Robot:
             InputError: for a missing or malformed file, and as `Robot`.
         """
         model = read_urdf(path, base)
-        source = Path(path).expanduser().absolute()
+        source = expanded(path).absolute()
         given = None if package_dirs is None else tuple(Path(entry).absolute() for entry in package_dirs)
         directories = package_directories(source) if given is None else given
         return cls.from_model(
@@ -292,7 +292,7 @@ class Robot:
             InputError: for a missing or malformed file, and a base that contradicts it.
         """
         model = read_mjcf(path, base)
-        source = VisualSource(urdf=Path(path).expanduser().absolute())
+        source = VisualSource(urdf=expanded(path).absolute())
         return cls.from_model(model, **{"base": base, "visual": source, **options})
 
     @classmethod

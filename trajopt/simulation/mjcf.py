@@ -15,7 +15,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError, first_line
+from trajopt.errors import InputError, expanded, first_line
 from trajopt.simulation.bodies import (
     body_name,
     joint_axis,
@@ -60,7 +60,7 @@ def write_mjcf(solution: SolutionOrFile, path: str | Path) -> Path:
         InputError: for a model that MJCF cannot express, a place that cannot be written, or where MuJoCo is
             not installed.
     """
-    text, target = mjcf_of(require_motion(solution_of(solution))), Path(path).expanduser()
+    text, target = mjcf_of(require_motion(solution_of(solution))), expanded(path)
     with replacing(target) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
     return target

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError, SolutionFileError
+from trajopt.errors import InputError, SolutionFileError, expanded
 from trajopt.solution.arrays import OTHERS, SAMPLED, read_only
 from trajopt.solution.consistency import inconsistency
 from trajopt.solution.output import replacing
@@ -26,7 +26,7 @@ def write_solution_file(
     path: str | Path, meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]
 ) -> Path:
     """Write a solution to a temporary file beside ``path`` and rename it; see `Solution.save`."""
-    target = Path(path).expanduser()
+    target = expanded(path)
     text = consistent_meta(meta, model_text, arrays)
     with replacing(target) as unfinished, unfinished.open("wb") as file:
         np.savez_compressed(
@@ -62,7 +62,7 @@ def _jsonable(value: Any) -> Any:
 
 def read_solution_file(path: str | Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
     """Read meta, the model's text and arrays; raises a one-line `SolutionFileError`; see `Solution.load`."""
-    source = Path(path).expanduser()
+    source = expanded(path)
     arrays = _arrays(source)
     meta = _meta(source, arrays)
     missing = [name for name in (*SAMPLED, "interval_t", "model") if name not in arrays]

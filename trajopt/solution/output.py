@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, expanded
 
 ALLOWED = "allowed: a file in an existing folder that can be written"
 # First bytes of solution files.
@@ -17,7 +17,7 @@ ARCHIVE = b"PK"
 
 def check_output(path: Path) -> Path:
     """The path, if a file can be written there; raises `InputError` before anything is computed."""
-    target = path.expanduser()
+    target = expanded(path)
     _require_file(target)
     try:  # as in writing: under another name beside it, then renamed
         tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.").cleanup()

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, expanded
 from trajopt.solution.names import BaseAxes, QuaternionOrder
 from trajopt.solution.output import replacing
 
@@ -158,7 +158,7 @@ class SampledMotion:
 
         Raises `InputError` for another ending, a place that cannot be written, or without pyarrow.
         """
-        target = Path(path).expanduser()
+        target = expanded(path)
         write = _WRITERS.get(target.suffix.lower())
         if write is None:
             raise InputError(f"cannot write {target}: unknown ending", f"allowed: {', '.join(_WRITERS)}")

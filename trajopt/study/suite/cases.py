@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from pathlib import Path
 
-from trajopt.errors import InputError, not_among
+from trajopt.errors import InputError, expanded, not_among
 from trajopt.problem.family import Family
 from trajopt.robot.catalogue import robot_kind
 
@@ -69,7 +68,7 @@ def select(
     if not found:
         raise InputError(
             f"no problem of {', '.join(problems) or 'all'} is run on {', '.join(robots)}",
-            "allowed: pairs of trajopt suite --list",
+            "allowed: pairs of trajopt bench suite --list",
         )
     return tuple(sorted(found))
 
@@ -88,7 +87,7 @@ def _fitting(families: Mapping[str, Family], patterns: Sequence[str]) -> dict[st
 def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -> set[Case]:
     """A robot that no family lists, on the families that take a robot and list one of its kind."""
     if robot.endswith(ROBOT_FILE):
-        if not Path(robot).expanduser().is_file():
+        if not expanded(robot).is_file():
             raise InputError(f"there is no robot file {robot}", "allowed: a .py file with build()")
         kind = robot_kind(robot)
     elif (kind := _kind(robot)) is None:

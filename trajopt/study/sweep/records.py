@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, expanded
 from trajopt.problem import Problem
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
@@ -139,9 +139,13 @@ class SweepRecords:
     """The folder of a sweep. Raises InputError where it cannot be written, or holds another sweep."""
 
     def __init__(self, folder: Path, head: Mapping[str, Any], *, resume: bool) -> None:
-        self.folder = folder.expanduser()
+        self.folder = expanded(folder)
         self.found = SweepResults()
         file = self.folder / FILE
+        own = (self.folder / REFERENCE, *(self.folder / SOLUTIONS).glob("*.npz"))
+        foreign = [] if file.exists() else [path for path in own if path.exists()]
+        if foreign:
+            raise InputError(f"{foreign[0]} is there, without a sweep", "allowed: another --output-dir")
         self._lines = JsonLines(file)
         resume = resume and file.exists()
         first, *entries = self._lines.open(resume=resume) or [{}]

@@ -28,6 +28,10 @@ class JsonLines:
             return []
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
+            if not resume and not self._is_own():
+                raise InputError(
+                    f"cannot write {self.path}: it is there and holds no results", "allowed: another folder"
+                )
             with self.path.open("a+" if resume else "w+", encoding="utf-8") as stream:
                 stream.seek(0)
                 text = stream.read()
@@ -39,6 +43,14 @@ class JsonLines:
                 f"cannot write {self.path}: {reason}", "allowed: a folder that can be written"
             ) from None
         return self.read()
+
+    def _is_own(self) -> bool:
+        """Whether there is no file yet, an empty one, or one whose first line is a JSON object."""
+        if self.path is None or not self.path.is_file():
+            return True
+        with self.path.open(encoding="utf-8", errors="replace") as stream:
+            first = stream.readline()
+        return not first or first.startswith("{")
 
     def read(self) -> list[dict[str, Any]]:
         """All objects; invalid lines are skipped: their results are computed again."""

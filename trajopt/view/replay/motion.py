@@ -17,6 +17,8 @@ from trajopt.solution.solution import Solution
 from trajopt.solution.touched import TouchedSurfaces, held_samples, touched_surfaces
 
 # Pictures a second of playback: what screens show.
+# Playback speed beyond which nothing is seen.
+FASTEST = 1e3
 FRAME_RATE = 60.0
 # Most frames: all are computed and written before the first one is shown.
 MOST_FRAMES = 100_000
@@ -79,9 +81,9 @@ class ReplayMotion:
 
 def require_speed(speed: float) -> None:
     """Raise `InputError` unless a ``speed`` of playback is a positive number."""
-    if not (is_number(speed) and speed > 0):
+    if not (is_number(speed) and 0 < speed <= FASTEST):
         shown = f"{speed:g}" if isinstance(speed, int | float) else repr(speed)
-        raise InputError(f"speed is {shown}", "a positive number; 1 is real time")
+        raise InputError(f"speed is {shown}", f"allowed: > 0 to {FASTEST:g}; 1 is real time")
 
 
 def replay_motion(solution: Solution, speed: float = 1.0) -> ReplayMotion:

@@ -8,7 +8,7 @@ import warnings
 from pathlib import Path
 from typing import TextIO
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, expanded
 from trajopt.solving.monitoring import Iterate
 from trajopt.view.watching.history import FIGURES, History
 
@@ -26,7 +26,8 @@ class IterationTable:
 
     def __init__(self, path: str | Path) -> None:
         """Open the file; raises `InputError` where it cannot be written."""
-        target = Path(path).expanduser()
+        target = expanded(path)
+        _require_table(target)
         try:
             self._file = target.open("w", encoding="utf-8", newline="", buffering=1)
             self._rows, self._history = csv.writer(self._file, lineterminator="\n"), History()
@@ -89,3 +90,16 @@ def _line(history: History) -> str:
     numbers = f"{row['iteration']:5.0f} {row['objective']:14.7g} {row['primal']:9.2e} {row['dual']:9.2e}"
     more = f"{row['barrier']:9.2e} {row['step']:9.2e} {row['time']:8.2f}"
     return f"{numbers} {more}  {'; '.join(history.troubles())}"
+
+
+def _require_table(target: Path) -> None:
+    """Raise `InputError` where a file is there that holds something else than a table of iterations."""
+    with contextlib.suppress(OSError):
+        if target.is_file():
+            with target.open(encoding="utf-8", errors="replace") as old:
+                first = old.readline().strip()
+            if first not in ("", ",".join(COLUMNS)):
+                raise InputError(
+                    f"cannot write {target}: it is there and is no table of iterations",
+                    "allowed: another name",
+                )
