@@ -251,6 +251,7 @@ def test_impact_with_a_carried_body_is_judged_with_its_mass():
     meta = {**plan.meta, "payloads": [{**body, "phases": [2], "contact": "trunk"}]}
     meta |= {
         "contact_frames": [*plan.contact_frames, "trunk"],
+        "contact_names": [*plan.contact_names, "trunk"],
         "contact_kinds": [*plan.meta["contact_kinds"], "surface"],
         "contact_sizes": [*plan.meta["contact_sizes"], None],
         "contact_radius": [*plan.meta["contact_radius"], 0.0],

@@ -305,7 +305,7 @@ def test_bad_input_is_refused_in_one_line():
     _, solution = solved("reach")
     with pytest.raises(InputError, match="'reach' is not in the catalogue"):
         diagnose(solution)
-    with pytest.raises(InputError, match="other joints"):
+    with pytest.raises(InputError, match="is on robot .hopper., and solution on .arm."):
         diagnose(solution, lean())
     with pytest.raises(InputError, match="3 is not a solution"):
         diagnose(3)  # type: ignore[arg-type]
