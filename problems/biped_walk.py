@@ -12,11 +12,10 @@ import pinocchio as pin
 
 from trajopt import reduced
 from trajopt.dynamics import gravity_of
-from trajopt.errors import InputError
 from trajopt.guesses import guess_from_lip
 from trajopt.problem import Family, Parameter, Problem
 from trajopt.reduced import FootstepPlan, Pendulum, Walk
-from trajopt.robot import Robot
+from trajopt.robot import Robot, require_soles
 from trajopt.schedule import Motion
 from trajopt.terms import TerminalRest
 from trajopt.terrain import FlatGround
@@ -43,17 +42,6 @@ def talos_legs() -> Robot:
     return bipeds.biped("talos")
 
 
-def _on_soles(name: str) -> Robot:
-    robot = bipeds.biped(name)
-    points = [contact.name for contact in robot.contacts if contact.kind != "surface"]
-    if points:
-        raise InputError(
-            f"robot '{robot.name}' stands on points: {', '.join(points)}",
-            "allowed: a biped on soles (points walk in biped-gait)",
-        )
-    return robot
-
-
 def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
     com = pin.centerOfMass(robot.model, robot.model.createData(), robot.reference)
     program = reduced.CenterOfMassProgram(
@@ -76,7 +64,8 @@ def build(
     **given: float | None,
 ) -> Problem:
     """Build the walk; see ``FAMILY`` for the parameters. Raises InputError."""
-    count, body = common.whole("steps", steps), _on_soles(robot)
+    count, body = common.whole("steps", steps), bipeds.biped(robot)
+    require_soles(body)
     scale = body.length / LENGTH_OF_DEFAULTS
     own = {name: value * scale for name, value in LENGTHS.items()}
     own |= {name: value * math.sqrt(scale) for name, value in TIMES.items()}

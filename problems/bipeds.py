@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from trajopt.guesses import BaseWaypoint
-from trajopt.robot import Robot, biped_legs
+from trajopt.robot import Robot, biped_legs, legs_only
 from trajopt.schedule import Schedule, footholds_at
 from trajopt_library import robots
 
@@ -26,7 +26,7 @@ def biped(name: str) -> Robot:
     """
     robot = robots.load(name)
     biped_legs(robot)
-    return robots.legs_only(robot)
+    return legs_only(robot)
 
 
 def waypoint(robot: Robot, time: float, shift: Sequence[float] | np.ndarray) -> BaseWaypoint:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import pkgutil
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -88,30 +87,6 @@ def tool_frame(name: str) -> str:
 def feet(robot: Robot) -> tuple[str, ...]:
     """Return the names of the contacts that a robot stands on in its reference: those at the bottom."""
     return tuple(feet_in_base(robot)) if robot.contacts else ()
-
-
-def legs_only(robot: Robot) -> Robot:
-    """Return the robot with its feet as its only contacts, and all joints that carry no foot locked.
-
-    For tasks on legs alone with a humanoid: Talos with its left arm welded in the reference. A robot with
-    feet alone is returned unchanged.
-    """
-    standing = feet(robot)
-    model = robot.model
-    moved = {
-        joint
-        for name in standing
-        for joint in model.supports[model.frames[model.getFrameId(robot.contact(name).frame)].parentJoint]
-    }
-    idle = [
-        model.names[joint.id]
-        for joint in list(model.joints)[1:]
-        if joint.idx_v >= robot.n_unactuated and joint.id not in moved
-    ]
-    if not idle and len(standing) == len(robot.contacts):
-        return robot
-    kept = replace(robot, contacts=tuple(robot.contact(name) for name in standing))
-    return kept.with_locked(idle) if idle else kept
 
 
 def _module(name: str) -> ModuleType:

@@ -40,6 +40,7 @@ COMMANDS = (
     shapes.shapes,
     clearance.clearance,
     control.ticks,
+    control.walks,
     warm_starts.warm_starts,
     programs.programs,
     machine.compilation,

@@ -7,6 +7,8 @@ import click
 import trajopt
 from scripts.measure.shared import head, row
 from trajopt.control.tracker import Tracker
+from trajopt.guesses import commanded_walk, walk_plan
+from trajopt.robot import legs_only
 from trajopt.simulation.simulate import simulate
 
 PLANS = (
@@ -15,6 +17,9 @@ PLANS = (
     ("biped-walk", "talos", 1),
     ("biped-walk", "g1", 1),
 )
+
+# Twenty steps of each: forward and to the left, m/s, and turning to the left, rad/s.
+WALKS = ((0.3, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.05, 0.0), (0.3, 0.0, 0.4))
 
 
 @click.command("ticks")
@@ -34,3 +39,17 @@ def ticks() -> None:
             mean, slow = sum(times) / len(times), times[int(0.99 * len(times))]
             steps = tracker.counts.iterations / tracker.counts.ticks
             row(f"{problem} {robot}", solver, f"{1e3 * mean:.2f}", f"{1e3 * slow:.2f}", f"{steps:.0f}")
+
+
+@click.command("walks")
+def walks() -> None:
+    """Twenty steps of Talos and G1 in MuJoCo without a solve: how far the base is off."""
+    head("robot", "forward, m/s", "aside, m/s", "turning, rad/s", "largest error, mm", "tracked")
+    for robot in ("talos", "g1"):
+        legs = legs_only(trajopt.robot(robot))
+        for speed, side_speed, turn_rate in WALKS:
+            walk = commanded_walk(legs, speed=speed, side_speed=side_speed, turn_rate=turn_rate)
+            report = simulate(walk_plan(legs, walk), controller="whole-body").report
+            most = 1e3 * (report.base_error_max or 0.0)
+            passed = "yes" if report.passed else "no"
+            row(robot, f"{speed:g}", f"{side_speed:g}", f"{turn_rate:g}", f"{most:.1f}", passed)

@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from trajopt.errors import InputError
+from trajopt.robot.legs import legs_only
 from trajopt.robot.robot import Robot
 from trajopt_library import robots
 
@@ -228,7 +229,7 @@ def test_a_pendulum_hangs_and_an_acrobot_has_one_motor():
 
 def test_a_talos_on_its_legs_has_twelve_joints_and_two_soles():
     talos = robots.load("talos")
-    legs = robots.legs_only(talos)
+    legs = legs_only(talos)
     assert (legs.nu, tuple(contact.name for contact in legs.contacts)) == (12, ("left", "right"))
     assert legs.mass == pytest.approx(talos.mass)
     np.testing.assert_allclose(centre_of_mass(legs), centre_of_mass(talos), atol=ROUNDING)
@@ -236,7 +237,7 @@ def test_a_talos_on_its_legs_has_twelve_joints_and_two_soles():
 
 def test_a_robot_that_is_all_legs_keeps_its_joints():
     robot = robots.load("a1")
-    assert robots.legs_only(robot) is robot
+    assert legs_only(robot) is robot
 
 
 @pytest.mark.parametrize("name", robots.names("arm"))

@@ -39,6 +39,7 @@ COMMANDS = {
     "robot": "trajopt.cli.robot:robot_command",
     "simulate": "trajopt.cli.simulate:simulate_command",
     "solve": "trajopt.cli.solve:solve_command",
+    "walk": "trajopt.cli.walk:walk_command",
     "bench": "trajopt.cli.bench:bench",
 }
 

@@ -11,3 +11,5 @@ from .gaits import plan_of_part as plan_of_part
 from .legged import legged_guess as legged_guess
 from .over_terrain import TerrainPlan as TerrainPlan
 from .over_terrain import plan_over_terrain as plan_over_terrain
+from .pendulum_walk import commanded_walk as commanded_walk
+from .pendulum_walk import walk_plan as walk_plan

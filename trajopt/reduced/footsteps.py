@@ -129,6 +129,8 @@ class Walk:
         steps: number of steps, two at least; the last brings the feet side by side, so that the walk
             advances by ``(steps - 1) * length``.
         length: distance from one step to the next along the path, m; negative walks backwards.
+        side: distance to the left from one step to the next, m; negative walks to the right. The foot on that
+            side goes out by twice of it, and the other one follows.
         width: distance between the feet across the path, m; None keeps that of the stance.
         turn: turn to the left from one step to the next, rad.
         step_time: duration of single support, s.
@@ -143,6 +145,7 @@ class Walk:
 
     steps: int = 2
     length: float = 0.15
+    side: float = 0.0
     width: float | None = None
     turn: float = 0.0
     step_time: float = 0.6
@@ -159,6 +162,7 @@ class Walk:
         if self.width is not None:
             require_positive("width", self.width, "m")
         require_finite("length", self.length, "m")
+        require_finite("side", self.side, "m")
         require_finite("turn", self.turn, "rad")
 
     def plan(self, robot: Robot, q: np.ndarray | None = None) -> FootstepPlan:
@@ -181,6 +185,7 @@ class Walk:
             supports.append(StepPhase(name=f"step_{step}", duration=self.step_time, feet=held))
             if step < self.steps:
                 path.advance(self.length, self.turn)
+                path.aside(swing, self.side)
             feet = {name: path.foothold(name) if name == swing else feet[name] for name in start}
             last = step == self.steps
             name, duration = ("settle", self.settle_time) if last else (f"double_{step}", self.double_support)
@@ -216,6 +221,11 @@ class _Path:
         self.heading += turn / 2
         self.middle = self.middle + length * np.array([math.cos(self.heading), math.sin(self.heading), 0.0])
         self.heading += turn / 2
+
+    def aside(self, name: str, way: float) -> None:
+        """To the left by twice ``way``, at steps of the foot on that side alone: feet do not cross."""
+        if way * self.offsets[name] > 0:
+            self.middle = self.middle + 2 * way * np.append(self._left(), 0.0)
 
     def foothold(self, name: str) -> Foothold:
         position = self.middle.copy()

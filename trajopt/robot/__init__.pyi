@@ -20,7 +20,9 @@ from .legs import Legs as Legs
 from .legs import biped_legs as biped_legs
 from .legs import feet_in_base as feet_in_base
 from .legs import leg_joints as leg_joints
+from .legs import legs_only as legs_only
 from .legs import quadruped_legs as quadruped_legs
+from .legs import require_soles as require_soles
 from .payload import Payload as Payload
 from .reading import read_urdf as read_urdf
 from .robot import Robot as Robot

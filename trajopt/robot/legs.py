@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -81,6 +81,30 @@ def feet_in_base(robot: Robot, q: np.ndarray | None = None) -> dict[str, np.ndar
 
 
 @checked
+def legs_only(robot: Robot) -> Robot:
+    """The robot with its feet as its only contacts, and all joints that carry no foot locked.
+
+    For tasks on legs alone: Talos with its left arm welded in the reference. A robot with feet alone is
+    returned unchanged. Raises `InputError` for a robot on a fixed base, or without contacts.
+    """
+    standing, model = tuple(feet_in_base(robot)), robot.model
+    moved = {
+        joint
+        for name in standing
+        for joint in model.supports[model.frames[model.getFrameId(robot.contact(name).frame)].parentJoint]
+    }
+    idle = [
+        model.names[joint.id]
+        for joint in list(model.joints)[1:]
+        if joint.idx_v >= robot.n_unactuated and joint.id not in moved
+    ]
+    if not idle and len(standing) == len(robot.contacts):
+        return robot
+    kept = replace(robot, contacts=tuple(robot.contact(name) for name in standing))
+    return kept.with_locked(idle) if idle else kept
+
+
+@checked
 def quadruped_legs(robot: Robot) -> Legs:
     """Which of a robot's four feet is which in its reference posture. Raises `InputError`."""
     feet = feet_in_base(robot)
@@ -100,6 +124,17 @@ def biped_legs(robot: Robot) -> tuple[str, str]:
         raise InputError(f"robot '{robot.name}' has {len(feet)} feet", "allowed: a biped, 2 feet")
     (right,), (left,) = _halves(robot, feet, 1, "beside each other")
     return left, right
+
+
+@checked
+def require_soles(robot: Robot) -> None:
+    """Raise `InputError` for a robot some of whose feet are points."""
+    points = [name for name in feet_in_base(robot) if robot.contact(name).kind != "surface"]
+    if points:
+        raise InputError(
+            f"robot '{robot.name}' stands on points: {', '.join(points)}",
+            "allowed: a biped on soles (points walk in biped-gait)",
+        )
 
 
 def _halves(

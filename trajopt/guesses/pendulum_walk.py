@@ -1,0 +1,354 @@
+"""A walk without optimisation: footsteps, the pendulum's centre of mass over them, postures and torques.
+
+Footsteps (`Walk`) give supports; a quadratic program of the linear inverted pendulum the centre of mass at
+constant height (Kajita et al., ICRA 2003; Wieber, Humanoids 2006); inverse kinematics the posture at every
+sample, with swings of the feet; and inverse dynamics (`trajopt.control`) the contact forces and torques of
+that motion. What comes out is a plan like any other: a whole-body controller tracks it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
+from trajopt.certify.accuracy.natural_units import NaturalUnits, turning_rows
+from trajopt.control.contact_forces import ActiveContact
+from trajopt.control.inverse_dynamics import InverseDynamics, TickLimits
+from trajopt.control.robot_state import RobotState
+from trajopt.control.tasks import ContactForceTask, PostureTask
+from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.errors import InputError, require_finite
+from trajopt.guesses.foot_motion import FootMotion, guess_from_lip
+from trajopt.problem.problem import Problem
+from trajopt.reduced.com_program import CenterOfMassProgram
+from trajopt.reduced.footsteps import Walk, feet_of
+from trajopt.reduced.lip import Pendulum
+from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kinematics
+from trajopt.robot.legs import biped_legs, require_soles
+from trajopt.robot.robot import Robot
+from trajopt.solution.solution import Solution
+from trajopt.solving.extraction import contact_activity, robot_meta
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import UP
+from trajopt.versions import VERSIONED, installed_version
+
+# Durations of the parts of a walk over the natural time sqrt(l / g), and height of its swings over l.
+STEP_TIME, DOUBLE_SUPPORT, SHIFT_TIME, SETTLE_TIME, CLEARANCE = 1.9, 0.45, 1.6, 1.9, 0.06
+# Crouches that are tried, over l: a straighter leg reaches farther, and bends its ankle less.
+CROUCHES = (0.0, -0.02, 0.02, -0.04, 0.04, 0.08)
+# Part of the soles that the pendulum's ZMP keeps away from: the robot is not a pendulum.
+MARGIN = 0.5
+# Intervals in a natural time: feet that stand move by less than a millimetre between the samples.
+INTERVALS = 12
+# Step of the differences that give velocity and acceleration, over the natural time.
+DIFFERENCE = 3e-3
+# Feet farther from their paths than this part of l are out of reach of the legs.
+REACHED = 1e-3
+# Of the accelerations over their natural units: the torques of a sample give its motion.
+FEASIBLE = 1e-2
+# What helps legs that do not follow.
+SHORTER = "slower or shorter steps, or another crouch"
+# Weight of the motion over that of contact forces in their distribution.
+MOTION_WEIGHT = 1e6
+
+
+@checked
+def commanded_walk(
+    robot: Robot,
+    *,
+    steps: PositiveCount = 20,
+    speed: float = 0.3,
+    side_speed: float = 0.0,
+    turn_rate: float = 0.0,
+    step_time: Positive | None = None,
+    double_support: Positive | None = None,
+) -> Walk:
+    """Steps of a biped that walks with a velocity, from rest to rest.
+
+    Args:
+        robot: the robot, on two soles.
+        steps: number of steps.
+        speed: forward, m/s; negative walks backwards.
+        side_speed: to the left, m/s.
+        turn_rate: to the left, rad/s.
+        step_time: duration of single support, s; default 1.9 sqrt(l / g), l the robot's reach.
+        double_support: duration of double support between steps, s; default 0.45 sqrt(l / g).
+
+    Raises:
+        InputError: for a robot that does not stand on two soles, and numbers that are out of range.
+    """
+    require_soles(robot)
+    left, right = biped_legs(robot)
+    for name, value, unit in (
+        ("speed", speed, "m/s"),
+        ("side_speed", side_speed, "m/s"),
+        ("turn_rate", turn_rate, "rad/s"),
+    ):
+        require_finite(f"{name} of a walk", value, unit)
+    time = NaturalUnits.of(robot.model).time
+    single = STEP_TIME * time if step_time is None else step_time
+    double = DOUBLE_SUPPORT * time if double_support is None else double_support
+    return Walk(
+        steps=steps,
+        length=speed * (single + double),
+        side=side_speed * (single + double),
+        turn=turn_rate * (single + double),
+        step_time=single,
+        double_support=double,
+        shift_time=SHIFT_TIME * time,
+        settle_time=SETTLE_TIME * time,
+        first=right if side_speed < 0 else left,
+    )
+
+
+@checked
+def walk_plan(
+    robot: Robot,
+    walk: Walk,
+    *,
+    crouch: float | None = None,
+    clearance: NonNegative | None = None,
+    friction: Positive = 0.7,
+) -> Solution:
+    """The plan of a walk of the linear inverted pendulum, on level ground.
+
+    ``success`` of its meta says whether torques and contact forces within their limits give the motion at
+    every sample; the pendulum knows nothing of angular momentum, of which swinging legs have some.
+
+    Args:
+        robot: the robot, on two soles.
+        walk: its steps.
+        crouch: how much lower the base is at the start than in the robot's reference, m; default that of
+            `CROUCHES`, the first with which the legs can follow.
+        clearance: height of the swings, m; default 0.06 of the robot's reach.
+        friction: Coulomb's coefficient of the ground.
+
+    Raises:
+        InputError: for a robot that does not stand on two soles, and steps that its legs do not reach or
+            for which its joints are too slow.
+    """
+    require_soles(robot)
+    units = NaturalUnits.of(robot.model)
+    height = CLEARANCE * units.length if clearance is None else clearance
+    first: _OutOfReachError | None = None
+    for own in [part * units.length for part in CROUCHES] if crouch is None else [crouch]:
+        try:
+            return _walk_plan(robot, walk, own, height, friction)
+        except _OutOfReachError as error:
+            first = first or error
+    assert first is not None
+    raise InputError(str(first.args[0]), f"allowed: {first.args[1]}")
+
+
+class _OutOfReachError(Exception):
+    """What the legs cannot do, and what they can."""
+
+
+def _walk_plan(robot: Robot, walk: Walk, crouch: float, clearance: float, friction: float) -> Solution:
+    start = _crouched(robot, crouch)
+    plan, feet = walk.plan(robot, start), feet_of(robot, start)
+    com = pin.centerOfMass(robot.model, robot.model.createData(), start)
+    program = CenterOfMassProgram(
+        robot=robot,
+        plan=plan,
+        pendulum=Pendulum(height=com[2], gravity=gravity_of(robot.model)),
+        com_start=com[:2],
+        shrink=MARGIN,
+    )
+    guess = guess_from_lip(robot, plan, program.solve(), q=start, clearance=clearance)
+    problem = Problem(
+        name="walk",
+        robot=robot,
+        schedule=plan.schedule(robot),
+        terrain=FlatGround(friction=friction),
+        initial_q=start,
+        guess=guess,
+        terms=(),
+        parameters={**asdict(walk), "crouch": crouch, "clearance": clearance, "friction": friction},
+    )
+    return _Samples(problem, FootMotion(plan=plan, initial=feet, clearance=clearance)).solution()
+
+
+def _crouched(robot: Robot, crouch: float) -> np.ndarray:
+    """The reference with its base lower and its feet where they are."""
+    start = np.array(robot.reference, dtype=float)
+    if not crouch:
+        return start
+    feet = contact_targets(robot, contact_poses(robot, start))
+    start[2] -= crouch
+    found = inverse_kinematics(robot, start, feet)
+    if found.error > REACHED * robot.length:
+        raise _OutOfReachError(
+            f"the legs of '{robot.name}' do not bend by a crouch of {crouch:g} m", "a smaller one"
+        )
+    return found.q
+
+
+class _Samples:
+    """Samples of a walk, phase by phase: two nodes and a point in the middle for each interval."""
+
+    def __init__(self, problem: Problem, feet: FootMotion) -> None:
+        self.problem, self.robot, self.feet = problem, problem.robot, feet
+        self.units = units = NaturalUnits.of(self.robot.model)
+        self.step = DIFFERENCE * units.time
+        turning, gravity = turning_rows(self.robot.model), units.gravity
+        self.unit = np.where(turning, gravity / units.length, gravity)
+        self.dynamics = InverseDynamics(
+            state=RobotState(self.robot.model),
+            n_unactuated=self.robot.n_unactuated,
+            acceleration_unit=self.unit,
+            force_units=(units.weight, units.weight * units.length),
+            torque_unit=units.generalized_force(self.robot.model),
+            damping=0.0,
+        )
+
+    def solution(self) -> Solution:
+        """All samples with their meta. Raises `_OutOfReachError`."""
+        schedule = self.problem.schedule
+        starts = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
+        counts = [
+            max(1, math.ceil(INTERVALS * phase.duration / self.units.time)) for phase in schedule.phases
+        ]
+        phase = np.repeat(np.arange(len(counts)), counts)
+        edges = np.concatenate(
+            [
+                np.column_stack([(g := np.linspace(a, b, n + 1))[:-1], g[1:]])
+                for a, b, n in zip(starts[:-1], starts[1:], counts, strict=True)
+            ]
+        )
+        t = np.column_stack([edges[:, 0], edges.mean(axis=1), edges[:, 1]]).ravel()
+        rows = np.repeat(phase, 3)
+        motion = [
+            self._motion(float(time), starts[i], starts[i + 1]) for time, i in zip(t, rows, strict=True)
+        ]
+        q, v, a = (np.array(column) for column in zip(*motion, strict=True))
+        v[0] = v[-1] = 0.0
+        active = contact_activity(self.robot, schedule)[rows]
+        tau, f, feasible = self._torques(q, v, a, active)
+        return Solution(
+            meta=self._meta(counts, feasible),
+            model_text=self.robot.limited_model().saveToString(),
+            t=t,
+            phase=rows,
+            interval=np.repeat(np.arange(len(phase)), 3),
+            collocation=np.tile([False, True, False], len(phase)),
+            interval_t=edges,
+            q=q,
+            v=v,
+            a=a,
+            tau=tau,
+            f=f,
+            active=active,
+        )
+
+    def _motion(self, t: float, start: float, end: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Configuration, velocity and acceleration at ``t`` of a phase, by differences within the phase."""
+        guess, model, step = self.problem.guess, self.robot.model, self.step
+        q = guess(t)
+        self._require_reached(t, q)
+        middle = min(max(t, start + step), end - step)
+        centre = guess(middle)
+        before, after = (pin.difference(model, centre, guess(middle + way)) for way in (-step, step))
+        a = (before + after) / step**2
+        v = (after - before) / (2 * step) + (t - middle) * a
+        self._require_slow(t, v)
+        return q, v, a
+
+    def _torques(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, active: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Torques (K, nu), contact forces (K, nc, 6), and whether they give the motion everywhere."""
+        robot, units = self.robot, self.units
+        first, contacts = robot.n_unactuated, [self._contact(i) for i in range(len(robot.contacts))]
+        tau, f = np.zeros((len(q), robot.nv - first)), np.zeros((len(q), len(contacts), 6))
+        free = np.full(robot.nv - first, np.inf)
+        given = robot.actuated_row_limit(robot.torque_limit)
+        limit = free if given is None else given
+        limits = TickLimits(torque=(-limit, limit), acceleration=(-free, free), friction=np.zeros_like(limit))
+        feasible = True
+        for k in range(len(q)):
+            standing = [contact for contact in contacts if active[k, contact.number]]
+            share = np.where(active[k], units.weight / len(standing), 0.0)
+            wanted = np.zeros((len(contacts), 6))
+            wanted[:, 2] = share
+            tasks = (
+                PostureTask(
+                    weight=MOTION_WEIGHT,
+                    q=q[k],
+                    v=v[k],
+                    a=a[k],
+                    bandwidth=0.0,
+                    rows_of_v=np.arange(robot.nv),
+                    weights=np.ones(robot.nv),
+                    unit=self.unit,
+                ),
+                ContactForceTask(wanted=wanted, units=self.dynamics.force_units),
+            )
+            self.dynamics.state.update(q[k], v[k])
+            found = self.dynamics.solve(standing, tasks, limits)
+            tau[k], f[k, active[k]] = found.torque, found.forces
+            missed = float(np.abs((found.acceleration - a[k]) / self.unit).max())
+            feasible = feasible and found.relaxed == 0 and missed <= FEASIBLE
+        return tau, f, feasible
+
+    def _contact(self, number: int) -> ActiveContact:
+        own = self.robot.contacts[number]
+        return ActiveContact(
+            number=number,
+            frame=self.robot.model.getFrameId(own.frame),
+            dimension=6,
+            normal=np.array(UP),
+            friction=self.problem.terrain.friction,
+            half_size=(own.half_length, own.half_width),
+        )
+
+    def _require_reached(self, t: float, q: np.ndarray) -> None:
+        """Raise `_OutOfReachError` if a foot is not where it should be."""
+        for name, pose in contact_poses(self.robot, q).items():
+            away = float(np.linalg.norm(pose.translation - self.feet.foothold(name, t).position))
+            if away > REACHED * self.units.length:
+                off = f"foot '{name}' of '{self.robot.name}' is {1e3 * away:.3g} mm off its path"
+                raise _OutOfReachError(f"at {t:.2f} s {off}{self._at_limits(q)}", SHORTER)
+
+    def _at_limits(self, q: np.ndarray) -> str:
+        """Joints at the ends of their ranges, in words."""
+        robot, model = self.robot, self.robot.model
+        ends = np.isclose(q, robot.position_lower) | np.isclose(q, robot.position_upper)
+        names = [model.names[j] for j in range(2, model.njoints) if ends[model.idx_qs[j]]]
+        return f", with {', '.join(names)} at the end of its range" if names else ""
+
+    def _require_slow(self, t: float, v: np.ndarray) -> None:
+        """Raise `_OutOfReachError` if a joint is beyond its limit of velocity."""
+        first, model, most = self.robot.n_unactuated, self.robot.model, self.robot.velocity_limit
+        row = first + int(np.argmax(np.abs(v[first:]) - most[first:]))
+        if abs(v[row]) > most[row]:
+            names = [n for n, joint in zip(model.names, model.joints, strict=True) for _ in range(joint.nv)]
+            joint = f"joint '{names[row]}' of '{self.robot.name}' turns at {abs(v[row]):.3g} rad/s"
+            raise _OutOfReachError(f"at {t:.2f} s {joint}", f"{most[row]:.3g} rad/s; {SHORTER}")
+
+    def _meta(self, counts: list[int], feasible: bool) -> dict[str, Any]:
+        problem, schedule = self.problem, self.problem.schedule
+        return {
+            "problem": problem.name,
+            "parameters": dict(problem.parameters),
+            "actuation": problem.actuation,
+            "terrain": problem.terrain.describe(),
+            "transcription": "walk of the pendulum",
+            "solver": "inverse kinematics",
+            "status": "planned" if feasible else "beyond the limits of the robot",
+            "success": feasible,
+            "objective": None,
+            "iterations": 0,
+            "tolerance": FEASIBLE,
+            "wall_time_s": 0.0,
+            "intervals": counts,
+            "durations": [phase.duration for phase in schedule.phases],
+            "phase_names": [phase.name for phase in schedule.phases],
+            "versions": {name: installed_version(name) for name in VERSIONED},
+            **robot_meta(problem),
+        }
