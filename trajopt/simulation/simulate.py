@@ -64,6 +64,8 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     wanted = SimulationSettings(**settings)
     if wanted.push and base_of(plan.model) == "fixed":
         raise InputError(f"push of {wanted.push:g} N on the base, which is fixed", "allowed: 0 N for an arm")
+    if wanted.impulse is not None and base_of(plan.model) == "fixed":
+        raise InputError("an impulse on the base, which is fixed", "allowed: none for an arm")
     with muted_mujoco():
         reference = reference_of(plan, wanted.control_rate, wanted.cycles)
         world = build_world(plan, wanted)
