@@ -165,6 +165,11 @@ def test_bad_input_is_one_line(stand: Solution) -> None:
         largest_pushes(sampled(arm, [arm_motion(arm)], 4))
     with pytest.raises(InputError, match="impulse of a simulation is 3"):
         simulate(stand, impulse=3)
+    late = Impulse(direction=0.0, size=1.0, time=9.0, duration=0.02)
+    with pytest.raises(InputError, match="an impulse at 9 s is after the simulation"):
+        simulate(stand, impulse=late)
+    with pytest.raises(InputError, match="an impulse on the base, which is fixed"):
+        simulate(sampled(arm, [arm_motion(arm)], 4), impulse=late)
 
 
 def report_of(**changes: object) -> PushReport:

@@ -60,15 +60,19 @@ def push_command(
     the robot does not fall. Directions are degrees from the base's front, counter-clockwise.
     """
     from trajopt.simulation.push import CONTROLLERS, largest_pushes
+    from trajopt.solution.solution import Solution
     from trajopt.view.plotting.pushes import check_push_plot, write_push_plot
 
     check_apart([output], [file])
     if output is not None:
         check_push_plot(output)
+    plan = Solution.load(file)
+    if not plan.success:
+        click.echo(f"trajopt: warning: {file} is no success: {plan.meta['status']}", err=True)
     chosen = CONTROLLERS if controller is None else (controller,)
     with busy(f"pushing {file} in MuJoCo"):
         report = largest_pushes(
-            file,
+            plan,
             controllers=chosen,
             directions=directions,
             time=time,

@@ -22,7 +22,7 @@ from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.figures import fall_of
-from trajopt.simulation.run import LEAST_LEVEL, SimulationRun
+from trajopt.simulation.run import LEAST_LEVEL, SimulationRecord, SimulationRun
 from trajopt.simulation.settings import Controller, Impulse, SimulationSettings
 from trajopt.simulation.world import World, build_world
 from trajopt.solution.descriptions import jsonable
@@ -270,7 +270,7 @@ class PushTrials:
 
         return survives
 
-    def _falls(self, record: Any, first: int, last: int) -> bool:
+    def _falls(self, record: SimulationRecord, first: int, last: int) -> bool:
         """Whether the robot has fallen in the periods from ``first`` to before ``last``."""
         if first == last:
             return False
