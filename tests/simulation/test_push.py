@@ -15,6 +15,7 @@ from tests.support.synthetic_motions import arm_motion, planar_flight, sampled, 
 from trajopt import Solution
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.errors import InputError
+from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.push import (
     AFTER,
     DURATION,
@@ -136,11 +137,10 @@ def test_a_standing_robot_is_pushed_where_it_stands(stand: Solution) -> None:
 
 @pytest.mark.long
 def test_trials_do_not_depend_on_those_before(stand: Solution) -> None:
-    survives = PushTrials.of(stand, 0.05, None).with_controller("whole-body")
-    small = survives(30.0, 0.02)
-    assert not survives(30.0, MOST)
-    assert survives(30.0, 0.02) == small
-    assert small
+    with muted_mujoco():
+        survives = PushTrials.of(stand, 0.05, None).with_controller("whole-body")
+        found = [survives(30.0, size) for size in (0.02, MOST, 0.02)]
+    assert found == [True, False, True]
 
 
 def test_a_robot_in_a_plane_is_pushed_forward_and_backward(plane: Solution) -> None:
