@@ -34,6 +34,7 @@ COMMANDS = {
     "export": "trajopt.cli.export:export_command",
     "list": "trajopt.cli.list:list_command",
     "plot": "trajopt.cli.plot:plot_command",
+    "push": "trajopt.cli.push:push_command",
     "render": "trajopt.cli.render:render_command",
     "replay": "trajopt.cli.replay:replay_command",
     "robot": "trajopt.cli.robot:robot_command",

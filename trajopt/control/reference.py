@@ -54,8 +54,11 @@ class ReferenceTrajectory:
         return len(self.t) - self.held
 
 
-def reference_of(plan: Solution, rate: float, cycles: int = 1) -> ReferenceTrajectory:
-    """Sample a plan at ``rate`` Hz, repeat it, and hold its end if it is at rest. Raises `InputError`."""
+def reference_of(plan: Solution, rate: float, cycles: int = 1, *, hold: float = HOLD) -> ReferenceTrajectory:
+    """Sample a plan at ``rate`` Hz, repeat it, and hold its end if it is at rest. Raises `InputError`.
+
+    hold: in natural times.
+    """
     described = plan.meta.get("periodicity")
     whole = cycles * (2 if described and described["mirror"] else 1)
     periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * rate * whole
@@ -69,7 +72,7 @@ def reference_of(plan: Solution, rate: float, cycles: int = 1) -> ReferenceTraje
     one = _once(plan, rate)
     if described and whole > 1:
         one = _repeated(plan, one, described, whole)
-    return _with_hold(plan, one)
+    return _with_hold(plan, one, hold)
 
 
 def _once(plan: Solution, rate: float) -> ReferenceTrajectory:
@@ -171,13 +174,13 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
     return gravity[first:] - jacobian[:, first:].T @ forces, found
 
 
-def _with_hold(plan: Solution, reference: ReferenceTrajectory) -> ReferenceTrajectory:
+def _with_hold(plan: Solution, reference: ReferenceTrajectory, hold: float) -> ReferenceTrajectory:
     """The reference with its end held for a while, where the plan ends at rest."""
     units = NaturalUnits.of(plan.model)
     speed = np.abs(plan.v[-1]) * units.time
     if plan.meta.get("periodicity") or speed.max(initial=0.0) > REST:
         return reference
-    held = math.ceil(HOLD * units.time / reference.period)
+    held = math.ceil(hold * units.time / reference.period)
     torque, force = _at_rest(plan, reference)
     last = {
         "q": plan.q[-1],

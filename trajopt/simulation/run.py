@@ -9,6 +9,7 @@ holds for the period; the gains are those of `gains`.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
 from trajopt.simulation.gains import gains_of
-from trajopt.simulation.settings import SimulationSettings
+from trajopt.simulation.settings import Impulse, SimulationSettings
 from trajopt.simulation.world import World
 from trajopt.solution.solution import Solution
 
@@ -64,10 +65,12 @@ def run_simulation(
     plan: Solution, reference: ReferenceTrajectory, world: World, settings: SimulationSettings
 ) -> SimulationRecord:
     """Simulate; the record has one row a period, and the last state."""
-    return _Run(plan, reference, world, settings).record()
+    return SimulationRun(plan, reference, world, settings).record()
 
 
-class _Run:
+class SimulationRun:
+    """One simulation, period by period: of a whole plan by `record`, or of parts by `advance`."""
+
     def __init__(
         self, plan: Solution, reference: ReferenceTrajectory, world: World, settings: SimulationSettings
     ) -> None:
@@ -90,6 +93,7 @@ class _Run:
         if settings.controller == "whole-body":
             self.tracker = Tracker(plan, rate=settings.control_rate, cycles=settings.cycles)
         self.touching = reference.active[0]
+        self.impulse, self._force = settings.impulse, np.zeros(3)
         self._plan_in_mujoco()
 
     def _plan_in_mujoco(self) -> None:
@@ -102,8 +106,19 @@ class _Run:
         self.torque = coordinates.rates_to_mujoco(self.qpos, whole)[:, self.rows]
 
     def record(self) -> SimulationRecord:
-        count, contacts, model, data = len(self.reference.t), len(self.world.sites), self.model, self.data
-        found = SimulationRecord(
+        """The whole plan, from its start."""
+        found, count = self.start(), len(self.reference.t)
+        reached = self.advance(found, 0, count)
+        if reached < count:
+            return _until(found, reached)
+        found.qpos[count], found.qvel[count] = self.data.qpos, self.data.qvel
+        return found
+
+    def start(self) -> SimulationRecord:
+        """Set the start; returns a record for all periods, without entries."""
+        count, contacts, model = len(self.reference.t), len(self.world.sites), self.model
+        self._start()
+        return SimulationRecord(
             qpos=np.zeros((count + 1, model.nq)),
             qvel=np.zeros((count + 1, model.nv)),
             qacc=np.zeros((count, model.nv)),
@@ -115,30 +130,39 @@ class _Run:
             turns=np.zeros((count, contacts, 3, 3)),
             touched=np.zeros(count, dtype=bool),
             hit=np.zeros(count, dtype=bool),
+            counts=None if self.tracker is None else self.tracker.counts,
         )
-        found = replace(found, counts=None if self.tracker is None else self.tracker.counts)
-        self._start()
+
+    def branch(self) -> SimulationRun:
+        """A run of its own that goes on from here; of its models one run at a time may advance."""
+        own = copy.copy(self)
+        own.data, own.tracker = copy.copy(self.data), copy.copy(self.tracker)
+        return own
+
+    def advance(self, found: SimulationRecord, begin: int, end: int) -> int:
+        """Simulate the periods from ``begin`` to before ``end``; less than ``end`` where it diverged."""
+        model, data = self.model, self.data
+        found.force[begin:end] = 0.0  # forces are summed up
         least = TOUCHING * self.world.units.weight
         changes = set(np.flatnonzero(np.diff(self.reference.source, prepend=-1)).tolist())
-        for k in range(count):
-            if k in changes:
+        for k in range(begin, end):
+            if k in changes or k == begin:
                 self._enter(int(self.reference.source[k]))
             self._push(k)
             found.qpos[k], found.qvel[k] = data.qpos, data.qvel
             if not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
-                return _until(found, k)
+                return k
             found.torque[k], found.saturated[k] = self._drive(k)
             self.mujoco.mj_forward(model, data)  # forces of this state: a step's stages leave others
             if not self._is_sane():
-                return _until(found, k)
+                return k
             found.qacc[k], found.friction[k] = data.qacc, self._friction()
             found.feet[k] = data.site_xpos[self.world.sites]
             found.turns[k] = data.site_xmat[self.world.sites].reshape(-1, 3, 3)
             found.touched[k], found.hit[k] = self._contacts(found.force[k], found.feet[k])
             self.touching = np.linalg.norm(found.force[k, :, :3], axis=1) > least
             self.mujoco.mj_step(model, data, self.substeps)
-        found.qpos[count], found.qvel[count] = data.qpos, data.qvel
-        return found
+        return end
 
     def _is_sane(self) -> bool:
         """Whether the state is finite and MuJoCo has not warned of divergence."""
@@ -168,15 +192,33 @@ class _Run:
 
     def _push(self, k: int) -> None:
         kind = base_of(self.plan.model)
-        if not self.settings.push or kind == "fixed":
+        if not (self.settings.push or self.impulse) or kind == "fixed":
             return
-        body = self.model.body(body_name(BASE_JOINT[kind])).id
-        ahead = self.data.xmat[body].reshape(3, 3)[:, 0]
-        level = ahead - self.up * (self.up @ ahead)
+        body, level = self.model.body(body_name(BASE_JOINT[kind])).id, self.forward()
         aside = level if kind == "planar" else np.cross(self.up, level)
         middle = abs(k / self.reference.planned - 0.5) < PUSHED / 2
         scale = self.settings.push / max(float(np.linalg.norm(aside)), LEAST_LEVEL)
         self.data.xfrc_applied[body, :3] = scale * aside if middle else 0.0
+        if self.impulse is not None:
+            self.data.xfrc_applied[body, :3] += self._force_of(self.impulse, k, level)
+
+    def forward(self) -> np.ndarray:
+        """Level part (3,) of the base's forward axis in the world."""
+        self.mujoco.mj_kinematics(self.model, self.data)
+        body = self.model.body(body_name(BASE_JOINT[base_of(self.plan.model)])).id
+        ahead = self.data.xmat[body].reshape(3, 3)[:, 0]
+        return np.asarray(ahead - self.up * (self.up @ ahead))
+
+    def _force_of(self, impulse: Impulse, k: int, level: np.ndarray) -> np.ndarray:
+        """Force (3,) of an impulse in period ``k``, N: its direction is that of its first period."""
+        period = self.reference.period
+        first, lasts = round(impulse.time / period), max(1, round(impulse.duration / period))
+        if k == first:
+            along = level / max(float(np.linalg.norm(level)), LEAST_LEVEL)
+            turned = np.cos(impulse.direction) * along
+            turned = turned + np.sin(impulse.direction) * np.cross(self.up, along)
+            self._force = impulse.size / (lasts * period) * turned
+        return self._force if first <= k < first + lasts else np.zeros(3)
 
     def _drive(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Apply the torques of period ``k``; returns them, and where they were cut off."""

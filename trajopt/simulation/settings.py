@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
+from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.errors import InputError, not_among, require_finite
 
 # Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
@@ -31,6 +32,24 @@ ALLOWED = {
 Controller = Literal["joints", "whole-body"]
 
 
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Impulse:
+    """A level impulse on the base: a constant force at its centre of mass for a short time.
+
+    Args:
+        direction: rad, counter-clockwise from the base's forward axis at that time; in a plane 0 or pi.
+        size: N s.
+        time: of its begin, s from the start of the plan.
+        duration: s, at least one period of the controller.
+    """
+
+    direction: float
+    size: NonNegative
+    time: NonNegative
+    duration: Positive
+
+
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings:
     """Settings of a simulation; None is a value that follows from the robot.
@@ -40,6 +59,7 @@ class SimulationSettings:
     inertias, of which the plan knows nothing. noise: standard deviation of the start's error, in reaches
     (m), rad, and their rates over the natural time. seed: of the noise. cycles: of a periodic plan. push: N,
     level on the base for a tenth of the motion, in its middle, to its left; in a plane to its front.
+    impulse: another push, of any direction and time, see `Impulse`.
     rolling: contacts with a radius are balls fixed to their links, which roll; otherwise they turn about
     their centres, as in the plan. controller: see `Controller`; ``kp`` and ``kd`` are of "joints".
     Raises `InputError`.
@@ -57,6 +77,7 @@ class SimulationSettings:
     push: float = 0.0
     rolling: bool = False
     controller: Controller = "joints"
+    impulse: Impulse | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.rolling, bool):
@@ -67,9 +88,13 @@ class SimulationSettings:
                 str(self.controller),
                 f"controller of a simulation is {self.controller!r}",
             )
+        if not isinstance(self.impulse, Impulse | None):
+            raise InputError(f"impulse of a simulation is {self.impulse!r}", "allowed: an Impulse or None")
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name in ("rolling", "controller") or (value is None and field.name == "timestep"):
+            if field.name in ("rolling", "controller", "impulse") or (
+                value is None and field.name == "timestep"
+            ):
                 continue
             require_finite(f"{field.name} of a simulation", value)
             least, most = ALLOWED.get(field.name, (-math.inf, math.inf))

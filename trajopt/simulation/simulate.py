@@ -64,8 +64,12 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     wanted = SimulationSettings(**settings)
     if wanted.push and base_of(plan.model) == "fixed":
         raise InputError(f"push of {wanted.push:g} N on the base, which is fixed", "allowed: 0 N for an arm")
+    if wanted.impulse is not None and base_of(plan.model) == "fixed":
+        raise InputError("an impulse on the base, which is fixed", "allowed: none for an arm")
     with muted_mujoco():
         reference = reference_of(plan, wanted.control_rate, wanted.cycles)
+        if wanted.impulse is not None:
+            _require_within(wanted.impulse.time, reference)
         world = build_world(plan, wanted)
         begin = time.perf_counter()
         record = run_simulation(plan, reference, world, wanted)
@@ -79,6 +83,13 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
         report=_report(plan, reference, record, world),
         wall_time=spent,
     )
+
+
+def _require_within(time: float, reference: ReferenceTrajectory) -> None:
+    """Raise `InputError` unless an impulse begins within the simulation."""
+    last = reference.period * (len(reference.t) - 1)
+    if not time <= last:
+        raise InputError(f"an impulse at {time:g} s is after the simulation", f"allowed: 0 to {last:g} s")
 
 
 def _report(

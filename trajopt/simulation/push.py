@@ -1,0 +1,281 @@
+"""The largest push that a plan survives, for each direction and each controller.
+
+A push is a level impulse on the centre of mass of the base, a constant force for `DURATION` natural times
+sqrt(l / g), l the robot's reach. It is survived if the robot does not fall (`figures.fall_of`) in the
+`AFTER` natural times that follow, or by the end of a motion that ends earlier. Natural units of an impulse
+are weight * sqrt(l / g): the momentum of the robot at the speed sqrt(g l).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
+from trajopt.control.reference import ReferenceTrajectory, reference_of
+from trajopt.dynamics.base_joint import base_of
+from trajopt.errors import InputError
+from trajopt.simulation.bodies import muted_mujoco
+from trajopt.simulation.figures import fall_of
+from trajopt.simulation.run import LEAST_LEVEL, SimulationRecord, SimulationRun
+from trajopt.simulation.settings import Controller, Impulse, SimulationSettings
+from trajopt.simulation.world import World, build_world
+from trajopt.solution.descriptions import jsonable
+from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
+from trajopt.solution.solution import Solution
+
+# A push lasts this long, and so long is simulated after its begin, in natural times: in six of them the error
+# of an inverted pendulum grows four-hundredfold.
+DURATION, AFTER = 0.1, 6.0
+# Impulses in natural units: the first that is tried, the largest, and the least that is told from none.
+FIRST, MOST, LEAST = 0.05, 2.0, 0.003
+# Directions around the robot, unless asked for otherwise; in a plane there are two.
+DIRECTIONS, IN_A_PLANE = 8, 2
+# Whether the robot has fallen is tested after every stretch of so many natural times.
+STRETCH = 0.25
+CONTROLLERS: tuple[Controller, ...] = ("joints", "whole-body")
+# Names of directions, degrees.
+NAMES = {0.0: "forward", 90.0: "left", 180.0: "backward", 270.0: "right"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushReport:
+    """Largest impulses that a plan survives.
+
+    time: of the push, s from the start of the plan; duration: s; after: s simulated from its begin. cycles:
+    of a periodic plan. unit: weight * sqrt(l / g), N s. most: largest impulse that was tried, N s; one that
+    equals it may be larger. directions: (n,) degrees from the base's forward axis, counter-clockwise.
+    impulses: (n,) N s by controller; zero where even the smallest push, or none at all, makes it fall.
+    notes: what else must be known.
+    """
+
+    problem: str
+    robot: str
+    time: float
+    duration: float
+    after: float
+    cycles: int
+    unit: float
+    most: float
+    directions: tuple[float, ...]
+    impulses: dict[Controller, tuple[float, ...]]
+    notes: tuple[str, ...]
+
+    @property
+    def ratios(self) -> tuple[float, ...]:
+        """Impulses (n,) of the whole body over those of the joints; empty unless both were measured."""
+        pairs = zip(*(self.impulses.get(name, ()) for name in CONTROLLERS), strict=False)
+        return tuple(whole / joints if joints else math.nan for joints, whole in pairs)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able figures; ``natural``: impulses in natural units."""
+        natural = {name: [size / self.unit for size in row] for name, row in self.impulses.items()}
+        own = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        ratios = [None if math.isnan(ratio) else ratio for ratio in self.ratios]
+        return jsonable({**own, "natural": natural, "ratios": ratios})
+
+    def table(self) -> str:
+        """A line for each direction: impulses in N s and in natural units, and their ratio."""
+        lines = [
+            f"push at {self.time:.3f} s for {1e3 * self.duration:.0f} ms, {self.after:.2f} s simulated from "
+            f"it; largest impulse survived, N s (over weight * sqrt(l / g) = {self.unit:.3g} N s)",
+            f"{'direction':16}" + "".join(f"{name:>19}" for name in self.impulses)
+            + ("   ratio" if self.ratios else ""),
+        ]  # fmt: skip
+        for row, angle in enumerate(self.directions):
+            cells = "".join(f"{self._cell(sizes[row]):>19}" for sizes in self.impulses.values())
+            ratio = f"{self.ratios[row]:8.2f}" if self.ratios else ""
+            lines.append(f"{f'{angle:g} {NAMES.get(angle, str())}':16}{cells}{ratio.replace('nan', '  -')}")
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
+    def _cell(self, size: float) -> str:
+        bound = ">= " if size >= self.most else ""
+        return f"{bound}{size:.3g} ({size / self.unit:.3f})"
+
+
+@checked
+def largest_pushes(
+    solution: SolutionOrFile,
+    *,
+    controllers: Sequence[Controller] = CONTROLLERS,
+    directions: PositiveCount | None = None,
+    time: NonNegative | None = None,
+    cycles: PositiveCount | None = None,
+    accuracy: Positive = 0.05,
+) -> PushReport:
+    """Measure the largest push that a plan survives in MuJoCo, for each direction and controller.
+
+    Impulses are doubled from `FIRST` (or halved) until one is survived and the next is not, and the interval
+    is bisected: all that were tried below the result were survived.
+
+    Args:
+        solution: the plan, or the path of its file.
+        controllers: "joints", "whole-body", or both.
+        directions: how many, evenly around the robot from its front, counter-clockwise. None: eight, or two
+            in a plane, to the front and to the back, where no other number is allowed.
+        time: of the push, s from the start of the plan. None: the middle of a periodic plan's cycles; the end
+            of a plan that ends at rest, where the robot stands; otherwise the middle of the plan.
+        cycles: of a periodic plan. None: as many as let `AFTER` natural times follow the push.
+        accuracy: relative, of the impulses.
+
+    Raises:
+        InputError: for a robot on a fixed base, a time outside of the motion or at which the base's forward
+            axis points up or down, other directions than two in a plane, a plan that cannot be simulated.
+    """
+    plan = require_motion(solution_of(solution))
+    kind, wanted = base_of(plan.model), tuple(dict.fromkeys(controllers))
+    if kind == "fixed":
+        raise InputError("a push on the base, which is fixed", "allowed: robots with a moving base")
+    if not wanted:
+        raise InputError("controllers of largest_pushes is empty", f"allowed: {', '.join(CONTROLLERS)}")
+    if kind == "planar" and directions not in (None, IN_A_PLANE):
+        raise InputError(
+            f"directions of largest_pushes is {directions}, of a robot in a plane", f"allowed: {IN_A_PLANE}"
+        )
+    count = directions or (IN_A_PLANE if kind == "planar" else DIRECTIONS)
+    angles = tuple(360.0 * number / count for number in range(count))
+    found: dict[Controller, tuple[float, ...]] = {}
+    notes: list[str] = []
+    with muted_mujoco():
+        trials = PushTrials.of(plan, time, cycles)
+        for controller in wanted:
+            survives = trials.with_controller(controller)
+            if not survives(0.0, 0.0):
+                notes.append(f"it falls without a push with the controller {controller}")
+                found[controller] = (0.0,) * count
+                continue
+            sizes = [largest_survived(partial(survives, angle), accuracy) for angle in angles]
+            found[controller] = tuple(size * trials.unit for size in sizes)
+    return PushReport(
+        problem=str(plan.meta["problem"]),
+        robot=str(plan.meta["robot"]),
+        time=trials.time,
+        duration=trials.duration,
+        after=(trials.end - trials.begin) * trials.reference.period,
+        cycles=trials.cycles,
+        unit=trials.unit,
+        most=MOST * trials.unit,
+        directions=angles,
+        impulses=found,
+        notes=tuple(notes),
+    )
+
+
+def largest_survived(survives: Callable[[float], bool], accuracy: float) -> float:
+    """The largest impulse that is survived, natural units: 0 below `LEAST`, at most `MOST`."""
+    low, high = 0.0, math.inf
+    size = FIRST
+    while size < high and low < MOST:  # upwards until one is too large
+        low, high = (size, high) if survives(size) else (low, size)
+        size = min(2 * size, MOST)
+    while not low and high > LEAST:  # downwards until one is survived
+        low, high = (high / 2, high) if survives(high / 2) else (0.0, high / 2)
+    while low and high < math.inf and high > (1 + accuracy) * low:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if survives(middle) else (low, middle)
+    return low
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushTrials:
+    """Simulations of one plan that differ in their push alone: what they share is made once.
+
+    begin: period of the push; end: one past the last that is simulated. unit: weight * sqrt(l / g), N s.
+    """
+
+    plan: Solution
+    reference: ReferenceTrajectory
+    world: World
+    cycles: int
+    begin: int
+    end: int
+
+    @classmethod
+    def of(cls, plan: Solution, time: float | None, cycles: int | None) -> PushTrials:
+        """Trials at ``time`` s, see `largest_pushes`. Raises `InputError`."""
+        settings = SimulationSettings()
+        world = build_world(plan, settings)
+        follows = AFTER * world.units.time
+        described = plan.meta.get("periodicity")
+        if cycles is None:
+            once = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0])
+            once *= 2 if described and described["mirror"] else 1
+            needed = 2 * follows if time is None else time + follows
+            cycles = math.ceil(needed / once) if described else 1
+        reference = reference_of(plan, settings.control_rate, cycles, hold=AFTER)
+        if time is None:
+            time = reference.period * reference.planned * (1.0 if reference.held else 0.5)
+        last = reference.planned - (not reference.held)
+        begin = round(time / reference.period)
+        if not 0 <= begin <= last:
+            raise InputError(
+                f"a push at {time:g} s is outside of the motion",
+                f"allowed: 0 to {last * reference.period:g} s",
+            )
+        end = min(len(reference.t), begin + math.ceil(follows / reference.period))
+        return cls(plan=plan, reference=reference, world=world, cycles=cycles, begin=begin, end=end)
+
+    @property
+    def unit(self) -> float:
+        """Natural unit of impulses, N s."""
+        return self.world.units.weight * self.world.units.time
+
+    @property
+    def time(self) -> float:
+        """Of the push, s from the start of the plan."""
+        return self.begin * self.reference.period
+
+    @property
+    def duration(self) -> float:
+        """Of the push, s: whole periods of the controller, one or more."""
+        period = self.reference.period
+        return period * max(1, round(DURATION * self.world.units.time / period))
+
+    def with_controller(self, controller: Controller) -> Callable[[float, float], bool]:
+        """Simulate up to the push; returns whether one of an angle (degrees) and size (natural) is survived.
+
+        Raises `InputError` where the base's forward axis points up or down.
+        """
+        settings = SimulationSettings(controller=controller, cycles=self.cycles)
+        run = SimulationRun(self.plan, self.reference, self.world, settings)
+        record = run.start()
+        standing = run.advance(record, 0, self.begin) == self.begin
+        if standing and float(np.linalg.norm(run.forward())) < LEAST_LEVEL:
+            raise InputError(
+                f"at {self.time:g} s the base's forward axis points up or down", "allowed: another time"
+            )
+        standing = standing and not self._falls(record, 0, self.begin)
+        stretch = max(1, round(STRETCH * self.world.units.time / self.reference.period))
+
+        def survives(angle: float, size: float) -> bool:
+            if not standing:
+                return False
+            own = run.branch()
+            own.impulse = Impulse(
+                direction=math.radians(angle),
+                size=size * self.unit,
+                time=self.time,
+                duration=self.duration,
+            )
+            for first in range(self.begin, self.end, stretch):
+                last = min(first + stretch, self.end)
+                if own.advance(record, first, last) < last or self._falls(record, first, last):
+                    return False
+            return True
+
+        return survives
+
+    def _falls(self, record: SimulationRecord, first: int, last: int) -> bool:
+        """Whether the robot has fallen in the periods from ``first`` to before ``last``."""
+        if first == last:
+            return False
+        rows = slice(first, last)
+        part = replace(record, feet=record.feet[rows], touched=record.touched[rows])
+        wanted = replace(self.reference, t=self.reference.t[rows], q=self.reference.q[rows])
+        q = self.world.coordinates.from_mujoco(record.qpos[rows])
+        return fall_of(self.plan, wanted, part, q) is not None
