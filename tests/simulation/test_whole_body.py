@@ -24,13 +24,23 @@ def trot() -> Solution:
 
 
 @pytest.mark.slow
-def test_a_push_that_overturns_single_joints_is_taken_by_the_whole_body(trot: Solution) -> None:
-    joints = simulate(trot, cycles=6, push=PUSH).report
-    whole = simulate(trot, cycles=6, push=PUSH, controller="whole-body").report
+@pytest.mark.parametrize("push", [PUSH, -PUSH])
+def test_a_push_that_overturns_single_joints_is_taken_by_the_whole_body(trot: Solution, push: float) -> None:
+    joints = simulate(trot, cycles=10, push=push).report
+    whole = simulate(trot, cycles=10, push=push, controller="whole-body").report
     assert joints.fell
     assert whole.passed, whole.failures
     assert whole.controller is not None
     assert whole.controller.ticks == sum(whole.controller.relaxed.values())
+
+
+@pytest.mark.slow
+def test_feet_step_after_a_push_of_a_quarter_of_the_weight(trot: Solution) -> None:
+    for push in (2 * PUSH, -2 * PUSH):
+        report = simulate(trot, cycles=6, push=push, controller="whole-body").report
+        assert not report.fell
+        assert report.base_error_max is not None
+        assert report.base_error_max > 0.1  # it went aside, and stepped
 
 
 @pytest.mark.slow

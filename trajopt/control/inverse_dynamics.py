@@ -88,26 +88,27 @@ class InverseDynamics:
     ) -> TickResult:
         """Solve at the state that was last given to `RobotState.update`."""
         program = _Program(self, contacts, limits)
-        levels = [program.objective([t for t in tasks if t.priority == level]) for level in (1, 2)]
-        second = any(task.priority == 2 for task in tasks)
+        first, after = ([task for task in tasks if task.priority == level] for level in (1, 2))
+        cost, slope, kept = program.objective(first)
+        second = program.objective(after)[:2] if after else None
         iterations = 0
         for relaxed in range(3):
             rows = program.rows(relaxed)
-            cost, slope = program.with_penalty(*levels[0][:2]) if relaxed == 2 else levels[0][:2]
+            if relaxed == 2:
+                cost, slope = program.with_penalty(cost, slope)
             found = self._solver(("first", relaxed == 2), contacts, rows).solve(cost, slope, *rows)
             iterations += found.iterations
             if not found.solved:
                 continue
             x = found.x
-            if second:
-                kept = levels[0][2]
+            if second is not None:
                 held = kept @ x
                 rows = np.vstack([rows[0], kept]), np.append(rows[1], held), np.append(rows[2], held)
-                after = self._solver(("second", relaxed == 2, len(kept)), contacts, rows).solve(
-                    *levels[1][:2], *rows
+                lower = self._solver(("second", relaxed == 2, len(kept)), contacts, rows).solve(
+                    *second, *rows
                 )
-                iterations += after.iterations
-                x = after.x if after.solved else x
+                iterations += lower.iterations
+                x = lower.x if lower.solved else x
             return program.result(x, relaxed, iterations)
         return program.result(np.zeros(program.n), 3, iterations)
 
@@ -138,8 +139,8 @@ class _Program:
         sizes = [contact.dimension for contact in contacts]
         self.first = np.concatenate([[0], np.cumsum(sizes)]).astype(int) + self.nv
         self.n = int(self.first[-1])
-        unit = [np.repeat(owner.force_units, 3)[:size] for size in sizes]
-        self.unit = np.concatenate([owner.acceleration_unit, *unit])
+        unit = [owner.force_units[row > 2] for size in sizes for row in range(size)]
+        self.unit = np.concatenate([owner.acceleration_unit, unit])
         stacked = [state.frame(c.frame).jacobian[: c.dimension] for c in contacts]
         jacobian = np.vstack([np.zeros((0, self.nv)), *stacked])
         self.dynamics = np.hstack([state.mass, -jacobian.T])
@@ -151,7 +152,7 @@ class _Program:
         """Rows (m, n) on the scaled unknowns and their bounds; see `RELAXED`."""
         owner, state, limits, n = self.owner, self.owner.state, self.limits, self.n
         u, h = owner.n_unactuated, state.nonlinear
-        scale = np.concatenate([owner.torque_unit])
+        scale = owner.torque_unit
         blocks, lows, highs = (
             [self.dynamics[:u] / scale[:u, None]],
             [-h[:u] / scale[:u]],

@@ -36,6 +36,7 @@ class RobotState:
         self.mass, self.nonlinear = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
         self._rest = np.zeros(model.nv)
         self._frames: dict[int, FrameState] = {}
+        self._centre: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def update(self, q: np.ndarray, v: np.ndarray) -> None:
         """Move to a state (nq,), (nv,). Raises `InputError` for other shapes and what is not finite."""
@@ -54,7 +55,7 @@ class RobotState:
         self.mass = np.triu(upper) + np.triu(upper, 1).T
         self.nonlinear = pin.nonLinearEffects(model, data, q, v).copy()
         pin.forwardKinematics(model, data, q, v, self._rest)  # without gravity, which the line above puts in
-        self._frames = {}
+        self._frames, self._centre = {}, None
 
     def frame(self, number: int) -> FrameState:
         """The state of a frame, by its index in the model."""
@@ -74,10 +75,12 @@ class RobotState:
 
     def centre_of_mass(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Position (3,), velocity (3,), Jacobian (3, nv) and drift (3,) of the centre of mass, world."""
-        data = self.data
-        pin.centerOfMass(self.model, data, self.q, self.v, self._rest)
-        jacobian = pin.jacobianCenterOfMass(self.model, data, self.q)
-        return data.com[0].copy(), data.vcom[0].copy(), jacobian, data.acom[0].copy()
+        if self._centre is None:
+            data = self.data
+            pin.centerOfMass(self.model, data, self.q, self.v, self._rest)
+            jacobian = pin.jacobianCenterOfMass(self.model, data, self.q)
+            self._centre = data.com[0].copy(), data.vcom[0].copy(), jacobian, data.acom[0].copy()
+        return self._centre
 
     def angular_momentum(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Angular momentum (3,) about the centre of mass, its matrix (3, nv), and the drift of its rate."""

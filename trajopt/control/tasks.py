@@ -120,7 +120,7 @@ class FrameTask(Task):
             ]
         )
         wanted = _feedback(error, self.velocity - own.velocity, self.acceleration, self.bandwidth)
-        unit = np.repeat(self.units, 3)
+        unit = np.array([self.units[0]] * 3 + [self.units[1]] * 3)
         rows = self.selection @ (own.jacobian / unit[:, None])
         return TaskRows(acceleration=rows, value=self.selection @ ((wanted - own.drift) / unit))
 
@@ -163,7 +163,7 @@ class ContactForceTask(Task):
 
     def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
         """Rows of f = wanted."""
-        unit = np.concatenate([np.zeros(0), *(np.repeat(self.units, 3)[: c.dimension] for c in contacts)])
+        unit = np.array([self.units[row > 2] for c in contacts for row in range(c.dimension)])
         wanted = np.concatenate([np.zeros(0), *(self.wanted[c.number, : c.dimension] for c in contacts)])
         return TaskRows(
             acceleration=np.zeros((len(unit), state.model.nv)),

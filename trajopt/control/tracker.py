@@ -12,13 +12,15 @@ import pinocchio as pin
 from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.certify.accuracy.natural_units import NaturalUnits, turning_rows
 from trajopt.certify.payloads import carrying_model
-from trajopt.control.contact_forces import ActiveContact
+from trajopt.control.contact_forces import ActiveContact, cross
+from trajopt.control.footholds import FootholdOffsets, capture_error
 from trajopt.control.inverse_dynamics import RELAXED, InverseDynamics, TickLimits, TickResult
 from trajopt.control.limits import JointRange, limits_with_drives, torque_limits
 from trajopt.control.plan_targets import PlanTargets, base_frame, plan_targets
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.control.robot_state import RobotState
+from trajopt.control.support import TURNED, Support, support_of, thin_axes
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
@@ -38,10 +40,16 @@ PRESSED, DEEPEST = 0.1, 0.1
 MOST_FEEDBACK = 1.0
 # The robot balances on lines and points that are its support for at least so many sqrt(l / g).
 LASTING = 1.0
+# The pendulum over a support is at least this part of l high.
+LOWEST = 0.1
+# Rate of the pendulum that a flight lands on, in natural units: legs half as long as the reach.
+FLYING = 2.0**0.5
 # Supports narrower than this part of l balance by motion alone; rotations about them weigh this part.
 THIN, TILT_PART = 1e-2, 0.03
 # Surfaces whose normals differ from up by less than this are level: feet may land elsewhere on them.
 LEVEL = 1e-3
+# A robot that moves faster than this in natural units fell long ago: its joints are held.
+TOO_FAST = 1e3
 
 
 @checked
@@ -62,14 +70,14 @@ class TrackerGains:
         flight_joint_weight: of joints while no contact stands.
         balance: bandwidth on a line or a point.
         balance_joint_weight: of joints there.
-        placement: how far a foot lands beside its foothold: times the error of the capture point.
+        placement: how far feet land beside footholds: times the error of the capture point at touchdown.
     """
 
     body: NonNegative = 8.0
     foot: NonNegative = 15.0
     joint: NonNegative = 20.0
     contact: NonNegative = 20.0
-    com_weight: NonNegative = 1.0
+    com_weight: NonNegative = 10.0
     base_weight: NonNegative = 1.0
     foot_weight: NonNegative = 1.0
     joint_weight: NonNegative = 1e-2
@@ -77,7 +85,7 @@ class TrackerGains:
     flight_joint_weight: Positive = 1.0
     balance: NonNegative = 10.0
     balance_joint_weight: NonNegative = 1e-4
-    placement: NonNegative = 0.25
+    placement: NonNegative = 1.0
 
 
 @dataclass
@@ -137,14 +145,21 @@ class Tracker:
         self._sizes = plan.meta.get("contact_sizes") or [None] * len(self._frames)
         self._touched_at = np.full(len(self._frames), -np.inf)
         self._moving = base_of(plan.model) != "fixed"
+        self._base = base_frame(plan.model) if self._moving else 0
         turning = turning_rows(plan.model)
         gravity, length = self.units.gravity, self.units.length
         self._acceleration = np.where(turning, gravity / length, gravity)
         self._force = np.where(turning, self.units.weight * length, self.units.weight)
+        self._offsets = FootholdOffsets(
+            len(self._frames), period=self.reference.period, length=length, time=self.units.time
+        )
         self._stands = self.reference.active.any(axis=0)
+        self._wide = np.array([self._is_wide(k) for k in range(len(self.reference.t))])
         self._balances = self._balanced_ticks()
         # Feet may land beside their footholds where the ground has no edges.
-        self._level = isinstance(terrain_of(plan.meta["terrain"]), Surface) and not plan.meta.get("surfaces")
+        smooth = not plan.meta.get("surfaces") and isinstance(terrain_of(plan.meta["terrain"]), Surface)
+        level = np.abs(self.targets.surfaces.normal - UP).max(axis=2) < LEVEL
+        self._level = np.asarray(level & smooth)
 
     def tick_of(self, t: float) -> int:
         """The tick at ``t`` s from the start of the plan, within its ticks."""
@@ -163,7 +178,8 @@ class Tracker:
             InputError: for a state that is not finite or has another shape.
         """
         begin = time.perf_counter()
-        k, contacts = self.tick_of(t), np.asarray(touching, dtype=bool)
+        contacts = np.asarray(touching, dtype=bool)
+        k = self.tick_of(t)
         if contacts.shape != (len(self._frames),):
             raise InputError(
                 f"touching has shape {contacts.shape}",
@@ -172,6 +188,14 @@ class Tracker:
         program = self._program(int(self.reference.source[k]))
         program.state.update(q, v)
         active = self._active(k, contacts)
+        if np.abs(v).max() * self.units.time > TOO_FAST:
+            self.counts.ticks += 1
+            self.counts.relaxed[RELAXED.index("everything")] += 1
+            return self._held(k, program.state)
+        self._offsets = self._offsets.copy()  # another tracker may go on from the one before
+        for i in np.flatnonzero(active):
+            here = program.state.frame(self._frames[i]).placement.translation
+            self._offsets.stand(int(i), (here - self.targets.position[k, i])[:2])
         taken = [self._contact(int(i), k) for i in np.flatnonzero(active)]
         found = program.solve(taken, self._tasks(k, active, program.state), self._limits(q, v))
         self.counts.ticks += 1
@@ -246,8 +270,9 @@ class Tracker:
         planned = reference.active[k]
         first, flying = self.plan.n_unactuated, not (planned.any() and active.any())
         rotation, fixed = units.gravity / units.length, not self._moving
-        rows, support = np.arange(first, self.plan.model.nv), active | planned
-        tilting = np.zeros((0, 3)) if flying or fixed else self._tilting(support, k, state)
+        rows = np.arange(first, self.plan.model.nv)
+        support = None if flying or fixed else self._support(k, active | planned, state)
+        tilting = support.axes if support and self._balances[k] else np.zeros((0, 3))
         weight = gains.flight_joint_weight if flying else gains.joint_weight
         weight = gains.balance_joint_weight if len(tilting) else weight
         tasks: list[Task] = [
@@ -272,42 +297,46 @@ class Tracker:
             )
         if fixed:
             return tasks
-        if not flying:
-            tasks.append(self._balance(k, support, tilting, state))
+        if support:
+            tasks.append(self._balance(k, support, state))
             tasks.append(
                 FrameTask(
                     weight=gains.base_weight,
-                    frame=base_frame(self.plan.model),
+                    frame=self._base,
                     pose=pin.SE3(self.targets.base_rotation[k], np.zeros(3)),
                     velocity=self.targets.base_velocity[k],
                     acceleration=self.targets.base_acceleration[k],
                     bandwidth=gains.body / units.time,
-                    selection=np.hstack([np.zeros((3, 3)), _without(np.cross(UP, tilting))]),
+                    selection=np.hstack([np.zeros((3, 3)), _without(tilting @ TURNED.T)]),
                     units=(units.gravity, rotation),
                 )
             )
-        tasks += [self._swing(int(i), k, state) for i in np.flatnonzero(self._stands & ~active)]
+        tasks += [self._swing(int(i), k, support, state) for i in np.flatnonzero(self._stands & ~active)]
         return tasks
 
-    def _tilting(self, active: np.ndarray, k: int, state: RobotState) -> np.ndarray:
-        """Level directions (r, 3) in which only motion of the body balances: 2 on a point, 1 on a line."""
-        if not self._balances[k]:
-            return np.zeros((0, 3))
-        picked = np.flatnonzero(active)
+    def _support(self, k: int, standing: np.ndarray, state: RobotState) -> Support:
+        """What the robot stands on; narrow only where the plan is too, not where a foot is late."""
+        picked = np.flatnonzero(standing)
         places = np.array([state.frame(self._frames[i]).placement.translation for i in picked])
-        thin = _thin_axes(places, THIN * self.units.length)
-        return np.hstack([thin, np.zeros((len(thin), 1))])
+        return support_of(
+            places,
+            self.targets.position[k, picked],
+            np.zeros((0, 3)) if self._wide[k] else thin_axes(places, THIN * self.units.length),
+            state.centre_of_mass()[0],
+            self.units.gravity,
+            LOWEST * self.units.length,
+        )
 
     def _balanced_ticks(self) -> np.ndarray:
         """Ticks (n,) of stances on one line or point that last: shorter ones follow the plan as it is."""
         active = self.reference.active
         found = np.zeros(len(active), dtype=bool)
-        if self.plan.meta.get("periodicity") or any(self._is_wide(k) for k in range(len(active))):
+        if self.plan.meta.get("periodicity") or self._wide[active.any(axis=1)].any():
             return found  # the next steps, or a wider support, balance the robot
         changes = np.flatnonzero((active[1:] != active[:-1]).any(axis=1)) + 1
         for begin, end in pairwise([0, *changes.tolist(), len(active)]):
             lasts = (end - begin) * self.reference.period >= LASTING * self.units.time
-            found[begin:end] = lasts and bool(active[begin].any()) and not self._is_wide(begin)
+            found[begin:end] = lasts and bool(active[begin].any()) and not self._wide[begin]
         return found
 
     def _is_wide(self, k: int) -> bool:
@@ -317,18 +346,18 @@ class Tracker:
         if "surface" in kinds or self.targets.surfaces.bilateral[k, picked].any():
             return True
         return len(picked) > 2 and not len(
-            _thin_axes(self.targets.position[k, picked], THIN * self.units.length)
+            thin_axes(self.targets.position[k, picked], THIN * self.units.length)
         )
 
-    def _balance(
-        self, k: int, active: np.ndarray, tilting: np.ndarray, state: RobotState
-    ) -> CenterOfMassTask:
-        """The centre of mass follows the plan; in directions that tilt, so that the angular momentum does.
+    def _balance(self, k: int, support: Support, state: RobotState) -> CenterOfMassTask:
+        """The centre of mass follows the plan, as far as its support lets it.
 
-        About a support p without extent along u only gravity changes the angular momentum L about the level
-        axis z x u: dL = m g (c - p) u. A triple pole of that chain of integrators (Azad and Featherstone,
-        IEEE Trans. Robotics 32, 2016) gives with e for errors and w the bandwidth
+        In directions in which that has no extent, and which last, so does the angular momentum. About a
+        support p without extent along u only gravity changes the angular momentum L about the level axis
+        z x u: dL = m g (c - p) u. A triple pole of that chain of integrators (Azad and Featherstone, IEEE
+        Trans. Robotics 32, 2016) gives with e for errors and w the bandwidth
             dd c = dd c_d - 3 w de - 3 w^2 e - w^3 e_L / (m g)
+        Where they do not last it falls as the pendulum does, until the next feet stand.
         """
         units, targets = self.units, self.targets
         w, tilt = self.gains.body / units.time, self.gains.balance / units.time
@@ -336,18 +365,18 @@ class Tracker:
         wanted, rate, acceleration = targets.com[k]
         error, change = position - wanted, velocity - rate
         feedback = -2 * w * change - w**2 * error
-        if len(tilting):
-            picked = np.flatnonzero(active)
-            here = np.mean([state.frame(self._frames[i]).placement.translation for i in picked], axis=0)
-            planned = targets.position[k, picked].mean(axis=0)
+        across = support.axes.T @ support.axes
+        if len(support.axes) and self._balances[k]:
             mass = units.weight / units.gravity
-            own = state.angular_momentum()[0] + mass * np.cross(position - here, velocity)
-            asked = targets.momentum[k] + mass * np.cross(wanted - planned, rate)
-            error = error - (here - planned)
-            for along in tilting:
-                turned = float((own - asked) @ np.cross(UP, along)) / units.weight
-                pole = -3 * tilt * change - 3 * tilt**2 * error
-                feedback += along * (along @ (pole - feedback) - tilt**3 * turned)
+            here, planned = support.places.mean(axis=0), support.planned.mean(axis=0)
+            own = state.angular_momentum()[0] + mass * cross(position - here, velocity)
+            asked = targets.momentum[k] + mass * cross(wanted - planned, rate)
+            turned = (own - asked) @ TURNED / units.weight
+            poles = 3 * tilt * change + 3 * tilt**2 * (error - support.offset) + tilt**3 * turned
+            feedback -= across @ (poles + feedback)
+        elif len(support.axes):
+            feedback += across @ (support.falling(error) - feedback)
+            feedback = support.reachable(position, acceleration + feedback) - acceleration
         most = MOST_FEEDBACK * units.gravity
         feedback *= min(1.0, most / max(float(np.linalg.norm(feedback)), most))
         return CenterOfMassTask(
@@ -359,7 +388,7 @@ class Tracker:
             unit=units.gravity,
         )
 
-    def _swing(self, i: int, k: int, state: RobotState) -> FrameTask:
+    def _swing(self, i: int, k: int, support: Support | None, state: RobotState) -> FrameTask:
         """A contact in the air follows the plan; one that is late is pressed down along its normal."""
         targets, units = self.targets, self.units
         position, velocity = targets.position[k, i].copy(), targets.velocity[k, i].copy()
@@ -370,8 +399,10 @@ class Tracker:
             speed = PRESSED * np.sqrt(units.gravity * units.length)
             position -= normal * min(speed * late, DEEPEST * units.length)
             velocity[:3] -= normal * speed
-        if self.gains.placement and self._level and np.allclose(normal, UP, atol=LEVEL):
-            position[:2] += self.gains.placement * self._capture_error(k, state)
+        if self.gains.placement and self._level[k, i]:
+            acceleration[:2] += self._beside(i, k, support, state)
+            position[:2] += self._offsets.offset[i]
+            velocity[:2] += self._offsets.rate[i]
         sole = self.plan.meta["contact_kinds"][i] == "surface"
         return FrameTask(
             weight=self.gains.foot_weight,
@@ -389,11 +420,13 @@ class Tracker:
         before = np.flatnonzero(~self.reference.active[:k, i])
         return (before[-1] + 1) * self.reference.period if len(before) else 0.0
 
-    def _capture_error(self, k: int, state: RobotState) -> np.ndarray:
-        """Error (2,) of the capture point x + dx sqrt(l / g), m (Pratt et al., Humanoids 2006)."""
+    def _beside(self, i: int, k: int, support: Support | None, state: RobotState) -> np.ndarray:
+        """Move a foot on beside its planned motion; returns the acceleration (2,) of its offset, m/s^2."""
         position, velocity, _, _ = state.centre_of_mass()
-        wanted, rate, _ = self.targets.com[k]
-        return np.asarray((position - wanted + self.units.time * (velocity - rate))[:2])
+        error, change = position - self.targets.com[k, 0], velocity - self.targets.com[k, 1]
+        left = float(self.targets.next_stance[k, i]) * self.reference.period
+        capture = capture_error(error, change, support, left, FLYING / self.units.time)
+        return self._offsets.swing(i, error, self.gains.placement * capture, left)
 
     def _held(self, k: int, state: RobotState) -> np.ndarray:
         """Planned torques with feedback of single joints: where no program has a solution."""
@@ -403,13 +436,6 @@ class Tracker:
         rate = (self.reference.v[k] - state.v)[first:]
         wanted = self.reference.torque[k] + inertia * (w**2 * error + 2 * w * rate)
         return np.asarray(np.clip(wanted, self._low, self._high))
-
-
-def _thin_axes(places: np.ndarray, least: float) -> np.ndarray:
-    """Level directions (r, 2) in which places (n, 3) are less than ``least`` m apart."""
-    spread = places[:, :2] - places[:, :2].mean(axis=0)
-    _, extent, axes = np.linalg.svd(np.vstack([spread, np.zeros((2, 2))]))
-    return np.asarray(axes[extent < least])
 
 
 def _without(axes: np.ndarray) -> np.ndarray:

@@ -1,0 +1,69 @@
+"""What a robot stands on: where its feet are, how wide they stand, and the pendulum over them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.terrain.surface import UP
+
+# What is level of a vector.
+LEVEL = np.array([1.0, 1.0, 0.0])
+# The cross product of up with a vector.
+TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Support:
+    """Feet that stand, and the centre of mass as an inverted pendulum over them.
+
+    Attributes:
+        places: of the feet (n, 3), measured, m.
+        planned: where they should be (n, 3), m.
+        axes: level directions (r, 3) without extent: two of a point, one of a line, none where it is wide.
+        rate: sqrt(g / h), 1/s, h the height of the centre of mass over the feet.
+    """
+
+    places: np.ndarray
+    planned: np.ndarray
+    axes: np.ndarray
+    rate: float
+
+    @property
+    def offset(self) -> np.ndarray:
+        """How far (3,) the feet are off the plan, m, level."""
+        return np.asarray((self.places - self.planned).mean(axis=0) * LEVEL)
+
+    def falling(self, error: np.ndarray) -> np.ndarray:
+        """Acceleration (3,) of an error of the centre of mass, m/s^2, on feet that cannot correct it.
+
+        Of two pendulums dd c = g / h (c - p), the measured and the planned one, the difference is
+        dd e = g / h (e - e_p).
+        """
+        return np.asarray(self.rate**2 * (error - self.offset))
+
+    def reachable(self, com: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """The nearest acceleration (3,) that a centre of pressure between the feet of a line gives."""
+        if len(self.axes) != 1:
+            return acceleration
+        line = TURNED @ self.axes[0]
+        given = self.rate**2 * ((com - self.places) @ line)
+        total = float(line @ acceleration)
+        return np.asarray(acceleration + line * (np.clip(total, given.min(), given.max()) - total))
+
+
+def support_of(
+    places: np.ndarray, planned: np.ndarray, axes: np.ndarray, com: np.ndarray, gravity: float, lowest: float
+) -> Support:
+    """The support of a centre of mass (3,), taken to be at least ``lowest`` m high, under gravity, m/s^2."""
+    height = max(float((com - places.mean(axis=0)) @ UP), lowest)
+    return Support(places, planned, axes, float(np.sqrt(gravity / height)))
+
+
+def thin_axes(places: np.ndarray, least: float) -> np.ndarray:
+    """Level directions (r, 3) in which places (n, 3) are less than ``least`` m apart."""
+    spread = places[:, :2] - places[:, :2].mean(axis=0)
+    _, extent, axes = np.linalg.svd(np.vstack([spread, np.zeros((2, 2))]))
+    thin = axes[extent < least]
+    return np.hstack([thin, np.zeros((len(thin), 1))])
