@@ -63,6 +63,7 @@ class TrackerGains:
         joint: of joints.
         contact: rate at which the velocity of a contact is taken out.
         com_weight: of the centre of mass, while contacts stand.
+        gait_com_weight: likewise in periodic plans: joints draw it over feet that landed elsewhere.
         base_weight: of the base's orientation, likewise.
         foot_weight: of swinging feet.
         joint_weight: of joints while contacts stand.
@@ -77,7 +78,8 @@ class TrackerGains:
     foot: NonNegative = 15.0
     joint: NonNegative = 20.0
     contact: NonNegative = 20.0
-    com_weight: NonNegative = 10.0
+    com_weight: NonNegative = 1.0
+    gait_com_weight: NonNegative = 10.0
     base_weight: NonNegative = 1.0
     foot_weight: NonNegative = 1.0
     joint_weight: NonNegative = 1e-2
@@ -153,6 +155,7 @@ class Tracker:
         self._offsets = FootholdOffsets(
             len(self._frames), period=self.reference.period, length=length, time=self.units.time
         )
+        self._walks = bool(plan.meta.get("periodicity"))
         self._stands = self.reference.active.any(axis=0)
         self._wide = np.array([self._is_wide(k) for k in range(len(self.reference.t))])
         self._balances = self._balanced_ticks()
@@ -331,7 +334,7 @@ class Tracker:
         """Ticks (n,) of stances on one line or point that last: shorter ones follow the plan as it is."""
         active = self.reference.active
         found = np.zeros(len(active), dtype=bool)
-        if self.plan.meta.get("periodicity") or self._wide[active.any(axis=1)].any():
+        if self._walks or self._wide[active.any(axis=1)].any():
             return found  # the next steps, or a wider support, balance the robot
         changes = np.flatnonzero((active[1:] != active[:-1]).any(axis=1)) + 1
         for begin, end in pairwise([0, *changes.tolist(), len(active)]):
@@ -380,7 +383,7 @@ class Tracker:
         most = MOST_FEEDBACK * units.gravity
         feedback *= min(1.0, most / max(float(np.linalg.norm(feedback)), most))
         return CenterOfMassTask(
-            weight=self.gains.com_weight,
+            weight=self.gains.gait_com_weight if self._walks else self.gains.com_weight,
             position=position,
             velocity=velocity,
             acceleration=acceleration + feedback,
