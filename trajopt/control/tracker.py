@@ -63,7 +63,7 @@ class TrackerGains:
         joint: of joints.
         contact: rate at which the velocity of a contact is taken out.
         com_weight: of the centre of mass, while contacts stand.
-        gait_com_weight: likewise in periodic plans: joints draw it over feet that landed elsewhere.
+        thin_com_weight: likewise on a line or a point, in plans that are not periodic.
         base_weight: of the base's orientation, likewise.
         foot_weight: of swinging feet.
         joint_weight: of joints while contacts stand.
@@ -78,8 +78,8 @@ class TrackerGains:
     foot: NonNegative = 15.0
     joint: NonNegative = 20.0
     contact: NonNegative = 20.0
-    com_weight: NonNegative = 1.0
-    gait_com_weight: NonNegative = 10.0
+    com_weight: NonNegative = 10.0
+    thin_com_weight: NonNegative = 1.0
     base_weight: NonNegative = 1.0
     foot_weight: NonNegative = 1.0
     joint_weight: NonNegative = 1e-2
@@ -362,8 +362,8 @@ class Tracker:
             dd c = dd c_d - 3 w de - 3 w^2 e - w^3 e_L / (m g)
         Where they do not last it falls as the pendulum does, until the next feet stand.
         """
-        units, targets = self.units, self.targets
-        w, tilt = self.gains.body / units.time, self.gains.balance / units.time
+        gains, units, targets = self.gains, self.units, self.targets
+        w, tilt = gains.body / units.time, gains.balance / units.time
         position, velocity, _, _ = state.centre_of_mass()
         wanted, rate, acceleration = targets.com[k]
         error, change = position - wanted, velocity - rate
@@ -383,7 +383,7 @@ class Tracker:
         most = MOST_FEEDBACK * units.gravity
         feedback *= min(1.0, most / max(float(np.linalg.norm(feedback)), most))
         return CenterOfMassTask(
-            weight=self.gains.gait_com_weight if self._walks else self.gains.com_weight,
+            weight=gains.thin_com_weight if len(support.axes) and not self._walks else gains.com_weight,
             position=position,
             velocity=velocity,
             acceleration=acceleration + feedback,
