@@ -137,6 +137,23 @@ def test_forces_are_picked_by_contact() -> None:
     assert_allclose(rows.force, np.eye(6) / 10.0)
 
 
+def test_frames_have_names_and_unknown_ones_are_refused() -> None:
+    state, _ = state_of("go2")
+    number = state.model.getFrameId("FL_foot")
+    assert_allclose(state.frame("FL_foot").jacobian, state.frame(number).jacobian)
+    with pytest.raises(InputError, match=r"a task or contact names frame 'FL_fot'.*close matches: .*FL_foot"):
+        state.frame("FL_fot")
+    with pytest.raises(InputError, match="is of frame 9999; allowed: a frame's name, or an index from 0 to"):
+        state.frame(9999)
+
+
+def test_a_contact_without_a_wanted_force_is_refused() -> None:
+    state, _ = state_of("go2")
+    contact = ActiveContact(number=4, frame="FL_foot", dimension=3, normal=np.eye(3)[2], friction=0.5)
+    with pytest.raises(InputError, match="no force of contact 4; allowed: contacts 0 to 3"):
+        ContactForceTask(wanted=np.zeros((4, 6))).rows(state, [contact])
+
+
 def test_a_priority_is_one_or_two() -> None:
     with pytest.raises(InputError, match="priority of RegularisationTask is 3; allowed: 1 or 2"):
         RegularisationTask(unit=np.ones(3), priority=3)

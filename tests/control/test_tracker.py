@@ -133,8 +133,22 @@ def test_bad_input_is_one_line(rising: Solution, tmp_path: Path) -> None:
         r"the solution is not periodic": lambda: Tracker(rising, cycles=2),
         r"none.npz does not exist": lambda: Tracker(tmp_path / "none.npz"),
         r"body of TrackerGains is -1; allowed: a finite number >= 0": lambda: TrackerGains(body=-1),
+        r"the plan is of '.*', not of 'go2': it has no joint 'FL_HAA'; allowed: a plan with the joints": (
+            lambda: Tracker(rising, robot=robots.load("go2"))
+        ),
     }
     for message, call in cases.items():
         with pytest.raises(InputError, match=message) as refused:
             call()
         assert "\n" not in str(refused.value)
+
+
+def test_a_robot_that_flew_away_is_held_without_a_program(rising: Solution) -> None:
+    tracker, feet = Tracker(rising, rate=RATE, robot=robots.load("solo12")), np.ones(4, dtype=bool)
+    v = np.zeros(rising.model.nv)
+    v[3] = 1e6
+    torque = tracker.torque(0.0, rising.q[0], v, feet)
+    assert np.isfinite(torque).all()
+    assert tracker.counts.relaxed[RELAXED.index("everything")] == tracker.counts.ticks == 1
+    tracker.torque(1 / RATE, rising.q[0], np.zeros(rising.model.nv), feet)
+    assert tracker.counts.relaxed[0] == 1

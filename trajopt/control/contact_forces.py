@@ -25,7 +25,7 @@ class ActiveContact:
 
     Args:
         number: of the contact in the plan.
-        frame: of the model, by index.
+        frame: of the model, by name or index.
         dimension: 3 for a point, 6 for a sole.
         normal: out of the ground (3,), world.
         friction: Coulomb's coefficient.
@@ -36,7 +36,7 @@ class ActiveContact:
     """
 
     number: int
-    frame: int
+    frame: int | str
     dimension: int
     normal: np.ndarray
     friction: float

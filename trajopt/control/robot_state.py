@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
+from trajopt.robot.contact import require_frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +36,7 @@ class RobotState:
         self.q, self.v = pin.neutral(model), np.zeros(model.nv)
         self.mass, self.nonlinear = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
         self._rest = np.zeros(model.nv)
-        self._frames: dict[int, FrameState] = {}
+        self._frames: dict[int | str, FrameState] = {}
         self._centre: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def update(self, q: np.ndarray, v: np.ndarray) -> None:
@@ -57,10 +58,11 @@ class RobotState:
         pin.forwardKinematics(model, data, q, v, self._rest)  # without gravity, which the line above puts in
         self._frames, self._centre = {}, None
 
-    def frame(self, number: int) -> FrameState:
-        """The state of a frame, by its index in the model."""
-        found = self._frames.get(number)
+    def frame(self, frame: int | str) -> FrameState:
+        """The state of a frame, by name or by index in the model. Raises `InputError` for an unknown one."""
+        found = self._frames.get(frame)
         if found is None:
+            number = self._index(frame)
             axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             jacobian = pin.getFrameJacobian(self.model, self.data, number, axes).reshape(6, self.model.nv)
             drift = pin.getFrameClassicalAcceleration(self.model, self.data, number, axes).vector
@@ -70,8 +72,19 @@ class RobotState:
                 velocity=jacobian @ self.v,
                 drift=drift,
             )
-            self._frames[number] = found
+            self._frames[frame] = found
         return found
+
+    def _index(self, frame: int | str) -> int:
+        if isinstance(frame, str):
+            require_frame(self.model, frame, "a task or contact")
+            return int(self.model.getFrameId(frame))
+        if not 0 <= frame < self.model.nframes:
+            raise InputError(
+                f"a task or contact is of frame {frame}",
+                f"allowed: a frame's name, or an index from 0 to {self.model.nframes - 1}",
+            )
+        return frame
 
     def centre_of_mass(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Position (3,), velocity (3,), Jacobian (3, nv) and drift (3,) of the centre of mass, world."""

@@ -98,11 +98,12 @@ class AngularMomentumTask(Task):
 class FrameTask(Task):
     """A frame of the model follows a pose, with its velocity and acceleration (6,), world axes at its origin.
 
-    Errors of rotation are log(R_d R') in world axes. ``selection`` (r, 6): rows that act, as combinations of
-    the linear and angular ones. ``units``: of linear and angular rows, m/s^2 and rad/s^2.
+    ``frame``: its name, or its index in the model. Errors of rotation are log(R_d R') in world axes.
+    ``selection`` (r, 6): rows that act, as combinations of the linear and angular ones. ``units``: of linear
+    and angular rows, m/s^2 and rad/s^2.
     """
 
-    frame: int
+    frame: int | str
     pose: pin.SE3
     velocity: np.ndarray
     acceleration: np.ndarray
@@ -162,7 +163,13 @@ class ContactForceTask(Task):
     units: tuple[float, float] = (1.0, 1.0)
 
     def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
-        """Rows of f = wanted."""
+        """Rows of f = wanted. Raises `InputError` for a contact without a wanted force."""
+        for contact in contacts:
+            if not 0 <= contact.number < len(self.wanted):
+                raise InputError(
+                    f"ContactForceTask has no force of contact {contact.number}",
+                    f"allowed: contacts 0 to {len(self.wanted) - 1}",
+                )
         unit = np.array([self.units[row > 2] for c in contacts for row in range(c.dimension)])
         wanted = np.concatenate([np.zeros(0), *(self.wanted[c.number, : c.dimension] for c in contacts)])
         return TaskRows(

@@ -24,8 +24,10 @@ from trajopt.control.support import TURNED, Support, support_of, thin_axes
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
 from trajopt.solution.descriptions import terrain_of
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
+from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface
 
 # Joints are braked towards their limits over so many ticks.
@@ -108,13 +110,15 @@ class Tracker:
 
     Args:
         solution: the plan, or the path of its file.
+        robot: what is controlled; its joints must be those of the plan, whose model is used.
         rate: of its ticks, Hz.
         cycles: of a periodic plan.
         gains: of the feedback.
         solver: of the quadratic programs, "piqp" or "osqp".
 
     Raises:
-        InputError: for a plan that cannot be sampled, and ticks that are longer than one of its phases.
+        InputError: for a plan that cannot be sampled or is of another robot, and ticks that are longer than
+            one of its phases.
     """
 
     @checked
@@ -122,12 +126,15 @@ class Tracker:
         self,
         solution: SolutionOrFile,
         *,
+        robot: Robot | None = None,
         rate: Positive = 1000.0,
         cycles: PositiveCount = 1,
         gains: TrackerGains = TrackerGains(),
         solver: QpSolverName = "piqp",
     ) -> None:
         plan = require_motion(solution_of(solution))
+        if robot is not None:
+            _require_robot(plan, robot)
         shortest = min(float(np.ptp(plan.t[list(rows)])) for rows in plan.phases)
         if rate * shortest < 1:
             raise InputError(
@@ -439,6 +446,21 @@ class Tracker:
         rate = (self.reference.v[k] - state.v)[first:]
         wanted = self.reference.torque[k] + inertia * (w**2 * error + 2 * w * rate)
         return np.asarray(np.clip(wanted, self._low, self._high))
+
+
+def _require_robot(plan: Solution, robot: Robot) -> None:
+    """Raise `InputError` if the joints of a plan are not those of a robot."""
+    planned, own = (
+        [(name, joint.shortname()) for name, joint in zip(model.names, model.joints, strict=True)]
+        for model in (plan.model, robot.model)
+    )
+    if planned != own:
+        missing = next((name for name, _ in planned if name not in robot.model.names), None)
+        cause = f"it has no joint '{missing}'" if missing else "its joints have another order or other kinds"
+        raise InputError(
+            f"the plan is of '{plan.model.name}', not of '{robot.name}': {cause}",
+            f"allowed: a plan with the joints {', '.join(list(robot.model.names)[1:])}",
+        )
 
 
 def _without(axes: np.ndarray) -> np.ndarray:
