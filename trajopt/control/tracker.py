@@ -70,7 +70,7 @@ class TrackerGains:
         foot_weight: of swinging feet.
         joint_weight: of joints while contacts stand.
         force_weight: of contact forces.
-        flight_joint_weight: of joints while no contact stands.
+        flight_joint_weight: of joints while no contact stands, in plans that are not periodic.
         balance: bandwidth on a line or a point.
         balance_joint_weight: of joints there.
         placement: how far feet land beside footholds: times the error of the capture point at touchdown.
@@ -283,7 +283,8 @@ class Tracker:
         rows = np.arange(first, self.plan.model.nv)
         support = None if flying or fixed else self._support(k, active | planned, state)
         tilting = support.axes if support and self._balances[k] else np.zeros((0, 3))
-        weight = gains.flight_joint_weight if flying else gains.joint_weight
+        # Feet of gaits swing beside the planned posture also while nothing stands.
+        weight = gains.flight_joint_weight if flying and not self._walks else gains.joint_weight
         weight = gains.balance_joint_weight if len(tilting) else weight
         tasks: list[Task] = [
             PostureTask(
