@@ -89,7 +89,7 @@ class TrackerGains:
     flight_joint_weight: Positive = 1.0
     balance: NonNegative = 10.0
     balance_joint_weight: NonNegative = 1e-4
-    placement: NonNegative = 1.0
+    placement: NonNegative = 1.2
 
 
 @dataclass
