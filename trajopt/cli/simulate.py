@@ -7,7 +7,15 @@ from typing import Any
 
 import click
 
-from trajopt.cli.input import COUNT, NOT_REACHED, controller_option, default_option, is_given, json_option
+from trajopt.cli.input import (
+    COUNT,
+    NOT_REACHED,
+    controller_option,
+    default_option,
+    is_given,
+    json_option,
+    parse_settings,
+)
 from trajopt.cli.progress import busy
 from trajopt.cli.report import to_json
 from trajopt.errors import InputError
@@ -27,7 +35,25 @@ from trajopt.solution.output import check_apart, check_output, check_solution_ou
 @default_option("--friction-scale", 1.0, "X", "Factor on friction.")
 @default_option("--mass-scale", 1.0, "X", "Factor on masses and inertias.")
 @default_option("--noise", 0.0, "SIGMA", "Noise on the initial state, natural units.")
-@default_option("--seed", 0, "K", "Seed of --noise.", kind=COUNT)
+@default_option("--sensor-noise", 0.0, "SIGMA", "Noise on the state measured at each tick, natural units.")
+@default_option("--seed", 0, "K", "Seed of --noise and --sensor-noise.", kind=COUNT)
+@default_option("--delay", 0, "TICKS", "Whole ticks by which measurements are late.", kind=COUNT)
+@default_option("--torque-step", 0.0, "NM", "Torques are rounded to multiples of this; 0: they are not.")
+@default_option("--torque-rate", 0.0, "NM/S", "Fastest change of a torque; 0: no limit.")
+@default_option(
+    "--com-offset",
+    (0.0, 0.0, 0.0),
+    "X Y Z",
+    "Offset of the robot's centre of mass, base frame, m.",
+    kind=click.Tuple([float, float, float]),
+)
+@click.option(
+    "--ground-offset",
+    "ground_offsets",
+    multiple=True,
+    metavar="FRAME=M",
+    help="Ground under a contact is higher by this, m. Repeatable.",
+)
 @default_option("--push", 0.0, "N", "Force on the base to its left, halfway, N.")
 @click.option("--rolling", is_flag=True, help="Feet with a radius roll, which plans neglect.")
 @json_option
@@ -43,11 +69,13 @@ def simulate_command(
     from trajopt.solution.solution import Solution
 
     check_apart([output, html], [file])
-    if is_given("seed") and not settings["noise"]:
-        raise InputError("--seed has no effect here", "allowed: with --noise SIGMA")
+    if is_given("seed") and not settings["noise"] and not settings["sensor_noise"]:
+        raise InputError("--seed has no effect here", "allowed: with --noise or --sensor-noise SIGMA")
     for name in ("kp", "kd"):
         if is_given(name) and settings["controller"] != "joints":
             raise InputError(f"--{name} has no effect here", "allowed: with --controller joints")
+    offsets = parse_settings(settings["ground_offsets"], "--ground-offset")
+    settings["ground_offsets"] = {frame: _metres(frame, text) for frame, text in offsets.items()}
     motion, page = output and check_solution_output(output), html and check_output(html)
     if page is not None:
         require_ending(page, ".html")
@@ -65,3 +93,10 @@ def simulate_command(
     report = simulated.report
     click.echo(to_json(report.to_dict()) if as_json else report.table())
     return 0 if report.passed else NOT_REACHED
+
+
+def _metres(frame: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"--ground-offset for '{frame}' is '{text}'", "allowed: a number, m") from None

@@ -23,6 +23,7 @@ from trajopt.simulation.bodies import (
     mujoco_package,
     mujoco_quaternion,
 )
+from trajopt.simulation.settings import SimulationSettings
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import contact_radii
@@ -39,27 +40,30 @@ MOST_CELLS = 500
 
 @dataclass(frozen=True, kw_only=True)
 class GroundGeometry:
-    """Geoms to touch: ``names``, the contacts that may touch them, and which of them are the terrain.
+    """Geoms to touch: ``names``, the contacts that may touch them, and links of which legs.
 
-    friction: (phases, geoms, nc), that of a contact on a geom in a phase of the file.
+    friction: (phases, geoms, nc), that of a contact on a geom in a phase of the file. links: None for a geom
+    that no link touches; otherwise the offset, m, of the ground of links that touch it.
     """
 
     names: tuple[str, ...]
     friction: np.ndarray
     touched_by: tuple[tuple[int, ...], ...]
-    is_terrain: tuple[bool, ...]
+    links: tuple[float | None, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
     """Where a plan happens: contact frames (K, nc, 3) at its samples, a box around it, the reach; m.
 
-    radii: (nc,) of the plan's contacts. rolling: whether those with a radius roll.
+    radii: (nc,) of the plan's contacts. rolling: whether those with a radius roll. offsets: (nc,) m, by which
+    the ground of contacts is higher than planned.
     """
 
     feet: np.ndarray
     radii: np.ndarray
     rolling: bool
+    offsets: np.ndarray
     low: np.ndarray
     high: np.ndarray
     reach: float
@@ -77,11 +81,11 @@ class Surroundings:
     @property
     def lifts(self) -> np.ndarray:
         """How far above the plan's ground (nc,) m the balls of contacts touch theirs; negative: below."""
-        return self.radii - self.sizes
+        return self.radii - self.sizes + self.offsets
 
 
 def surroundings_of(
-    plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach: float, rolling: bool
+    plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach: float, settings: SimulationSettings
 ) -> Surroundings:
     """The place of a plan with contacts at ``feet`` (K, nc, 3) and joints at ``bodies`` (K, n, 3) m."""
     points = np.concatenate([feet.reshape(-1, 3), bodies.reshape(-1, 3)])
@@ -89,7 +93,8 @@ def surroundings_of(
     return Surroundings(
         feet=feet,
         radii=contact_radii(plan.meta),
-        rolling=rolling,
+        rolling=settings.rolling,
+        offsets=np.array([settings.ground_offsets.get(name, 0.0) for name in plan.contact_frames]),
         low=points.min(axis=0) - around,
         high=points.max(axis=0) + around,
         reach=reach,
@@ -98,23 +103,25 @@ def surroundings_of(
 
 def add_ground(spec: Any, plan: Solution, place: Surroundings) -> GroundGeometry:
     """Add terrain and boards to a specification: terrain for links, and for contacts of each height."""
-    found: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], bool]] = []
+    found: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], float | None]] = []
     terrain = terrain_of(plan.meta["terrain"])
     own, count = _own_surfaces(plan, terrain), len(plan.contact_frames)
     usual = tuple(float(mu) for mu in plan.meta["friction"])
-    layers: list[tuple[str, float, tuple[int, ...], bool]] = [("", 0.0, (), True)]
+    layers: list[tuple[str, float, tuple[int, ...], float | None]] = [("", 0.0, (), 0.0)]
     for lift, contacts in _by_lift(_standing(plan, own), place):
-        layers.append((f".{len(layers)}", lift, contacts, False))
+        layers.append((f".{len(layers)}", lift, contacts, None))
+    for offset in np.unique(place.offsets[place.offsets != 0.0]).tolist():
+        layers.append((f".{len(layers)}", offset, (), offset))
     for suffix, lift, contacts, links in layers:
         for name, plane, mu in _terrain(spec, terrain, suffix, lift, place):
             found.append((name, plane, usual if mu is None else (mu,) * count, contacts, links))
     for surface, touching, points in _boards(plan, own, place):
         for lift, contacts in _by_lift(touching, place):
             name = _board(spec, f"board{len(found)}", surface, points, lift, place)
-            found.append((name, surface, (surface.friction,) * count, contacts, False))
-    names, planes, own_friction, touched_by, is_terrain = zip(*found, strict=True) if found else ((),) * 5
+            found.append((name, surface, (surface.friction,) * count, contacts, None))
+    names, planes, own_friction, touched_by, of_links = zip(*found, strict=True) if found else ((),) * 5
     by_phase = _by_phase(plan, planes, np.array(own_friction, dtype=float).reshape(len(names), count))
-    return GroundGeometry(names=names, friction=by_phase, touched_by=touched_by, is_terrain=is_terrain)
+    return GroundGeometry(names=names, friction=by_phase, touched_by=touched_by, links=of_links)
 
 
 def _by_lift(contacts: Sequence[int], place: Surroundings) -> list[tuple[float, tuple[int, ...]]]:

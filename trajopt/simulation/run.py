@@ -21,6 +21,7 @@ from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
 from trajopt.simulation.gains import gains_of
+from trajopt.simulation.hardware import Hardware, Measurement
 from trajopt.simulation.settings import Impulse, SimulationSettings
 from trajopt.simulation.world import World
 from trajopt.solution.solution import Solution
@@ -95,6 +96,14 @@ class SimulationRun:
         self.touching = reference.active[0]
         self.impulse, self._force = settings.impulse, np.zeros(3)
         self._plan_in_mujoco()
+        self.hardware = Hardware(
+            self.model,
+            settings,
+            units=_sizes(world),
+            time=world.units.time,
+            period=reference.period,
+            torque=self.torque[0],
+        )
 
     def _plan_in_mujoco(self) -> None:
         """The plan and its torques in MuJoCo's coordinates, row by row."""
@@ -137,6 +146,7 @@ class SimulationRun:
         """A run of its own that goes on from here; of its models one run at a time may advance."""
         own = copy.copy(self)
         own.data, own.tracker = copy.copy(self.data), copy.copy(self.tracker)
+        own.hardware = self.hardware.copy()
         return own
 
     def advance(self, found: SimulationRecord, begin: int, end: int) -> int:
@@ -183,7 +193,8 @@ class SimulationRun:
 
     def _enter(self, phase: int) -> None:
         """What changes with a phase of the plan: what is carried, what is held, friction under contacts."""
-        if self.plan.meta.get("payloads") or self.settings.mass_scale != 1.0:
+        changed = self.settings.mass_scale != 1.0 or any(self.settings.com_offset)
+        if self.plan.meta.get("payloads") or changed:
             write_inertias(self.model, self.world.models[phase])
         for grasp in self.world.grasps:
             self.data.eq_active[self.model.equality(grasp.name).id] = phase in grasp.phases
@@ -222,33 +233,36 @@ class SimulationRun:
 
     def _drive(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Apply the torques of period ``k``; returns them, and where they were cut off."""
-        error = np.zeros(self.model.nv)
-        self.mujoco.mj_differentiatePos(self.model, error, 1.0, self.data.qpos, self.qpos[k])
-        rate = self.data.qvel[self.rows]
-        if self.tracker is None:
-            wanted = (
-                self.torque[k]
-                + self.gains.kp[k] * error[self.rows]
-                + self.gains.kd[k] * (self.qvel[k][self.rows] - rate)
-            )
-        else:
-            wanted = self._tracked(k)
+        measured = self.hardware.measure(self.data.qpos, self.data.qvel, self.touching)
+        wanted = self._fed_back(k, measured) if self.tracker is None else self._tracked(k, measured)
+        wanted = self.hardware.command(wanted)
         low, high = self.low, self.high
         if any(drive is not None for drive in self.drives):
-            low, high = limits_with_drives(self.drives, rate, low, high)
+            low, high = limits_with_drives(self.drives, self.data.qvel[self.rows], low, high)
         torque = np.clip(wanted, low, high)
+        self.hardware.deliver(torque)
         self.data.qfrc_applied[self.rows] = torque
         return torque, torque != wanted
 
-    def _tracked(self, k: int) -> np.ndarray:
+    def _fed_back(self, k: int, measured: Measurement) -> np.ndarray:
+        """Torques (nu,) of the plan and of the joints' feedback."""
+        error = np.zeros(self.model.nv)
+        self.mujoco.mj_differentiatePos(self.model, error, 1.0, measured.qpos, self.qpos[k])
+        return np.asarray(
+            self.torque[k]
+            + self.gains.kp[k] * error[self.rows]
+            + self.gains.kd[k] * (self.qvel[k][self.rows] - measured.qvel[self.rows])
+        )
+
+    def _tracked(self, k: int, measured: Measurement) -> np.ndarray:
         """Torques (nu,) of the whole-body controller in MuJoCo's coordinates."""
         assert self.tracker is not None
-        coordinates, qpos = self.world.coordinates, self.data.qpos[None]
+        coordinates, qpos = self.world.coordinates, measured.qpos[None]
         q = coordinates.from_mujoco(qpos)[0]
-        v = coordinates.rates_from_mujoco(qpos, self.data.qvel[None])[0]
+        v = coordinates.rates_from_mujoco(qpos, measured.qvel[None])[0]
         whole = np.zeros((1, self.plan.model.nv))
         whole[0, self.plan.n_unactuated :] = self.tracker.torque(
-            k * self.reference.period, q, v, self.touching
+            k * self.reference.period, q, v, measured.touching
         )
         return np.asarray(coordinates.rates_to_mujoco(qpos, whole)[0, self.rows])
 

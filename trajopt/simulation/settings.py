@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Literal, get_args
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, get_args
+
+import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.errors import InputError, not_among, require_finite
@@ -25,7 +28,15 @@ ALLOWED = {
     "mass_scale": (1e-6, 1e6),
     "noise": (0.0, 1.0),
     "push": (-1e9, 1e9),
+    "sensor_noise": (0.0, 1.0),
+    "delay": (0, 100),
+    "torque_step": (0.0, 1e6),
+    "torque_rate": (0.0, 1e12),
 }
+# Largest offset of a centre of mass or of the ground, m.
+FARTHEST = 10.0
+# Settings that have checks of their own.
+CHECKED_APART = ("rolling", "controller", "impulse", "com_offset", "ground_offsets")
 
 
 # Feedback of single joints, or a quadratic program for the whole body at each tick (`trajopt.control`).
@@ -62,6 +73,14 @@ class SimulationSettings:
     impulse: another push, of any direction and time, see `Impulse`.
     rolling: contacts with a radius are balls fixed to their links, which roll; otherwise they turn about
     their centres, as in the plan. controller: see `Controller`; ``kp`` and ``kd`` are of "joints".
+
+    Of the hardware: sensor_noise: standard deviation of the measured state at every tick, in the units of
+    ``noise``. delay: whole ticks by which the measured state and contacts are late. torque_step: torques are
+    rounded to its multiples, N m (N of a joint that slides); torque_rate: N m/s, the fastest change of a
+    torque; 0 is off for both.
+    com_offset: m, along the base's forward, left and upward axes: the robot's centre of mass is off by this,
+    because that of its base link is. ground_offsets: m by contact frame: what this contact stands on is so
+    much higher than planned, along its normal. The plan and the controller know of neither.
     Raises `InputError`.
     """
 
@@ -78,6 +97,12 @@ class SimulationSettings:
     rolling: bool = False
     controller: Controller = "joints"
     impulse: Impulse | None = None
+    sensor_noise: float = 0.0
+    delay: int = 0
+    torque_step: float = 0.0
+    torque_rate: float = 0.0
+    com_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ground_offsets: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not isinstance(self.rolling, bool):
@@ -90,19 +115,17 @@ class SimulationSettings:
             )
         if not isinstance(self.impulse, Impulse | None):
             raise InputError(f"impulse of a simulation is {self.impulse!r}", "allowed: an Impulse or None")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in ("rolling", "controller", "impulse") or (
-                value is None and field.name == "timestep"
-            ):
+        object.__setattr__(self, "com_offset", _com_offset(self.com_offset))
+        object.__setattr__(self, "ground_offsets", _ground_offsets(self.ground_offsets))
+        for name in (own.name for own in fields(self) if own.name not in CHECKED_APART):
+            value = getattr(self, name)
+            if value is None and name == "timestep":
                 continue
-            require_finite(f"{field.name} of a simulation", value)
-            least, most = ALLOWED.get(field.name, (-math.inf, math.inf))
+            require_finite(f"{name} of a simulation", value)
+            least, most = ALLOWED.get(name, (-math.inf, math.inf))
             if not least <= value <= most:
-                raise InputError(
-                    f"{field.name} of a simulation is {value:g}", f"allowed: {least:g} to {most:g}"
-                )
-        for name, least in (("cycles", 1), ("seed", 0)):
+                raise InputError(f"{name} of a simulation is {value:g}", f"allowed: {least:g} to {most:g}")
+        for name, least in (("cycles", 1), ("seed", 0), ("delay", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise InputError(
@@ -112,3 +135,28 @@ class SimulationSettings:
     def step(self, natural_time: float) -> float:
         """Longest step of the physics in s."""
         return self.timestep or min(STEP * natural_time, LONGEST_STEP)
+
+
+def _com_offset(value: Any) -> tuple[float, float, float]:
+    """Three finite numbers. Raises `InputError`."""
+    if isinstance(value, str) or not isinstance(value, list | tuple | np.ndarray) or len(value) != 3:
+        raise InputError(f"com_offset of a simulation is {value!r}", "allowed: three numbers, m")
+    for axis, number in zip("xyz", value, strict=True):
+        _require_length(f"{axis} of com_offset of a simulation", number)
+    x, y, z = (float(number) for number in value)
+    return x, y, z
+
+
+def _ground_offsets(value: Any) -> dict[str, float]:
+    """Finite numbers by name, a copy. Raises `InputError`."""
+    if not isinstance(value, Mapping):
+        raise InputError(f"ground_offsets of a simulation is {value!r}", "allowed: m by contact frame")
+    for name, number in value.items():
+        _require_length(f"ground_offsets of a simulation for '{name}'", number)
+    return {str(name): float(number) for name, number in value.items()}
+
+
+def _require_length(what: str, value: Any) -> None:
+    require_finite(what, value)
+    if not abs(value) <= FARTHEST:
+        raise InputError(f"{what} is {value:g}", f"allowed: {-FARTHEST:g} to {FARTHEST:g}")

@@ -11,8 +11,8 @@ import numpy as np
 
 from trajopt.arguments import checked
 from trajopt.control.reference import ReferenceTrajectory, reference_of
-from trajopt.dynamics.base_joint import base_of
-from trajopt.errors import InputError
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.errors import InputError, not_among
 from trajopt.simulation import figures
 from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.report import ContactReport, SimulationReport, TickReport
@@ -62,10 +62,7 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     if unknown:
         raise InputError(f"a simulation has no setting {unknown}", f"allowed: {', '.join(known)}")
     wanted = SimulationSettings(**settings)
-    if wanted.push and base_of(plan.model) == "fixed":
-        raise InputError(f"push of {wanted.push:g} N on the base, which is fixed", "allowed: 0 N for an arm")
-    if wanted.impulse is not None and base_of(plan.model) == "fixed":
-        raise InputError("an impulse on the base, which is fixed", "allowed: none for an arm")
+    _require_fitting(wanted, plan)
     with muted_mujoco():
         reference = reference_of(plan, wanted.control_rate, wanted.cycles)
         if wanted.impulse is not None:
@@ -83,6 +80,27 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
         report=_report(plan, reference, record, world),
         wall_time=spent,
     )
+
+
+def _require_fitting(settings: SimulationSettings, plan: Solution) -> None:
+    """Raise `InputError` for settings that the robot of a plan does not have."""
+    kind = base_of(plan.model)
+    if settings.push and kind == "fixed":
+        raise InputError(
+            f"push of {settings.push:g} N on the base, which is fixed", "allowed: 0 N for an arm"
+        )
+    if settings.impulse is not None and kind == "fixed":
+        raise InputError("an impulse on the base, which is fixed", "allowed: none for an arm")
+    if any(settings.com_offset) and kind == "fixed":
+        raise InputError("com_offset of a robot whose base is fixed", "allowed: none for an arm")
+    if settings.com_offset[1] and kind == "planar":
+        aside = settings.com_offset[1]
+        raise InputError(f"com_offset of {aside:g} m to the side of a robot in a plane", "allowed: x and z")
+    if any(settings.com_offset) and not plan.model.inertias[BASE_JOINT[kind]].mass > 0:
+        raise InputError("com_offset of a robot whose base has no mass", "allowed: none for it")
+    for name in settings.ground_offsets:
+        if name not in plan.contact_frames:
+            raise not_among(plan.contact_frames, name, f"ground_offsets of a simulation for '{name}'")
 
 
 def _require_within(time: float, reference: ReferenceTrajectory) -> None:

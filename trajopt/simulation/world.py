@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.body_figures import FileBodies
 from trajopt.certify.payloads import carrying_model
 from trajopt.certify.samples import SampleQuantities, sample_quantities
-from trajopt.dynamics.base_joint import base_of
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.robot.collision.near import GROUND
 from trajopt.simulation.bodies import (
     Bodies,
@@ -102,14 +102,15 @@ def build_world(plan: Solution, settings: SimulationSettings) -> World:
     units, samples = NaturalUnits.of(plan.model), sample_quantities(plan)
     bodies = build_bodies(plan.model)
     joints = joint_places(plan)
-    place = surroundings_of(plan, samples.position, joints, units.length, settings.rolling)
+    place = surroundings_of(plan, samples.position, joints, units.length, settings)
     buried = _buried(plan, joints, place)
     ground = add_ground(bodies.spec, plan, place)
     feet = _add_feet(bodies, plan, place)
     links, capsules, obstacles = _add_links(bodies, plan, place, buried)
     grasps = _add_grasps(bodies, plan, samples, _stiffness(settings, units))
     _options(bodies.spec, settings.step(units.time))
-    pairs, friction = _pairs(bodies.spec, ground, feet, links, settings, units)
+    offsets = _offsets_of_links(bodies, links, plan, place)
+    pairs, friction = _pairs(bodies.spec, ground, feet, offsets, settings, units)
     for capsule in capsules:
         for obstacle in obstacles:
             _pair(bodies.spec, capsule, obstacle, settings.friction_scale * LINK_FRICTION, settings, units)
@@ -131,7 +132,7 @@ def build_world(plan: Solution, settings: SimulationSettings) -> World:
         obstacles=np.isin(geoms, obstacles),
         grasps=grasps,
         buried=buried,
-        models=tuple(_scaled(carrying_model(plan, i), settings) for i in range(len(plan.phases))),
+        models=tuple(_disturbed(carrying_model(plan, i), settings) for i in range(len(plan.phases))),
         pairs=np.array([compiled.pair(name).id for name in pairs], dtype=int),
         friction=friction,
     )
@@ -154,12 +155,20 @@ def _buried(plan: Solution, joints: np.ndarray, place: Surroundings) -> dict[str
     return {name: -float(low) for name, low in zip(names, lowest, strict=True) if low < place.ball}
 
 
-def _scaled(model: pin.Model, settings: SimulationSettings) -> pin.Model:
-    scaled = pin.Model(model)
+def _disturbed(model: pin.Model, settings: SimulationSettings) -> pin.Model:
+    """The robot as it is in a simulation: other masses, another centre of mass."""
+    scaled, offset = pin.Model(model), np.array(settings.com_offset)
     for index in range(1, model.njoints):
         own = model.inertias[index]
         scale = settings.mass_scale
         scaled.inertias[index] = pin.Inertia(scale * own.mass, own.lever, scale * own.inertia)
+    if offset.any():
+        kind = base_of(model)
+        base = scaled.inertias[BASE_JOINT[kind]]
+        if kind == "planar":  # the plane's own axes: forward, up
+            offset = model.jointPlacements[1].rotation.T @ offset
+        lever = base.lever + offset * pin.computeTotalMass(scaled) / base.mass
+        scaled.inertias[BASE_JOINT[kind]] = pin.Inertia(base.mass, lever, base.inertia)
     return scaled
 
 
@@ -228,6 +237,20 @@ def _add_links(
     return links, list(names.values()), list(obstacles)
 
 
+def _offsets_of_links(
+    bodies: Bodies, links: Sequence[str], plan: Solution, place: Surroundings
+) -> dict[str, float]:
+    """How much higher than planned the ground of each link's geom is, m: in a leg that of its contact."""
+    of_bodies = dict.fromkeys(bodies.names, 0.0)
+    joints = [plan.model.frames[plan.model.getFrameId(name)].parentJoint for name in plan.contact_frames]
+    chains = [set(plan.model.supports[joint]) for joint in joints]
+    for contact, chain in enumerate(chains):
+        others = [other for number, other in enumerate(chains) if number != contact and other != chain]
+        own = chain.difference(range(BASE_JOINT[base_of(plan.model)] + 1), *others)
+        of_bodies.update({body_name(joint): float(place.offsets[contact]) for joint in own})
+    return {link: of_bodies[bodies.spec.geom(link).parent.name] for link in links}
+
+
 def _add_balls(bodies: Bodies, plan: Solution, place: Surroundings, buried: Mapping[str, float]) -> list[str]:
     """Balls at the joints of a moving base; their names."""
     if base_of(plan.model) == "fixed":
@@ -282,7 +305,7 @@ def _pairs(
     spec: Any,
     ground: GroundGeometry,
     feet: list[list[str]],
-    links: list[str],
+    links: Mapping[str, float],
     settings: SimulationSettings,
     units: NaturalUnits,
 ) -> tuple[list[str], np.ndarray]:
@@ -296,8 +319,8 @@ def _pairs(
                 _pair(spec, ball, name, float(own.max()), settings, units)
                 friction.append(own[:, None])
                 names.append(f"{ball} {name}")
-    for name, is_terrain in zip(ground.names, ground.is_terrain, strict=True):
-        for link in links if is_terrain else ():
+    for name, offset in zip(ground.names, ground.links, strict=True):
+        for link in (link for link, own in links.items() if own == offset):
             _pair(spec, link, name, settings.friction_scale * LINK_FRICTION, settings, units)
     return names, np.hstack(friction)
 
