@@ -10,7 +10,7 @@ import click
 
 import trajopt
 from scripts.measure.shared import head, row
-from trajopt.simulation.report import BASE_PASSED, SimulationReport
+from trajopt.simulation.report import SimulationReport
 from trajopt.simulation.settings import Controller
 from trajopt.simulation.simulate import simulate
 from trajopt.solution.solution import Solution
