@@ -17,6 +17,7 @@ from trajopt.solution.output import check_output, replacing
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import video
 from trajopt.view.replay.browser import AT_START, OpenedPage, open_page, require_chromium
+from trajopt.view.replay.runs import require_labels
 from trajopt.view.replay.shots import GAP, Shots, representative_time
 from trajopt.view.replay.show import replay
 
@@ -76,10 +77,11 @@ def render(
     if unknown:
         raise InputError(f"a rendering has no option {unknown}", f"allowed: {', '.join(known)}")
     shots = Shots(ending=target.suffix.lower(), **options)
-    require_chromium()
+    times = shots.times(*_span(several), representative_time(several[0]))
+    require_labels(labels, len(several))
     if shots.is_video:
         video.find_ffmpeg()
-    times = shots.times(*_span(several), representative_time(several[0]))
+    require_chromium()
     with replacing(target) as unfinished, tempfile.TemporaryDirectory(prefix="trajopt-") as folder:
         page = Path(folder, "page.html")
         speed = min(max(shots.speed, SLOWEST), 1.0)  # in slow motion the page has more frames

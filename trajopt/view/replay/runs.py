@@ -74,6 +74,12 @@ class DrawnSolution:
         return f"{self.root}/{place}" if self.root else place
 
 
+def require_labels(labels: Sequence[str] | None, count: int) -> None:
+    """Raise `InputError` for labels of another number than ``count`` solutions."""
+    if labels is not None and len(labels) != count:
+        raise InputError(f"{len(labels)} labels for {count} solutions", "one for each, in their order")
+
+
 def drawn_runs(
     vis: Any,
     solutions: Sequence[Solution],
@@ -89,10 +95,7 @@ def drawn_runs(
         layout = "side-by-side" if len({str(s.meta.get("robot")) for s in solutions}) > 1 else "overlaid"
     if layout not in LAYOUTS:
         raise InputError(f"unknown layout '{layout}'", f"allowed: {', '.join(LAYOUTS)}")
-    if labels is not None and len(labels) != len(solutions):
-        raise InputError(
-            f"{len(labels)} labels for {len(solutions)} solutions", "one for each, in their order"
-        )
+    require_labels(labels, len(solutions))
     names = list(labels) if labels is not None else _names(solutions)
     runs = []
     for number, (solution, motion) in enumerate(zip(solutions, motions, strict=True)):
