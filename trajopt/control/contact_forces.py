@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 
@@ -74,17 +75,9 @@ class ActiveContact:
 
     def _moments(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Rows (m, 6), >= 0, of a sole's wrench with axes x, y along its sides."""
-        n, mu, (length, width) = self.normal, self.friction, self.half_size
-        rows = [np.concatenate([width * n, sign * x]) for sign in (-1, 1)]
-        rows += [np.concatenate([length * n, sign * y]) for sign in (-1, 1)]
-        rows += [np.concatenate([mu * math.hypot(length, width) * n, sign * n]) for sign in (-1, 1)]
-        for turn in (-1, 1):
-            for first in (-1, 1):
-                for second in (-1, 1):
-                    force = mu * (length + width) * n - first * width * x - second * length * y
-                    moment = turn * (n + mu * (first * x + second * y))
-                    rows.append(np.concatenate([force, moment]))
-        return np.array(rows)
+        force, moment = _sole_rows(self.friction, *self.half_size)
+        axes = np.array([self.normal, x, y])
+        return np.hstack([force @ axes, moment @ axes])
 
     def motion_rows(self, state: RobotState, damping: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows (m, nv) and values (m,) of an acceleration that takes the contact's velocity out.
@@ -134,6 +127,18 @@ def _pyramid(
     """Rows of a point that sticks, whatever its frame's orientation."""
     n = np.array(normal)
     return _cone(n, *_tangents(n, *np.eye(3)[:2]), friction, most)
+
+
+@lru_cache(maxsize=256)
+def _sole_rows(mu: float, length: float, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (14, 3) on the force and on the moment of a sole, along its normal and its two axes."""
+    turn, first, second = np.array(list(product((-1.0, 1.0), repeat=3))).T
+    force, moment = np.zeros((14, 3)), np.zeros((14, 3))
+    force[:6, 0] = np.repeat([width, length, mu * math.hypot(length, width)], 2)
+    moment[[0, 2, 4], [1, 2, 0]], moment[[1, 3, 5], [1, 2, 0]] = -1.0, 1.0
+    force[6:] = np.column_stack([np.full(8, mu * (length + width)), -first * width, -second * length])
+    moment[6:] = np.column_stack([turn, turn * mu * first, turn * mu * second])
+    return force, moment
 
 
 def _without_sliding(normal: np.ndarray) -> np.ndarray:

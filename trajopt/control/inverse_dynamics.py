@@ -19,13 +19,21 @@ fails too, there is no torque, and the caller has to hold the joints.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import accumulate, pairwise
 
 import numpy as np
 
 from trajopt.control.contact_forces import ActiveContact
-from trajopt.control.quadratic_programs import UNBOUNDED, QpSolverName, QuadraticSolver, quadratic_solver
+from trajopt.control.quadratic_programs import (
+    UNBOUNDED,
+    QpSolverName,
+    QuadraticSolver,
+    Rows,
+    quadratic_solver,
+)
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import Task
 from trajopt.errors import InputError
@@ -96,36 +104,27 @@ class InverseDynamics:
             rows = program.rows(relaxed)
             if relaxed == 2:
                 cost, slope = program.with_penalty(cost, slope)
-            found = self._solver(("first", relaxed == 2), contacts, rows).solve(cost, slope, *rows)
+            found = self._solver(("first", relaxed == 2), contacts, rows).solve(cost, slope, rows)
             iterations += found.iterations
             if not found.solved:
                 continue
             x = found.x
             if second is not None:
-                held = kept @ x
-                rows = np.vstack([rows[0], kept]), np.append(rows[1], held), np.append(rows[2], held)
-                lower = self._solver(("second", relaxed == 2, len(kept)), contacts, rows).solve(
-                    *second, *rows
-                )
+                equal, value = np.vstack([rows.equal, kept]), np.append(rows.value, kept @ x)
+                rows = replace(rows, equal=equal, value=value)
+                lower = self._solver(("second", relaxed == 2), contacts, rows).solve(*second, rows)
                 iterations += lower.iterations
                 x = lower.x if lower.solved else x
             return program.result(x, relaxed, iterations)
         return program.result(np.zeros(program.n), 3, iterations)
 
     def _solver(
-        self,
-        key: tuple[object, ...],
-        contacts: Sequence[ActiveContact],
-        rows: tuple[np.ndarray, np.ndarray, np.ndarray],
+        self, key: tuple[object, ...], contacts: Sequence[ActiveContact], rows: Rows
     ) -> QuadraticSolver:
-        shape = rows[0].shape
-        known = (
-            *key,
-            tuple((c.number, c.dimension, c.bilateral, c.sliding is None) for c in contacts),
-            shape,
-        )
+        kinds = tuple((c.number, c.dimension, c.bilateral, c.sliding is None) for c in contacts)
+        known = (*key, kinds, rows.shape)
         if known not in self._solvers:
-            self._solvers[known] = quadratic_solver(self.solver, shape[1], shape[0])
+            self._solvers[known] = quadratic_solver(self.solver, rows.shape)
         return self._solvers[known]
 
 
@@ -137,76 +136,82 @@ class _Program:
         state = owner.state
         self.nv = state.model.nv
         sizes = [contact.dimension for contact in contacts]
-        self.first = np.concatenate([[0], np.cumsum(sizes)]).astype(int) + self.nv
-        self.n = int(self.first[-1])
+        self.first = [self.nv, *(self.nv + total for total in accumulate(sizes))]
+        self.n = self.first[-1]
         unit = [owner.force_units[row > 2] for size in sizes for row in range(size)]
         self.unit = np.concatenate([owner.acceleration_unit, unit])
-        stacked = [state.frame(c.frame).jacobian[: c.dimension] for c in contacts]
-        jacobian = np.vstack([np.zeros((0, self.nv)), *stacked])
-        self.dynamics = np.hstack([state.mass, -jacobian.T])
+        self.dynamics = np.empty((self.nv, self.n))
+        self.dynamics[:, : self.nv] = state.mass
+        for contact, first in zip(contacts, self.first, strict=False):
+            size = contact.dimension
+            self.dynamics[:, first : first + size] = -state.frame(contact.frame).jacobian[:size].T
         motion = [contact.motion_rows(state, owner.damping) for contact in contacts]
-        self.motion = np.vstack([np.zeros((0, self.nv)), *(rows for rows, _ in motion)])
-        self.still = np.concatenate([np.zeros(0), *(value for _, value in motion)])
+        count = sum(len(value) for _, value in motion)
+        self.motion, self.still = np.zeros((count, self.n)), np.zeros(count)
+        row = 0
+        for rows, value in motion:
+            self.motion[row : row + len(value), : self.nv] = rows
+            self.still[row : row + len(value)] = value
+            row += len(value)
+        self.motion *= self.unit / owner.acceleration_unit[0]
+        self.still /= owner.acceleration_unit[0]
 
-    def rows(self, relaxed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows (m, n) on the scaled unknowns and their bounds; see `RELAXED`."""
-        owner, state, limits, n = self.owner, self.owner.state, self.limits, self.n
-        u, h = owner.n_unactuated, state.nonlinear
-        scale = owner.torque_unit
-        blocks, lows, highs = (
-            [self.dynamics[:u] / scale[:u, None]],
-            [-h[:u] / scale[:u]],
-            [-h[:u] / scale[:u]],
-        )
-        if relaxed < 2 and len(self.motion):
-            unit = owner.acceleration_unit[0]
-            blocks.append(np.hstack([self.motion, np.zeros((len(self.motion), n - self.nv))]) / unit)
-            lows.append(self.still / unit)
-            highs.append(self.still / unit)
+    def rows(self, relaxed: int) -> Rows:
+        """Rows on the scaled unknowns; see `RELAXED`."""
+        owner, limits, n, nv = self.owner, self.limits, self.n, self.nv
+        u, h, scale = owner.n_unactuated, owner.state.nonlinear, owner.torque_unit
+        scaled = self.dynamics * (self.unit / scale[:, None])
+        equal, value = scaled[:u], -h[:u] / scale[:u]
+        if relaxed < 2 and len(self.still):
+            equal, value = np.vstack([equal, self.motion]), np.append(value, self.still)
         own = h[u:] + limits.friction
-        blocks.append(self.dynamics[u:] / scale[u:, None])
-        lows.append((limits.torque[0] - own) / scale[u:])
-        highs.append((limits.torque[1] - own) / scale[u:])
-        for contact, first in zip(self.contacts, self.first, strict=False):
-            rows, low, high = contact.force_rows(state)
-            whole = np.zeros((len(rows), n))
-            whole[:, first : first + contact.dimension] = rows / owner.force_units[0]
-            blocks.append(whole)
-            lows.append(low / owner.force_units[0])
-            highs.append(high / owner.force_units[0])
-        units = owner.acceleration_unit[u:]
-        joints = np.zeros((self.nv - u, n))
-        joints[np.arange(self.nv - u), np.arange(u, self.nv)] = 1.0 / units
-        blocks.append(joints)
-        low, high = limits.acceleration
-        lows.append(np.full(len(units), -UNBOUNDED) if relaxed else low / units)
-        highs.append(np.full(len(units), UNBOUNDED) if relaxed else high / units)
-        return np.vstack(blocks) * self.unit, np.concatenate(lows), np.concatenate(highs)
+        forces = [contact.force_rows(owner.state) for contact in self.contacts]
+        between = np.zeros((nv - u + sum(len(low) for _, low, _ in forces), n))
+        between[: nv - u] = scaled[u:]
+        row = nv - u
+        for contact, first, (own_rows, low, _) in zip(self.contacts, self.first, forces, strict=False):
+            columns = slice(first, first + contact.dimension)
+            between[row : row + len(low), columns] = own_rows * (self.unit[columns] / owner.force_units[0])
+            row += len(low)
+        lows = [(limits.torque[0] - own) / scale[u:], *(low / owner.force_units[0] for _, low, _ in forces)]
+        highs = [(limits.torque[1] - own) / scale[u:], *(high / owner.force_units[0] for *_, high in forces)]
+        units, (least, most) = owner.acceleration_unit[u:], limits.acceleration
+        return Rows(
+            equal=equal,
+            value=value,
+            between=between,
+            low=np.concatenate(lows),
+            high=np.concatenate(highs),
+            bounded=np.arange(u, nv),
+            least=np.full(nv - u, -UNBOUNDED) if relaxed else least / units,
+            most=np.full(nv - u, UNBOUNDED) if relaxed else most / units,
+        )
 
     def objective(self, tasks: Sequence[Task]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """P (n, n) and c (n,) of the tasks of one priority, and their rows (r, n), on scaled unknowns."""
-        n, blocks, values = self.n, [np.zeros((0, self.n))], [np.zeros(0)]
-        for task in tasks:
-            found = task.rows(self.owner.state, self.contacts)
-            if not np.isfinite(found.value).all():
-                raise InputError(
-                    f"{type(task).__name__} asks for what is not finite", "allowed: finite numbers"
-                )
-            whole = np.zeros((len(found.value), n))
-            whole[:, : self.nv] = found.acceleration
-            if found.force is not None:
-                whole[:, self.nv :] = found.force
-            root = np.sqrt(task.weight)
-            blocks.append(root * whole * self.unit)
-            values.append(root * found.value)
-        rows, value = np.vstack(blocks), np.concatenate(values)
-        return rows.T @ rows + REGULARISATION * np.eye(n), -rows.T @ value, rows
+        found = [task.rows(self.owner.state, self.contacts) for task in tasks]
+        ends = [0, *accumulate(len(own.value) for own in found)]
+        rows, value = np.zeros((ends[-1], self.n)), np.zeros(ends[-1])
+        for task, own, (begin, end) in zip(tasks, found, pairwise(ends), strict=True):
+            root = math.sqrt(task.weight)
+            rows[begin:end, : self.nv] = root * own.acceleration
+            if own.force is not None:
+                rows[begin:end, self.nv :] = root * own.force
+            value[begin:end] = root * own.value
+        if not np.isfinite(value).all():
+            bad = next(
+                task for task, own in zip(tasks, found, strict=True) if not np.isfinite(own.value).all()
+            )
+            raise InputError(f"{type(bad).__name__} asks for what is not finite", "allowed: finite numbers")
+        rows *= self.unit
+        cost = rows.T @ rows
+        cost.flat[:: self.n + 1] += REGULARISATION
+        return cost, -(value @ rows), rows
 
     def with_penalty(self, cost: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The objective with contact rows penalised."""
-        unit = self.owner.acceleration_unit[0]
-        rows = np.hstack([self.motion, np.zeros((len(self.motion), self.n - self.nv))]) * self.unit / unit
-        return cost + PENALTY * rows.T @ rows, slope - PENALTY * rows.T @ (self.still / unit)
+        rows = self.motion
+        return cost + PENALTY * rows.T @ rows, slope - PENALTY * (self.still @ rows)
 
     def result(self, scaled: np.ndarray, relaxed: int, iterations: int) -> TickResult:
         """Torques, accelerations and forces of scaled unknowns."""

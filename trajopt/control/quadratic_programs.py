@@ -1,6 +1,6 @@
 """Convex quadratic programs of one structure, solved tick by tick: PIQP or OSQP.
 
-    minimise x' P x / 2 + c' x    subject to    l <= A x <= u
+    minimise x' P x / 2 + c' x    subject to    E x = e,   l <= G x <= u,   bounds on some x
 
 OSQP (Stellato et al., Mathematical Programming Computation 12, 2020) is set up once per structure, starts
 from the last solution, and takes new values alone; where it does not converge PIQP decides. PIQP (Schwan et
@@ -10,7 +10,7 @@ al., CDC 2023) is an interior-point method for dense matrices.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -27,6 +27,8 @@ ACCURACY, EXACT = 1e-4, 1e-7
 MOST_OSQP, MOST_PIQP = 400, 100
 # A bound as large as this, over natural units, is none.
 UNBOUNDED = 1e6
+# OSQP's own infinity.
+OSQP_INFINITY = 1e20
 
 
 @dataclass(frozen=True)
@@ -38,83 +40,93 @@ class QuadraticSolution:
     iterations: int
 
 
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """What restricts n unknowns.
+
+    equal, value: (p, n) and (p,) of E x = e. between, low, high: (m, n) and (m,) of l <= G x <= u. bounded,
+    least, most: (b,) indices of x and their bounds. For bounds that are none see `UNBOUNDED`.
+    """
+
+    equal: np.ndarray
+    value: np.ndarray
+    between: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    bounded: np.ndarray
+    least: np.ndarray
+    most: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Numbers of unknowns, equations, rows between bounds and bounded unknowns."""
+        return self.between.shape[1], len(self.value), len(self.low), len(self.bounded)
+
+
 class QuadraticSolver(ABC):
-    """Solves programs with ``n`` unknowns and ``m`` rows, one after the other."""
+    """Solves programs of one `Rows.shape`, one after the other."""
 
-    def __init__(self, n: int, m: int) -> None:
-        self.n, self.m = n, m
+    def __init__(self, shape: tuple[int, int, int, int]) -> None:
+        self.n = shape[0]
 
-    def solve(
-        self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
-    ) -> QuadraticSolution:
-        """Solve with P (n, n) symmetric, c (n,), A (m, n) and bounds (m,), see `UNBOUNDED`."""
-        if (low > high).any():
+    def solve(self, p: np.ndarray, c: np.ndarray, rows: Rows) -> QuadraticSolution:
+        """Solve with P (n, n) symmetric and c (n,)."""
+        if (rows.low > rows.high).any() or (rows.least > rows.most).any():
             return QuadraticSolution(np.zeros(self.n), False, 0)
-        low, high = np.where(low <= -UNBOUNDED, -np.inf, low), np.where(high >= UNBOUNDED, np.inf, high)
-        return self._solve(p, c, a, low, high)
+        low, high = _without_large(rows.low, rows.high)
+        least, most = _without_large(rows.least, rows.most)
+        return self._solve(p, c, replace(rows, low=low, high=high, least=least, most=most))
 
     @abstractmethod
-    def _solve(
-        self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
-    ) -> QuadraticSolution:
+    def _solve(self, p: np.ndarray, c: np.ndarray, rows: Rows) -> QuadraticSolution:
         pass
 
 
-def quadratic_solver(name: QpSolverName, n: int, m: int) -> QuadraticSolver:
-    """A solver by its name. Raises `InputError`."""
+def _without_large(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.where(low <= -UNBOUNDED, -np.inf, low), np.where(high >= UNBOUNDED, np.inf, high)
+
+
+def quadratic_solver(name: QpSolverName, shape: tuple[int, int, int, int]) -> QuadraticSolver:
+    """A solver by its name for programs of a `Rows.shape`. Raises `InputError`."""
     known: dict[str, type[QuadraticSolver]] = {"osqp": _Osqp, "piqp": _Piqp}
     if name not in known:
         raise not_among(get_args(QpSolverName), str(name), f"solver of quadratic programs is {name!r}")
-    return known[name](n, m)
+    return known[name](shape)
 
 
 class _Osqp(QuadraticSolver):
-    def __init__(self, n: int, m: int) -> None:
-        super().__init__(n, m)
+    def __init__(self, shape: tuple[int, int, int, int]) -> None:
+        super().__init__(shape)
         self._solver: osqp.OSQP | None = None
-        self._second: _Piqp | None = None
-        rows, columns = np.triu_indices(n)
+        self._second = _Piqp(shape)
+        rows, columns = np.triu_indices(self.n)
         order = np.lexsort((rows, columns))  # the upper triangle column by column
         self._upper = rows[order], columns[order]
 
-    def _solve(
-        self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
-    ) -> QuadraticSolution:
-        low, high = np.maximum(low, -1e20), np.minimum(high, 1e20)
+    def _solve(self, p: np.ndarray, c: np.ndarray, rows: Rows) -> QuadraticSolution:
+        a = np.vstack([rows.equal, rows.between, np.eye(self.n)[rows.bounded]])
+        low = np.maximum(np.concatenate([rows.value, rows.low, rows.least]), -OSQP_INFINITY)
+        high = np.minimum(np.concatenate([rows.value, rows.high, rows.most]), OSQP_INFINITY)
         if self._solver is None:
             self._solver = self._set_up(p, c, a, low, high)
         else:
             self._solver.update(Px=p[self._upper], Ax=a.T.ravel(), q=c, l=low, u=high)
         found = self._solver.solve(raise_error=False)
-        if found.info.status_val != 1:
-            return self._exact(p, c, a, low, high, int(found.info.iter))
-        return QuadraticSolution(np.array(found.x, dtype=float), True, int(found.info.iter))
-
-    def _exact(
-        self,
-        p: np.ndarray,
-        c: np.ndarray,
-        a: np.ndarray,
-        low: np.ndarray,
-        high: np.ndarray,
-        iterations: int,
-    ) -> QuadraticSolution:
-        """What PIQP finds where OSQP does not converge: it tells slow programs from infeasible ones."""
-        self._second = self._second or _Piqp(self.n, self.m)
-        found = self._second.solve(p, c, a, low, high)
-        if found.solved and self._solver is not None:
-            self._solver.warm_start(x=found.x)
-        return QuadraticSolution(found.x, found.solved, found.iterations + iterations)
+        if found.info.status_val == 1:
+            return QuadraticSolution(np.array(found.x, dtype=float), True, int(found.info.iter))
+        # PIQP tells slow programs from infeasible ones.
+        exact = self._second.solve(p, c, rows)
+        if exact.solved:
+            self._solver.warm_start(x=exact.x)
+        return QuadraticSolution(exact.x, exact.solved, exact.iterations + int(found.info.iter))
 
     def _set_up(
         self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
     ) -> osqp.OSQP:
-        pointers = np.concatenate([[0], np.cumsum(np.arange(1, self.n + 1))])
-        upper = sp.csc_matrix((p[self._upper], self._upper[0], pointers), shape=(self.n, self.n))
-        whole = sp.csc_matrix(
-            (a.T.ravel(), np.tile(np.arange(self.m), self.n), np.arange(self.n + 1) * self.m),
-            shape=(self.m, self.n),
-        )
+        m, n = a.shape
+        pointers = np.concatenate([[0], np.cumsum(np.arange(1, n + 1))])
+        upper = sp.csc_matrix((p[self._upper], self._upper[0], pointers), shape=(n, n))
+        whole = sp.csc_matrix((a.T.ravel(), np.tile(np.arange(m), n), np.arange(n + 1) * m), shape=(m, n))
         solver = osqp.OSQP()
         solver.setup(
             upper, c, whole, low, high,
@@ -125,25 +137,32 @@ class _Osqp(QuadraticSolver):
 
 
 class _Piqp(QuadraticSolver):
-    def __init__(self, n: int, m: int) -> None:
-        super().__init__(n, m)
+    def __init__(self, shape: tuple[int, int, int, int]) -> None:
+        super().__init__(shape)
         self._solver = piqp.DenseSolver()
         self._solver.settings.eps_abs = EXACT
         self._solver.settings.eps_rel = EXACT
         self._solver.settings.max_iter = MOST_PIQP
-        self._rows: np.ndarray | None = None
+        self._pattern: np.ndarray | None = None
 
-    def _solve(
-        self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
-    ) -> QuadraticSolution:
-        equal, bounded = low == high, (low < high) & (np.isfinite(low) | np.isfinite(high))
-        given = (p, c, a[equal], low[equal], a[bounded], low[bounded], high[bounded])
-        rows = np.stack([equal, bounded])
-        if self._rows is None or (self._rows != rows).any():
-            self._solver.setup(*given)
-            self._rows = rows
-        else:
-            self._solver.update(*given)
+    def _solve(self, p: np.ndarray, c: np.ndarray, rows: Rows) -> QuadraticSolution:
+        # An interior-point method needs an interior: bounds that are equal are equations.
+        same, fixed = rows.low == rows.high, rows.least == rows.most
+        used = ~same & (np.isfinite(rows.low) | np.isfinite(rows.high))
+        pattern = np.concatenate([same, fixed, used])
+        equal, value, between, low, high = rows.equal, rows.value, rows.between, rows.low, rows.high
+        if same.any() or fixed.any():
+            equal = np.vstack([equal, between[same], np.eye(self.n)[rows.bounded[fixed]]])
+            value = np.concatenate([value, low[same], rows.least[fixed]])
+        if not used.all():
+            between, low, high = between[used], low[used], high[used]
+        least, most = np.full(self.n, -np.inf), np.full(self.n, np.inf)
+        free = rows.bounded[~fixed]
+        least[free], most[free] = rows.least[~fixed], rows.most[~fixed]
+        known = self._pattern is not None and np.array_equal(self._pattern, pattern)
+        given = self._solver.update if known else self._solver.setup
+        given(p, c, equal, value, between, low, high, least, most)
+        self._pattern = pattern
         status = self._solver.solve()
         x = np.array(self._solver.result.x, dtype=float)
         solved = status == piqp.PIQP_SOLVED and bool(np.isfinite(x).all())

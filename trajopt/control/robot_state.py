@@ -49,13 +49,11 @@ class RobotState:
                 index = int(np.flatnonzero(~np.isfinite(given))[0])
                 raise InputError(f"{name}[{index}] of a state is {given[index]}", "allowed: finite numbers")
         self.q, self.v = q, v
-        pin.forwardKinematics(model, data, q, v, self._rest)
-        pin.updateFramePlacements(model, data)
-        pin.computeJointJacobians(model, data)
-        upper = pin.crba(model, data, q)
-        self.mass = np.triu(upper) + np.triu(upper, 1).T
+        self.mass = pin.crba(model, data, q).copy()
         self.nonlinear = pin.nonLinearEffects(model, data, q, v).copy()
-        pin.forwardKinematics(model, data, q, v, self._rest)  # without gravity, which the line above puts in
+        pin.computeJointJacobians(model, data, q)
+        pin.forwardKinematics(model, data, q, v, self._rest)  # last: what is above puts gravity in
+        pin.updateFramePlacements(model, data)
         self._frames, self._centre = {}, None
 
     def frame(self, frame: int | str) -> FrameState:
@@ -90,8 +88,8 @@ class RobotState:
         """Position (3,), velocity (3,), Jacobian (3, nv) and drift (3,) of the centre of mass, world."""
         if self._centre is None:
             data = self.data
-            pin.centerOfMass(self.model, data, self.q, self.v, self._rest)
-            jacobian = pin.jacobianCenterOfMass(self.model, data, self.q)
+            pin.centerOfMass(self.model, data, pin.KinematicLevel.ACCELERATION, False)
+            jacobian = pin.jacobianCenterOfMass(self.model, data, False).copy()
             self._centre = data.com[0].copy(), data.vcom[0].copy(), jacobian, data.acom[0].copy()
         return self._centre
 
