@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import click
 
 import trajopt
 from scripts.measure.shared import head, row
+from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.tracker import Tracker
 from trajopt.guesses import commanded_walk, walk_plan
 from trajopt.robot import legs_only
@@ -24,12 +27,12 @@ WALKS = ((0.3, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.05, 0.0), (0.3, 0.0, 0.4))
 
 @click.command("ticks")
 def ticks() -> None:
-    """Time of a tick with either solver: mean and 99 %, on one core; run it with OMP_NUM_THREADS=1."""
+    """Time of a tick with each solver: mean and 99 %, on one core; run it with OMP_NUM_THREADS=1."""
     head("plan", "solver", "mean, ms", "99 %, ms", "iterations")
     for problem, robot, cycles in PLANS:
         plan = trajopt.solve(trajopt.load(problem, robot=robot))
         found = simulate(plan, cycles=cycles, controller="whole-body")
-        for solver in ("osqp", "piqp"):
+        for solver in get_args(QpSolverName):
             tracker = Tracker(plan, cycles=cycles, solver=solver)
             q = found.world.coordinates.from_mujoco(found.record.qpos)
             v = found.world.coordinates.rates_from_mujoco(found.record.qpos, found.record.qvel)

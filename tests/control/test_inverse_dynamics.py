@@ -30,7 +30,7 @@ from trajopt_library import robots
 UP = np.array([0.0, 0.0, 1.0])
 # Of programs over natural units, with a margin: their accuracy is 1e-4.
 SOLVED = 2e-3
-SOLVERS = ["osqp", "piqp"]
+SOLVERS = ["osqp", "piqp", "proxqp"]
 
 
 class Standing:
@@ -227,8 +227,9 @@ def test_rows_are_relaxed_in_their_order_and_said_so() -> None:
     assert RELAXED[case.solve([case.posture(), push, case.forces()], none).relaxed] == "contacts"
 
 
-def test_a_program_without_solution_gives_no_torque_and_no_exception() -> None:
-    case = Standing("go2")
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_program_without_solution_gives_no_torque_and_no_exception(solver: str) -> None:
+    case = Standing("go2", solver)
     nothing = replace(case.limits(), torque=(np.full(12, 10.0), np.full(12, -10.0)))
     found = case.solve([case.posture(), case.forces()], nothing)
     assert RELAXED[found.relaxed] == "everything"
@@ -242,6 +243,7 @@ def test_solvers_agree() -> None:
         tasks: list[Task] = [case.posture(weight=1e-2), case.body(np.array([0.3, 0.1, 0.5])), case.forces()]
         found[solver] = case.solve(tasks).torque / case.programs.torque_unit[case.robot.n_unactuated :]
     assert_allclose(found["osqp"], found["piqp"], atol=10 * SOLVED)
+    assert_allclose(found["proxqp"], found["piqp"], atol=SOLVED)
 
 
 def test_unknown_solvers_and_goals_that_are_none_are_refused() -> None:

@@ -1,34 +1,38 @@
-"""Convex quadratic programs of one structure, solved tick by tick: PIQP or OSQP.
+"""Convex quadratic programs of one structure, solved tick by tick: PIQP, ProxQP or OSQP.
 
     minimise x' P x / 2 + c' x    subject to    E x = e,   l <= G x <= u,   bounds on some x
 
 OSQP (Stellato et al., Mathematical Programming Computation 12, 2020) is set up once per structure, starts
 from the last solution, and takes new values alone; where it does not converge PIQP decides. PIQP (Schwan et
-al., CDC 2023) is an interior-point method for dense matrices.
+al., CDC 2023) is an interior-point method for dense matrices. ProxQP (Bambade et al., RSS 2022), of the extra
+``proxqp``, is an augmented Lagrangian method for dense matrices; it starts from the solution of the equations
+alone, so that what it finds does not depend on the ticks before.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import osqp
 import piqp  # type: ignore[import-untyped]
 import scipy.sparse as sp
 
-from trajopt.errors import not_among
+from trajopt.errors import InputError, not_among
 
-QpSolverName = Literal["osqp", "piqp"]
+QpSolverName = Literal["osqp", "piqp", "proxqp"]
 # Accuracy of rows over their natural units, and of stationarity: OSQP needs half as many iterations as for
 # 1e-5, and robots end where they did; PIQP is quadratic at its end.
 ACCURACY, EXACT = 1e-4, 1e-7
 MOST_OSQP, MOST_PIQP = 400, 100
+# Of ProxQP, whose last digits are as cheap as the first.
+PROXIMAL = 1e-6
 # A bound as large as this, over natural units, is none.
 UNBOUNDED = 1e6
-# OSQP's own infinity.
-OSQP_INFINITY = 1e20
+# Infinity of OSQP and of ProxQP.
+OSQP_INFINITY = PROXQP_INFINITY = 1e20
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,7 @@ def _without_large(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.nd
 
 def quadratic_solver(name: QpSolverName, shape: tuple[int, int, int, int]) -> QuadraticSolver:
     """A solver by its name for programs of a `Rows.shape`. Raises `InputError`."""
-    known: dict[str, type[QuadraticSolver]] = {"osqp": _Osqp, "piqp": _Piqp}
+    known: dict[str, type[QuadraticSolver]] = {"osqp": _Osqp, "piqp": _Piqp, "proxqp": _ProxQp}
     if name not in known:
         raise not_among(get_args(QpSolverName), str(name), f"solver of quadratic programs is {name!r}")
     return known[name](shape)
@@ -167,3 +171,43 @@ class _Piqp(QuadraticSolver):
         x = np.array(self._solver.result.x, dtype=float)
         solved = status == piqp.PIQP_SOLVED and bool(np.isfinite(x).all())
         return QuadraticSolution(x, solved, int(self._solver.result.info.iter))
+
+
+class _ProxQp(QuadraticSolver):
+    def __init__(self, shape: tuple[int, int, int, int]) -> None:
+        super().__init__(shape)
+        n, equations, between, bounded = shape
+        self._proxqp = proxqp_package()
+        self._solver = self._proxqp.dense.QP(n, equations, between + bounded)
+        settings = self._solver.settings
+        settings.eps_abs, settings.eps_rel = PROXIMAL, 0.0
+        settings.initial_guess = self._proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
+        self._second = _Piqp(shape)
+        self._is_set_up = False
+
+    def _solve(self, p: np.ndarray, c: np.ndarray, rows: Rows) -> QuadraticSolution:
+        between = np.vstack([rows.between, np.eye(self.n)[rows.bounded]])
+        low = np.maximum(np.concatenate([rows.low, rows.least]), -PROXQP_INFINITY)
+        high = np.minimum(np.concatenate([rows.high, rows.most]), PROXQP_INFINITY)
+        given = self._solver.update if self._is_set_up else self._solver.init
+        given(p, c, rows.equal, rows.value, between, low, high)
+        self._is_set_up = True
+        self._solver.solve()
+        results = self._solver.results
+        x, iterations = np.array(results.x, dtype=float), int(results.info.iter)
+        if results.info.status == self._proxqp.PROXQP_SOLVED and np.isfinite(x).all():
+            return QuadraticSolution(x, True, iterations)
+        exact = self._second.solve(p, c, rows)
+        return QuadraticSolution(exact.x, exact.solved, exact.iterations + iterations)
+
+
+def proxqp_package() -> Any:
+    """The module of ProxQP. Raises `InputError` if it is not installed."""
+    try:
+        import proxsuite  # type: ignore[import-untyped]
+    except ImportError as error:
+        raise InputError(
+            "the package proxsuite is not installed, which ProxQP is part of",
+            "install it with: pip install proxsuite; or use the solver 'piqp'",
+        ) from error
+    return proxsuite.proxqp

@@ -114,7 +114,7 @@ class Tracker:
         rate: of its ticks, Hz.
         cycles: of a periodic plan.
         gains: of the feedback.
-        solver: of the quadratic programs, "piqp" or "osqp".
+        solver: of the quadratic programs, "piqp", "proxqp" or "osqp".
 
     Raises:
         InputError: for a plan that cannot be sampled or is of another robot, and ticks that are longer than
