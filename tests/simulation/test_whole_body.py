@@ -83,8 +83,19 @@ def test_ticks_are_reported(trot: Solution, tmp_path: Path) -> None:
     assert json.loads(invoke("simulate", file, "--json").stdout)["controller"] is None
 
 
+@pytest.mark.parametrize(
+    ("settings", "allowed"),
+    [({"kp": 2.0, "controller": "whole-body"}, "joints"), ({"qp_solver": "osqp"}, "whole-body")],
+)
+def test_settings_of_the_other_controller_are_refused(trot: Solution, settings: dict, allowed: str) -> None:
+    with pytest.raises(InputError, match=f"allowed: with the controller '{allowed}'"):
+        simulate(trot, **settings)
+
+
 def test_bad_words_are_refused(trot: Solution, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is 'wholebody'; did you mean whole-body"):
         simulate(trot, controller="wholebody")
+    with pytest.raises(InputError, match="qp_solver of a simulation is 'proxq'; did you mean proxqp"):
+        simulate(trot, controller="whole-body", qp_solver="proxq")
     assert invoke("bench", "suite", "--controller", "whole-body").exit_code == 2
     assert np.isfinite(trot.q).all()

@@ -27,6 +27,13 @@ from trajopt.solution.output import check_apart, check_output, check_solution_ou
 @click.option("--output", "-o", type=Path, metavar="SIM", help="Save the simulated motion as a solution.")
 @click.option("--html", type=Path, metavar="BOTH", help="Write a page that shows plan and simulation.")
 @controller_option
+@click.option(
+    "--qp-solver",
+    type=click.Choice(["piqp", "proxqp", "osqp"]),
+    default="piqp",
+    show_default=True,
+    help="Of the programs of the whole body.",
+)
 @default_option("--cycles", 1, "N", "Cycles of a periodic plan.", kind=COUNT)
 @default_option("--kp", 1.0, "X", "Factor on position gains.")
 @default_option("--kd", 1.0, "X", "Factor on velocity gains.")
@@ -71,9 +78,10 @@ def simulate_command(
     check_apart([output, html], [file])
     if is_given("seed") and not settings["noise"] and not settings["sensor_noise"]:
         raise InputError("--seed has no effect here", "allowed: with --noise or --sensor-noise SIGMA")
-    for name in ("kp", "kd"):
-        if is_given(name) and settings["controller"] != "joints":
-            raise InputError(f"--{name} has no effect here", "allowed: with --controller joints")
+    for name, own in (("kp", "joints"), ("kd", "joints"), ("qp_solver", "whole-body")):
+        if is_given(name) and settings["controller"] != own:
+            option = name.replace("_", "-")
+            raise InputError(f"--{option} has no effect here", f"allowed: with --controller {own}")
     offsets = parse_settings(settings["ground_offsets"], "--ground-offset")
     settings["ground_offsets"] = {frame: _metres(frame, text) for frame, text in offsets.items()}
     motion, page = output and check_solution_output(output), html and check_output(html)

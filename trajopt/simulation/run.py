@@ -92,7 +92,9 @@ class SimulationRun:
         self.low, self.high = torque_limits(plan)
         self.tracker = None
         if settings.controller == "whole-body":
-            self.tracker = Tracker(plan, rate=settings.control_rate, cycles=settings.cycles)
+            self.tracker = Tracker(
+                plan, rate=settings.control_rate, cycles=settings.cycles, solver=settings.qp_solver
+            )
         self.touching = reference.active[0]
         self.impulse, self._force = settings.impulse, np.zeros(3)
         self._plan_in_mujoco()

@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, checked
+from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.errors import InputError, not_among, require_finite
 
 # Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
@@ -36,7 +37,7 @@ ALLOWED = {
 # Largest offset of a centre of mass or of the ground, m.
 FARTHEST = 10.0
 # Settings that have checks of their own.
-CHECKED_APART = ("rolling", "controller", "impulse", "com_offset", "ground_offsets")
+CHECKED_APART = ("rolling", "controller", "qp_solver", "impulse", "com_offset", "ground_offsets")
 
 
 # Feedback of single joints, or a quadratic program for the whole body at each tick (`trajopt.control`).
@@ -72,7 +73,8 @@ class SimulationSettings:
     level on the base for a tenth of the motion, in its middle, to its left; in a plane to its front.
     impulse: another push, of any direction and time, see `Impulse`.
     rolling: contacts with a radius are balls fixed to their links, which roll; otherwise they turn about
-    their centres, as in the plan. controller: see `Controller`; ``kp`` and ``kd`` are of "joints".
+    their centres, as in the plan. controller: see `Controller`; ``kp`` and ``kd`` are of "joints",
+    qp_solver, which solves the programs, of "whole-body".
 
     Of the hardware: sensor_noise: standard deviation of the measured state at every tick, in the units of
     ``noise``. delay: whole ticks by which the measured state and contacts are late. torque_step: torques are
@@ -96,6 +98,7 @@ class SimulationSettings:
     push: float = 0.0
     rolling: bool = False
     controller: Controller = "joints"
+    qp_solver: QpSolverName = "piqp"
     impulse: Impulse | None = None
     sensor_noise: float = 0.0
     delay: int = 0
@@ -112,6 +115,12 @@ class SimulationSettings:
                 get_args(Controller),
                 str(self.controller),
                 f"controller of a simulation is {self.controller!r}",
+            )
+        if self.qp_solver not in get_args(QpSolverName):
+            raise not_among(
+                get_args(QpSolverName),
+                str(self.qp_solver),
+                f"qp_solver of a simulation is {self.qp_solver!r}",
             )
         if not isinstance(self.impulse, Impulse | None):
             raise InputError(f"impulse of a simulation is {self.impulse!r}", "allowed: an Impulse or None")
@@ -130,6 +139,18 @@ class SimulationSettings:
             if not isinstance(value, int) or value < least:
                 raise InputError(
                     f"{name} of a simulation is {value!r}", f"allowed: a whole number >= {least}"
+                )
+
+        self._require_effect()
+
+    def _require_effect(self) -> None:
+        """Raise `InputError` for settings that are of the other controller."""
+        for name, own in (("kp", "joints"), ("kd", "joints"), ("qp_solver", "whole-body")):
+            value, default = getattr(self, name), SimulationSettings.__dataclass_fields__[name].default
+            if value != default and self.controller != own:
+                raise InputError(
+                    f"{name} of a simulation is {value!r}, with the controller {self.controller!r}",
+                    f"allowed: with the controller {own!r}",
                 )
 
     def step(self, natural_time: float) -> float:
