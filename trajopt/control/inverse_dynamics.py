@@ -31,7 +31,7 @@ from trajopt.control.quadratic_programs import (
     UNBOUNDED,
     QpSolverName,
     QuadraticSolver,
-    Rows,
+    QpRows,
     quadratic_solver,
 )
 from trajopt.control.robot_state import RobotState
@@ -119,7 +119,7 @@ class InverseDynamics:
         return program.result(np.zeros(program.n), 3, iterations)
 
     def _solver(
-        self, key: tuple[object, ...], contacts: Sequence[ActiveContact], rows: Rows
+        self, key: tuple[object, ...], contacts: Sequence[ActiveContact], rows: QpRows
     ) -> QuadraticSolver:
         kinds = tuple((c.number, c.dimension, c.bilateral, c.sliding is None) for c in contacts)
         known = (*key, kinds, rows.shape)
@@ -156,7 +156,7 @@ class _Program:
         self.motion *= self.unit / owner.acceleration_unit[0]
         self.still /= owner.acceleration_unit[0]
 
-    def rows(self, relaxed: int) -> Rows:
+    def rows(self, relaxed: int) -> QpRows:
         """Rows on the scaled unknowns; see `RELAXED`."""
         owner, limits, n, nv = self.owner, self.limits, self.n, self.nv
         u, h, scale = owner.n_unactuated, owner.state.nonlinear, owner.torque_unit
@@ -176,7 +176,7 @@ class _Program:
         lows = [(limits.torque[0] - own) / scale[u:], *(low / owner.force_units[0] for _, low, _ in forces)]
         highs = [(limits.torque[1] - own) / scale[u:], *(high / owner.force_units[0] for *_, high in forces)]
         units, (least, most) = owner.acceleration_unit[u:], limits.acceleration
-        return Rows(
+        return QpRows(
             equal=equal,
             value=value,
             between=between,

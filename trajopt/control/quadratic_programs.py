@@ -45,7 +45,7 @@ class QuadraticSolution:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rows:
+class QpRows:
     """What restricts n unknowns.
 
     equal, value: (p, n) and (p,) of E x = e. between, low, high: (m, n) and (m,) of l <= G x <= u. bounded,
@@ -68,12 +68,12 @@ class Rows:
 
 
 class QuadraticSolver(ABC):
-    """Solves programs of one `Rows.shape`, one after the other."""
+    """Solves programs of one `QpRows.shape`, one after the other."""
 
     def __init__(self, shape: tuple[int, int, int, int]) -> None:
         self.n = shape[0]
 
-    def solve(self, p: np.ndarray, c: np.ndarray, rows: Rows) -> QuadraticSolution:
+    def solve(self, p: np.ndarray, c: np.ndarray, rows: QpRows) -> QuadraticSolution:
         """Solve with P (n, n) symmetric and c (n,)."""
         if (rows.low > rows.high).any() or (rows.least > rows.most).any():
             return QuadraticSolution(np.zeros(self.n), False, 0)
@@ -82,7 +82,7 @@ class QuadraticSolver(ABC):
         return self._solve(p, c, replace(rows, low=low, high=high, least=least, most=most))
 
     @abstractmethod
-    def _solve(self, p: np.ndarray, c: np.ndarray, rows: Rows) -> QuadraticSolution:
+    def _solve(self, p: np.ndarray, c: np.ndarray, rows: QpRows) -> QuadraticSolution:
         pass
 
 
@@ -91,7 +91,7 @@ def _without_large(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def quadratic_solver(name: QpSolverName, shape: tuple[int, int, int, int]) -> QuadraticSolver:
-    """A solver by its name for programs of a `Rows.shape`. Raises `InputError`."""
+    """A solver by its name for programs of a `QpRows.shape`. Raises `InputError`."""
     known: dict[str, type[QuadraticSolver]] = {"osqp": _Osqp, "piqp": _Piqp, "proxqp": _ProxQp}
     if name not in known:
         raise not_among(get_args(QpSolverName), str(name), f"solver of quadratic programs is {name!r}")
@@ -107,7 +107,7 @@ class _Osqp(QuadraticSolver):
         order = np.lexsort((rows, columns))  # the upper triangle column by column
         self._upper = rows[order], columns[order]
 
-    def _solve(self, p: np.ndarray, c: np.ndarray, rows: Rows) -> QuadraticSolution:
+    def _solve(self, p: np.ndarray, c: np.ndarray, rows: QpRows) -> QuadraticSolution:
         a = np.vstack([rows.equal, rows.between, np.eye(self.n)[rows.bounded]])
         low = np.maximum(np.concatenate([rows.value, rows.low, rows.least]), -OSQP_INFINITY)
         high = np.minimum(np.concatenate([rows.value, rows.high, rows.most]), OSQP_INFINITY)
@@ -149,7 +149,7 @@ class _Piqp(QuadraticSolver):
         self._solver.settings.max_iter = MOST_PIQP
         self._pattern: np.ndarray | None = None
 
-    def _solve(self, p: np.ndarray, c: np.ndarray, rows: Rows) -> QuadraticSolution:
+    def _solve(self, p: np.ndarray, c: np.ndarray, rows: QpRows) -> QuadraticSolution:
         # An interior-point method needs an interior: bounds that are equal are equations.
         same, fixed = rows.low == rows.high, rows.least == rows.most
         used = ~same & (np.isfinite(rows.low) | np.isfinite(rows.high))
@@ -185,7 +185,7 @@ class _ProxQp(QuadraticSolver):
         self._second = _Piqp(shape)
         self._is_set_up = False
 
-    def _solve(self, p: np.ndarray, c: np.ndarray, rows: Rows) -> QuadraticSolution:
+    def _solve(self, p: np.ndarray, c: np.ndarray, rows: QpRows) -> QuadraticSolution:
         between = np.vstack([rows.between, np.eye(self.n)[rows.bounded]])
         low = np.maximum(np.concatenate([rows.low, rows.least]), -PROXQP_INFINITY)
         high = np.minimum(np.concatenate([rows.high, rows.most]), PROXQP_INFINITY)
