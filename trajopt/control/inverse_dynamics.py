@@ -29,9 +29,9 @@ import numpy as np
 from trajopt.control.contact_forces import ActiveContact
 from trajopt.control.quadratic_programs import (
     UNBOUNDED,
+    QpRows,
     QpSolverName,
     QuadraticSolver,
-    QpRows,
     quadratic_solver,
 )
 from trajopt.control.robot_state import RobotState
