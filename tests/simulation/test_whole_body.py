@@ -77,9 +77,10 @@ def test_ticks_are_reported(trot: Solution, tmp_path: Path) -> None:
     done = invoke("simulate", file, "--controller", "whole-body")
     assert done.exit_code == 0, done.stderr
     assert "ticks of the controller" in done.stdout
-    assert "relaxed: nothing" in done.stdout
+    assert "relaxed: nothing, slack 0" in done.stdout
     found = json.loads(invoke("simulate", file, "--controller", "whole-body", "--json").stdout)
     assert found["controller"]["relaxed"] == {"nothing": found["controller"]["ticks"]}
+    assert found["controller"]["slack"] == 0.0
     assert json.loads(invoke("simulate", file, "--json").stdout)["controller"] is None
 
 

@@ -51,6 +51,8 @@ class TickResult:
     """Torques (nu,), accelerations (nv,) and forces (nc', 6) of the active contacts, in their order.
 
     relaxed: index into `RELAXED`. With "everything" torques are zero and say nothing.
+    slack: largest violation of the rows that were relaxed, over their units: accelerations of contacts, g,
+    and of joints beyond their limits, g or g / l. Zero where none was, and with "everything".
     """
 
     torque: np.ndarray
@@ -58,6 +60,7 @@ class TickResult:
     forces: np.ndarray
     relaxed: int
     iterations: int
+    slack: float = 0.0
 
 
 @dataclass
@@ -223,4 +226,15 @@ class _Program:
             forces=forces,
             relaxed=relaxed,
             iterations=iterations,
+            slack=self._slack(x[: self.nv], relaxed),
         )
+
+    def _slack(self, acceleration: np.ndarray, relaxed: int) -> float:
+        """Largest violation of the rows that are relaxed by accelerations (nv,), over their units."""
+        if relaxed not in (1, 2):
+            return 0.0
+        unit, own = self.owner.acceleration_unit, slice(self.owner.n_unactuated, None)
+        low, high = self.limits.acceleration
+        beyond = np.maximum(low - acceleration[own], acceleration[own] - high) / unit[own]
+        moved = np.abs(self.motion @ acceleration - self.still) / unit[0]
+        return float(max(0.0, beyond.max(initial=0.0), moved.max(initial=0.0) if relaxed == 2 else 0.0))

@@ -94,11 +94,15 @@ class TrackerGains:
 
 @dataclass
 class TickCounts:
-    """What happened so far: ticks, their programs by what was relaxed (see `RELAXED`), and times, s."""
+    """What happened so far: ticks, their programs by what was relaxed (see `RELAXED`), and times, s.
+
+    slack: the largest of a `TickResult`.
+    """
 
     ticks: int = 0
     relaxed: list[int] = field(default_factory=lambda: [0] * len(RELAXED))
     iterations: int = 0
+    slack: float = 0.0
     times: list[float] = field(default_factory=list)
 
 
@@ -211,6 +215,7 @@ class Tracker:
         self.counts.ticks += 1
         self.counts.relaxed[found.relaxed] += 1
         self.counts.iterations += found.iterations
+        self.counts.slack = max(self.counts.slack, found.slack)
         self.counts.times.append(time.perf_counter() - begin)
         self.last = found
         if RELAXED[found.relaxed] == "everything":
