@@ -274,7 +274,7 @@ def _wrong_requests(arrays: _Arrays, contacts: int) -> str:
         array = arrays[name]
         if array.shape != (samples, *shape):
             return f"'{name}' has shape {array.shape}, expected {(samples, *shape)}"
-        known = np.isfinite(array)
+        known = ~np.isnan(array)
         if name in GOALS and (known.any(axis=-1) != known.all(axis=-1)).any():
             return f"'{name}' holds points that are NaN in part"
     return ""
