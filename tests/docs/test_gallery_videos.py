@@ -15,7 +15,6 @@ from PIL import Image
 import trajopt
 from scripts import gallery, gallery_videos
 from tests.support.browser import require_chromium, running_chromium
-from tests.support.problems import hop
 from tests.support.repository import ROOT
 from trajopt.errors import InputError
 from trajopt.simulation.simulate import simulate
@@ -76,7 +75,7 @@ def test_videos_need_a_gallery_to_which_they_belong(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def leap() -> Solution:
-    return trajopt.solve(hop(), intervals=12)
+    return trajopt.solve(trajopt.load("solo12-jump"))
 
 
 @pytest.mark.long
