@@ -1,8 +1,9 @@
 """A gallery of the suite's solutions: a strip of pictures of each, as a page for code hosts and one to play.
 
-trajopt suite --output-dir out
+trajopt bench suite --output-dir out
 uv run python -m scripts.gallery --solutions out -o docs/gallery
 uv run python -m scripts.gallery --solutions out -o gallery --pages      # and index.html, whose tiles play
+uv run python -m scripts.gallery --solutions out -o docs/gallery --tracked   # only videos of simulations
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from scripts import gallery_videos
+from scripts.gallery_videos import Video
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.solution.solution import Solution
@@ -75,13 +78,15 @@ class Entry:
 def chosen(folder: Path) -> tuple[Path, ...]:
     """One solution file per problem: of the robot used least so far; problems with fewest robots first.
 
-    Raises `InputError` for a folder without files ``PROBLEM@ROBOT.npz``, those of ``trajopt suite``.
+    Raises `InputError` for a folder without files ``PROBLEM@ROBOT.npz``, those of ``trajopt bench suite``.
     """
     files: dict[str, list[Path]] = defaultdict(list)
     for path in sorted(folder.glob("*@*.npz")):
         files[path.stem.split("@")[0]].append(path)
     if not files:
-        raise InputError(f"{folder} has no file PROBLEM@ROBOT.npz", "a folder of trajopt suite --output-dir")
+        raise InputError(
+            f"{folder} has no file PROBLEM@ROBOT.npz", "a folder of trajopt bench suite --output-dir"
+        )
     taken: Counter[str] = Counter()
     found = []
     for paths in sorted(files.values(), key=lambda paths: (len(paths), paths[0].name)):
@@ -146,12 +151,17 @@ def strip_of(browser: Chromium, page: Path, solution: Solution, facts: Mapping[s
     return whole
 
 
-def packed(picture: Image.Image) -> bytes:
-    """The picture as WebP, in the best of ``QUALITIES`` that is small enough."""
-    data = b""
+def packed(picture: Image.Image, others: Sequence[Image.Image] = (), lasts: float = 0.0) -> bytes:
+    """The picture as WebP, in the best of ``QUALITIES`` that is small enough.
+
+    With ``others`` it is animated, and repeats: each picture ``lasts`` s.
+    """
+    data, animated = b"", {}
+    if others:
+        animated = {"save_all": True, "append_images": others, "duration": round(1e3 * lasts), "loop": 0}
     for quality in QUALITIES:
         buffer = io.BytesIO()
-        picture.save(buffer, "WEBP", quality=quality, method=6)
+        picture.save(buffer, "WEBP", quality=quality, method=6, minimize_size=bool(others), **animated)
         data = buffer.getvalue()
         if len(data) <= MOST_BYTES:
             break
@@ -169,6 +179,32 @@ def add(browser: Chromium, path: Path, target: Path, keep_page: bool) -> Entry:
     return entry_of(path.stem, solution)
 
 
+def add_videos(browser: Chromium, solutions: Path, target: Path) -> list[Video]:
+    """Write the videos of a folder of solutions; what is not tracked is left out, with a line on stderr."""
+    found = []
+    for path, cycles in gallery_videos.chosen(solutions).items():
+        video = gallery_videos.video_of(browser, path, cycles)
+        print(f"{path.stem}: {'tracked' if video else 'not tracked, left out'}", file=sys.stderr)
+        if video is not None:
+            file = target / video.file
+            file.parent.mkdir(exist_ok=True)
+            first, *others = video.pictures
+            file.write_bytes(packed(first, others, video.duration / len(video.pictures)))
+            found.append(video)
+    return found
+
+
+def make_videos(solutions: Path, target: Path) -> list[Video]:
+    """Write videos alone into a gallery; raises `TrajoptError`, one line."""
+    page = target / "README.md"
+    if not page.is_file():
+        raise InputError(f"{target} has no README.md", "a gallery, to which --tracked adds videos")
+    with chromium() as browser:
+        videos = add_videos(browser, solutions, target)
+    page.write_text(gallery_videos.with_section(page.read_text(encoding="utf-8"), videos), encoding="utf-8")
+    return videos
+
+
 def readme(entries: Sequence[Entry]) -> str:
     """The gallery as Markdown, for a code host."""
     lines = [
@@ -177,7 +213,7 @@ def readme(entries: Sequence[Entry]) -> str:
         f"{len(entries)} of the library's motions, each on one of its robots, solved with default parameters"
         " from the default guess. Time runs from left to right; red arrows are contact forces.",
         "",
-        "    trajopt suite --output-dir out",
+        "    trajopt bench suite --output-dir out",
         "    uv run python -m scripts.gallery --solutions out -o docs/gallery",
         "",
         "makes this page, with one robot for each problem; with `--pages` also an `index.html` whose pictures"
@@ -240,8 +276,10 @@ def make(solutions: Path, target: Path, pages: bool) -> tuple[Entry, ...]:
         for number, path in enumerate(files, 1):
             found.append(add(browser, path, target, pages))
             print(f"{number}/{len(files)} {path.stem}", file=sys.stderr)
+        videos = add_videos(browser, solutions, target)
     entries = tuple(found)
-    (target / "README.md").write_text(readme(entries), encoding="utf-8")
+    text = gallery_videos.with_section(readme(entries), videos)
+    (target / "README.md").write_text(text, encoding="utf-8")
     if pages:
         (target / "index.html").write_text(index(entries), encoding="utf-8")
     return entries
@@ -252,16 +290,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--solutions", type=Path, required=True, metavar="DIR", help="of trajopt suite")
+    parser.add_argument("--solutions", type=Path, required=True, metavar="DIR", help="of trajopt bench suite")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     parser.add_argument("--pages", action="store_true", help="also pages that play, and index.html")
+    parser.add_argument("--tracked", action="store_true", help="only videos of plans in MuJoCo")
     given = parser.parse_args()
     try:
-        entries = make(given.solutions, given.output, given.pages)
+        if given.tracked:
+            files = [video.file for video in make_videos(given.solutions, given.output)]
+        else:
+            files = [f"{entry.name}.webp" for entry in make(given.solutions, given.output, given.pages)]
     except TrajoptError as error:
         sys.exit(f"gallery: {error}")
-    size = sum((given.output / f"{entry.name}.webp").stat().st_size for entry in entries)
-    print(f"{given.output}: {len(entries)} motions, {size / 1e6:.2f} MB of pictures")
+    size = sum((given.output / name).stat().st_size for name in files)
+    print(f"{given.output}: {len(files)} motions, {size / 1e6:.2f} MB of pictures")
 
 
 if __name__ == "__main__":

@@ -227,6 +227,25 @@ def test_rows_are_relaxed_in_their_order_and_said_so() -> None:
     assert RELAXED[case.solve([case.posture(), push, case.forces()], none).relaxed] == "contacts"
 
 
+def test_slack_is_the_largest_violation_of_what_was_relaxed() -> None:
+    case = Standing("go2")
+    first, tasks = case.robot.n_unactuated, [case.posture(), case.forces()]
+    assert case.solve(tasks).slack == 0.0
+    forced = 5.0  # rad/s^2 of every joint, which feet that stand do not let all of them have
+    exact = replace(case.limits(), acceleration=(np.full(12, forced), np.full(12, forced)))
+    found = case.solve(tasks, exact)
+    apart = np.abs(found.acceleration[first:] - forced) / case.acceleration[first:]
+    assert RELAXED[found.relaxed] == "joint limits"
+    assert found.slack == pytest.approx(apart.max())
+    lifted = replace(case.limits(), torque=(np.full(12, 50.0), np.full(12, 60.0)))
+    found = case.solve(tasks, lifted)
+    feet = [case.state.frame(contact.frame) for contact in case.contacts]
+    moved = max(float(np.abs(foot.jacobian[:3] @ found.acceleration).max()) for foot in feet)
+    assert RELAXED[found.relaxed] == "contacts"
+    assert found.slack == pytest.approx(moved / case.units.gravity)
+    assert found.slack > 0.1
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_program_without_solution_gives_no_torque_and_no_exception(solver: str) -> None:
     case = Standing("go2", solver)

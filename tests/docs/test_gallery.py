@@ -138,12 +138,12 @@ def test_gallery_of_two_solutions(folder: Path, tmp_path: Path) -> None:
 def test_committed_gallery_is_whole_and_small() -> None:
     text = (GALLERY / "README.md").read_text(encoding="utf-8")
     pictures = set(re.findall(r"\]\(([^)]+\.webp)\)", text))
-    assert pictures == {path.name for path in GALLERY.glob("*.webp")}
+    assert pictures == {path.relative_to(GALLERY).as_posix() for path in GALLERY.rglob("*.webp")}
     assert len(pictures) >= 25
     for path in GALLERY.glob("*.webp"):
         with Image.open(path) as picture:
             assert picture.size == (gallery.PICTURES * gallery.WIDTH, gallery.HEIGHT), path.name
-    sizes = [path.stat().st_size for path in GALLERY.glob("*.webp")]
+    sizes = [path.stat().st_size for path in GALLERY.rglob("*.webp")]
     assert max(sizes) <= gallery.MOST_BYTES
     assert sum(sizes) <= LARGEST
     assert all((GALLERY / link).exists() for link in re.findall(r"\]\((\.\./[^)#]+)\)", text))

@@ -77,9 +77,10 @@ def test_ticks_are_reported(trot: Solution, tmp_path: Path) -> None:
     done = invoke("simulate", file, "--controller", "whole-body")
     assert done.exit_code == 0, done.stderr
     assert "ticks of the controller" in done.stdout
-    assert "relaxed: nothing" in done.stdout
+    assert "relaxed: nothing, slack 0" in done.stdout
     found = json.loads(invoke("simulate", file, "--controller", "whole-body", "--json").stdout)
     assert found["controller"]["relaxed"] == {"nothing": found["controller"]["ticks"]}
+    assert found["controller"]["slack"] == 0.0
     assert json.loads(invoke("simulate", file, "--json").stdout)["controller"] is None
 
 
@@ -90,6 +91,28 @@ def test_ticks_are_reported(trot: Solution, tmp_path: Path) -> None:
 def test_settings_of_the_other_controller_are_refused(trot: Solution, settings: dict, allowed: str) -> None:
     with pytest.raises(InputError, match=f"allowed: with the controller '{allowed}'"):
         simulate(trot, **settings)
+
+
+@pytest.mark.long
+def test_what_the_controller_asked_for_is_in_the_simulated_solution(trot: Solution, tmp_path: Path) -> None:
+    found = simulate(trot, controller="whole-body")
+    asked, record = found.record.requests, found.record
+    assert asked is not None
+    assert asked.forces.shape == record.force.shape
+    weight = found.world.units.weight
+    assert asked.forces[:, :, 2].sum(axis=1).mean() == pytest.approx(weight, rel=0.02)
+    off = np.linalg.norm(asked.forces[:, :, :3] - record.force[:, :, :3], axis=2)
+    assert np.median(off) < 0.02 * weight  # most of the time it gets what it asks for
+    assert np.isfinite(asked.com).all()  # something stands at any time
+    swinging = ~found.reference.active & (np.linalg.norm(record.force, axis=2) == 0.0)
+    goals = np.linalg.norm(asked.feet - record.feet, axis=2)[swinging & np.isfinite(asked.feet[:, :, 0])]
+    assert goals.size
+    assert goals.max() < 0.05 * found.report.reach
+    saved = Solution.load(found.as_solution().save(tmp_path / "sim.npz"))
+    assert saved.asked_force is not None
+    assert saved.asked_force.shape == saved.f.shape
+    np.testing.assert_array_equal(saved.foot_goal, found.as_solution().foot_goal)
+    assert simulate(trot).as_solution().asked_force is None
 
 
 def test_bad_words_are_refused(trot: Solution, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.solution.arrays import OTHERS, SAMPLED
+from trajopt.solution.arrays import OTHERS, REQUESTS, SAMPLED
 from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt_library import robots
@@ -71,6 +71,38 @@ def test_impacts_are_read_back(jump, tmp_path):
     loaded = Solution.load(struck.save(tmp_path / "impact.npz"))
     np.testing.assert_array_equal(loaded.impulse, struck.impulse)
     np.testing.assert_array_equal(loaded.impact_index, struck.impact_index)
+
+
+def with_requests(solution: Solution, **changes: np.ndarray | None) -> Solution:
+    """The solution with what a controller asked for: no goals, the forces that act."""
+    n, contacts = solution.active.shape
+    goals = {"com_goal": np.full((n, 3), np.nan), "foot_goal": np.full((n, contacts, 3), np.nan)}
+    return replace(solution, **{"asked_force": solution.f, **goals, **changes})
+
+
+def test_what_a_controller_asked_for_is_read_back(jump, tmp_path):
+    goal = np.full((jump.n_samples, 3), np.nan)
+    goal[::2] = [0.1, 0.2, 0.3]
+    asked = with_requests(jump, com_goal=goal)
+    loaded = Solution.load(asked.save(tmp_path / "asked.npz"))
+    for name in REQUESTS:
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(asked, name))
+    assert Solution.load(jump.save(tmp_path / "none.npz")).asked_force is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"foot_goal": None}, "'asked_force', 'com_goal', 'foot_goal' must come together"),
+        ({"com_goal": np.zeros((2, 3))}, r"'com_goal' has shape \(2, 3\), expected \(32, 3\)"),
+        ({"com_goal": np.tile([0.0, np.nan, 0.0], (32, 1))}, "'com_goal' holds points that are NaN in part"),
+        ({"com_goal": np.full((32, 3), np.inf)}, "'com_goal' holds NaN or infinity"),
+        ({"asked_force": np.full((32, 4, 6), np.nan)}, "'asked_force' holds NaN or infinity"),
+    ],
+)
+def test_what_no_controller_asks_for_is_refused(jump, tmp_path, changes, message):
+    with pytest.raises(InputError, match=message):
+        with_requests(jump, **changes).save(tmp_path / "asked.npz")
 
 
 def test_infinite_limits_become_null(arm, tmp_path):

@@ -15,7 +15,7 @@ from trajopt.certify.contact_figures import ContactStarts, force_traces, place_t
 from trajopt.certify.limit_figures import drive_traces, limit_traces
 from trajopt.certify.samples import ContactPlaces, contact_places
 from trajopt.certify.traces import Trace, Traces, merged
-from trajopt.solution.arrays import SAMPLED
+from trajopt.solution.arrays import REQUESTS, SAMPLED
 from trajopt.solution.interpolation import InterpolatedMotion
 from trajopt.solution.resampling import samples_at
 from trajopt.solution.solution import Solution
@@ -87,7 +87,7 @@ def _joined(one: DenseMotion, other: DenseMotion) -> DenseMotion:
 
     rows = {name: along([getattr(one.plan, name), getattr(other.plan, name)]) for name in SAMPLED}
     return DenseMotion(
-        plan=one.plan.with_arrays(impulse=None, impact_index=None, **rows),
+        plan=one.plan.with_arrays(impulse=None, impact_index=None, **dict.fromkeys(REQUESTS), **rows),
         fractions=along([one.fractions, other.fractions]),
         traces=merged([one.traces, other.traces], along),
     )

@@ -18,7 +18,7 @@ from trajopt.solution.output import check_apart
 # Most digits of a side: more would be too many pixels in any case.
 _SIZE = re.compile(r"([0-9]{1,6})[xX×]([0-9]{1,6})", re.ASCII)
 LAYERS = (
-    "robot, shapes, forces, impulses, cones, com, zmp, "
+    "robot, shapes, forces, controller, impulses, cones, com, zmp, "
     "support, trails, ghosts, goals, payloads, obstacles, surfaces or terrain"
 )
 ANY_COUNT = WholeNumber(0, 10**6)

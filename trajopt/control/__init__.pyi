@@ -11,5 +11,6 @@ from .tasks import PostureTask as PostureTask
 from .tasks import RegularisationTask as RegularisationTask
 from .tasks import Task as Task
 from .tasks import TaskRows as TaskRows
+from .tick_request import TickRequest as TickRequest
 from .tracker import Tracker as Tracker
 from .tracker import TrackerGains as TrackerGains

@@ -59,6 +59,8 @@ class TickResult:
     """Torques (nu,), accelerations (nv,) and forces (nc', 6) of the active contacts, in their order.
 
     relaxed: index into `RELAXED`. With "everything" torques are zero and say nothing.
+    slack: largest violation of the rows that were relaxed, over their units: accelerations of contacts, g,
+    and of joints beyond their limits, g or g / l. Zero where none was, and with "everything".
     """
 
     torque: np.ndarray
@@ -66,6 +68,7 @@ class TickResult:
     forces: np.ndarray
     relaxed: int
     iterations: int
+    slack: float = 0.0
 
 
 @dataclass
@@ -228,4 +231,16 @@ class _Program:
             forces=forces,
             relaxed=relaxed,
             iterations=iterations,
+            slack=self._slack(scaled, relaxed),
         )
+
+    def _slack(self, scaled: np.ndarray, relaxed: int) -> float:
+        """Largest violation of the rows that are relaxed by scaled unknowns (n,), over their units."""
+        if relaxed not in (1, 2):
+            return 0.0
+        joints = slice(self.owner.n_unactuated, self.nv)
+        low, high = self.limits.acceleration
+        unit, own = self.owner.acceleration_unit[joints], scaled[joints]
+        beyond = np.maximum(low / unit - own, own - high / unit)
+        moved = np.abs(self.motion @ scaled - self.still)
+        return float(max(0.0, beyond.max(initial=0.0), moved.max(initial=0.0) if relaxed == 2 else 0.0))

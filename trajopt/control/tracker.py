@@ -22,6 +22,7 @@ from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import TURNED, Support, support_of, thin_axes
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
+from trajopt.control.tick_request import TickRequest
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
@@ -94,11 +95,15 @@ class TrackerGains:
 
 @dataclass
 class TickCounts:
-    """What happened so far: ticks, their programs by what was relaxed (see `RELAXED`), and times, s."""
+    """What happened so far: ticks, their programs by what was relaxed (see `RELAXED`), and times, s.
+
+    slack: the largest of a `TickResult`.
+    """
 
     ticks: int = 0
     relaxed: list[int] = field(default_factory=lambda: [0] * len(RELAXED))
     iterations: int = 0
+    slack: float = 0.0
     times: list[float] = field(default_factory=list)
 
 
@@ -106,7 +111,8 @@ class Tracker:
     """A controller that tracks a plan with any robot, contacts and phases of the library.
 
     At each tick `torque` takes the measured state and which contacts touch, and gives torques of the drives.
-    The tracker knows neither the simulator nor what happens to the robot.
+    The tracker knows neither the simulator nor what happens to the robot. ``request`` is what its last tick
+    asked for, ``counts`` what happened in all ticks.
 
     Args:
         solution: the plan, or the path of its file.
@@ -147,6 +153,7 @@ class Tracker:
         self.units = NaturalUnits.of(plan.model)
         self.counts = TickCounts()
         self.last: TickResult | None = None
+        self.request = TickRequest.none(len(plan.contact_frames))
         self._programs: dict[int, InverseDynamics] = {}
         self._low, self._high = torque_limits(plan)
         self._range = JointRange(plan, HORIZON * self.reference.period)
@@ -198,6 +205,7 @@ class Tracker:
         program = self._program(int(self.reference.source[k]))
         program.state.update(q, v)
         active = self._active(k, contacts)
+        self.request = TickRequest.none(len(self._frames))
         if np.abs(v).max() * self.units.time > TOO_FAST:
             self.counts.ticks += 1
             self.counts.relaxed[RELAXED.index("everything")] += 1
@@ -207,10 +215,13 @@ class Tracker:
             here = program.state.frame(self._frames[i]).placement.translation
             self._offsets.stand(int(i), (here - self.targets.position[k, i])[:2])
         taken = [self._contact(int(i), k) for i in np.flatnonzero(active)]
-        found = program.solve(taken, self._tasks(k, active, program.state), self._limits(q, v))
+        tasks = self._tasks(k, active, program.state)
+        found = program.solve(taken, tasks, self._limits(q, v))
+        self.request = TickRequest.of(found.forces, taken, tasks, self.targets.com[k, 0], self._frames)
         self.counts.ticks += 1
         self.counts.relaxed[found.relaxed] += 1
         self.counts.iterations += found.iterations
+        self.counts.slack = max(self.counts.slack, found.slack)
         self.counts.times.append(time.perf_counter() - begin)
         self.last = found
         if RELAXED[found.relaxed] == "everything":

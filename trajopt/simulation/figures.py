@@ -12,7 +12,7 @@ from trajopt.certify.reintegration import state_distance
 from trajopt.certify.samples import sample_quantities
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.simulation.run import SimulationRecord
+from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.world import World, touching_places
 from trajopt.solution.arrays import rows_of
 from trajopt.solution.solution import Solution

@@ -22,7 +22,8 @@ from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.figures import fall_of
-from trajopt.simulation.run import LEAST_LEVEL, SimulationRecord, SimulationRun
+from trajopt.simulation.record import SimulationRecord
+from trajopt.simulation.run import LEAST_LEVEL, SimulationRun
 from trajopt.simulation.settings import Controller, Impulse, SimulationSettings
 from trajopt.simulation.world import World, build_world
 from trajopt.solution.descriptions import jsonable

@@ -30,7 +30,8 @@ class ContactReport:
 class TickReport:
     """Quadratic programs of a whole-body controller: ticks, iterations in all, and time of a tick, s.
 
-    relaxed: ticks by what was relaxed in them, see `trajopt.control.inverse_dynamics.RELAXED`.
+    relaxed: ticks by what was relaxed in them, see `trajopt.control.inverse_dynamics.RELAXED`. slack: largest
+    violation of a row that was relaxed, see `trajopt.control.inverse_dynamics.TickResult`.
     """
 
     ticks: int
@@ -38,6 +39,7 @@ class TickReport:
     time_mean: float
     time_99: float
     relaxed: dict[str, int]
+    slack: float
 
     @classmethod
     def of(cls, counts: TickCounts) -> TickReport:
@@ -49,12 +51,14 @@ class TickReport:
             time_mean=float(times.mean()),
             time_99=float(np.percentile(times, 99)),
             relaxed={name: count for name, count in zip(RELAXED, counts.relaxed, strict=True) if count},
+            slack=counts.slack,
         )
 
     def __str__(self) -> str:
         found = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
         times = f"{1e3 * self.time_mean:.2f} ms in the mean, {1e3 * self.time_99:.2f} ms at 99 %"
-        return f"{self.ticks}, {times}; relaxed: {', '.join(found) or RELAXED[0]}"
+        relaxed = f"relaxed: {', '.join(found) or RELAXED[0]}, slack {self.slack:.2g}"
+        return f"{self.ticks}, {times}; {relaxed}"
 
 
 @dataclass(frozen=True, kw_only=True)

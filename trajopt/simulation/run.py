@@ -10,18 +10,18 @@ holds for the period; the gains are those of `gains`.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trajopt.control.limits import limits_with_drives, torque_limits
 from trajopt.control.reference import ReferenceTrajectory
-from trajopt.control.tracker import TickCounts, Tracker
+from trajopt.control.tracker import Tracker
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
 from trajopt.simulation.gains import gains_of
 from trajopt.simulation.hardware import Hardware, Measurement
+from trajopt.simulation.record import RequestRecord, SimulationRecord
 from trajopt.simulation.settings import Impulse, SimulationSettings
 from trajopt.simulation.world import World
 from trajopt.solution.solution import Solution
@@ -36,30 +36,6 @@ MOST_STEPS = 20_000_000
 TOUCHING = 1e-3
 # Coefficients that MuJoCo takes to be positive are at least this, as by its own compiler.
 LEAST_FRICTION = 1e-5
-
-
-@dataclass(frozen=True, kw_only=True)
-class SimulationRecord:
-    """What happened at the starts of n periods (and at the end), in MuJoCo's coordinates.
-
-    qpos (n + 1, nq'), qvel (n + 1, nv), qacc (n, nv); torque (n, nu) of the drives, where they are saturated
-    (n, nu), and friction (n, nu) on them; force (n, nc, 6) of the surroundings on contacts, world axes, at
-    the frame's origin; feet (n, nc, 3) m and turns (n, nc, 3, 3) of the contact frames; touched (n,) a link
-    touches the ground; hit (n,) an obstacle. counts: of the ticks of a whole-body controller.
-    """
-
-    qpos: np.ndarray
-    qvel: np.ndarray
-    qacc: np.ndarray
-    torque: np.ndarray
-    saturated: np.ndarray
-    friction: np.ndarray
-    force: np.ndarray
-    feet: np.ndarray
-    turns: np.ndarray
-    touched: np.ndarray
-    hit: np.ndarray
-    counts: TickCounts | None = None
 
 
 def run_simulation(
@@ -121,7 +97,7 @@ class SimulationRun:
         found, count = self.start(), len(self.reference.t)
         reached = self.advance(found, 0, count)
         if reached < count:
-            return _until(found, reached)
+            return found.until(reached)
         found.qpos[count], found.qvel[count] = self.data.qpos, self.data.qvel
         return found
 
@@ -142,6 +118,7 @@ class SimulationRun:
             touched=np.zeros(count, dtype=bool),
             hit=np.zeros(count, dtype=bool),
             counts=None if self.tracker is None else self.tracker.counts,
+            requests=None if self.tracker is None else RequestRecord.empty(count, contacts),
         )
 
     def branch(self) -> SimulationRun:
@@ -165,6 +142,8 @@ class SimulationRun:
             if not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
                 return k
             found.torque[k], found.saturated[k] = self._drive(k)
+            if self.tracker is not None and found.requests is not None:
+                found.requests.note(k, self.tracker.request)
             self.mujoco.mj_forward(model, data)  # forces of this state: a step's stages leave others
             if not self._is_sane():
                 return k
@@ -319,19 +298,6 @@ class SimulationRun:
                 self.mujoco.mj_jacSite(self.model, self.data, place[:3], place[3:], site)
                 size = 6 if grasp.turns else 3
                 force[grasp.contact, :size] += np.linalg.lstsq(place[:size].T, joint, rcond=None)[0]
-
-
-def _until(record: SimulationRecord, count: int) -> SimulationRecord:
-    """The periods of a record before period ``count``, in whose state MuJoCo has diverged.
-
-    That state and the step to it are left out; a record that ends at once keeps one period at rest.
-    """
-    rows = max(count - 1, 1)
-    if count <= 1:
-        record.qpos[1], record.qvel[1] = record.qpos[0], record.qvel[0]
-    names = [name for name in SimulationRecord.__dataclass_fields__ if name != "counts"]
-    cut = {name: getattr(record, name)[: rows + (name in ("qpos", "qvel"))] for name in names}
-    return replace(record, **cut)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -15,8 +15,9 @@ from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError, not_among
 from trajopt.simulation import figures
 from trajopt.simulation.bodies import muted_mujoco
+from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import ContactReport, SimulationReport, TickReport
-from trajopt.simulation.run import SimulationRecord, run_simulation
+from trajopt.simulation.run import run_simulation
 from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
 from trajopt.simulation.simulated import simulated_solution
 from trajopt.simulation.world import World, build_world

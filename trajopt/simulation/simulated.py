@@ -16,9 +16,10 @@ import numpy as np
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.simulation.bodies import mujoco_package
 from trajopt.simulation.figures import loaded_contacts
+from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import SimulationReport
-from trajopt.simulation.run import SimulationRecord
 from trajopt.simulation.world import World
+from trajopt.solution.arrays import rows_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import held_samples
 from trajopt.versions import VERSIONED, installed_version
@@ -75,7 +76,16 @@ def simulated_solution(
         tau=(record.torque + record.friction)[last],
         f=record.force[last],
         active=np.repeat(_active(plan, reference, record, world, chunks), 3, axis=0),
+        **_requests(record, last),
     )
+
+
+def _requests(record: SimulationRecord, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """What a whole-body controller asked for, by its names in a solution."""
+    if record.requests is None:
+        return {}
+    asked = rows_of(record.requests, rows)
+    return {"asked_force": asked.forces, "com_goal": asked.com, "foot_goal": asked.feet}
 
 
 def _chunks(phase: np.ndarray) -> list[tuple[int, int]]:

@@ -25,6 +25,8 @@ SAMPLED: dict[str, type] = {
     "f": float,
     "active": bool,
 }
+# What a whole-body controller asked for in a simulation, one row per sample.
+REQUESTS: dict[str, type] = {"asked_force": float, "com_goal": float, "foot_goal": float}
 OTHERS: dict[str, type] = {
     "interval_t": float,
     "impulse": float,
@@ -32,9 +34,10 @@ OTHERS: dict[str, type] = {
     "row_multiplier": float,
     "row_place": int,
     "bound_multiplier": float,
+    **REQUESTS,
 }
 # Arrays that a solution may lack.
-OPTIONAL = ("impulse", "impact_index", "row_multiplier", "row_place", "bound_multiplier")
+OPTIONAL = (*REQUESTS, "impulse", "impact_index", "row_multiplier", "row_place", "bound_multiplier")
 
 
 def read_only(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -61,7 +64,7 @@ def read_only(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
     return found
 
 
-def rows_of(record: _Record, rows: slice | int | list[int]) -> _Record:
+def rows_of(record: _Record, rows: slice | int | list[int] | np.ndarray) -> _Record:
     """Return the record with only these rows of each array."""
     return type(record)(**{name: array[rows] for name, array in vars(record).items()})
 

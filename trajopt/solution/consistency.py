@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError, SolutionFileError, is_number
 from trajopt.robot.actuators.drive import Drive
-from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, runs
+from trajopt.solution.arrays import OTHERS, REQUESTS, SAMPLED, model_from_text, runs
 from trajopt.solution.descriptions import body_scene_of, patches_of, surfaces_of
 
 META_KEYS = (
@@ -38,6 +38,8 @@ META_KEYS = (
 )
 
 _Arrays = Mapping[str, np.ndarray]
+# Arrays of points that are NaN where there is none.
+GOALS = ("com_goal", "foot_goal")
 
 # Times are sums of steps: equal up to rounding, relative to the duration.
 SAME_TIME = 1e-9
@@ -215,7 +217,11 @@ def _wrong_shape(arrays: _Arrays, model: pin.Model, meta: dict[str, Any]) -> str
     for frame in meta["contact_frames"]:
         if not isinstance(frame, str) or not model.existFrame(frame):
             return f"contact frame {frame!r} is not in the model"
-    return _wrong_impacts(arrays, contacts) or _wrong_multipliers(arrays, meta)
+    return (
+        _wrong_impacts(arrays, contacts)
+        or _wrong_multipliers(arrays, meta)
+        or _wrong_requests(arrays, contacts)
+    )
 
 
 def _wrong_multipliers(arrays: _Arrays, meta: dict[str, Any]) -> str:
@@ -256,12 +262,33 @@ def _wrong_impacts(arrays: _Arrays, contacts: int) -> str:
     return ""
 
 
+def _wrong_requests(arrays: _Arrays, contacts: int) -> str:
+    """What a controller asked for comes together, one row per sample; goals are whole points or none."""
+    samples, given = len(arrays["t"]), [name for name in REQUESTS if arrays.get(name) is not None]
+    if not given:
+        return ""
+    if len(given) < len(REQUESTS):
+        return f"{', '.join(map(repr, REQUESTS))} must come together"
+    expected = {"asked_force": (contacts, 6), "com_goal": (3,), "foot_goal": (contacts, 3)}
+    for name, shape in expected.items():
+        array = arrays[name]
+        if array.shape != (samples, *shape):
+            return f"'{name}' has shape {array.shape}, expected {(samples, *shape)}"
+        known = ~np.isnan(array)
+        if name in GOALS and (known.any(axis=-1) != known.all(axis=-1)).any():
+            return f"'{name}' holds points that are NaN in part"
+    return ""
+
+
 def wrong_number(arrays: _Arrays) -> str:
     """Return the first array with a number that is not finite, or an empty text."""
     for name, kind in {**SAMPLED, **OTHERS}.items():
         array = arrays.get(name)
-        if array is not None and kind is float and not np.isfinite(array).all():
-            first = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+        if array is None or kind is not float:
+            continue
+        wrong = np.isinf(array) if name in GOALS else ~np.isfinite(array)
+        if wrong.any():
+            first = tuple(np.argwhere(wrong)[0].tolist())
             return f"'{name}' holds NaN or infinity, first at {first}"
     return ""
 

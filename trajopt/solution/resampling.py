@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from trajopt.solution.arrays import REQUESTS
 from trajopt.solution.interpolation import MotionPolynomials, MotionSample, joined
 from trajopt.solution.solution import Solution
 
@@ -53,5 +54,6 @@ def samples_at(plan: Solution, numbers: np.ndarray, fractions: np.ndarray, motio
         row_multiplier=None,
         row_place=None,
         bound_multiplier=None,
+        **dict.fromkeys(REQUESTS),
         **vars(motion),
     )

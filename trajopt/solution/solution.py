@@ -58,6 +58,9 @@ class Solution:
     row_multiplier, row_place, bound_multiplier: multipliers of the NLP's rows (R,), for each row its block
         (a name in ``row_names`` of meta), stage and point (R, 3), and multipliers of the bounds of variables
         (X,), in the solver's scaled units; a warm start uses them. None where there are none.
+    asked_force, com_goal, foot_goal: (K, nc, 6), (K, 3), (K, nc, 3) what a whole-body controller asked for
+        in a simulation (`trajopt.control.TickRequest`): contact forces as ``f``, and where the centre of mass
+        and contact frames in the air should be, m, NaN where nothing was asked. None where there was none.
 
     Raises `InputError` for an array of another type or number of rows. The full test of consistency,
     `consistency.inconsistency`, runs when a file is written or read.
@@ -81,6 +84,9 @@ class Solution:
     row_multiplier: np.ndarray | None = None
     row_place: np.ndarray | None = None
     bound_multiplier: np.ndarray | None = None
+    asked_force: np.ndarray | None = None
+    com_goal: np.ndarray | None = None
+    foot_goal: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         given = {name: getattr(self, name) for name in (*SAMPLED, *OTHERS)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import meshcat.geometry as shapes
@@ -11,7 +12,7 @@ import pinocchio as pin
 
 from trajopt.view.replay.commands import Animation
 from trajopt.view.replay.motion import ReplayMotion
-from trajopt.view.replay.parts import UPRIGHT, draw_line, draw_showing_through, placed
+from trajopt.view.replay.parts import HIDDEN_OPACITY, UPRIGHT, draw_line, draw_showing_through, placed
 from trajopt.view.replay.robot import tip_frames
 from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.thinning import hold_while_hidden
@@ -25,6 +26,20 @@ WEIGHT_ARROW, LONGEST_ARROW = 0.8, 1.2
 SHAFT_RADIUS, HEAD_RADIUS, HEAD_LENGTH = 0.007, 0.02, 0.055
 # Forces below this fraction of the weight are not drawn.
 LEAST_FORCE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrowLook:
+    """Look of an arrow: for a robot of ``size`` m, with ``scale`` m a unit of its vector.
+
+    broad: its width over that of a force's arrow.
+    """
+
+    size: float
+    scale: float
+    colour: int
+    broad: float = 1.0
+    opacity: float = 1.0
 
 
 def draw_arrows(run: DrawnSolution, tracks: Animation, size: float, weight_arrow: float) -> None:
@@ -46,12 +61,20 @@ def draw_arrows(run: DrawnSolution, tracks: Animation, size: float, weight_arrow
             if not shown.any():
                 continue
             node = run.node[layer][frame.replace("/", "_")]
-            _draw(node, size, run.ink(colour))
-            length = np.linalg.norm(force, axis=1) * weight_arrow
-            tracks.add(node, "position", start[:, contact], shown)
-            tracks.add(node, "quaternion", turns_to(force), shown)
-            tracks.add(node, "visible", shown)
-            _stretch(node, tracks, hold_while_hidden(length, shown), HEAD_LENGTH * size)
+            look = ArrowLook(size=size, scale=weight_arrow, colour=run.ink(colour))
+            draw_arrow(node, tracks, start[:, contact], force, shown, look)
+
+
+def draw_arrow(
+    node: Any, tracks: Animation, start: np.ndarray, vector: np.ndarray, shown: np.ndarray, look: ArrowLook
+) -> None:
+    """Animate an arrow from ``start`` (n, 3), m, along a vector (n, 3) while it is ``shown`` (n,)."""
+    _draw(node, look)
+    length = np.linalg.norm(vector, axis=1) * look.scale
+    tracks.add(node, "position", start, shown)
+    tracks.add(node, "quaternion", turns_to(vector), shown)
+    tracks.add(node, "visible", shown)
+    _stretch(node, tracks, hold_while_hidden(length, shown), HEAD_LENGTH * look.size)
 
 
 def weight_arrow_of(motions: Sequence[ReplayMotion], size: float) -> float:
@@ -71,15 +94,18 @@ def _stretch(node: Any, tracks: Animation, length: np.ndarray, tip: float) -> No
     tracks.add(node["head"], "position", np.column_stack([across, across, neck]))
 
 
-def _draw(node: Any, size: float, colour: int) -> None:
+def _draw(node: Any, look: ArrowLook) -> None:
     """Shaft of length one and head, along z; they shine through the robot."""
-    tip = HEAD_LENGTH * size
+    tip, width = HEAD_LENGTH * look.size, look.broad * look.size
     parts = {
-        "shaft": (shapes.Cylinder(1.0, SHAFT_RADIUS * size), 0.5),
-        "head": (shapes.Cylinder(tip, radiusTop=0.0, radiusBottom=HEAD_RADIUS * size), tip / 2),
+        "shaft": (shapes.Cylinder(1.0, SHAFT_RADIUS * width), 0.5),
+        "head": (shapes.Cylinder(tip, radiusTop=0.0, radiusBottom=HEAD_RADIUS * width), tip / 2),
     }
+    glass: dict[str, Any] = {"opacity": look.opacity, "transparent": True} if look.opacity < 1 else {}
     for name, (shape, height) in parts.items():
-        draw_showing_through(node[name], shape, color=colour)
+        draw_showing_through(
+            node[name], shape, through=HIDDEN_OPACITY * look.opacity, color=look.colour, **glass
+        )
         for part in ("solid", "hidden"):
             node[name][part].set_transform(placed([0.0, 0.0, height], UPRIGHT))
 

@@ -9,6 +9,7 @@ from trajopt.solution.solution import Solution
 from trajopt.view.replay.arrows import FORCE_COLOUR, IMPULSE_COLOUR
 from trajopt.view.replay.cones import COLOURS as CONE_COLOURS
 from trajopt.view.replay.cones import USED
+from trajopt.view.replay.controller import ASKED_COLOUR
 from trajopt.view.replay.motion import FLASH, ReplayMotion
 from trajopt.view.replay.runs import DrawnSolution
 
@@ -90,8 +91,10 @@ def _legend(motions: Sequence[ReplayMotion], weight_arrow: float) -> list[Line]:
     struck = f"impulses: {weight_arrow:.2f} m is {' or '.join(impulses)}"
     ends = [f"#{colour:06x} {100 * used:.0f}%" for used, colour in zip(USED, CONE_COLOURS, strict=True)]
     cones = "cones: share of friction used, 0 to 100 %"
+    asked = "controller: forces it asked for; crosses: its goals"
     return [
         caption_line(forces, "quiet", f"#{FORCE_COLOUR:06x}", "forces"),
+        caption_line(asked, "quiet", f"#{ASKED_COLOUR:06x}", "controller"),
         caption_line(struck, "quiet", f"#{IMPULSE_COLOUR:06x}", "impulses"),
         caption_line(cones, "scale", f"linear-gradient(90deg, {', '.join(ends)})", "cones"),
     ]

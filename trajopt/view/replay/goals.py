@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import meshcat.geometry as shapes
@@ -14,7 +15,13 @@ from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.solution.touched import contact_radii
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
-from trajopt.view.replay.parts import bullseye, draw_showing_through, draw_unshadowed, placed
+from trajopt.view.replay.parts import (
+    HIDDEN_OPACITY,
+    bullseye,
+    draw_showing_through,
+    draw_unshadowed,
+    placed,
+)
 from trajopt.view.replay.robot import tip_frames
 from trajopt.view.replay.runs import DrawnSolution
 
@@ -106,12 +113,28 @@ def _draw(node: Any, kind: str, placement: np.ndarray, drop: float, size: float)
         node.set_transform(lifted)
         return
     node.set_transform(placement)
-    length = (AXIS if kind == "pose" else 2 * CROSS) * size
+    if kind == "pose":
+        _draw_arms(node, AXIS * size, RADIUS * size, AXIS_COLOURS, 0.5, HIDDEN_OPACITY)
+        draw_showing_through(node["centre"], shapes.Sphere(2 * RADIUS * size), color=CROSS_COLOUR)
+    else:
+        draw_cross(node, CROSS * size, RADIUS * size, CROSS_COLOUR)
+
+
+def draw_cross(node: Any, half: float, radius: float, colour: int, through: float = HIDDEN_OPACITY) -> None:
+    """Draw three bars across each other, ``half`` m to each side, with a ball in the middle.
+
+    through: opacity where it is covered.
+    """
+    _draw_arms(node, 2 * half, radius, (colour,) * 3, 0.0, through)
+    draw_showing_through(node["centre"], shapes.Sphere(2 * radius), through=through, color=colour)
+
+
+def _draw_arms(
+    node: Any, length: float, radius: float, colours: Sequence[int], middle: float, through: float
+) -> None:
+    """Bars along x, y and z; ``middle``: of a bar along its axis, over its length."""
     for axis in range(3):
         arm = node["xyz"[axis]]
-        colour = AXIS_COLOURS[axis] if kind == "pose" else CROSS_COLOUR
-        draw_showing_through(arm, shapes.Cylinder(length, RADIUS * size), color=colour)
+        draw_showing_through(arm, shapes.Cylinder(length, radius), through=through, color=colours[axis])
         turn = pin.Quaternion.FromTwoVectors(np.eye(3)[1], np.eye(3)[axis]).toRotationMatrix()
-        middle = length / 2 * np.eye(3)[axis] if kind == "pose" else np.zeros(3)
-        arm.set_transform(placed(middle, turn))
-    draw_showing_through(node["centre"], shapes.Sphere(2 * RADIUS * size), color=CROSS_COLOUR)
+        arm.set_transform(placed(middle * length * np.eye(3)[axis], turn))

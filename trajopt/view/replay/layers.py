@@ -11,6 +11,7 @@ from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.view.replay.arrows import FORCE_COLOUR, IMPULSE_COLOUR
 from trajopt.view.replay.balance_marks import SUPPORT_COLOUR, ZMP_COLOUR
 from trajopt.view.replay.bodies import OBSTACLE_COLOUR, PAYLOAD_COLOUR
+from trajopt.view.replay.controller import ASKED_COLOUR
 from trajopt.view.replay.copies import GHOST_COLOUR
 from trajopt.view.replay.goals import CROSS_COLOUR
 from trajopt.view.replay.ground import GROUND_COLOUR
@@ -27,6 +28,7 @@ LAYERS = (
     ("robot", "robot", 0x8A93A0, "robot"),
     ("shapes", "collision shapes", SHAPE_COLOUR, SHAPES),
     ("forces", "contact forces", FORCE_COLOUR, "forces"),
+    ("controller", "controller: forces and goals", ASKED_COLOUR, "controller"),
     ("impulses", "impulses", IMPULSE_COLOUR, "impulses"),
     ("cones", "friction cones", 0x3C93C2, "cones"),
     ("com", "centre of mass", 0x1A1F26, "com"),

@@ -125,7 +125,7 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
     mass = mass_of(solution.model)
     weight = mass * gravity_of(solution.model) if mass > 0 else 1.0
     feet = contacts[:, :, :3, 3]
-    soles = ~held_samples(solution)[last] & is_sole(solution)  # unilateral contacts only
+    soles = pressing_soles(solution)[last]
     impact = _impacts(solution, t)
     return ReplayMotion(
         t=t,
@@ -135,13 +135,13 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
         joints=joints,
         contacts=contacts,
         touched=surfaces.ground,
-        pressed=feet + _pressure_offsets(contacts, wrench, soles, weight),
+        pressed=feet + pressure_offsets(contacts, wrench, soles, weight),
         wrench=wrench,
         active=solution.active[last],
         last=last,
         part=part,
         impact=impact[:, :, :3],
-        struck=feet + _pressure_offsets(contacts, impact, soles, weight),
+        struck=feet + pressure_offsets(contacts, impact, soles, weight),
         phase=solution.phase[last],
         weight=weight,
     )
@@ -182,7 +182,12 @@ def _impacts(solution: Solution, t: np.ndarray) -> np.ndarray:
     return impact
 
 
-def _pressure_offsets(
+def pressing_soles(solution: Solution) -> np.ndarray:
+    """Which contacts are soles that press, unilaterally (K, nc)."""
+    return np.asarray(~held_samples(solution) & is_sole(solution))
+
+
+def pressure_offsets(
     contacts: np.ndarray, wrench: np.ndarray, soles: np.ndarray, weight: float
 ) -> np.ndarray:
     """From each contact frame to its centre of pressure (n, nc, 3); zero for all but ``soles`` (n, nc)."""

@@ -19,6 +19,7 @@ from trajopt.view.replay.bodies import draw_obstacles, draw_payloads
 from trajopt.view.replay.caption import caption_lines, title
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
 from trajopt.view.replay.cones import draw_cones
+from trajopt.view.replay.controller import draw_controller
 from trajopt.view.replay.copies import PREFIX, draw_ghosts, ghost_frames, tint
 from trajopt.view.replay.goals import draw_goals
 from trajopt.view.replay.ground import DrawnGround, draw_grounds, grounds_of
@@ -123,7 +124,9 @@ def _draw_run(
     draw_shapes(run, tracks)
     draw_arrows(run, tracks, size, weight_arrow)
     draw_cones(run, tracks, motion.touched, size)
-    draw_balance(run, tracks, balance_of(solution, motion, motion.touched), ground.drop, size)
+    balance = balance_of(solution, motion, motion.touched)
+    draw_balance(run, tracks, balance, ground.drop, size)
+    draw_controller(run, tracks, balance.com, size, weight_arrow)
     draw_trails(run)
     return np.asarray(np.concatenate(places) + run.shift)
 
