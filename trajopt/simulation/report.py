@@ -57,7 +57,7 @@ class TickReport:
     def __str__(self) -> str:
         found = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
         times = f"{1e3 * self.time_mean:.2f} ms in the mean, {1e3 * self.time_99:.2f} ms at 99 %"
-        relaxed = f"relaxed: {', '.join(found) or RELAXED[0]}, slack {self.slack:.2g}"
+        relaxed = f"relaxed: {', '.join(found) or RELAXED[0]}, slack {self.slack:.2g} in natural units"
         return f"{self.ticks}, {times}; {relaxed}"
 
 
