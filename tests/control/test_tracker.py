@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from tests.support.problems import hop
 from tests.support.synthetic_motions import sampled, tumbling_flight
 from trajopt import Solution
 from trajopt.certify.contact.contact_dynamics import forward_dynamics
@@ -118,6 +119,16 @@ def test_solvers_and_gains_are_chosen_by_a_word(rising: Solution) -> None:
     torque = tracker.torque(0.0, rising.q[0], np.zeros(rising.model.nv), np.ones(4, dtype=bool))
     assert np.isfinite(torque).all()
     assert RELAXED[int(np.argmax(tracker.counts.relaxed))] == "nothing"
+
+
+def test_a_model_without_frames_of_joints_is_tracked() -> None:
+    plan = trajopt.solve(hop())
+    assert plan.success
+    tracker = Tracker(plan, rate=RATE)
+    torque = tracker.torque(0.0, plan.q[0], plan.v[0], np.array([True]))
+    assert tracker.last is not None
+    assert RELAXED[tracker.last.relaxed] == "nothing"
+    assert np.isfinite(torque).all()
 
 
 def test_bad_input_is_one_line(rising: Solution, tmp_path: Path) -> None:

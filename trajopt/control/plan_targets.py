@@ -45,13 +45,25 @@ def base_frame(model: pin.Model) -> int:
     return int(model.getFrameId(name, pin.FrameType.JOINT))
 
 
+def tracking_model(plan: Solution, phase: int) -> pin.Model:
+    """The plan's model with everything that is carried in a phase, and a frame of a moving base's joint.
+
+    Models that are no description's may lack that frame.
+    """
+    model, kind = carrying_model(plan, phase), base_of(plan.model)
+    if kind != "fixed" and base_frame(model) >= model.nframes:
+        model = pin.Model(model)
+        model.addJointFrame(BASE_JOINT[kind])
+    return model
+
+
 def plan_targets(plan: Solution, reference: ReferenceTrajectory) -> PlanTargets:
     """Targets of a reference by forward kinematics."""
-    models = [carrying_model(plan, phase) for phase in range(len(plan.phases))]
+    models = [tracking_model(plan, phase) for phase in range(len(plan.phases))]
     frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
     n, nc, axes = len(reference.t), len(frames), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     moving = base_of(plan.model) != "fixed"
-    base = base_frame(plan.model) if moving else 0
+    base = base_frame(models[0]) if moving else 0
     com, momentum = np.zeros((n, 3, 3)), np.zeros((n, 3))
     position, rotation = np.zeros((n, nc, 3)), np.zeros((n, nc, 3, 3))
     velocity, acceleration = np.zeros((n, nc, 6)), np.zeros((n, nc, 6))

@@ -11,12 +11,11 @@ import pinocchio as pin
 
 from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.certify.accuracy.natural_units import NaturalUnits, turning_rows
-from trajopt.certify.payloads import carrying_model
 from trajopt.control.contact_forces import ActiveContact, cross
 from trajopt.control.footholds import FootholdOffsets, capture_error
 from trajopt.control.inverse_dynamics import RELAXED, InverseDynamics, TickLimits, TickResult
 from trajopt.control.limits import JointRange, limits_with_drives, torque_limits
-from trajopt.control.plan_targets import PlanTargets, base_frame, plan_targets
+from trajopt.control.plan_targets import PlanTargets, base_frame, plan_targets, tracking_model
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.control.robot_state import RobotState
@@ -161,7 +160,7 @@ class Tracker:
         self._sizes = plan.meta.get("contact_sizes") or [None] * len(self._frames)
         self._touched_at = np.full(len(self._frames), -np.inf)
         self._moving = base_of(plan.model) != "fixed"
-        self._base = base_frame(plan.model) if self._moving else 0
+        self._base = base_frame(tracking_model(plan, 0)) if self._moving else 0
         turning = turning_rows(plan.model)
         gravity, length = self.units.gravity, self.units.length
         self._acceleration = np.where(turning, gravity / length, gravity)
@@ -231,7 +230,7 @@ class Tracker:
     def _program(self, phase: int) -> InverseDynamics:
         if phase not in self._programs:
             self._programs[phase] = InverseDynamics(
-                state=RobotState(carrying_model(self.plan, phase)),
+                state=RobotState(tracking_model(self.plan, phase)),
                 n_unactuated=self.plan.n_unactuated,
                 acceleration_unit=self._acceleration,
                 force_units=(self.units.weight, self.units.weight * self.units.length),
