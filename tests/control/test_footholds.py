@@ -49,6 +49,25 @@ def test_axes_without_extent_are_across_the_feet(places: list[list[float]], thin
     assert found.rate == pytest.approx(np.sqrt(GRAVITY / HEIGHT))
 
 
+def test_only_gravity_turns_a_robot_about_the_line_of_feet_of_different_heights() -> None:
+    """About it dL = m g (c - p) u, and the forces of the feet have no lever."""
+    random = np.random.default_rng(0)
+    places = np.array([[0.2, 0.1, 0.05], [-0.2, -0.1, -0.03]])
+    centre, weight = random.normal(size=3), 20.0
+    found = support_of(places, places, thin_axes(places, LEAST), centre, GRAVITY, LEAST * LENGTH)
+    assert found.lines.shape == (1, 3)
+    assert np.hypot(*found.lines[0, :2]) == pytest.approx(1.0)
+    middle, forces = places.mean(axis=0), random.normal(size=(2, 3))
+    assert np.cross(places - middle, forces).sum(axis=0) @ found.lines[0] == pytest.approx(0.0, abs=1e-12)
+    gravity = np.cross(centre - middle, [0.0, 0.0, -weight]) @ found.lines[0]
+    assert gravity == pytest.approx(weight * float((centre - middle) @ found.axes[0]))
+
+
+def test_lines_of_a_point_are_level() -> None:
+    found = support([[0.1, 0.2]])
+    assert_allclose(found.lines, np.cross([0.0, 0.0, 1.0], found.axes), atol=1e-12)
+
+
 def test_the_capture_point_at_touchdown_is_that_of_the_pendulum() -> None:
     """What it is predicted to be is what an integrated pendulum has, over a line that is 2 cm off."""
     line, left = support([[0.2, 0.0], [-0.2, 0.0]], moved=0.02), 0.15

@@ -31,6 +31,20 @@ class Support:
     rate: float
 
     @property
+    def lines(self) -> np.ndarray:
+        """Directions (r, 3) without a lever: forces of the feet do not turn the robot about them.
+
+        One for each of ``axes``, a quarter turn to the left of it, of unit length seen from above. The line
+        of feet of different heights slopes: about a level one they would have a lever.
+        """
+        found = self.axes @ TURNED.T
+        if len(found) == 1:
+            apart = self.places - self.places.mean(axis=0)
+            along = apart @ found[0]
+            found[0, 2] = (along @ apart[:, 2]) / (along @ along)
+        return found
+
+    @property
     def offset(self) -> np.ndarray:
         """How far (3,) the feet are off the plan, m, level."""
         return np.asarray((self.places - self.planned).mean(axis=0) * LEVEL)

@@ -20,7 +20,7 @@ from trajopt.control.plan_targets import PlanTargets, base_frame, plan_targets
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.control.robot_state import RobotState
-from trajopt.control.support import TURNED, Support, support_of, thin_axes
+from trajopt.control.support import Support, support_of, thin_axes
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
@@ -282,7 +282,7 @@ class Tracker:
         rotation, fixed = units.gravity / units.length, not self._moving
         rows = np.arange(first, self.plan.model.nv)
         support = None if flying or fixed else self._support(k, active | planned, state)
-        tilting = support.axes if support and self._balances[k] else np.zeros((0, 3))
+        tilting = support.lines if support and self._balances[k] else np.zeros((0, 3))
         # Feet of gaits swing beside the planned posture also while nothing stands.
         weight = gains.flight_joint_weight if flying and not self._walks else gains.joint_weight
         weight = gains.balance_joint_weight if len(tilting) else weight
@@ -318,7 +318,7 @@ class Tracker:
                     velocity=self.targets.base_velocity[k],
                     acceleration=self.targets.base_acceleration[k],
                     bandwidth=gains.body / units.time,
-                    selection=np.hstack([np.zeros((3, 3)), _without(tilting @ TURNED.T)]),
+                    selection=np.hstack([np.zeros((3, 3)), _without(tilting)]),
                     units=(units.gravity, rotation),
                 )
             )
@@ -363,10 +363,10 @@ class Tracker:
     def _balance(self, k: int, support: Support, state: RobotState) -> CenterOfMassTask:
         """The centre of mass follows the plan, as far as its support lets it.
 
-        In directions in which that has no extent, and which last, so does the angular momentum. About a
-        support p without extent along u only gravity changes the angular momentum L about the level axis
-        z x u: dL = m g (c - p) u. A triple pole of that chain of integrators (Azad and Featherstone, IEEE
-        Trans. Robotics 32, 2016) gives with e for errors and w the bandwidth
+        In directions in which that has no extent, and which last, so does the angular momentum. Of a
+        support p without extent along u only gravity changes the angular momentum L about its line, whose
+        level part is z x u: dL = m g (c - p) u. A triple pole of that chain of integrators (Azad and
+        Featherstone, IEEE Trans. Robotics 32, 2016) gives with e for errors and w the bandwidth
             dd c = dd c_d - 3 w de - 3 w^2 e - w^3 e_L / (m g)
         Where they do not last it falls as the pendulum does, until the next feet stand.
         """
@@ -382,9 +382,9 @@ class Tracker:
             here, planned = support.places.mean(axis=0), support.planned.mean(axis=0)
             own = state.angular_momentum()[0] + mass * cross(position - here, velocity)
             asked = targets.momentum[k] + mass * cross(wanted - planned, rate)
-            turned = (own - asked) @ TURNED / units.weight
-            poles = 3 * tilt * change + 3 * tilt**2 * (error - support.offset) + tilt**3 * turned
-            feedback -= across @ (poles + feedback)
+            turned = support.axes.T @ (support.lines @ (own - asked)) / units.weight
+            poles = 3 * tilt * change + 3 * tilt**2 * (error - support.offset)
+            feedback -= across @ (poles + feedback) + tilt**3 * turned
         elif len(support.axes):
             feedback += across @ (support.falling(error) - feedback)
             feedback = support.reachable(position, acceleration + feedback) - acceleration
@@ -465,5 +465,6 @@ def _require_robot(plan: Solution, robot: Robot) -> None:
 
 
 def _without(axes: np.ndarray) -> np.ndarray:
-    """Rows (3, 3) of rotations without those about some unit axes (r, 3), but for a small part."""
+    """Rows (3, 3) of rotations without those about some orthogonal axes (r, 3), but for a small part."""
+    axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
     return np.asarray(np.eye(3) - (1.0 - TILT_PART) * axes.T @ axes)
