@@ -18,7 +18,7 @@ from trajopt.control.inverse_dynamics import RELAXED, InverseDynamics, TickLimit
 from trajopt.control.limits import JointRange, limits_with_drives, torque_limits
 from trajopt.control.plan_targets import PlanTargets, base_frame, plan_targets
 from trajopt.control.quadratic_programs import QpSolverName
-from trajopt.control.reference import ReferenceTrajectory, reference_of
+from trajopt.control.reference import ReferenceTrajectory, moving_rows, reference_of
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import Support, support_of, thin_axes
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
@@ -69,6 +69,7 @@ class TrackerGains:
         base_weight: of the base's orientation, likewise.
         foot_weight: of swinging feet.
         joint_weight: of joints while contacts stand.
+        leg_weight: likewise of joints that a foot's pose determines.
         force_weight: of contact forces.
         flight_joint_weight: of joints while no contact stands, in plans that are not periodic.
         balance: bandwidth on a line or a point.
@@ -85,6 +86,7 @@ class TrackerGains:
     base_weight: NonNegative = 1.0
     foot_weight: NonNegative = 1.0
     joint_weight: NonNegative = 1e-2
+    leg_weight: NonNegative = 1e-4
     force_weight: NonNegative = 1e-3
     flight_joint_weight: Positive = 1.0
     balance: NonNegative = 10.0
@@ -164,6 +166,7 @@ class Tracker:
         )
         self._walks = bool(plan.meta.get("periodicity"))
         self._stands = self.reference.active.any(axis=0)
+        self._legs = self._determined_joints()
         self._wide = np.array([self._is_wide(k) for k in range(len(self.reference.t))])
         self._balances = self._balanced_ticks()
         # Feet may land beside their footholds where the ground has no edges.
@@ -283,18 +286,14 @@ class Tracker:
         rows = np.arange(first, self.plan.model.nv)
         support = None if flying or fixed else self._support(k, active | planned, state)
         tilting = support.lines if support and self._balances[k] else np.zeros((0, 3))
-        # Feet of gaits swing beside the planned posture also while nothing stands.
-        weight = gains.flight_joint_weight if flying and not self._walks else gains.joint_weight
-        weight = gains.balance_joint_weight if len(tilting) else weight
         tasks: list[Task] = [
             PostureTask(
-                weight=1.0 if fixed else weight,
                 q=reference.q[k],
                 v=reference.v[k],
                 a=reference.a[k],
                 bandwidth=gains.joint / units.time,
                 rows_of_v=rows,
-                weights=np.ones(len(rows)),
+                weights=self._joint_weights(flying, balances=bool(len(tilting))),
                 unit=self._acceleration[rows],
             )
         ]
@@ -325,6 +324,21 @@ class Tracker:
         tasks += [self._swing(int(i), k, support, state) for i in np.flatnonzero(self._stands & ~active)]
         return tasks
 
+    def _joint_weights(self, flying: bool, balances: bool) -> np.ndarray:
+        """Weights (nu,) of the planned posture.
+
+        Joints that a foot's pose determines would only hold the foot back: where the base is off the plan,
+        posture and foot are at odds.
+        """
+        gains, legs = self.gains, self._legs
+        if not self._moving:
+            return np.ones(len(legs))
+        if balances:
+            return np.full(len(legs), gains.balance_joint_weight)
+        if flying and not self._walks:
+            return np.full(len(legs), gains.flight_joint_weight)
+        return np.where(legs, gains.leg_weight, gains.joint_weight)
+
     def _support(self, k: int, standing: np.ndarray, state: RobotState) -> Support:
         """What the robot stands on; narrow only where the plan is too, not where a foot is late."""
         picked = np.flatnonzero(standing)
@@ -337,6 +351,16 @@ class Tracker:
             self.units.gravity,
             LOWEST * self.units.length,
         )
+
+    def _determined_joints(self) -> np.ndarray:
+        """Joints (nu,) of the legs that have as many as the pose of their foot has components."""
+        first = self.plan.n_unactuated
+        found = np.zeros(self.plan.model.nv - first, dtype=bool)
+        for i in np.flatnonzero(self._stands):
+            rows = sorted(moving_rows(self.plan.model, self.plan.contact_frames[i]))
+            own = [row - first for row in rows if row >= first]
+            found[own] |= len(own) <= (6 if self.plan.meta["contact_kinds"][i] == "surface" else 3)
+        return found
 
     def _balanced_ticks(self) -> np.ndarray:
         """Ticks (n,) of stances on one line or point that last: shorter ones follow the plan as it is."""
