@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from trajopt.control.footholds import LONGEST, FootholdOffsets, capture_error
-from trajopt.control.support import Support, support_of, thin_axes
+from trajopt.control.support import Support, next_narrow, support_of, thin_axes
 
 GRAVITY, HEIGHT, LENGTH = 9.81, 0.32, 0.5
 TIME = float(np.sqrt(LENGTH / GRAVITY))
@@ -66,6 +66,13 @@ def test_only_gravity_turns_a_robot_about_the_line_of_feet_of_different_heights(
 def test_lines_of_a_point_are_level() -> None:
     found = support([[0.1, 0.2]])
     assert_allclose(found.lines, np.cross([0.0, 0.0, 1.0], found.axes), atol=1e-12)
+
+
+def test_a_narrow_stance_is_known_ahead_while_its_feet_stand_wide() -> None:
+    four, left, none = [True] * 4, [True, False, True, False], [False] * 4
+    active = np.array([four, four, left, none, left, four])
+    wide = np.array([True, True, False, True, False, True])
+    assert_allclose(next_narrow(active, wide), np.array([left, left, none, none, none, none]))
 
 
 def test_the_capture_point_at_touchdown_is_that_of_the_pendulum() -> None:

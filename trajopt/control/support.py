@@ -81,3 +81,18 @@ def thin_axes(places: np.ndarray, least: float) -> np.ndarray:
     _, extent, axes = np.linalg.svd(np.vstack([spread, np.zeros((2, 2))]))
     thin = axes[extent < least]
     return np.hstack([thin, np.zeros((len(thin), 1))])
+
+
+def next_narrow(active: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    """Contacts (n, nc) of the narrow stance that follows a wide one in which they stand already.
+
+    Args:
+        active: which contacts stand (n, nc).
+        wide: whether they hold the body in all directions (n,).
+    """
+    found = np.zeros_like(active)
+    for k in range(len(active) - 2, -1, -1):
+        same = bool((active[k] == active[k + 1]).all())
+        after = found[k + 1] if same else active[k + 1] & ~wide[k + 1]
+        found[k] = after & bool(wide[k] and (active[k] >= after).all())
+    return found

@@ -20,7 +20,7 @@ from trajopt.control.plan_targets import PlanTargets, base_frame, plan_targets
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.reference import ReferenceTrajectory, moving_rows, reference_of
 from trajopt.control.robot_state import RobotState
-from trajopt.control.support import Support, support_of, thin_axes
+from trajopt.control.support import Support, next_narrow, support_of, thin_axes
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
@@ -169,6 +169,9 @@ class Tracker:
         self._legs = self._determined_joints()
         self._wide = np.array([self._is_wide(k) for k in range(len(self.reference.t))])
         self._balances = self._balanced_ticks()
+        # In gaits feet land where they catch the centre of mass instead.
+        ahead = next_narrow(self.reference.active, self._wide)
+        self._next_narrow = ahead & (not self._walks)
         # Feet may land beside their footholds where the ground has no edges.
         smooth = not plan.meta.get("surfaces") and isinstance(terrain_of(plan.meta["terrain"]), Surface)
         level = np.abs(self.targets.surfaces.normal - UP).max(axis=2) < LEVEL
@@ -392,13 +395,17 @@ class Tracker:
         level part is z x u: dL = m g (c - p) u. A triple pole of that chain of integrators (Azad and
         Featherstone, IEEE Trans. Robotics 32, 2016) gives with e for errors and w the bandwidth
             dd c = dd c_d - 3 w de - 3 w^2 e - w^3 e_L / (m g)
-        Where they do not last it falls as the pendulum does, until the next feet stand.
+        Where they do not last it falls as the pendulum does, until the next feet stand. Before that, while the
+        robot still stands wide, it follows the feet that will hold it: from where they are off the plan it
+        would be thrown off.
         """
         gains, units, targets = self.gains, self.units, self.targets
         w, tilt = gains.body / units.time, gains.balance / units.time
         position, velocity, _, _ = state.centre_of_mass()
         wanted, rate, acceleration = targets.com[k]
         error, change = position - wanted, velocity - rate
+        if self._next_narrow[k].any():
+            error -= self._support(k, self._next_narrow[k], state).offset
         feedback = -2 * w * change - w**2 * error
         across = support.axes.T @ support.axes
         if len(support.axes) and self._balances[k]:
