@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from trajopt.control.footholds import LONGEST, FootholdOffsets, capture_error
-from trajopt.control.support import Support, support_of, thin_axes
+from trajopt.control.support import Support, next_narrow, support_of, thin_axes
 
 GRAVITY, HEIGHT, LENGTH = 9.81, 0.32, 0.5
 TIME = float(np.sqrt(LENGTH / GRAVITY))
@@ -47,6 +47,32 @@ def test_axes_without_extent_are_across_the_feet(places: list[list[float]], thin
         along = found.places[1] - found.places[0]
         assert abs(float(found.axes[0] @ along)) < LEAST
     assert found.rate == pytest.approx(np.sqrt(GRAVITY / HEIGHT))
+
+
+def test_only_gravity_turns_a_robot_about_the_line_of_feet_of_different_heights() -> None:
+    """About it dL = m g (c - p) u, and the forces of the feet have no lever."""
+    random = np.random.default_rng(0)
+    places = np.array([[0.2, 0.1, 0.05], [-0.2, -0.1, -0.03]])
+    centre, weight = random.normal(size=3), 20.0
+    found = support_of(places, places, thin_axes(places, LEAST), centre, GRAVITY, LEAST * LENGTH)
+    assert found.lines.shape == (1, 3)
+    assert np.hypot(*found.lines[0, :2]) == pytest.approx(1.0)
+    middle, forces = places.mean(axis=0), random.normal(size=(2, 3))
+    assert np.cross(places - middle, forces).sum(axis=0) @ found.lines[0] == pytest.approx(0.0, abs=1e-12)
+    gravity = np.cross(centre - middle, [0.0, 0.0, -weight]) @ found.lines[0]
+    assert gravity == pytest.approx(weight * float((centre - middle) @ found.axes[0]))
+
+
+def test_lines_of_a_point_are_level() -> None:
+    found = support([[0.1, 0.2]])
+    assert_allclose(found.lines, np.cross([0.0, 0.0, 1.0], found.axes), atol=1e-12)
+
+
+def test_a_narrow_stance_is_known_ahead_while_its_feet_stand_wide() -> None:
+    four, left, none = [True] * 4, [True, False, True, False], [False] * 4
+    active = np.array([four, four, left, none, left, four])
+    wide = np.array([True, True, False, True, False, True])
+    assert_allclose(next_narrow(active, wide), np.array([left, left, none, none, none, none]))
 
 
 def test_the_capture_point_at_touchdown_is_that_of_the_pendulum() -> None:

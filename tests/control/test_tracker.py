@@ -17,6 +17,7 @@ from trajopt.certify.contact.contact_dynamics import forward_dynamics
 from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.control import Tracker, TrackerGains
 from trajopt.control.inverse_dynamics import RELAXED
+from trajopt.control.reference import reference_of
 from trajopt.errors import InputError
 from trajopt_library import robots
 
@@ -44,6 +45,20 @@ def integrated(tracker: Tracker, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarr
             q = pin.integrate(model, q, step * v)
     states.append((q, v))
     return np.array([own for own, _ in states]), np.array([own for _, own in states])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("rate", [400.0, 430.0, 470.0])
+def test_accelerations_of_periods_in_which_a_contact_lifts_give_their_change_of_velocity(rate: float) -> None:
+    """Else a part of a period's contact force is given or lost; to second order in the period."""
+    plan = trajopt.solve(trajopt.load("hopper-hop"))
+    found = reference_of(plan, rate)
+    lifts = np.flatnonzero(found.active[:-1].any(axis=1) & ~found.active[1:].any(axis=1))
+    assert len(lifts)
+    for k in lifts:
+        change = found.v[k + 1] - found.v[k]
+        jump = np.abs(found.a[k + 1] - found.a[k - 1]).max() * found.period
+        assert_allclose(found.a[k] * found.period, change, atol=0.05 * jump)
 
 
 @pytest.fixture(scope="module")

@@ -58,6 +58,33 @@ def test_a_hopper_lands_and_balances_on_one_point() -> None:
 
 
 @pytest.mark.slow
+def test_a_biped_with_point_feet_steps_up_over_a_line_of_two_heights() -> None:
+    plan = trajopt.solve(trajopt.load("biped-step-up", robot="bolt"))
+    report = simulate(plan, controller="whole-body").report
+    assert report.passed, report.failures
+    assert not simulate(plan).report.passed
+
+
+@pytest.mark.slow
+def test_a_barrel_roll_lands_on_two_feet_of_a_line_and_tips_onto_the_others() -> None:
+    plan = trajopt.solve(trajopt.load("quadruped-barrel-roll", robot="a1"))
+    report = simulate(plan, controller="whole-body").report
+    assert report.passed, report.failures
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("problem", "robot"), [("quadruped-bound", "solo12"), ("quadruped-gallop", "anymal_c")]
+)
+def test_ten_cycles_of_gaits_with_flights_end_within_20_mm(problem: str, robot: str) -> None:
+    plan = trajopt.solve(trajopt.load(problem, robot=robot))
+    report = simulate(plan, cycles=10, controller="whole-body").report
+    assert not report.fell
+    assert report.base_error_end is not None
+    assert report.base_error_end < 0.02
+
+
+@pytest.mark.slow
 def test_other_masses_and_friction_are_tracked_too(trot: Solution) -> None:
     for settings in ({"mass_scale": 1.2}, {"mass_scale": 0.8}, {"friction_scale": 0.7}, {"noise": 0.01}):
         report = simulate(trot, cycles=3, controller="whole-body", **settings).report

@@ -29,7 +29,8 @@ class ReferenceTrajectory:
     """A plan at the starts of n periods of the controller.
 
     t: (n,) s. period: s. q, v: (n, nq), (n, nv), Pinocchio's. torque: (n, nu) that the drives deliver, and a:
-    (n, nv), both in the middle of each period. f: (n, nc, 6) of the surroundings. active: (n, nc).
+    (n, nv), both in the middle of each period; where a phase ends within it, a is its mean. f: (n, nc, 6) of
+    the surroundings. active: (n, nc).
     phase: (n,) index into ``phase_names``; source: (n,) phase of the file. held: periods after the plan.
     end: (nq,) where the plan ends.
     """
@@ -86,7 +87,7 @@ def _once(plan: Solution, rate: float) -> ReferenceTrajectory:
         period=period,
         q=motion.q,
         v=motion.v,
-        a=middle.a,
+        a=_mean_acceleration(plan, t, period, middle.a),
         torque=middle.drive_torque,
         f=motion.f,
         active=motion.active,
@@ -96,6 +97,22 @@ def _once(plan: Solution, rate: float) -> ReferenceTrajectory:
         held=0,
         end=plan.q[-1].copy(),
     )
+
+
+def _mean_acceleration(plan: Solution, t: np.ndarray, period: float, middle: np.ndarray) -> np.ndarray:
+    """Accelerations (n, nv) of periods from their middles; means where a phase ends and forces jump.
+
+    A contact that lifts within a period, and may carry three times the weight, would otherwise give or lose
+    up to half a period of its force.
+    """
+    found = middle.copy()
+    ends = np.array([plan.t[rows.start] for rows in plan.phases[1:]])
+    for k in {int(np.searchsorted(t, end, side="right")) - 1 for end in ends}:
+        last = t[k] + period
+        cuts = np.array([t[k], *ends[(ends > t[k]) & (ends < last)], last])
+        parts = np.diff(cuts)
+        found[k] = parts @ plan.sample(times=cuts[:-1] + parts / 2).a / period
+    return found
 
 
 def _repeated(

@@ -32,6 +32,20 @@ class Support:
     rate: float
 
     @property
+    def lines(self) -> np.ndarray:
+        """Directions (r, 3) without a lever: forces of the feet do not turn the robot about them.
+
+        One for each of ``axes``, a quarter turn to the left of it, of unit length seen from above. The line
+        of feet of different heights slopes: about a level one they would have a lever.
+        """
+        found = self.axes @ TURNED.T
+        if len(found) == 1:
+            apart = self.places - self.places.mean(axis=0)
+            along = apart @ found[0]
+            found[0, 2] = (along @ apart[:, 2]) / (along @ along)
+        return found
+
+    @property
     def offset(self) -> np.ndarray:
         """How far (3,) the feet are off the plan, m, level."""
         return np.asarray((self.places - self.planned).mean(axis=0) * LEVEL)
@@ -73,3 +87,18 @@ def thin_axes(places: np.ndarray, least: float) -> np.ndarray:
     cosine, sine = math.cos(turn), math.sin(turn)
     axes = [((cosine, sine, 0.0), long), ((-sine, cosine, 0.0), short)]
     return np.array([axis for axis, extent in axes if extent < least]).reshape(-1, 3)
+
+
+def next_narrow(active: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    """Contacts (n, nc) of the narrow stance that follows a wide one in which they stand already.
+
+    Args:
+        active: which contacts stand (n, nc).
+        wide: whether they hold the body in all directions (n,).
+    """
+    found = np.zeros_like(active)
+    for k in range(len(active) - 2, -1, -1):
+        same = bool((active[k] == active[k + 1]).all())
+        after = found[k + 1] if same else active[k + 1] & ~wide[k + 1]
+        found[k] = after & bool(wide[k] and (active[k] >= after).all())
+    return found

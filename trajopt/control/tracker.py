@@ -17,9 +17,9 @@ from trajopt.control.inverse_dynamics import RELAXED, InverseDynamics, TickLimit
 from trajopt.control.limits import JointRange, limits_with_drives, torque_limits
 from trajopt.control.plan_targets import PlanTargets, base_frame, plan_targets, tracking_model
 from trajopt.control.quadratic_programs import QpSolverName
-from trajopt.control.reference import ReferenceTrajectory, reference_of
+from trajopt.control.reference import ReferenceTrajectory, moving_rows, reference_of
 from trajopt.control.robot_state import RobotState
-from trajopt.control.support import TURNED, Support, support_of, thin_axes
+from trajopt.control.support import Support, next_narrow, support_of, thin_axes
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
 from trajopt.control.tick_request import TickRequest
 from trajopt.dynamics.base_joint import base_of
@@ -69,6 +69,7 @@ class TrackerGains:
         base_weight: of the base's orientation, likewise.
         foot_weight: of swinging feet.
         joint_weight: of joints while contacts stand.
+        leg_weight: likewise of joints that a foot's pose determines.
         force_weight: of contact forces.
         flight_joint_weight: of joints while no contact stands, in plans that are not periodic.
         balance: bandwidth on a line or a point.
@@ -85,6 +86,7 @@ class TrackerGains:
     base_weight: NonNegative = 1.0
     foot_weight: NonNegative = 1.0
     joint_weight: NonNegative = 1e-2
+    leg_weight: NonNegative = 1e-4
     force_weight: NonNegative = 1e-3
     flight_joint_weight: Positive = 1.0
     balance: NonNegative = 10.0
@@ -170,8 +172,12 @@ class Tracker:
         )
         self._walks = bool(plan.meta.get("periodicity"))
         self._stands = self.reference.active.any(axis=0)
+        self._legs = self._determined_joints()
         self._wide = np.array([self._is_wide(k) for k in range(len(self.reference.t))])
         self._balances = self._balanced_ticks()
+        # In gaits feet land where they catch the centre of mass instead.
+        ahead = next_narrow(self.reference.active, self._wide)
+        self._next_narrow = ahead & (not self._walks)
         # Feet may land beside their footholds where the ground has no edges.
         smooth = not plan.meta.get("surfaces") and isinstance(terrain_of(plan.meta["terrain"]), Surface)
         level = np.abs(self.targets.surfaces.normal - UP).max(axis=2) < LEVEL
@@ -292,19 +298,15 @@ class Tracker:
         rotation, fixed = units.gravity / units.length, not self._moving
         rows = np.arange(first, self.plan.model.nv)
         support = None if flying or fixed else self._support(k, active | planned, state)
-        tilting = support.axes if support and self._balances[k] else np.zeros((0, 3))
-        # Feet of gaits swing beside the planned posture also while nothing stands.
-        weight = gains.flight_joint_weight if flying and not self._walks else gains.joint_weight
-        weight = gains.balance_joint_weight if len(tilting) else weight
+        tilting = support.lines if support and self._balances[k] else np.zeros((0, 3))
         tasks: list[Task] = [
             PostureTask(
-                weight=1.0 if fixed else weight,
                 q=reference.q[k],
                 v=reference.v[k],
                 a=reference.a[k],
                 bandwidth=gains.joint / units.time,
                 rows_of_v=rows,
-                weights=np.ones(len(rows)),
+                weights=self._joint_weights(flying, balances=bool(len(tilting))),
                 unit=self._acceleration[rows],
             )
         ]
@@ -328,12 +330,27 @@ class Tracker:
                     velocity=self.targets.base_velocity[k],
                     acceleration=self.targets.base_acceleration[k],
                     bandwidth=gains.body / units.time,
-                    selection=np.hstack([np.zeros((3, 3)), _without(tilting @ TURNED.T)]),
+                    selection=np.hstack([np.zeros((3, 3)), _without(tilting)]),
                     units=(units.gravity, rotation),
                 )
             )
         tasks += [self._swing(int(i), k, support, state) for i in np.flatnonzero(self._stands & ~active)]
         return tasks
+
+    def _joint_weights(self, flying: bool, balances: bool) -> np.ndarray:
+        """Weights (nu,) of the planned posture.
+
+        Joints that a foot's pose determines would only hold the foot back: where the base is off the plan,
+        posture and foot are at odds.
+        """
+        gains, legs = self.gains, self._legs
+        if not self._moving:
+            return np.ones(len(legs))
+        if balances:
+            return np.full(len(legs), gains.balance_joint_weight)
+        if flying and not self._walks:
+            return np.full(len(legs), gains.flight_joint_weight)
+        return np.where(legs, gains.leg_weight, gains.joint_weight)
 
     def _support(self, k: int, standing: np.ndarray, state: RobotState) -> Support:
         """What the robot stands on; narrow only where the plan is too, not where a foot is late."""
@@ -347,6 +364,16 @@ class Tracker:
             self.units.gravity,
             LOWEST * self.units.length,
         )
+
+    def _determined_joints(self) -> np.ndarray:
+        """Joints (nu,) of the legs that have as many as the pose of their foot has components."""
+        first = self.plan.n_unactuated
+        found = np.zeros(self.plan.model.nv - first, dtype=bool)
+        for i in np.flatnonzero(self._stands):
+            rows = sorted(moving_rows(self.plan.model, self.plan.contact_frames[i]))
+            own = [row - first for row in rows if row >= first]
+            found[own] |= len(own) <= (6 if self.plan.meta["contact_kinds"][i] == "surface" else 3)
+        return found
 
     def _balanced_ticks(self) -> np.ndarray:
         """Ticks (n,) of stances on one line or point that last: shorter ones follow the plan as it is."""
@@ -373,18 +400,22 @@ class Tracker:
     def _balance(self, k: int, support: Support, state: RobotState) -> CenterOfMassTask:
         """The centre of mass follows the plan, as far as its support lets it.
 
-        In directions in which that has no extent, and which last, so does the angular momentum. About a
-        support p without extent along u only gravity changes the angular momentum L about the level axis
-        z x u: dL = m g (c - p) u. A triple pole of that chain of integrators (Azad and Featherstone, IEEE
-        Trans. Robotics 32, 2016) gives with e for errors and w the bandwidth
+        In directions in which that has no extent, and which last, so does the angular momentum. Of a
+        support p without extent along u only gravity changes the angular momentum L about its line, whose
+        level part is z x u: dL = m g (c - p) u. A triple pole of that chain of integrators (Azad and
+        Featherstone, IEEE Trans. Robotics 32, 2016) gives with e for errors and w the bandwidth
             dd c = dd c_d - 3 w de - 3 w^2 e - w^3 e_L / (m g)
-        Where they do not last it falls as the pendulum does, until the next feet stand.
+        Where they do not last it falls as the pendulum does, until the next feet stand. Before that, while
+        the robot still stands wide, it follows the feet that will hold it: from where they are off the plan
+        it would be thrown off.
         """
         gains, units, targets = self.gains, self.units, self.targets
         w, tilt = gains.body / units.time, gains.balance / units.time
         position, velocity, _, _ = state.centre_of_mass()
         wanted, rate, acceleration = targets.com[k]
         error, change = position - wanted, velocity - rate
+        if self._next_narrow[k].any():
+            error -= self._support(k, self._next_narrow[k], state).offset
         feedback = -2 * w * change - w**2 * error
         across = support.axes.T @ support.axes
         if len(support.axes) and self._balances[k]:
@@ -392,9 +423,9 @@ class Tracker:
             here, planned = support.places.mean(axis=0), support.planned.mean(axis=0)
             own = state.angular_momentum()[0] + mass * cross(position - here, velocity)
             asked = targets.momentum[k] + mass * cross(wanted - planned, rate)
-            turned = (own - asked) @ TURNED / units.weight
-            poles = 3 * tilt * change + 3 * tilt**2 * (error - support.offset) + tilt**3 * turned
-            feedback -= across @ (poles + feedback)
+            turned = support.axes.T @ (support.lines @ (own - asked)) / units.weight
+            poles = 3 * tilt * change + 3 * tilt**2 * (error - support.offset)
+            feedback -= across @ (poles + feedback) + tilt**3 * turned
         elif len(support.axes):
             feedback += across @ (support.falling(error) - feedback)
             feedback = support.reachable(position, acceleration + feedback) - acceleration
@@ -475,5 +506,6 @@ def _require_robot(plan: Solution, robot: Robot) -> None:
 
 
 def _without(axes: np.ndarray) -> np.ndarray:
-    """Rows (3, 3) of rotations without those about some unit axes (r, 3), but for a small part."""
+    """Rows (3, 3) of rotations without those about some orthogonal axes (r, 3), but for a small part."""
+    axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
     return np.asarray(np.eye(3) - (1.0 - TILT_PART) * axes.T @ axes)
