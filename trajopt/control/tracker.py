@@ -19,6 +19,8 @@ from trajopt.control.limits import JointRange, limits_with_drives, torque_limits
 from trajopt.control.plan_targets import PlanTargets, base_frame, plan_targets
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.reference import ReferenceTrajectory, reference_of
+from trajopt.control.recovery import Recovery
+from trajopt.control.recovery_tasks import recovery_tasks
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import TURNED, Support, support_of, thin_axes
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
@@ -170,6 +172,10 @@ class Tracker:
         smooth = not plan.meta.get("surfaces") and isinstance(terrain_of(plan.meta["terrain"]), Surface)
         level = np.abs(self.targets.surfaces.normal - UP).max(axis=2) < LEVEL
         self._level = np.asarray(level & smooth)
+        self._recovery = Recovery(
+            plan, self.reference, self.targets, self._frames, level=self._level, length=length,
+            gravity=gravity, body=gains.body,
+        )
 
     def tick_of(self, t: float) -> int:
         """The tick at ``t`` s from the start of the plan, within its ticks."""
@@ -197,7 +203,9 @@ class Tracker:
             )
         program = self._program(int(self.reference.source[k]))
         program.state.update(q, v)
-        active = self._active(k, contacts)
+        self._recovery = self._recovery.copy()  # another tracker may go on from the one before
+        step = self._recovery.step(k, t, program.state, contacts)
+        active = self._active(k, contacts) if step is None else step.active
         if np.abs(v).max() * self.units.time > TOO_FAST:
             self.counts.ticks += 1
             self.counts.relaxed[RELAXED.index("everything")] += 1
@@ -207,7 +215,12 @@ class Tracker:
             here = program.state.frame(self._frames[i]).placement.translation
             self._offsets.stand(int(i), (here - self.targets.position[k, i])[:2])
         taken = [self._contact(int(i), k) for i in np.flatnonzero(active)]
-        found = program.solve(taken, self._tasks(k, active, program.state), self._limits(q, v))
+        tasks = (
+            self._tasks(k, active, program.state)
+            if step is None
+            else recovery_tasks(self, k, step, program.state)
+        )
+        found = program.solve(taken, tasks, self._limits(q, v))
         self.counts.ticks += 1
         self.counts.relaxed[found.relaxed] += 1
         self.counts.iterations += found.iterations
