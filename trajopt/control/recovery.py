@@ -8,14 +8,17 @@ beyond it; else groups of feet (diagonal pairs of four, single soles of two) swi
 from __future__ import annotations
 
 import copy
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.control.footholds import FootholdOffsets
 from trajopt.control.plan_targets import PlanTargets
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
+from trajopt.dynamics.base_joint import position_limits
 from trajopt.control.support_polygon import SupportPolygon
 from trajopt.solution.solution import Solution
 
@@ -38,6 +41,9 @@ STEPPING = 1.0
 MOST_GROWTH = 2.0
 # Feet land this far towards the capture point: beyond one they turn the robot back.
 BEYOND = 1.1
+UPRIGHT, RISING, CROUCH = 4.0, 0.3, 0.06
+STRETCH, OVER = 0.93, 0.98
+AGAIN = 0.2
 LOST = 0.05
 LOWEST = 0.1
 
@@ -88,6 +94,8 @@ class Recovery:
         self._offsets = FootholdOffsets(
             len(frames), period=reference.period, length=length, time=self._time
         )
+        self._hips = [hip_of(plan.model, frame) for frame in frames] if self.groups else []
+        self._reach = [reach_of(plan.model, frame) for frame in frames] if self.groups else []
         self._touched_at = np.full(len(frames), -np.inf)
         self._landed = np.ones(len(frames), dtype=bool)
         self._swinging: tuple[int, ...] = ()
@@ -119,11 +127,13 @@ class Recovery:
         self._advance(k, t, places, touching, capture)
         active = self._landed & (t - self._touched_at <= LOST * self._time)
         active &= np.isin(np.arange(len(active)), feet)
+        hips = np.array([state.data.oMi[hip].translation for hip in self._hips])
+        active &= np.linalg.norm(places - hips, axis=1) < OVER * np.array(self._reach)
         pressure = self._pressure(k, places, active, com, change, rate)
         return RecoveryStep(
             active=active,
             acceleration=self._acceleration(k, com, change, rate, pressure),
-            swings=self._paths(k, t, com, change, rate, pressure, places, active),
+            swings=self._paths(k, t, com, change, rate, pressure, places, active, hips),
         )
 
     def _middle(self, k: int, places: np.ndarray, feet: list[int]) -> np.ndarray:
@@ -175,12 +185,8 @@ class Recovery:
         if not len(own):
             return np.array(com[:2])
         middle = self._middle(k, places, list(own))
-        if self._swinging:
-            capture = (com + change / rate)[:2]
-            wanted = capture + STEPPING * (capture - middle)
-        else:
-            asked = -2 * self._body * change[:2] - self._body**2 * (com[:2] - middle)
-            wanted = com[:2] - asked / rate**2
+        capture = (com + change / rate)[:2]
+        wanted = capture + STEPPING * (capture - middle)
         return SupportPolygon(places[own]).nearest(wanted)
 
     def _acceleration(
@@ -192,8 +198,9 @@ class Recovery:
         level = level * min(1.0, most / max(float(np.linalg.norm(level)), most))
         wanted, speed, _ = self._targets.com[k]
         up = self._targets.com[k, 2, 2]
-        up += -2 * self._body * (change[2] - speed[2]) - self._body**2 * (com[2] - wanted[2])
-        up = min(max(up, -self._gravity), self._gravity)
+        stiff = UPRIGHT / self._time
+        up += -2 * stiff * (change[2] - speed[2]) - stiff**2 * (com[2] + CROUCH * self._length * bool(self._swinging) - wanted[2])
+        up = min(max(up, -RISING * self._gravity), RISING * self._gravity)
         return np.array([*level, up])
 
     def _paths(
@@ -206,6 +213,7 @@ class Recovery:
         pressure: np.ndarray,
         places: np.ndarray,
         active: np.ndarray,
+        hips: np.ndarray,
     ) -> dict[int, FootPath]:
         targets, found = self._targets, {}
         duration = SWING * self._time
@@ -220,16 +228,22 @@ class Recovery:
             capture = then + change[:2] / rate
         error = np.zeros(3)
         error[:2] = then - targets.com[k, 0, :2]
-        beside = np.zeros(3)
-        beside[:2] = error[:2] + BEYOND * (capture - then)
+        wanted = then + BEYOND * (capture - then) - targets.com[k, 0, :2]
         for group in self.groups:
             for i in group:
                 nominal = targets.position[k, i]
-                if self._landed[i]:
+                if active[i]:
                     self._offsets.stand(i, (places[i] - nominal)[:2])
                     continue
-                change_of = self._offsets.swing(i, error, beside, left)
-                height, speed, lift = self._height(done)
+                beside = np.zeros(3)
+                hip = hips[i, :2] + then - com[:2]
+                high = float(hips[i, 2] - nominal[2])
+                most = np.sqrt(max((STRETCH * self._reach[i]) ** 2 - high**2, 0.0))
+                step = nominal[:2] + wanted - hip
+                step = step * min(1.0, most / max(float(np.linalg.norm(step)), most))
+                beside[:2] = hip + step - nominal[:2]
+                change_of = self._offsets.swing(i, error, beside, AGAIN * self._time if self._landed[i] else left)
+                height, speed, lift = self._height(1.0 if self._landed[i] else done)
                 found[i] = FootPath(
                     position=nominal + np.array([*self._offsets.offset[i], height]),
                     velocity=np.array([*self._offsets.rate[i], speed]),
@@ -246,6 +260,29 @@ class Recovery:
         height = 16 * high * done**2 * (1 - done) ** 2
         speed = 32 * high * done * (1 - done) * (1 - 2 * done) / duration
         return height, speed, 32 * high * (1 - 6 * done + 6 * done**2) / duration**2
+
+
+def hip_of(model: pin.Model, frame: int) -> int:
+    """The first joint between the base and a frame."""
+    return int(list(model.supports[model.frames[frame].parentJoint])[2])
+
+
+def reach_of(model: pin.Model, frame: int) -> float:
+    """Largest distance of a frame from its hip within the ranges of the joints between, m."""
+    joints = list(model.supports[model.frames[frame].parentJoint])[2:]
+    lower, upper = position_limits(model)
+    data, most = model.createData(), 0.0
+    ranges = []
+    for joint in joints[1:]:
+        row = model.joints[joint].idx_q
+        ranges.append(np.linspace(max(lower[row], -np.pi), min(upper[row], np.pi), 9))
+    for angles in itertools.product(*ranges):
+        q = pin.neutral(model)
+        for joint, angle in zip(joints[1:], angles, strict=True):
+            q[model.joints[joint].idx_q] = angle
+        pin.framesForwardKinematics(model, data, q)
+        most = max(most, float(np.linalg.norm(data.oMf[frame].translation - data.oMi[joints[0]].translation)))
+    return most
 
 
 def groups_of(plan: Solution, standing: np.ndarray, places: np.ndarray) -> tuple[tuple[int, ...], ...]:

@@ -14,7 +14,7 @@ from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask,
 if TYPE_CHECKING:
     from trajopt.control.tracker import Tracker
 
-W_COM, W_BASE, W_FOOT, W_JOINT, W_FORCE = 10.0, 1.0, 1.0, 1e-2, 1e-3
+W_COM, W_BASE, W_FOOT, W_JOINT, W_FORCE = 10.0, 1.0, 1.0, 1e-3, 1e-3
 
 
 def recovery_tasks(tracker: Tracker, k: int, step: RecoveryStep, state: RobotState) -> list[Task]:
