@@ -31,6 +31,8 @@ SWING, LIFT = 0.4, 0.04
 LEAVES, RETURNS = 0.02, 0.05
 # Steps end with feet where they should be relative to each other, up to this part of l.
 APART = 0.05
+# A foot has left the ground when it is this part of l above it; its path is at most that part ahead of it.
+LEFT, AHEAD = 0.005, 0.05
 # A swinging foot that touches after this part of its swing stands; before, it has not left the ground yet.
 LANDS = 0.6
 # A stance goes on if its contact is lost for less than this part of the natural time.
@@ -102,6 +104,7 @@ class Recovery:
         )
         self._touched_at = np.full(len(self._frames), -np.inf)
         self._landed = np.ones(len(self._frames), dtype=bool)
+        self._lifted = np.zeros(len(self._frames), dtype=bool)
         self._swinging: tuple[int, ...] = ()
         self._since = 0.0
         self.engaged = False
@@ -109,7 +112,8 @@ class Recovery:
     def copy(self) -> Recovery:
         """This state, apart."""
         own = copy.copy(self)
-        own._offsets, own._landed = self._offsets.copy(), self._landed.copy()
+        own._offsets = self._offsets.copy()
+        own._landed, own._lifted = self._landed.copy(), self._lifted.copy()
         return own
 
     def step(self, k: int, t: float, state: RobotState, touching: np.ndarray) -> RecoveryStep | None:
@@ -131,7 +135,7 @@ class Recovery:
             if inside or not np.isfinite(self._touched_at[self._feet]).all():
                 return None
             self.engaged = True
-        self._land(t, touching)
+        self._land(k, t, places, touching)
         if self._landed[self._feet].all():
             self._change(k, t, places, mass.capture)
         hips = {i: np.array(state.data.oMi[leg.hip].translation) for i, leg in self._legs.items()}
@@ -165,10 +169,13 @@ class Recovery:
         height = max(height, LOWEST * self._units.length)
         return FallingMass(position[:2], velocity[:2], float(np.sqrt(self._units.gravity / height)))
 
-    def _land(self, t: float, touching: np.ndarray) -> None:
-        if t - self._since > LANDS * SWING * self._units.time:
-            for i in self._swinging:
-                self._landed[i] |= touching[i]
+    def _land(self, k: int, t: float, places: np.ndarray, touching: np.ndarray) -> None:
+        """Feet that swing leave the ground, and later stand on it."""
+        over = (places - self._targets.position[k]) @ UP
+        lands = t - self._since > LANDS * SWING * self._units.time
+        for i in self._swinging:
+            self._landed[i] |= touching[i] and self._lifted[i] and lands
+            self._lifted[i] |= over[i] > LEFT * self._units.length
 
     def _change(self, k: int, t: float, places: np.ndarray, capture: np.ndarray) -> None:
         """With all feet on the ground: stand, or begin the next swing."""
@@ -190,7 +197,7 @@ class Recovery:
 
     def _swing(self, t: float, group: tuple[int, ...]) -> None:
         self._swinging, self._since = group, t
-        self._landed[list(group)] = False
+        self._landed[list(group)] = self._lifted[list(group)] = False
 
     def _standing(self, t: float, places: np.ndarray, hips: dict[int, np.ndarray]) -> np.ndarray:
         """Contacts (nc,) that transmit forces: landed, touching, and within the reach of their legs."""
@@ -241,14 +248,19 @@ class Recovery:
         error = np.append(then.place - self._targets.com[k, 0, :2], 0.0)
         for i in self._feet:
             planned = self._targets.position[k, i]
-            if active[i]:
+            rises = not (self._landed[i] or self._lifted[i])  # straight up: it would drag along the ground
+            if active[i] or rises:
                 self._offsets.stand(i, (places[i] - planned)[:2])
+            if active[i]:
                 continue
+            ahead = self._offsets.offset[i] - (places[i] - planned)[:2]
+            most = AHEAD * self._units.length
+            self._offsets.offset[i] -= ahead * max(0.0, 1.0 - most / max(float(np.linalg.norm(ahead)), most))
             hip = hips[i] + np.append(then.place - mass.place, 0.0)
             foothold = self._foothold(i, planned + error, hip, then)
             lost = bool(self._landed[i])
             time = FOLLOWS * self._units.time if lost else left
-            change = self._offsets.swing(i, error, foothold - planned, time)
+            change = np.zeros(2) if rises else self._offsets.swing(i, error, foothold - planned, time)
             height, speed, rise = swing_height(1.0 if lost else done, self._units)
             found[i] = FootPath(
                 position=planned + np.array([*self._offsets.offset[i], height]),
