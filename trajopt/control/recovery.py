@@ -25,14 +25,14 @@ from trajopt.terrain.surface import UP
 
 # A swing lasts so many natural times and lifts feet by this part of l: what joints and torques of the
 # library's quadrupeds can do. Longer ones let the capture point go farther.
-SWING, LIFT = 0.4, 0.04
-# Steps begin where the capture point is less than the first, and end where it is more than the second part
-# of l inside the edge of the feet.
-LEAVES, RETURNS = 0.02, 0.05
+SWING, LIFT = 0.45, 0.03
+# Steps begin where the capture point leaves the feet: four of them brake better than two. They end where it
+# is more than this part of l inside, and only where the plan keeps it there recovery acts at all.
+RETURNS = 0.03
 # Steps end with feet where they should be relative to each other, up to this part of l.
 APART = 0.05
-# A foot has left the ground when it is this part of l above it; its path is at most that part ahead of it.
-LEFT, AHEAD = 0.005, 0.05
+# A foot has left the ground when it is this part of l above it.
+LEFT = 0.001
 # A swinging foot that touches after this part of its swing stands; before, it has not left the ground yet.
 LANDS = 0.6
 # A stance goes on if its contact is lost for less than this part of the natural time.
@@ -131,8 +131,7 @@ class Recovery:
         places = np.array([state.frame(frame).placement.translation for frame in self._frames])
         mass, whole = self._falling(state, places), SupportPolygon(places[self._feet])
         if not self.engaged:
-            inside = whole.outside(mass.capture) < -LEAVES * self._units.length
-            if inside or not np.isfinite(self._touched_at[self._feet]).all():
+            if whole.outside(mass.capture) < 0 or not np.isfinite(self._touched_at[self._feet]).all():
                 return None
             self.engaged = True
         self._land(k, t, places, touching)
@@ -152,7 +151,7 @@ class Recovery:
         n, targets = len(reference.t), self._targets
         if not self._feet:
             return n
-        feet, margin = self._feet, LEAVES * self._units.length
+        feet, margin = self._feet, RETURNS * self._units.length
         for k in range(n - 1, -1, -1):
             over, places = targets.com[k], targets.position[k, feet]
             height = max(float((over[0] - places.mean(axis=0)) @ UP), LOWEST * self._units.length)
@@ -184,7 +183,7 @@ class Recovery:
         apart = float(np.abs(beside - beside.mean(axis=0)).max())
         length = self._units.length
         if not self._swinging:
-            if inside < LEAVES * length:
+            if inside < 0:
                 self._swing(t, min(self._groups, key=lambda group: self._missed(places, group, capture)))
         elif inside > RETURNS * length and apart < APART * length:
             self._swinging = ()
@@ -253,9 +252,6 @@ class Recovery:
                 self._offsets.stand(i, (places[i] - planned)[:2])
             if active[i]:
                 continue
-            ahead = self._offsets.offset[i] - (places[i] - planned)[:2]
-            most = AHEAD * self._units.length
-            self._offsets.offset[i] -= ahead * max(0.0, 1.0 - most / max(float(np.linalg.norm(ahead)), most))
             hip = hips[i] + np.append(then.place - mass.place, 0.0)
             foothold = self._foothold(i, planned + error, hip, then)
             lost = bool(self._landed[i])
