@@ -153,7 +153,7 @@ def test_a_pair_swings_and_the_state_of_a_copy_is_its_own(stand: Solution) -> No
     assert (tracker._recovery._landed == before._landed).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_solo12_survives_a_push_by_steps_that_it_does_not_survive_without(
     stand: Solution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
