@@ -17,6 +17,8 @@ from trajopt.control.inverse_dynamics import RELAXED, InverseDynamics, TickLimit
 from trajopt.control.limits import JointRange, limits_with_drives, torque_limits
 from trajopt.control.plan_targets import PlanTargets, base_frame, plan_targets, tracking_model
 from trajopt.control.quadratic_programs import QpSolverName
+from trajopt.control.recovery import Recovery
+from trajopt.control.recovery_tasks import RecoveryTasks
 from trajopt.control.reference import ReferenceTrajectory, moving_rows, reference_of
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import Support, next_narrow, support_of, thin_axes
@@ -50,6 +52,8 @@ FLYING = 2.0**0.5
 THIN, TILT_PART = 1e-2, 0.03
 # Surfaces whose normals differ from up by less than this are level: feet may land elsewhere on them.
 LEVEL = 1e-3
+# Joints weigh this part while a robot recovers: its feet are far from the posture.
+RECOVERING = 0.1
 # A robot that moves faster than this in natural units fell long ago: its joints are held.
 TOO_FAST = 1e3
 
@@ -182,6 +186,8 @@ class Tracker:
         smooth = not plan.meta.get("surfaces") and isinstance(terrain_of(plan.meta["terrain"]), Surface)
         level = np.abs(self.targets.surfaces.normal - UP).max(axis=2) < LEVEL
         self._level = np.asarray(level & smooth)
+        self._recovery = Recovery(plan, self.reference, self.targets, self._level)
+        self._recovering = self._recovery_tasks()
 
     def tick_of(self, t: float) -> int:
         """The tick at ``t`` s from the start of the plan, within its ticks."""
@@ -209,7 +215,9 @@ class Tracker:
             )
         program = self._program(int(self.reference.source[k]))
         program.state.update(q, v)
-        active = self._active(k, contacts)
+        self._recovery = self._recovery.copy()  # another tracker may go on from the one before
+        step = self._recovery.step(k, t, program.state, contacts)
+        active = self._active(k, contacts) if step is None else step.active
         self.request = TickRequest.none(len(self._frames))
         if np.abs(v).max() * self.units.time > TOO_FAST:
             self.counts.ticks += 1
@@ -220,7 +228,8 @@ class Tracker:
             here = program.state.frame(self._frames[i]).placement.translation
             self._offsets.stand(int(i), (here - self.targets.position[k, i])[:2])
         taken = [self._contact(int(i), k) for i in np.flatnonzero(active)]
-        tasks = self._tasks(k, active, program.state)
+        state = program.state
+        tasks = self._tasks(k, active, state) if step is None else self._recovering.of(k, step, state)
         found = program.solve(taken, tasks, self._limits(q, v))
         self.request = TickRequest.of(found.forces, taken, tasks, self.targets.com[k, 0], self._frames)
         self.counts.ticks += 1
@@ -290,6 +299,28 @@ class Tracker:
             ]
             friction = np.array(own)
         return TickLimits(torque=(low, high), acceleration=self._range.bounds(q, rate), friction=friction)
+
+    def _recovery_tasks(self) -> RecoveryTasks:
+        gains, time = self.gains, self.units.time
+        return RecoveryTasks(
+            reference=self.reference,
+            targets=self.targets,
+            units=self.units,
+            frames=self._frames,
+            base=self._base,
+            rows=np.arange(self.plan.n_unactuated, self.plan.model.nv),
+            unit=self._acceleration,
+            body=gains.body / time,
+            foot=gains.foot / time,
+            joint=gains.joint / time,
+            weights={
+                "com": gains.com_weight,
+                "base": gains.base_weight,
+                "foot": gains.foot_weight,
+                "force": gains.force_weight,
+                "joint": RECOVERING * gains.joint_weight,
+            },
+        )
 
     def _tasks(self, k: int, active: np.ndarray, state: RobotState) -> list[Task]:
         gains, units, reference = self.gains, self.units, self.reference

@@ -1,0 +1,303 @@
+"""Recovery steps: where a robot stands and its capture point leaves its feet, they step below it.
+
+The capture point xi = c + dc / w, w = sqrt(g / h) (Pratt et al., Humanoids 2006) moves by
+dxi = w (xi - p) with the centre of pressure p. Feet that stand can bring it back while p reaches beyond it;
+else diagonal pairs of feet swing in turn, until they can (Koolen et al., IJRR 31, 2012).
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.control.falling import FallingMass
+from trajopt.control.footholds import FootholdOffsets
+from trajopt.control.plan_targets import PlanTargets
+from trajopt.control.reference import ReferenceTrajectory
+from trajopt.control.robot_state import RobotState
+from trajopt.control.support_polygon import SupportPolygon
+from trajopt.control.swing_legs import SwingLeg, diagonal_pairs, swing_leg
+from trajopt.solution.solution import Solution
+from trajopt.terrain.surface import UP
+
+# A swing lasts so many natural times and lifts feet by this part of l: what joints and torques of the
+# library's quadrupeds can do. Longer ones let the capture point go farther.
+SWING, LIFT = 0.45, 0.03
+# Steps begin where the capture point leaves the feet: four of them brake better than two. They end where it
+# is more than this part of l inside, and only where the plan keeps it there recovery acts at all.
+RETURNS = 0.03
+# Steps end with feet where they should be relative to each other, up to this part of l.
+APART = 0.05
+# A foot has left the ground when it is this part of l above it.
+LEFT = 0.001
+# A swinging foot that touches after this part of its swing stands; before, it has not left the ground yet.
+LANDS = 0.6
+# A stance goes on if its contact is lost for less than this part of the natural time.
+LOST = 0.05
+# A foot that is late is pressed down with this part of sqrt(g l), for at most this part of l.
+PRESSED, DEEPEST = 0.1, 0.1
+# A foot that lost the ground follows its place in so many natural times.
+FOLLOWS = 0.2
+# Feet land this many times as far beside the centre of mass as the capture point: beyond one leads it back.
+BEYOND = 1.1
+# Feet land within this part of the reach of their legs, and are lifted beyond the other: a stretched leg can
+# neither brake nor keep a contact within the limits of its joints.
+STRETCHED, TORN = 0.93, 0.98
+# The capture point returns to the middle of the feet with this many times the pendulum's rate.
+RETURNING = 1.0
+# Part of the friction that brakes the centre of mass: the rest is for turning.
+BRAKING = 0.9
+# Bandwidth of the height, 1 / sqrt(l / g), and its largest acceleration over g: feet that carry no weight
+# cannot brake.
+UPRIGHT, RISING = 4.0, 0.3
+# The pendulum is at least this part of l high.
+LOWEST = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class FootPath:
+    """What a foot follows at a tick: position, velocity, acceleration (3,), world axes, m."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecoveryStep:
+    """What recovery asks of a tick.
+
+    active: contacts (nc,) that transmit forces. acceleration: (3,) of the centre of mass, m/s^2. paths: of
+    feet in the air, by contact.
+    """
+
+    active: np.ndarray
+    acceleration: np.ndarray
+    paths: dict[int, FootPath]
+
+
+class Recovery:
+    """A state machine: off; stepping, a group of feet at a time; standing where it came to rest.
+
+    It acts from where a plan that ends at rest stands for good, on four point feet on level ground.
+
+    Args:
+        plan: what is tracked; reference, targets: at its ticks.
+        level: where (n, nc) feet may land beside their footholds.
+    """
+
+    def __init__(
+        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, level: np.ndarray
+    ) -> None:
+        self._targets, self._units = targets, NaturalUnits.of(plan.model)
+        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
+        self._feet, self._groups = _feet_of(plan, reference, targets, level)
+        self._legs: dict[int, SwingLeg] = {
+            i: swing_leg(plan.model, self._frames[i], plan.n_unactuated) for i in self._feet
+        }
+        self._first = self._first_tick(reference)
+        self._offsets = FootholdOffsets(
+            len(self._frames), period=reference.period, length=self._units.length, time=self._units.time
+        )
+        self._touched_at = np.full(len(self._frames), -np.inf)
+        self._landed = np.ones(len(self._frames), dtype=bool)
+        self._lifted = np.zeros(len(self._frames), dtype=bool)
+        self._swinging: tuple[int, ...] = ()
+        self._since = 0.0
+        self.engaged = False
+
+    def copy(self) -> Recovery:
+        """This state, apart."""
+        own = copy.copy(self)
+        own._offsets = self._offsets.copy()
+        own._landed, own._lifted = self._landed.copy(), self._lifted.copy()
+        return own
+
+    def step(self, k: int, t: float, state: RobotState, touching: np.ndarray) -> RecoveryStep | None:
+        """Go on by one tick; None while the plan is followed as it is.
+
+        Args:
+            k: tick of the plan.
+            t: time, s, which goes on after the plan.
+            state: measured.
+            touching: which contacts touch (nc,).
+        """
+        if k < self._first:
+            return None
+        self._touched_at = np.where(touching, t, self._touched_at)
+        places = np.array([state.frame(frame).placement.translation for frame in self._frames])
+        mass, whole = self._falling(state, places), SupportPolygon(places[self._feet])
+        if not self.engaged:
+            if whole.outside(mass.capture) < 0 or not np.isfinite(self._touched_at[self._feet]).all():
+                return None
+            self.engaged = True
+        self._land(k, t, places, touching)
+        if self._landed[self._feet].all():
+            self._change(k, t, places, mass.capture)
+        hips = {i: np.array(state.data.oMi[leg.hip].translation) for i, leg in self._legs.items()}
+        active = self._standing(t, places, hips)
+        pressure = self._pressure(k, places, active, mass)
+        return RecoveryStep(
+            active=active,
+            acceleration=self._acceleration(k, state, mass, pressure),
+            paths=self._paths(k, t, places, active, hips, mass, pressure),
+        )
+
+    def _first_tick(self, reference: ReferenceTrajectory) -> int:
+        """From where all feet stand to the end, and the planned capture point stays well between them."""
+        n, targets = len(reference.t), self._targets
+        if not self._feet:
+            return n
+        feet, margin = self._feet, RETURNS * self._units.length
+        for k in range(n - 1, -1, -1):
+            over, places = targets.com[k], targets.position[k, feet]
+            height = max(float((over[0] - places.mean(axis=0)) @ UP), LOWEST * self._units.length)
+            mass = FallingMass(over[0, :2], over[1, :2], float(np.sqrt(self._units.gravity / height)))
+            stands = bool((reference.active[k] == reference.active[-1]).all())
+            if not stands or SupportPolygon(places).outside(mass.capture) > -margin:
+                return k + 1
+        return 0
+
+    def _falling(self, state: RobotState, places: np.ndarray) -> FallingMass:
+        """The centre of mass over the feet."""
+        position, velocity = state.centre_of_mass()[:2]
+        height = float((position - places[self._feet].mean(axis=0)) @ UP)
+        height = max(height, LOWEST * self._units.length)
+        return FallingMass(position[:2], velocity[:2], float(np.sqrt(self._units.gravity / height)))
+
+    def _land(self, k: int, t: float, places: np.ndarray, touching: np.ndarray) -> None:
+        """Feet that swing leave the ground, and later stand on it."""
+        over = (places - self._targets.position[k]) @ UP
+        lands = t - self._since > LANDS * SWING * self._units.time
+        for i in self._swinging:
+            self._landed[i] |= touching[i] and self._lifted[i] and lands
+            self._lifted[i] |= over[i] > LEFT * self._units.length
+
+    def _change(self, k: int, t: float, places: np.ndarray, capture: np.ndarray) -> None:
+        """With all feet on the ground: stand, or begin the next swing."""
+        inside = -SupportPolygon(places[self._feet]).outside(capture)
+        beside = (places - self._targets.position[k])[self._feet, :2]
+        apart = float(np.abs(beside - beside.mean(axis=0)).max())
+        length = self._units.length
+        if not self._swinging:
+            if inside < 0:
+                self._swing(t, min(self._groups, key=lambda group: self._missed(places, group, capture)))
+        elif inside > RETURNS * length and apart < APART * length:
+            self._swinging = ()
+        else:
+            self._swing(t, next(group for group in self._groups if group != self._swinging))
+
+    def _missed(self, places: np.ndarray, group: tuple[int, ...], capture: np.ndarray) -> float:
+        """How far the capture point is off the feet that stand while a group swings, m."""
+        return SupportPolygon(places[[i for i in self._feet if i not in group]]).outside(capture)
+
+    def _swing(self, t: float, group: tuple[int, ...]) -> None:
+        self._swinging, self._since = group, t
+        self._landed[list(group)] = self._lifted[list(group)] = False
+
+    def _standing(self, t: float, places: np.ndarray, hips: dict[int, np.ndarray]) -> np.ndarray:
+        """Contacts (nc,) that transmit forces: landed, touching, and within the reach of their legs."""
+        found = np.zeros(len(places), dtype=bool)
+        lately = t - self._touched_at <= LOST * self._units.time
+        for i, leg in self._legs.items():
+            near = float(np.linalg.norm(places[i] - hips[i])) < TORN * leg.reach
+            found[i] = self._landed[i] and lately[i] and near
+        return found
+
+    def _pressure(
+        self, k: int, places: np.ndarray, active: np.ndarray, mass: FallingMass
+    ) -> np.ndarray | None:
+        """Centre of pressure (2,) within the feet that stand, to brake the centre of mass; None in flight."""
+        own = np.flatnonzero(active)
+        if not len(own):
+            return None
+        beside = (places - self._targets.position[k])[own, :2].mean(axis=0)
+        middle = self._targets.com[k, 0, :2] + beside
+        return SupportPolygon(places[own]).nearest(mass.holding(middle, RETURNING))
+
+    def _acceleration(
+        self, k: int, state: RobotState, mass: FallingMass, pressure: np.ndarray | None
+    ) -> np.ndarray:
+        """Wanted of the centre of mass (3,), m/s^2: level within friction, and softly to its height."""
+        gravity, stiff = self._units.gravity, UPRIGHT / self._units.time
+        level = np.zeros(2) if pressure is None else mass.acceleration(pressure)
+        most = BRAKING * float(self._targets.surfaces.friction[k, self._feet].min()) * gravity
+        level = level * min(1.0, most / max(float(np.linalg.norm(level)), most))
+        error, change = (state.centre_of_mass()[row] - self._targets.com[k, row] for row in (0, 1))
+        up = float(self._targets.com[k, 2, 2] - 2 * stiff * change[2] - stiff**2 * error[2])
+        return np.array([*level, min(max(up, -RISING * gravity), RISING * gravity)])
+
+    def _paths(
+        self,
+        k: int,
+        t: float,
+        places: np.ndarray,
+        active: np.ndarray,
+        hips: dict[int, np.ndarray],
+        mass: FallingMass,
+        pressure: np.ndarray | None,
+    ) -> dict[int, FootPath]:
+        """Paths of the feet that do not stand, to where the next stance catches the centre of mass."""
+        done = (t - self._since) / (SWING * self._units.time)
+        left = max(1.0 - done, 0.0) * SWING * self._units.time
+        then, found = mass.after(left, pressure), {}
+        error = np.append(then.place - self._targets.com[k, 0, :2], 0.0)
+        for i in self._feet:
+            planned = self._targets.position[k, i]
+            rises = not (self._landed[i] or self._lifted[i])  # straight up: it would drag along the ground
+            if active[i] or rises:
+                self._offsets.stand(i, (places[i] - planned)[:2])
+            if active[i]:
+                continue
+            hip = hips[i] + np.append(then.place - mass.place, 0.0)
+            foothold = self._foothold(i, planned + error, hip, then)
+            lost = bool(self._landed[i])
+            time = FOLLOWS * self._units.time if lost else left
+            change = np.zeros(2) if rises else self._offsets.swing(i, error, foothold - planned, time)
+            height, speed, rise = swing_height(1.0 if lost else done, self._units)
+            found[i] = FootPath(
+                position=planned + np.array([*self._offsets.offset[i], height]),
+                velocity=np.array([*self._offsets.rate[i], speed]),
+                acceleration=np.array([*change, rise]),
+            )
+        return found
+
+    def _foothold(self, i: int, below: np.ndarray, hip: np.ndarray, then: FallingMass) -> np.ndarray:
+        """Where (3,) a foot that would stand ``below`` the body catches it, within the reach of its leg."""
+        step = below - hip
+        step[:2] += BEYOND * (then.capture - then.place)
+        longest = max((STRETCHED * self._legs[i].reach) ** 2 - float(step[2]) ** 2, 0.0) ** 0.5
+        step[:2] *= min(1.0, longest / max(float(np.linalg.norm(step[:2])), longest, 1e-9))
+        return np.asarray(hip + step)
+
+
+def swing_height(done: float, units: NaturalUnits) -> tuple[float, float, float]:
+    """Height over the ground of a foot after a part of its swing, m, its rate and acceleration.
+
+    16 H s^2 (1 - s)^2: it leaves and lands at rest; after that it is pressed down.
+    """
+    high, duration = LIFT * units.length, SWING * units.time
+    if done >= 1:
+        speed = PRESSED * units.length / units.time
+        return -min(speed * (done - 1) * duration, DEEPEST * units.length), -speed, 0.0
+    return (
+        16 * high * done**2 * (1 - done) ** 2,
+        32 * high * done * (1 - done) * (1 - 2 * done) / duration,
+        32 * high * (1 - 6 * done + 6 * done**2) / duration**2,
+    )
+
+
+def _feet_of(
+    plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, level: np.ndarray
+) -> tuple[list[int], tuple[tuple[int, ...], ...]]:
+    """Feet that step and groups that swing together; none where the plan does not end standing on four."""
+    feet = np.flatnonzero(reference.active[-1])
+    points = all(plan.meta["contact_kinds"][i] == "point" for i in feet)
+    rests = reference.held and not plan.meta.get("periodicity")
+    held = targets.surfaces.bilateral[-1, feet].any() or targets.surfaces.slides[-1, feet].any()
+    if len(feet) != 4 or not points or not rests or held or not level[-1, feet].all():
+        return [], ()
+    return feet.tolist(), diagonal_pairs(feet, targets.position[-1, feet])
