@@ -73,7 +73,7 @@ class TrackerGains:
         base_weight: of the base's orientation, likewise.
         foot_weight: of swinging feet.
         joint_weight: of joints while contacts stand.
-        leg_weight: likewise of joints that a foot's pose determines.
+        leg_weight: likewise of joints that the pose of a foot in the air determines.
         force_weight: of contact forces.
         flight_joint_weight: of joints while no contact stands, in plans that are not periodic.
         balance: bandwidth on a line or a point.
@@ -95,7 +95,7 @@ class TrackerGains:
     flight_joint_weight: Positive = 1.0
     balance: NonNegative = 10.0
     balance_joint_weight: NonNegative = 1e-4
-    placement: NonNegative = 1.2
+    placement: NonNegative = 1.3
 
 
 @dataclass
@@ -337,7 +337,7 @@ class Tracker:
                 a=reference.a[k],
                 bandwidth=gains.joint / units.time,
                 rows_of_v=rows,
-                weights=self._joint_weights(flying, balances=bool(len(tilting))),
+                weights=self._joint_weights(active, flying, balances=bool(len(tilting))),
                 unit=self._acceleration[rows],
             )
         ]
@@ -368,20 +368,22 @@ class Tracker:
         tasks += [self._swing(int(i), k, support, state) for i in np.flatnonzero(self._stands & ~active)]
         return tasks
 
-    def _joint_weights(self, flying: bool, balances: bool) -> np.ndarray:
+    def _joint_weights(self, active: np.ndarray, flying: bool, balances: bool) -> np.ndarray:
         """Weights (nu,) of the planned posture.
 
-        Joints that a foot's pose determines would only hold the foot back: where the base is off the plan,
+        Joints that the pose of a foot in the air determines would only hold it back: where the base is off the plan,
         posture and foot are at odds.
         """
         gains, legs = self.gains, self._legs
+        size = legs.shape[1]
         if not self._moving:
-            return np.ones(len(legs))
+            return np.ones(size)
         if balances:
-            return np.full(len(legs), gains.balance_joint_weight)
+            return np.full(size, gains.balance_joint_weight)
         if flying and not self._walks:
-            return np.full(len(legs), gains.flight_joint_weight)
-        return np.where(legs, gains.leg_weight, gains.joint_weight)
+            return np.full(size, gains.flight_joint_weight)
+        swinging = legs[self._stands & ~active].any(axis=0)
+        return np.where(swinging, gains.leg_weight, gains.joint_weight)
 
     def _support(self, k: int, standing: np.ndarray, state: RobotState) -> Support:
         """What the robot stands on; narrow only where the plan is too, not where a foot is late."""
@@ -397,13 +399,13 @@ class Tracker:
         )
 
     def _determined_joints(self) -> np.ndarray:
-        """Joints (nu,) of the legs that have as many as the pose of their foot has components."""
+        """Joints (nc, nu) of legs that have no more than the pose of their foot has components."""
         first = self.plan.n_unactuated
-        found = np.zeros(self.plan.model.nv - first, dtype=bool)
+        found = np.zeros((len(self._frames), self.plan.model.nv - first), dtype=bool)
         for i in np.flatnonzero(self._stands):
             rows = sorted(moving_rows(self.plan.model, self.plan.contact_frames[i]))
             own = [row - first for row in rows if row >= first]
-            found[own] |= len(own) <= (6 if self.plan.meta["contact_kinds"][i] == "surface" else 3)
+            found[i, own] = len(own) <= (6 if self.plan.meta["contact_kinds"][i] == "surface" else 3)
         return found
 
     def _balanced_ticks(self) -> np.ndarray:
