@@ -371,8 +371,8 @@ class Tracker:
     def _joint_weights(self, active: np.ndarray, flying: bool, balances: bool) -> np.ndarray:
         """Weights (nu,) of the planned posture.
 
-        Joints that the pose of a foot in the air determines would only hold it back: where the base is off the plan,
-        posture and foot are at odds.
+        Joints that the pose of a foot in the air determines would only hold it back: where the base is off
+        the plan, posture and foot are at odds.
         """
         gains, legs = self.gains, self._legs
         size = legs.shape[1]
