@@ -14,10 +14,10 @@ from trajopt.control import (
     CenterOfMassTask,
     ContactForceTask,
     FrameTask,
-    InverseDynamics,
     PostureTask,
     RobotState,
     Task,
+    TaskSpaceInverseDynamics,
     TickLimits,
     TickResult,
 )
@@ -44,7 +44,7 @@ class Standing:
         self.state.update(self.robot.reference, self.rest)
         turning, length, weight = turning_rows(model), self.units.length, self.units.weight
         self.acceleration = np.where(turning, self.units.gravity / length, self.units.gravity)
-        self.programs = InverseDynamics(
+        self.programs = TaskSpaceInverseDynamics(
             state=self.state,
             n_unactuated=self.robot.n_unactuated,
             acceleration_unit=self.acceleration,

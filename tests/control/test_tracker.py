@@ -124,7 +124,7 @@ def test_without_contact_the_feet_are_pressed_down(rising: Solution) -> None:
     assert len(tracker.last.forces) == 0
     downward = [
         (tracker._programs[0].state.frame(frame).jacobian[:3] @ tracker.last.acceleration)[2]
-        for frame in tracker._frames
+        for frame in tracker._contacts.frames
     ]
     assert max(downward) < 0.0
 

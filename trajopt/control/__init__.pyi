@@ -1,5 +1,6 @@
 from .contact_forces import ActiveContact as ActiveContact
-from .inverse_dynamics import InverseDynamics as InverseDynamics
+from .gains import TrackerGains as TrackerGains
+from .inverse_dynamics import TaskSpaceInverseDynamics as TaskSpaceInverseDynamics
 from .inverse_dynamics import TickLimits as TickLimits
 from .inverse_dynamics import TickResult as TickResult
 from .robot_state import RobotState as RobotState
@@ -13,4 +14,3 @@ from .tasks import Task as Task
 from .tasks import TaskRows as TaskRows
 from .tick_request import TickRequest as TickRequest
 from .tracker import Tracker as Tracker
-from .tracker import TrackerGains as TrackerGains

@@ -72,7 +72,7 @@ class TickResult:
 
 
 @dataclass
-class InverseDynamics:
+class TaskSpaceInverseDynamics:
     """Programs of one robot, set up once for each number of contact rows.
 
     Args:
@@ -134,7 +134,9 @@ class InverseDynamics:
 class _Program:
     """The program of one tick in scaled unknowns."""
 
-    def __init__(self, owner: InverseDynamics, contacts: Sequence[ActiveContact], limits: TickLimits) -> None:
+    def __init__(
+        self, owner: TaskSpaceInverseDynamics, contacts: Sequence[ActiveContact], limits: TickLimits
+    ) -> None:
         self.owner, self.contacts, self.limits = owner, contacts, limits
         state = owner.state
         self.nv = state.model.nv

@@ -15,11 +15,14 @@ import numpy as np
 from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.control.falling import FallingMass
 from trajopt.control.footholds import FootholdOffsets
+from trajopt.control.measured_contacts import DEEPEST, LOST, PRESSED
 from trajopt.control.plan_targets import PlanTargets
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
+from trajopt.control.support import LOWEST
 from trajopt.control.support_polygon import SupportPolygon
 from trajopt.control.swing_legs import SwingLeg, diagonal_pairs, swing_leg
+from trajopt.control.swing_tasks import level_footholds
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP
 
@@ -35,10 +38,6 @@ APART = 0.05
 LEFT = 0.001
 # A swinging foot that touches after this part of its swing stands; before, it has not left the ground yet.
 LANDS = 0.6
-# A stance goes on if its contact is lost for less than this part of the natural time.
-LOST = 0.05
-# A foot that is late is pressed down with this part of sqrt(g l), for at most this part of l.
-PRESSED, DEEPEST = 0.1, 0.1
 # A foot that lost the ground follows its place in so many natural times.
 FOLLOWS = 0.2
 # Feet land this many times as far beside the centre of mass as the capture point: beyond one leads it back.
@@ -53,8 +52,6 @@ BRAKING = 0.9
 # Bandwidth of the height, 1 / sqrt(l / g), and its largest acceleration over g: feet that carry no weight
 # cannot brake.
 UPRIGHT, RISING = 4.0, 0.3
-# The pendulum is at least this part of l high.
-LOWEST = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,15 +83,15 @@ class Recovery:
 
     Args:
         plan: what is tracked; reference, targets: at its ticks.
-        level: where (n, nc) feet may land beside their footholds.
+
+    steps: whether it ever acts.
     """
 
-    def __init__(
-        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, level: np.ndarray
-    ) -> None:
+    def __init__(self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets) -> None:
         self._targets, self._units = targets, NaturalUnits.of(plan.model)
         self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
-        self._feet, self._groups = _feet_of(plan, reference, targets, level)
+        self._feet, self._groups = _feet_of(plan, reference, targets)
+        self.steps = bool(self._feet)
         self._legs: dict[int, SwingLeg] = {
             i: swing_leg(plan.model, self._frames[i], plan.n_unactuated) for i in self._feet
         }
@@ -149,7 +146,7 @@ class Recovery:
     def _first_tick(self, reference: ReferenceTrajectory) -> int:
         """From where all feet stand to the end, and the planned capture point stays well between them."""
         n, targets = len(reference.t), self._targets
-        if not self._feet:
+        if not self.steps:
             return n
         feet, margin = self._feet, RETURNS * self._units.length
         for k in range(n - 1, -1, -1):
@@ -291,13 +288,19 @@ def swing_height(done: float, units: NaturalUnits) -> tuple[float, float, float]
 
 
 def _feet_of(
-    plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, level: np.ndarray
+    plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets
 ) -> tuple[list[int], tuple[tuple[int, ...], ...]]:
     """Feet that step and groups that swing together; none where the plan does not end standing on four."""
     feet = np.flatnonzero(reference.active[-1])
     points = all(plan.meta["contact_kinds"][i] == "point" for i in feet)
     rests = reference.held and not plan.meta.get("periodicity")
     held = targets.surfaces.bilateral[-1, feet].any() or targets.surfaces.slides[-1, feet].any()
-    if len(feet) != 4 or not points or not rests or held or not level[-1, feet].all():
+    if (
+        len(feet) != 4
+        or not points
+        or not rests
+        or held
+        or not level_footholds(plan, targets)[-1, feet].all()
+    ):
         return [], ()
     return feet.tolist(), diagonal_pairs(feet, targets.position[-1, feet])

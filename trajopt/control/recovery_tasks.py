@@ -2,84 +2,85 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.control.plan_targets import PlanTargets
+from trajopt.control.gains import TrackerGains
+from trajopt.control.plan_targets import PlanTargets, base_frame, tracking_model
 from trajopt.control.recovery import RecoveryStep
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
+from trajopt.solution.solution import Solution
+
+# Joints weigh this part while a robot recovers: its feet are far from the posture.
+RECOVERING = 0.1
 
 
-@dataclass(frozen=True, kw_only=True)
 class RecoveryTasks:
-    """What the tasks of all ticks share.
+    """Tasks of all ticks in which a robot recovers.
 
-    frames: of the contacts. base: frame of the base. rows: of v that are actuated. unit: (nv,) of
-    accelerations. body, foot, joint: bandwidths, 1/s. weights: of tasks, by name.
+    Args:
+        plan: what is tracked; reference, targets: at its ticks.
+        gains: of the feedback.
     """
 
-    reference: ReferenceTrajectory
-    targets: PlanTargets
-    units: NaturalUnits
-    frames: list[int]
-    base: int
-    rows: np.ndarray
-    unit: np.ndarray
-    body: float
-    foot: float
-    joint: float
-    weights: dict[str, float]
+    def __init__(
+        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains
+    ) -> None:
+        self._gains, self._reference, self._targets = gains, reference, targets
+        self._units = NaturalUnits.of(plan.model)
+        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
+        self._base = base_frame(tracking_model(plan, 0))
+        self._rows = np.arange(plan.n_unactuated, plan.model.nv)
+        self._unit = self._units.acceleration(plan.model)[self._rows]
 
     def of(self, k: int, step: RecoveryStep, state: RobotState) -> list[Task]:
         """Tasks of tick ``k``; in flight joints and feet alone."""
-        reference = self.reference
+        gains, units, reference = self._gains, self._units, self._reference
         found: list[Task] = [
             PostureTask(
-                weight=self.weights["joint"],
+                weight=RECOVERING * gains.joint_weight,
                 q=reference.q[k],
                 v=reference.v[k],
                 a=reference.a[k],
-                bandwidth=self.joint,
-                rows_of_v=self.rows,
-                weights=np.ones(len(self.rows)),
-                unit=self.unit[self.rows],
+                bandwidth=gains.joint / units.time,
+                rows_of_v=self._rows,
+                weights=np.ones(len(self._rows)),
+                unit=self._unit,
             )
         ]
         if step.active.any():
             found += self._standing(k, step, state)
         return found + [
             FrameTask(
-                weight=self.weights["foot"],
-                frame=self.frames[i],
-                pose=pin.SE3(self.targets.rotation[k, i], path.position),
+                weight=gains.foot_weight,
+                frame=self._frames[i],
+                pose=pin.SE3(self._targets.rotation[k, i], path.position),
                 velocity=np.append(path.velocity, np.zeros(3)),
                 acceleration=np.append(path.acceleration, np.zeros(3)),
-                bandwidth=self.foot,
+                bandwidth=gains.foot / units.time,
                 selection=np.eye(6)[:3],
-                units=(self.units.gravity, self.units.gravity / self.units.length),
+                units=(units.gravity, units.gravity / units.length),
             )
             for i, path in step.paths.items()
         ]
 
     def _standing(self, k: int, step: RecoveryStep, state: RobotState) -> list[Task]:
         """Forces, with the weight on all feet alike, centre of mass and orientation of the base."""
-        units, targets = self.units, self.targets
+        gains, units, targets = self._gains, self._units, self._targets
         position, velocity = state.centre_of_mass()[:2]
-        forces = np.zeros_like(self.reference.f[k])
+        forces = np.zeros_like(self._reference.f[k])
         forces[step.active, 2] = units.weight / step.active.sum()
         return [
             ContactForceTask(
-                weight=self.weights["force"],
+                weight=gains.force_weight,
                 wanted=forces,
                 units=(units.weight, units.weight * units.length),
             ),
             CenterOfMassTask(
-                weight=self.weights["com"],
+                weight=gains.com_weight,
                 position=position,
                 velocity=velocity,
                 acceleration=step.acceleration,
@@ -87,12 +88,12 @@ class RecoveryTasks:
                 unit=units.gravity,
             ),
             FrameTask(
-                weight=self.weights["base"],
-                frame=self.base,
+                weight=gains.base_weight,
+                frame=self._base,
                 pose=pin.SE3(targets.base_rotation[k], np.zeros(3)),
                 velocity=targets.base_velocity[k],
                 acceleration=targets.base_acceleration[k],
-                bandwidth=self.body,
+                bandwidth=gains.body / units.time,
                 selection=np.hstack([np.zeros((3, 3)), np.eye(3)]),
                 units=(units.gravity, units.gravity / units.length),
             ),

@@ -11,6 +11,8 @@ from trajopt.terrain.surface import UP
 
 # What is level of a vector.
 LEVEL = np.array([1.0, 1.0, 0.0])
+# The pendulum over a support is at least this part of l high.
+LOWEST = 0.1
 # The cross product of up with a vector.
 TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 

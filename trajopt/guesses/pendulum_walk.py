@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
-from trajopt.certify.accuracy.natural_units import NaturalUnits, turning_rows
+from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.control.contact_forces import ActiveContact
-from trajopt.control.inverse_dynamics import InverseDynamics, TickLimits
+from trajopt.control.inverse_dynamics import TaskSpaceInverseDynamics, TickLimits
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import ContactForceTask, PostureTask
 from trajopt.dynamics.model_quantities import gravity_of
@@ -196,9 +196,8 @@ class _Samples:
         self.problem, self.robot, self.feet = problem, problem.robot, feet
         self.units = units = NaturalUnits.of(self.robot.model)
         self.step = DIFFERENCE * units.time
-        turning, gravity = turning_rows(self.robot.model), units.gravity
-        self.unit = np.where(turning, gravity / units.length, gravity)
-        self.dynamics = InverseDynamics(
+        self.unit = units.acceleration(self.robot.model)
+        self.dynamics = TaskSpaceInverseDynamics(
             state=RobotState(self.robot.model),
             n_unactuated=self.robot.n_unactuated,
             acceleration_unit=self.unit,

@@ -124,8 +124,8 @@ class SimulationRun:
     def branch(self) -> SimulationRun:
         """A run of its own that goes on from here; of its models one run at a time may advance."""
         own = copy.copy(self)
-        own.data, own.tracker = copy.copy(self.data), copy.copy(self.tracker)
-        own.hardware = self.hardware.copy()
+        own.data, own.hardware = copy.copy(self.data), self.hardware.copy()
+        own.tracker = None if self.tracker is None else self.tracker.copy()
         return own
 
     def advance(self, found: SimulationRecord, begin: int, end: int) -> int:

@@ -35,6 +35,10 @@ class NaturalUnits:
         """sqrt(l / g) in s."""
         return math.sqrt(self.length / self.gravity)
 
+    def acceleration(self, model: pin.Model) -> np.ndarray:
+        """Units (nv,) of accelerations: g, and g / l of rotations."""
+        return np.where(turning_rows(model), self.gravity / self.length, self.gravity)
+
     def generalized_force(self, model: pin.Model) -> np.ndarray:
         """Units (nv,) of the rows of the dynamics: m g for forces, m g l for moments."""
         return np.where(turning_rows(model), self.weight * self.length, self.weight)

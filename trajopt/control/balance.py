@@ -1,0 +1,124 @@
+"""Balance: what a robot stands on at a tick, and how its centre of mass follows the plan there."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.control.contact_forces import cross
+from trajopt.control.gains import TrackerGains
+from trajopt.control.plan_targets import PlanTargets
+from trajopt.control.reference import ReferenceTrajectory
+from trajopt.control.robot_state import RobotState
+from trajopt.control.support import LOWEST, Support, next_narrow, support_of, thin_axes
+from trajopt.control.tasks import CenterOfMassTask
+from trajopt.solution.solution import Solution
+
+# Feedback of the centre of mass is at most so many g: more would only leave the friction cones.
+MOST_FEEDBACK = 1.0
+# The robot balances on lines and points that are its support for at least so many sqrt(l / g).
+LASTING = 1.0
+# Supports narrower than this part of l balance by motion alone.
+THIN = 1e-2
+
+
+class Balance:
+    """Supports of a plan's ticks and the centre of mass over them.
+
+    wide: whether (n,) the planned contacts hold the body in all directions: a sole, or no line. lasts:
+    whether (n,) they do not, and the robot balances on them.
+
+    Args:
+        plan: what is tracked; reference, targets: at its ticks.
+        gains: of the feedback.
+    """
+
+    def __init__(
+        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains
+    ) -> None:
+        self._units, self._gains, self._targets = NaturalUnits.of(plan.model), gains, targets
+        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
+        self._walks = bool(plan.meta.get("periodicity"))
+        self.wide = np.array([self._is_wide(plan, row, k) for k, row in enumerate(reference.active)])
+        self.lasts = self._lasting(reference)
+        # In gaits feet land where they catch the centre of mass instead.
+        self._next = next_narrow(reference.active, self.wide) & (not self._walks)
+
+    def support(self, k: int, standing: np.ndarray, state: RobotState) -> Support:
+        """What the robot stands on; narrow only where the plan is too, not where a foot is late."""
+        picked = np.flatnonzero(standing)
+        places = np.array([state.frame(self._frames[i]).placement.translation for i in picked])
+        return support_of(
+            places,
+            self._targets.position[k, picked],
+            np.zeros((0, 3)) if self.wide[k] else thin_axes(places, THIN * self._units.length),
+            state.centre_of_mass()[0],
+            self._units.gravity,
+            LOWEST * self._units.length,
+        )
+
+    def task(self, k: int, support: Support, state: RobotState) -> CenterOfMassTask:
+        """The centre of mass follows the plan, as far as its support lets it.
+
+        In directions in which that has no extent, and which last, so does the angular momentum. Of a
+        support p without extent along u only gravity changes the angular momentum L about its line, whose
+        level part is z x u: dL = m g (c - p) u. A triple pole of that chain of integrators (Azad and
+        Featherstone, IEEE Trans. Robotics 32, 2016) gives with e for errors and w the bandwidth
+            dd c = dd c_d - 3 w de - 3 w^2 e - w^3 e_L / (m g)
+        Where they do not last it falls as the pendulum does, until the next feet stand. Before that, while
+        the robot still stands wide, it follows the feet that will hold it: from where they are off the plan
+        it would be thrown off.
+        """
+        gains, units, targets = self._gains, self._units, self._targets
+        w, tilt = gains.body / units.time, gains.balance / units.time
+        position, velocity, _, _ = state.centre_of_mass()
+        wanted, rate, acceleration = targets.com[k]
+        error, change = position - wanted, velocity - rate
+        if self._next[k].any():
+            error -= self.support(k, self._next[k], state).offset
+        feedback = -2 * w * change - w**2 * error
+        across = support.axes.T @ support.axes
+        if len(support.axes) and self.lasts[k]:
+            mass = units.weight / units.gravity
+            here, planned = support.places.mean(axis=0), support.planned.mean(axis=0)
+            own = state.angular_momentum()[0] + mass * cross(position - here, velocity)
+            asked = targets.momentum[k] + mass * cross(wanted - planned, rate)
+            turned = support.axes.T @ (support.lines @ (own - asked)) / units.weight
+            poles = 3 * tilt * change + 3 * tilt**2 * (error - support.offset)
+            feedback -= across @ (poles + feedback) + tilt**3 * turned
+        elif len(support.axes):
+            feedback += across @ (support.falling(error) - feedback)
+            feedback = support.reachable(position, acceleration + feedback) - acceleration
+        most = MOST_FEEDBACK * units.gravity
+        feedback *= min(1.0, most / max(float(np.linalg.norm(feedback)), most))
+        return CenterOfMassTask(
+            weight=gains.thin_com_weight if len(support.axes) and not self._walks else gains.com_weight,
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration + feedback,
+            bandwidth=0.0,
+            unit=units.gravity,
+        )
+
+    def _is_wide(self, plan: Solution, active: np.ndarray, k: int) -> bool:
+        picked = np.flatnonzero(active)
+        kinds = [plan.meta["contact_kinds"][i] for i in picked]
+        if "surface" in kinds or self._targets.surfaces.bilateral[k, picked].any():
+            return True
+        return len(picked) > 2 and not len(
+            thin_axes(self._targets.position[k, picked], THIN * self._units.length)
+        )
+
+    def _lasting(self, reference: ReferenceTrajectory) -> np.ndarray:
+        """Ticks (n,) of stances on one line or point that last: shorter ones follow the plan as it is."""
+        active = reference.active
+        found = np.zeros(len(active), dtype=bool)
+        if self._walks or self.wide[active.any(axis=1)].any():
+            return found  # the next steps, or a wider support, balance the robot
+        changes = np.flatnonzero((active[1:] != active[:-1]).any(axis=1)) + 1
+        for begin, end in pairwise([0, *changes.tolist(), len(active)]):
+            lasts = (end - begin) * reference.period >= LASTING * self._units.time
+            found[begin:end] = lasts and bool(active[begin].any()) and not self.wide[begin]
+        return found

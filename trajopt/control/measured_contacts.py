@@ -1,0 +1,83 @@
+"""Contacts as they are measured: which transmit forces at a tick, which are late, what each may transmit."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.control.contact_forces import ActiveContact
+from trajopt.control.plan_targets import PlanTargets
+from trajopt.control.reference import ReferenceTrajectory
+from trajopt.solution.solution import Solution
+
+# A contact that is early by less than this part of its swing takes load at once.
+EARLY = 1 / 3
+# A stance goes on if the contact is lost for less than this part of the natural time: soft contacts chatter.
+LOST = 0.05
+# A foot that is late is pressed down with this part of sqrt(g l), for at most this part of l.
+PRESSED, DEEPEST = 0.1, 0.1
+
+
+class MeasuredContacts:
+    """Contacts of a plan, switched by what touches.
+
+    Args:
+        plan: what is tracked; reference, targets: at its ticks.
+    """
+
+    def __init__(self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets) -> None:
+        self.frames = [int(plan.model.getFrameId(name)) for name in plan.contact_frames]
+        self._reference, self._targets = reference, targets
+        self._lost = LOST * NaturalUnits.of(plan.model).time
+        self._soles = [kind == "surface" for kind in plan.meta["contact_kinds"]]
+        self._sizes = plan.meta.get("contact_sizes") or [None] * len(self.frames)
+        self._touched_at = np.full(len(self.frames), -np.inf)
+
+    def copy(self) -> MeasuredContacts:
+        """These contacts, apart."""
+        return copy.copy(self)  # times are replaced, not written
+
+    def active(self, k: int, touching: np.ndarray) -> np.ndarray:
+        """Contacts (nc,) that transmit forces: planned and touching, or early; held ones as planned."""
+        planned, targets = self._reference.active[k], self._targets
+        now = k * self._reference.period
+        self._touched_at = np.where(touching, now, self._touched_at)
+        lately = now - self._touched_at <= self._lost
+        swing = targets.next_stance[k] + targets.last_stance[k]
+        early = touching & ~planned & (targets.next_stance[k] <= EARLY * swing)
+        early &= targets.next_stance[k] < len(self._reference.t)
+        held = planned & targets.surfaces.bilateral[k]
+        started = planned & (k == 0)
+        return np.asarray((planned & lately) | early | held | started)
+
+    def late(self, i: int, k: int) -> float | None:
+        """Time for which contact ``i`` should stand but does not touch, s; None where it should not."""
+        planned = self._reference.active
+        if not planned[k, i]:
+            return None
+        before = np.flatnonzero(~planned[:k, i])
+        start = (before[-1] + 1) * self._reference.period if len(before) else 0.0
+        return float(k * self._reference.period - max(self._touched_at[i], start))
+
+    def of(self, i: int, k: int) -> ActiveContact:
+        """Contact ``i`` on its planned surface."""
+        surfaces, size = self._targets.surfaces, self._sizes[i]
+        sliding = None
+        normal = surfaces.normal[k, i]
+        if surfaces.slides[k, i]:
+            velocity = self._targets.velocity[k, i, :3]
+            along = velocity - normal * (normal @ velocity)
+            speed = float(np.linalg.norm(along))
+            sliding = along / speed if speed > 0 else None
+        return ActiveContact(
+            number=i,
+            frame=self.frames[i],
+            dimension=6 if self._soles[i] else 3,
+            normal=normal,
+            friction=float(surfaces.friction[k, i]),
+            half_size=(0.0, 0.0) if not size else (float(size[0]), float(size[1])),
+            bilateral=bool(surfaces.bilateral[k, i]),
+            sliding=sliding,
+        )

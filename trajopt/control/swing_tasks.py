@@ -1,0 +1,99 @@
+"""Contacts in the air: they follow the plan, land beside their footholds, and are pressed down where late."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.control.footholds import FootholdOffsets, capture_error
+from trajopt.control.gains import TrackerGains
+from trajopt.control.measured_contacts import DEEPEST, PRESSED
+from trajopt.control.plan_targets import PlanTargets
+from trajopt.control.reference import ReferenceTrajectory
+from trajopt.control.robot_state import RobotState
+from trajopt.control.support import Support
+from trajopt.control.tasks import FrameTask
+from trajopt.solution.descriptions import terrain_of
+from trajopt.solution.solution import Solution
+from trajopt.terrain.surface import UP, Surface
+
+# Rate of the pendulum that a flight lands on, in natural units: legs half as long as the reach.
+FLYING = 2.0**0.5
+# Surfaces whose normals differ from up by less than this are level: feet may land elsewhere on them.
+LEVEL = 1e-3
+
+
+class SwingTasks:
+    """Tasks of contacts in the air, which remember where feet are beside the plan.
+
+    Args:
+        plan: what is tracked; reference, targets: at its ticks.
+        gains: of the feedback.
+    """
+
+    def __init__(
+        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains
+    ) -> None:
+        self._units, self._gains = NaturalUnits.of(plan.model), gains
+        self._targets, self._period = targets, reference.period
+        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
+        self._kinds = plan.meta["contact_kinds"]
+        self._level = level_footholds(plan, targets)
+        self._offsets = FootholdOffsets(
+            len(self._frames), period=reference.period, length=self._units.length, time=self._units.time
+        )
+
+    def copy(self) -> SwingTasks:
+        """These tasks, apart."""
+        own = copy.copy(self)
+        own._offsets = self._offsets.copy()
+        return own
+
+    def stand(self, k: int, active: np.ndarray, state: RobotState) -> None:
+        """Contacts (nc,) of a mask stand where they are."""
+        for i in np.flatnonzero(active):
+            here = state.frame(self._frames[i]).placement.translation
+            self._offsets.stand(int(i), (here - self._targets.position[k, i])[:2])
+
+    def of(self, i: int, k: int, late: float | None, support: Support | None, state: RobotState) -> FrameTask:
+        """Contact ``i`` follows the plan; one that is late by so many s is pressed down along its normal."""
+        targets, units = self._targets, self._units
+        position, velocity = targets.position[k, i].copy(), targets.velocity[k, i].copy()
+        acceleration = targets.acceleration[k, i].copy()
+        normal = targets.surfaces.normal[k, i]
+        if late is not None:
+            speed = PRESSED * np.sqrt(units.gravity * units.length)
+            position -= normal * min(speed * late, DEEPEST * units.length)
+            velocity[:3] -= normal * speed
+        if self._gains.placement and self._level[k, i]:
+            acceleration[:2] += self._beside(i, k, support, state)
+            position[:2] += self._offsets.offset[i]
+            velocity[:2] += self._offsets.rate[i]
+        return FrameTask(
+            weight=self._gains.foot_weight,
+            frame=self._frames[i],
+            pose=pin.SE3(targets.rotation[k, i], position),
+            velocity=velocity,
+            acceleration=acceleration,
+            bandwidth=self._gains.foot / units.time,
+            selection=np.eye(6)[: 6 if self._kinds[i] == "surface" else 3],
+            units=(units.gravity, units.gravity / units.length),
+        )
+
+    def _beside(self, i: int, k: int, support: Support | None, state: RobotState) -> np.ndarray:
+        """Move a foot on beside its planned motion; returns the acceleration (2,) of its offset, m/s^2."""
+        position, velocity, _, _ = state.centre_of_mass()
+        error, change = position - self._targets.com[k, 0], velocity - self._targets.com[k, 1]
+        left = float(self._targets.next_stance[k, i]) * self._period
+        capture = capture_error(error, change, support, left, FLYING / self._units.time)
+        return self._offsets.swing(i, error, self._gains.placement * capture, left)
+
+
+def level_footholds(plan: Solution, targets: PlanTargets) -> np.ndarray:
+    """Where (n, nc) feet may land beside their footholds: on level ground without edges."""
+    smooth = not plan.meta.get("surfaces") and isinstance(terrain_of(plan.meta["terrain"]), Surface)
+    level = np.abs(targets.surfaces.normal - UP).max(axis=2) < LEVEL
+    return np.asarray(level & smooth)
