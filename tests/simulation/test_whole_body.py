@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import trajopt
 from tests.support.command_lines import invoke
@@ -130,7 +131,10 @@ def test_what_the_controller_asked_for_is_in_the_simulated_solution(trot: Soluti
     assert asked.forces[:, :, 2].sum(axis=1).mean() == pytest.approx(weight, rel=0.02)
     off = np.linalg.norm(asked.forces[:, :, :3] - record.force[:, :, :3], axis=2)
     assert np.median(off) < 0.02 * weight  # most of the time it gets what it asks for
-    assert np.isfinite(asked.com).all()  # something stands at any time
+    # It leads the centre of mass while something stands: always, but for ticks in which feet are late.
+    standing = (asked.forces != 0).any(axis=(1, 2))
+    assert_array_equal(np.isfinite(asked.com).all(axis=1), standing)
+    assert standing.mean() > 0.95
     swinging = ~found.reference.active & (np.linalg.norm(record.force, axis=2) == 0.0)
     goals = np.linalg.norm(asked.feet - record.feet, axis=2)[swinging & np.isfinite(asked.feet[:, :, 0])]
     assert goals.size
