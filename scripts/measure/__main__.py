@@ -40,6 +40,7 @@ COMMANDS = (
     scenes.scenes,
     shapes.shapes,
     clearance.clearance,
+    control.gaits,
     control.ticks,
     control.walks,
     warm_starts.warm_starts,

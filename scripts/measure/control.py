@@ -12,6 +12,7 @@ from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.tracker import Tracker
 from trajopt.guesses import commanded_walk, walk_plan
 from trajopt.robot import legs_only
+from trajopt.simulation.settings import Controller
 from trajopt.simulation.simulate import simulate
 
 PLANS = (
@@ -23,6 +24,33 @@ PLANS = (
 
 # Twenty steps of each: forward and to the left, m/s, and turning to the left, rad/s.
 WALKS = ((0.3, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.05, 0.0), (0.3, 0.0, 0.4))
+
+# Periodic gaits on level ground.
+GAITS = {
+    "solo12": "amble bound canter flying-trot gallop pace pronk rotary-gallop trot walk",
+    "go2": "bound gallop pace pronk trot walk",
+    "anymal_c": "bound gallop pace pronk trot walk",
+}
+
+
+@click.command("gaits")
+@click.option("--cycles", default=10)
+@click.option("--controller", "controllers", multiple=True, type=click.Choice(get_args(Controller)))
+def gaits(cycles: int, controllers: tuple[Controller, ...]) -> None:
+    """Some cycles of each gait in MuJoCo: how far the base is off at the end, mm."""
+    wanted = controllers or get_args(Controller)
+    head("gait", "robot", *wanted)
+    for robot, names in GAITS.items():
+        for name in names.split():
+            plan = trajopt.solve(trajopt.load(f"quadruped-{name}", robot=robot))
+            reports = [simulate(plan, cycles=cycles, controller=own).report for own in wanted]
+            ends = [
+                "fell"
+                if report.fell or report.base_error_end is None
+                else f"{1e3 * report.base_error_end:.1f}"
+                for report in reports
+            ]
+            row(name, robot, *ends)
 
 
 @click.command("ticks")
