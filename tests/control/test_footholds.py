@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from trajopt.control.footholds import LONGEST, FootholdOffsets, capture_error
+from trajopt.control.footholds import (
+    LONGEST,
+    STAYING,
+    STEADIEST,
+    FootholdOffsets,
+    SteadyError,
+    capture_error,
+)
 from trajopt.control.support import Support, next_narrow, support_of, thin_axes
 
 GRAVITY, HEIGHT, LENGTH = 9.81, 0.32, 0.5
@@ -138,3 +145,31 @@ def test_offsets_of_a_copy_are_its_own() -> None:
     assert_allclose(own.offset[0], [1.0, 2.0])
     assert not own.rate.any()
     assert feet.offset[0, 0] < 0.1
+
+
+def steady(rate: float) -> SteadyError:
+    return SteadyError(rate=rate, period=PERIOD, length=LENGTH, time=TIME)
+
+
+def test_an_error_that_stays_is_integrated_up_to_a_part_of_the_reach() -> None:
+    error, slow = np.array([0.02, -0.01, 0.0]), np.zeros(3)
+    found = steady(0.5)
+    for _ in range(1000):
+        found.update(error, slow)
+    assert_allclose(found.integral, 0.5 * error, rtol=1e-9)
+    for _ in range(100_000):
+        found.update(error, slow)
+    assert_allclose(found.integral[:2], [STEADIEST * LENGTH, -STEADIEST * LENGTH])
+    for _ in range(100):
+        found.update(-error, slow)  # and goes back at once
+    assert_allclose(found.integral[:2], [STEADIEST * LENGTH - 1e-3, -STEADIEST * LENGTH + 5e-4], rtol=1e-9)
+
+
+def test_the_error_after_a_push_is_not_one_that_stays() -> None:
+    found, fast = steady(0.5), np.array([0.0, 1.01 * STAYING * LENGTH / TIME, 0.0])
+    found.update(np.array([0.1, 0.1, 0.0]), fast)
+    assert_allclose(found.integral, 0.0)
+    apart = found.copy()
+    apart.update(np.array([0.1, 0.1, 0.0]), fast / 1.02)
+    assert apart.integral[0] > 0.0
+    assert_allclose(found.integral, 0.0)

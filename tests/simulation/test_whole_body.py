@@ -52,6 +52,15 @@ def test_cycles_end_where_the_command_leads(trot: Solution) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("offset", [(0.0, 0.02, 0.0), (-0.02, 0.0, 0.0)])
+def test_feet_land_beside_their_footholds_where_the_centre_of_mass_is_not_the_models(
+    trot: Solution, offset: tuple[float, float, float]
+) -> None:
+    report = simulate(trot, cycles=5, com_offset=offset, controller="whole-body").report
+    assert report.passed, report.failures
+
+
+@pytest.mark.slow
 def test_a_hopper_lands_and_balances_on_one_point() -> None:
     plan = trajopt.solve(trajopt.load("hopper-hop"))
     assert simulate(plan, controller="whole-body").report.passed

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 
 from trajopt.control.support import Support
@@ -12,6 +14,10 @@ QUICKEST = 0.15
 MOST_GROWTH = 2.0
 # A foot lands at most this part of l beside the foothold that moves with the centre of mass.
 LONGEST = 0.25
+# For an error that stays feet land at most this part of l farther.
+STEADIEST = 0.1
+# It stays where the velocity of the centre of mass is so close to the plan's, in sqrt(g l): not after a push.
+STAYING = 0.1
 
 
 def capture_error(
@@ -81,3 +87,30 @@ class FootholdOffsets:
         self.rate[foot] += change * self._period
         self.offset[foot] += self.rate[foot] * self._period
         return np.asarray(change)
+
+
+class SteadyError:
+    """What stays of the error of the centre of mass in a gait, integrated.
+
+    Where the model's is not the robot's, or the ground is higher, feet have to land beside their footholds
+    all the time. While the velocity is off the plan too, as after a push, nothing is integrated.
+
+    Args:
+        rate: of the integral, 1/s.
+        period: of a tick, s.
+        length: of the robot, m.
+        time: sqrt(l / g), s.
+    """
+
+    def __init__(self, *, rate: float, period: float, length: float, time: float) -> None:
+        self.integral = np.zeros(3)
+        self._step, self._most, self._slow = rate * period, STEADIEST * length, STAYING * length / time
+
+    def copy(self) -> SteadyError:
+        """This integral, apart; updates replace its array."""
+        return copy.copy(self)
+
+    def update(self, error: np.ndarray, change: np.ndarray) -> None:
+        """Integrate the error (3,) of the centre of mass, m, while that of its velocity (3,), m/s, is small."""
+        if np.linalg.norm(change[:2]) < self._slow:
+            self.integral = np.clip(self.integral + self._step * error, -self._most, self._most)

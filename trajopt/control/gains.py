@@ -28,6 +28,7 @@ class TrackerGains:
         balance: bandwidth on a line or a point.
         balance_joint_weight: of joints there.
         placement: how far feet land beside footholds: times the error of the capture point at touchdown.
+        steady: rate at which they land farther while the centre of mass of a gait stays off the plan.
     """
 
     body: NonNegative = 8.0
@@ -45,3 +46,4 @@ class TrackerGains:
     balance: NonNegative = 10.0
     balance_joint_weight: NonNegative = 1e-4
     placement: NonNegative = 1.3
+    steady: NonNegative = 0.1

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.control.footholds import FootholdOffsets, capture_error
+from trajopt.control.footholds import FootholdOffsets, SteadyError, capture_error
 from trajopt.control.gains import TrackerGains
 from trajopt.control.measured_contacts import DEEPEST, PRESSED
 from trajopt.control.plan_targets import PlanTargets
@@ -42,18 +42,20 @@ class SwingTasks:
         self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
         self._kinds = plan.meta["contact_kinds"]
         self._level = level_footholds(plan, targets)
-        self._offsets = FootholdOffsets(
-            len(self._frames), period=reference.period, length=self._units.length, time=self._units.time
-        )
+        period, length, time = reference.period, self._units.length, self._units.time
+        self._offsets = FootholdOffsets(len(self._frames), period=period, length=length, time=time)
+        rate = gains.steady / time if plan.meta.get("periodicity") else 0.0
+        self._steady = SteadyError(rate=rate, period=period, length=length, time=time)
 
     def copy(self) -> SwingTasks:
         """These tasks, apart."""
         own = copy.copy(self)
-        own._offsets = self._offsets.copy()
+        own._offsets, own._steady = self._offsets.copy(), self._steady.copy()
         return own
 
     def stand(self, k: int, active: np.ndarray, state: RobotState) -> None:
-        """Contacts (nc,) of a mask stand where they are."""
+        """Contacts (nc,) of a mask stand where they are; once a tick."""
+        self._steady.update(*self._error(k, state))
         for i in np.flatnonzero(active):
             here = state.frame(self._frames[i]).placement.translation
             self._offsets.stand(int(i), (here - self._targets.position[k, i])[:2])
@@ -85,11 +87,16 @@ class SwingTasks:
 
     def _beside(self, i: int, k: int, support: Support | None, state: RobotState) -> np.ndarray:
         """Move a foot on beside its planned motion; returns the acceleration (2,) of its offset, m/s^2."""
-        position, velocity, _, _ = state.centre_of_mass()
-        error, change = position - self._targets.com[k, 0], velocity - self._targets.com[k, 1]
+        error, change = self._error(k, state)
         left = float(self._targets.next_stance[k, i]) * self._period
         capture = capture_error(error, change, support, left, FLYING / self._units.time)
-        return self._offsets.swing(i, error, self._gains.placement * capture, left)
+        beside = self._gains.placement * capture + self._steady.integral
+        return self._offsets.swing(i, error, beside, left)
+
+    def _error(self, k: int, state: RobotState) -> tuple[np.ndarray, np.ndarray]:
+        """Of the centre of mass (3,), m, and of its velocity (3,), m/s."""
+        position, velocity, _, _ = state.centre_of_mass()
+        return position - self._targets.com[k, 0], velocity - self._targets.com[k, 1]
 
 
 def level_footholds(plan: Solution, targets: PlanTargets) -> np.ndarray:
