@@ -28,6 +28,7 @@ from trajopt.solving.interruption import CANCELLED, interruptible
 BAD_INPUT = 2
 # Commands by name, each as ``module:function``.
 COMMANDS = {
+    "batch": "trajopt.cli.batch:batch_command",
     "check": "trajopt.cli.check:check_command",
     "continue": "trajopt.cli.continuation:continue_command",
     "diagnose": "trajopt.cli.diagnose:diagnose_command",

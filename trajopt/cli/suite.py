@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -110,6 +109,7 @@ def suite(
     from trajopt.study.suite.settings import SuiteSettings
     from trajopt.study.suite.table import to_dict
     from trajopt.study.suite.versions import versions
+    from trajopt.study.workers.executor import processors
 
     settings, known = SuiteSettings(**arguments), families()
     cases = select(known, problems, robots)
@@ -126,7 +126,7 @@ def suite(
     old = data.read(target)[0] if target is not None and target.exists() else {}
     bands = None if compare is None else data.read(compare)[0]
     records = SuiteRecords(output_dir, settings, versions())
-    outcomes, complete = _run(cases, settings, records, resume, jobs or _processors())
+    outcomes, complete = _run(cases, settings, records, resume, jobs or processors())
     outside = None if bands is None else data.deviations(outcomes, settings, bands)
     if as_json:
         found = to_dict(outcomes, settings, versions())
@@ -147,10 +147,6 @@ def _falls(outcomes: Sequence[Outcome]) -> bool:
     from trajopt.study.suite.physics import FELL
 
     return any(outcome.physics is not None and outcome.physics.word == FELL for outcome in outcomes)
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _run(

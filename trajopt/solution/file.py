@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -27,14 +28,25 @@ def write_solution_file(
 ) -> Path:
     """Write a solution to a temporary file beside ``path`` and rename it; see `Solution.save`."""
     target = expanded(path)
+    content = solution_bytes(meta, model_text, arrays)
+    write_bytes(target, content)
+    return target
+
+
+def solution_bytes(meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]) -> bytes:
+    """The content of a solution's file. Raises `InputError` if the solution is inconsistent."""
     text = consistent_meta(meta, model_text, arrays)
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, meta=np.array(text), model=np.array(model_text), **arrays)
+    return file.getvalue()
+
+
+def write_bytes(target: Path, content: bytes) -> None:
+    """Write a file completely, to the disk, or not at all. Raises a one-line `InputError`."""
     with replacing(target) as unfinished, unfinished.open("wb") as file:
-        np.savez_compressed(
-            file, allow_pickle=False, meta=np.array(text), model=np.array(model_text), **arrays
-        )
+        file.write(content)
         file.flush()
         os.fsync(file.fileno())
-    return target
 
 
 def consistent_meta(meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]) -> str:
@@ -63,7 +75,12 @@ def _jsonable(value: Any) -> Any:
 def read_solution_file(path: str | Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
     """Read meta, the model's text and arrays; raises a one-line `SolutionFileError`; see `Solution.load`."""
     source = expanded(path)
-    arrays = _arrays(source)
+    return parse_solution(_content(source), source)
+
+
+def parse_solution(content: bytes, source: Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
+    """As `read_solution_file`, of the content of a file that messages call ``source``."""
+    arrays = _arrays(content, source)
     meta = _meta(source, arrays)
     missing = [name for name in (*SAMPLED, "interval_t", "model") if name not in arrays]
     if missing:
@@ -96,23 +113,27 @@ def _forces_of_contacts(meta: dict[str, Any], arrays: Mapping[str, np.ndarray]) 
     return f
 
 
-def _arrays(source: Path) -> dict[str, np.ndarray]:
+def _content(source: Path) -> bytes:
     if not source.is_file():
         raise SolutionFileError(
             f"{source} does not exist" if not source.exists() else f"{source} is not a file"
         )
     try:
-        with source.open("rb") as file:
-            if file.read(4) != b"PK\x03\x04":
-                raise SolutionFileError(f"{source} is not a {FORMAT} file", "an .npz archive")
-        with np.load(source, allow_pickle=False) as archive:
+        return source.read_bytes()
+    except OSError as error:
+        raise SolutionFileError(f"{source} cannot be read: {error.strerror or error}") from None
+
+
+def _arrays(content: bytes, source: Path) -> dict[str, np.ndarray]:
+    if not content.startswith(b"PK\x03\x04"):
+        raise SolutionFileError(f"{source} is not a {FORMAT} file", "an .npz archive")
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except (zipfile.BadZipFile, zlib.error, EOFError, KeyError):
         raise SolutionFileError(f"{source} is truncated or damaged") from None
     except (ValueError, NotImplementedError, RuntimeError) as error:
         raise SolutionFileError(f"{source} cannot be read: {str(error).splitlines()[0]}") from None
-    except OSError as error:
-        raise SolutionFileError(f"{source} cannot be read: {error.strerror or error}") from None
 
 
 def _meta(source: Path, arrays: dict[str, np.ndarray]) -> dict[str, Any]:

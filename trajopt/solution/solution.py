@@ -299,3 +299,13 @@ class Solution:
         """Read a file; raises a one-line `SolutionFileError` if anything in it is wrong."""
         meta, model_text, arrays = file.read_solution_file(path)
         return cls(meta=meta, model_text=model_text, **arrays)
+
+    def to_bytes(self) -> bytes:
+        """The content of the file that `save` writes. Raises `InputError` if the solution is inconsistent."""
+        return file.solution_bytes(self.meta, self.model_text, self.arrays)
+
+    @classmethod
+    def from_bytes(cls, content: bytes, name: str = "solution") -> Solution:
+        """The solution of `to_bytes`; raises a `SolutionFileError`, which calls it ``name``."""
+        meta, model_text, arrays = file.parse_solution(content, Path(name))
+        return cls(meta=meta, model_text=model_text, **arrays)

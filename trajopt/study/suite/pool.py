@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,8 @@ from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.run import Event, run_case
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.workers.display import TaskDisplay
-from trajopt.study.workers.executor import ProcessPerTaskExecutor, first_ended
+from trajopt.study.workers.executor import ProcessPerTaskExecutor
+from trajopt.study.workers.running import RunningTasks
 from trajopt.study.workers.task import RefusedTaskError, TaskError, TaskTimeoutError
 
 # Seconds that a stage may take before its process is ended. A solve: see `run_case`.
@@ -64,17 +64,17 @@ def run_all(
 
     preload = (*problem_modules(), "trajopt.study.suite.run")
     with ProcessPerTaskExecutor(jobs, preload=preload, on_event=hear) as executor:
-        running: dict[Future[None], _CaseRun] = {}
+        running = RunningTasks[_CaseRun](executor, check)
         waiting = list(pairs.values())
         while waiting or running:
             for pair in waiting:
                 if pair.is_done:
                     yield pair.outcome()
                 else:
-                    running[executor.submit(run_case, *pair.task(limits, records.folder))] = pair
-            ended = first_ended(running, check)
-            waiting = [running.pop(future) for future in ended]
-            for pair, future in zip(waiting, ended, strict=True):
+                    running.submit(pair, run_case, *pair.task(limits, records.folder))
+            ended = running.ended()
+            waiting = [pair for pair, _ in ended]
+            for pair, future in ended:
                 pair.end(future.exception())
 
 

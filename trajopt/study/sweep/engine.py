@@ -23,7 +23,8 @@ from trajopt.study.sweep.result import DONE, LOST, NOT_COMPILED, REFUSED, Job, T
 from trajopt.study.sweep.run import calibrations, compiled, run_job, solve_reference
 from trajopt.study.sweep.summary import median_run
 from trajopt.study.workers.display import TaskDisplay
-from trajopt.study.workers.executor import ProcessPerTaskExecutor, first_ended
+from trajopt.study.workers.executor import ProcessPerTaskExecutor
+from trajopt.study.workers.running import RunningTasks
 from trajopt.study.workers.task import RefusedTaskError, TaskError, announced
 
 # A run is disturbed if its calibration exceeds this multiple of the fastest; on an idle machine they vary by
@@ -92,9 +93,9 @@ class Sweep:
     def _values(self, name: str, limit: float, function: Task, *args: Any) -> dict[str, Any]:
         """The result of one task while nothing else runs."""
         self._display.more()
-        future = self._executor.submit(announced, name, limit, function, *args)
-        first_ended([future], self._check)
-        return _values(future)
+        running = RunningTasks[str](self._executor, self._check)
+        running.submit(name, announced, name, limit, function, *args)
+        return _values(running.ended()[0][1])
 
     def _compile(self) -> None:
         """Functions of all settings, before anything is timed.
@@ -133,16 +134,15 @@ class Sweep:
     def _runs(self) -> None:
         waiting, begin = deque(self._missing()), time.perf_counter()
         self._display.more(len(waiting))
-        running: dict[Future[TimedRun], Job] = {}
+        running = RunningTasks[Job](self._executor, self._check)
         while waiting or running:
             while waiting and len(running) < len(self._cores):
                 job = waiting.popleft()
                 if job.setting in self._given_up:
                     self._display.more(-1)
                 else:
-                    running[self._submit(job)] = job
-            for future in first_ended(running, self._check):
-                job = running.pop(future)
+                    running.submit(job, *self._task(job))
+            for job, future in running.ended():
                 run = self._judged(job, future)
                 self._records.add(run=asdict(run))
                 self._display.finished(self._name(job), f"{self._name(job)}: {run_text(run)}")
@@ -152,12 +152,12 @@ class Sweep:
                     waiting.append(replace(job, attempt=job.attempt + 1))
                     self._display.more()
 
-    def _submit(self, job: Job) -> Future[TimedRun]:
+    def _task(self, job: Job) -> tuple[Any, ...]:
         request, setting = self._request, self._settings[job.setting]
         solves = 2 if setting.start == "warm" else 1
         limit = solves * request.max_time + request.build_time
         file = self._records.solution_file(setting, job)
-        return self._executor.submit(announced, self._name(job), limit, run_job, request, setting, job, file)
+        return announced, self._name(job), limit, run_job, request, setting, job, file
 
     def _name(self, job: Job) -> str:
         return f"{self._labels[job.setting]}, {_start_text(job)}"
@@ -223,16 +223,16 @@ class Sweep:
     def _accuracy(self) -> None:
         """The accuracy of each setting's median run."""
         reference = self._records.reference_file if self._records.reference_file.exists() else None
-        running: dict[Future[dict[str, Any]], TimedRun] = {}
+        running = RunningTasks[TimedRun](self._executor, self._check)
         for run in self._unmeasured():
             file = self._records.solution_file(self._settings[run.setting], run.job)
             name = f"{self._labels[run.setting]}: accuracy"
             task = (ACCURACY_TIME, figures, file, reference)
-            running[self._executor.submit(announced, name, *task)] = run
+            running.submit(run, announced, name, *task)
         self._display.more(len(running))
         while running:
-            for future in first_ended(running, self._check):
-                run, text = running.pop(future), ""
+            for run, future in running.ended():
+                text = ""
                 label, values = self._labels[run.setting], _values(future)
                 if values.pop("kind") != DONE:
                     text = f"{label}: no accuracy: {values.pop('detail')}"

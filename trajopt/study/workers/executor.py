@@ -11,14 +11,13 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from typing import IO, Any, TypeVar
 
-from trajopt.solving.interruption import LOOK
 from trajopt.study.workers.task import DONE, EVENT, LIMIT, LostTaskError, TaskTimeoutError, serve_task
 
 _Result = TypeVar("_Result")
@@ -135,18 +134,9 @@ class ProcessPerTaskExecutor(Executor):
                 raise value
 
 
-def first_ended(
-    futures: Collection[Future[_Result]], check: Callable[[], object] = bool
-) -> set[Future[_Result]]:
-    """Wait until some of ``futures`` have ended and return these; ``check`` is called several times a second.
-
-    An exception from it ends the wait.
-    """
-    while True:
-        check()
-        ended = wait(futures, timeout=LOOK, return_when=FIRST_COMPLETED).done
-        if ended or not futures:
-            return ended
+def processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _fork(process: ForkServerProcess) -> None:

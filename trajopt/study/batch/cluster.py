@@ -1,0 +1,60 @@
+"""A running Dask cluster as an executor: its scheduler retries and replaces lost workers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from trajopt.errors import InputError
+
+# Seconds in which a scheduler has to answer.
+PATIENCE = 10.0
+# Tasks at a time for each thread of the workers, so that none waits for the next one; at least so many while
+# workers come.
+AHEAD, LEAST_AHEAD = 3, 8
+RUNS = "running"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cluster:
+    """An executor of a cluster; its ``window`` of tasks; ``check`` raises where the scheduler is gone."""
+
+    executor: Executor
+    window: Callable[[], int]
+    check: Callable[[], None]
+
+
+@contextmanager
+def dask_cluster(address: str) -> Iterator[Cluster]:
+    """Connect to a scheduler, such as ``tcp://127.0.0.1:8786``. Raises `InputError` if none answers."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError(
+            "--scheduler needs dask.distributed", "allowed: after pip install 'trajopt-contacts[batch]'"
+        ) from None
+    try:
+        client = Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"no scheduler answers at {address}: {reason}", "allowed: tcp://HOST:PORT of a Dask scheduler"
+        ) from None
+
+    def check() -> None:
+        if client.status != RUNS:
+            raise InputError(
+                f"the scheduler at {address} is gone", "what was reported is kept; go on with --resume"
+            )
+
+    def window() -> int:
+        threads = sum(info["nthreads"] for info in client.scheduler_info(n_workers=-1)["workers"].values())
+        return max(AHEAD * threads, LEAST_AHEAD)
+
+    try:
+        # Not pure: two cases with the same parameters are two tasks.
+        yield Cluster(executor=client.get_executor(pure=False), window=window, check=check)
+    finally:
+        client.close(timeout=PATIENCE if client.status == RUNS else 0)

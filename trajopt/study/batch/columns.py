@@ -1,0 +1,81 @@
+"""Columns of a batch's index: the case, its parameters, its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from trajopt.errors import InputError
+from trajopt.study.batch.variation import BatchCase
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+# Figures by column, with the names of their types in PyArrow.
+FIGURES = {
+    "success": "bool_",
+    "status": "string",
+    "detail": "string",
+    "start": "int64",
+    "warm_start": "bool_",
+    "iterations": "int64",
+    "solver_time_s": "float64",
+    "case_time_s": "float64",
+    "objective": "float64",
+    "motion_time_s": "float64",
+    "energy_j": "float64",
+    "cost_of_transport": "float64",
+    "max_violation": "float64",
+    "tolerance_used": "float64",
+    "worst_figure": "string",
+    "variables": "int64",
+    "intervals": "int64",
+    "attempts": "int64",
+    "file": "string",
+}
+FIRST = ("case", "problem")
+
+
+def arrow() -> Any:
+    """PyArrow; raises one line that names the extra."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise InputError(
+            "the index of a batch needs pyarrow", "allowed: after pip install 'trajopt-contacts[batch]'"
+        ) from None
+    return pyarrow
+
+
+def parameter_columns(cases: Iterable[BatchCase]) -> dict[str, bool]:
+    """Columns of all parameters of the cases, with whether they hold words."""
+    found: dict[str, bool] = {}
+    for case in cases:
+        for name, value in case.values.items():
+            found[name] = found.get(name, False) or isinstance(value, str)
+    return found
+
+
+def column_of(name: str) -> str:
+    """The column of a parameter: its name, unless a figure has it."""
+    return f"parameter_{name}" if name in FIGURES or name in FIRST else name
+
+
+def schema(cases: Sequence[BatchCase]) -> pa.Schema:
+    """Names and types of all columns."""
+    pyarrow = arrow()
+    words = parameter_columns(cases)
+    parameters = [
+        (column_of(name), pyarrow.string() if word else pyarrow.float64()) for name, word in words.items()
+    ]
+    figures = [(name, getattr(pyarrow, kind)()) for name, kind in FIGURES.items()]
+    return pyarrow.schema([("case", pyarrow.int64()), ("problem", pyarrow.string()), *parameters, *figures])
+
+
+def row_of(index: int, case: BatchCase, figures: dict[str, Any], words: dict[str, bool]) -> dict[str, Any]:
+    """A row of the index."""
+    values = {
+        column_of(name): str(value) if words[name] else float(value) for name, value in case.values.items()
+    }
+    return {"case": index, "problem": case.problem, **values, **figures}

@@ -1,0 +1,74 @@
+"""Where a batch fails: its cases over each pair of parameters that vary, by outcome."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajopt.solution.output import replacing
+from trajopt.study.batch.summary import varied
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from matplotlib.axes import Axes
+
+FILE = "failures.png"
+# Pairs of parameters that are drawn.
+MOST_PAIRS = 6
+SIDE, DOTS = 4.6, 130
+SOLVED = "#0b5394"
+# Colours of statuses that are not solved, the most frequent first.
+FAILED = ("#cc0000", "#e69138", "#6a329f", "#38761d", "#7f6000", "#444444")
+
+
+def plot_failures(table: pa.Table, parameters: list[str], title: str, folder: Path) -> Path | None:
+    """Write the plot; None where no parameter varies. Raises `InputError` if it cannot be written."""
+    names = varied(table, parameters)
+    if not names:
+        return None
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    pairs = list(combinations(names, 2))[:MOST_PAIRS] or [(names[0], "objective")]
+    columns = min(3, len(pairs))
+    rows = -(-len(pairs) // columns)
+    figure = Figure(figsize=(SIDE * columns + 1.2, SIDE * rows), dpi=DOTS, layout="constrained")
+    FigureCanvasAgg(figure)
+    for number, (x, y) in enumerate(pairs):
+        _points(figure.add_subplot(rows, columns, number + 1), table, x, y)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right upper", fontsize=8)
+    figure.suptitle(title, fontsize=10)
+    with replacing(folder / FILE) as unfinished:
+        figure.savefig(unfinished)
+    return folder / FILE
+
+
+def _points(axes: Axes, table: pa.Table, x: str, y: str) -> None:
+    success = np.array(table["success"].to_pylist(), dtype=bool)
+    status = np.where(success, "solved", np.array(table["status"].to_pylist(), dtype=object))
+    words, counts = np.unique(status[~success].astype(str), return_counts=True)
+    failed = [str(words[i]) for i in np.argsort(-counts, kind="stable")]
+    places = [_numbers(axes, table, name, axis) for name, axis in ((x, "x"), (y, "y"))]
+    for word, color, marker in [
+        ("solved", SOLVED, "o"),
+        *((word, FAILED[min(i, len(FAILED) - 1)], "X") for i, word in enumerate(failed)),
+    ]:
+        own = status == word
+        label = f"{word.replace('_', ' ')}: {own.sum()}"
+        axes.scatter(places[0][own], places[1][own], s=18, color=color, marker=marker, label=label, alpha=0.8)
+    axes.set(xlabel=x, ylabel=y)
+    axes.grid(alpha=0.25, linewidth=0.5)
+
+
+def _numbers(axes: Axes, table: pa.Table, name: str, axis: str) -> np.ndarray:
+    """Values of a column; words get whole numbers, which the axis names."""
+    values = table[name].to_pylist()
+    if not any(isinstance(value, str) for value in values):
+        return np.array([np.nan if value is None else value for value in values], dtype=float)
+    words = sorted({value for value in values if value is not None})
+    (axes.set_xticks if axis == "x" else axes.set_yticks)(range(len(words)), words)
+    return np.array([np.nan if value is None else words.index(value) for value in values], dtype=float)

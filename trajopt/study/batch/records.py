@@ -1,0 +1,226 @@
+"""A batch on disk: what was asked for, an index in Parquet, and the solution files.
+
+Rows are appended to a journal as they come. From time to time all are written to the index, in one step, and
+the journal begins anew: whatever is killed when, a row that was reported is in one of the two.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from trajopt.errors import InputError, expanded
+from trajopt.solution.file import write_bytes
+from trajopt.solution.output import replacing
+from trajopt.study.batch.columns import arrow, parameter_columns, row_of, schema
+from trajopt.study.batch.solved_case import BatchSettings, CaseResult
+from trajopt.study.batch.variation import BatchCase
+from trajopt.study.workers.records import JsonLines
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+REQUEST, INDEX, JOURNAL, SOLUTIONS = "batch.json", "index.parquet", "journal.jsonl", "solutions"
+# Rows in the journal before the index is written: a part of its own, and at least so many.
+JOURNAL_PART, LEAST_JOURNAL = 8, 100
+# Solution files in one folder.
+FILES_PER_FOLDER = 1000
+# Cases with these outcomes are run again when a batch is resumed: a second try may end otherwise.
+LOST, NOT_SAVED, REFUSED = "lost", "not_saved", "refused"
+AGAIN = (LOST, NOT_SAVED)
+
+
+class BatchRecords:
+    """The folder of a batch, while it runs.
+
+    solved: by case that has a row, whether it was solved.
+
+    Args:
+        folder: made where it does not exist.
+        cases: all of them.
+        settings: how they are solved.
+        versions: of the libraries.
+        resume: go on with what is there.
+
+    Raises:
+        InputError: for a folder that cannot be written, or holds something else, another batch or one that
+            runs.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        cases: Sequence[BatchCase],
+        settings: BatchSettings,
+        versions: Mapping[str, str],
+        *,
+        resume: bool,
+    ) -> None:
+        self.folder, self._cases = expanded(folder), cases
+        self._schema, self._words = schema(cases), parameter_columns(cases)
+        head = {
+            "cases": [[case.problem, dict(case.values)] for case in cases],
+            "settings": asdict(settings),
+            "versions": dict(versions),
+        }
+        self._begin(head, resume)
+        self._lock = self._locked()
+        self._journal = JsonLines(self.folder / JOURNAL)
+        self._journal.open(resume=True)
+        self._index, self._new = read_rows(self.folder, self._schema)
+        self.solved: dict[int, bool] = {
+            case: bool(success) for case, success, status in _outcomes(self.table()) if status not in AGAIN
+        }
+
+    def __enter__(self) -> BatchRecords:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        try:
+            self.checkpoint()
+        finally:
+            self._lock.close()
+
+    def add(self, index: int, result: CaseResult, *, start: int | None, attempts: int) -> dict[str, Any]:
+        """Write the solution and the row of a case; returns the row.
+
+        A solution that cannot be written makes the case `NOT_SAVED`. Raises `InputError` where not even the
+        row can be written.
+        """
+        figures = {**result.figures, "start": start, "attempts": attempts, "file": None}
+        if result.content is not None:
+            place = self.folder / solution_file(index)
+            try:
+                place.parent.mkdir(parents=True, exist_ok=True)
+                write_bytes(place, result.content)
+                figures["file"] = solution_file(index)
+            except (InputError, OSError) as error:
+                figures |= {"success": False, "status": NOT_SAVED, "detail": f"{error}"}
+        row = row_of(index, self._cases[index], figures, self._words)
+        try:
+            self._journal.append(row)
+        except OSError as error:
+            raise InputError(
+                f"cannot write {self.folder / JOURNAL}: {error.strerror}",
+                f"{len(self.solved)} cases are done and kept; free space, then --resume",
+            ) from None
+        self._new[index], self.solved[index] = row, bool(figures["success"])
+        if len(self._new) >= max(LEAST_JOURNAL, self._index.num_rows // JOURNAL_PART):
+            with contextlib.suppress(InputError):  # a full disk: the journal has all rows
+                self.checkpoint()
+        return row
+
+    def checkpoint(self) -> None:
+        """Write all rows to the index and begin the journal anew. Raises `InputError` if it cannot."""
+        if not self._new and (self.folder / INDEX).exists():
+            return
+        table = self.table()
+        with replacing(self.folder / INDEX) as unfinished:
+            arrow().parquet.write_table(table, unfinished)
+        self._index, self._new = table, {}
+        self._journal.open(resume=False)
+
+    def table(self) -> pa.Table:
+        """All rows, by case."""
+        return merged(self._index, self._new, self._schema)
+
+    def content(self, index: int) -> bytes:
+        """The content of a case's solution file. Raises `InputError` if it is gone."""
+        place = self.folder / solution_file(index)
+        try:
+            return place.read_bytes()
+        except OSError as error:
+            raise InputError(f"cannot read {place}: {error.strerror}") from None
+
+    def _begin(self, head: dict[str, Any], resume: bool) -> None:
+        request = self.folder / REQUEST
+        if resume:
+            _require_same(self.folder, read_request(self.folder), json.loads(json.dumps(head)))
+            return
+        try:
+            if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+                allowed = "--resume, or another folder" if request.exists() else "a new or an empty folder"
+                raise InputError(f"{self.folder} is there and not empty", f"allowed: {allowed}")
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"cannot write {self.folder}: {error.strerror}", "allowed: a folder that can be written"
+            ) from None
+        with replacing(request) as unfinished:
+            unfinished.write_text(json.dumps(head), encoding="utf-8")
+
+    def _locked(self) -> IO[str]:
+        """Keep another process from writing here; the lock ends with this one."""
+        stream = (self.folder / REQUEST).open(encoding="utf-8")
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            stream.close()
+            raise InputError(f"a batch runs in {self.folder}", "allowed: another folder, or wait") from None
+        return stream
+
+
+def solution_file(index: int) -> str:
+    """The path of a case's solution within the folder."""
+    return f"{SOLUTIONS}/{index // FILES_PER_FOLDER:05d}/{index:08d}.npz"
+
+
+def read_request(folder: Path) -> dict[str, Any]:
+    """What a batch was asked for: cases, settings, versions. Raises `InputError` for another folder."""
+    place = expanded(folder) / REQUEST
+    try:
+        head = json.loads(place.read_text(encoding="utf-8"))
+        head["cases"], head["settings"], head["versions"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(f"{folder} holds no batch", "allowed: the folder of trajopt batch --out") from None
+    return dict(head)
+
+
+def cases_of(head: Mapping[str, Any]) -> list[BatchCase]:
+    """The cases of a request."""
+    return [BatchCase(problem=problem, values=values) for problem, values in head["cases"]]
+
+
+def read_rows(folder: Path, wanted: pa.Schema) -> tuple[pa.Table, dict[int, dict[str, Any]]]:
+    """The index, and the rows of the journal by case. Raises `InputError` for an index that is damaged."""
+    pyarrow, index = arrow(), expanded(folder) / INDEX
+    table = wanted.empty_table()
+    if index.exists():
+        try:
+            table = pyarrow.parquet.read_table(index)
+        except (OSError, pyarrow.ArrowException) as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(f"cannot read {index}: {reason}", "allowed: the index of a batch") from None
+    rows = JsonLines(expanded(folder) / JOURNAL).read()
+    return table, {row["case"]: row for row in rows if isinstance(row.get("case"), int)}
+
+
+def merged(index: pa.Table, new: Mapping[int, Mapping[str, Any]], wanted: pa.Schema) -> pa.Table:
+    """The index with rows that are newer, by case."""
+    pyarrow = arrow()
+    fresh = pyarrow.Table.from_pylist([dict(row) for row in new.values()], schema=wanted)
+    old = index.filter(pyarrow.compute.invert(pyarrow.compute.is_in(index["case"], fresh["case"])))
+    return pyarrow.concat_tables([old, fresh]).sort_by("case")
+
+
+def _outcomes(table: pa.Table) -> zip[tuple[int, bool, str]]:
+    return zip(*(table[name].to_pylist() for name in ("case", "success", "status")), strict=True)
+
+
+def _require_same(folder: Path, known: Mapping[str, Any], head: Mapping[str, Any]) -> None:
+    words = {
+        "cases": "other cases",
+        "settings": "other settings",
+        "versions": "other versions of the libraries",
+    }
+    for name, text in words.items():
+        if known[name] != head[name]:
+            raise InputError(
+                f"{folder} holds a batch with {text}",
+                "allowed: the same command with --resume, or another folder",
+            )

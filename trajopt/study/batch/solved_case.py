@@ -1,0 +1,157 @@
+"""One case of a batch: solved to the grade from a neighbour's solution, or from its default guess."""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+import os
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from trajopt.certify.energy_use import cost_of_transport, energy
+from trajopt.errors import InputError
+from trajopt.problem.catalogue import families, problem_modules
+from trajopt.problem.family import choose
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
+from trajopt.solving.graded import solve
+from trajopt.solving.interruption import BESIDE, GRACE
+from trajopt.solving.ladder import total_effort
+from trajopt.solving.solving import check_settings
+from trajopt.study.batch.variation import BatchCase
+from trajopt.study.suite.failure import failure_text
+from trajopt.study.workers.executor import ProcessPerTaskExecutor
+from trajopt.study.workers.task import limit_time
+
+# Seconds of a case beside its solves: building, functions that are not in the cache yet, the check.
+BUILD_TIME = 300.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchSettings:
+    """How every case of a batch is solved.
+
+    solver, tolerance, max_iterations, max_time: as in `trajopt.solve`, s of all solves from one start.
+    neighbours: start from the solution of a neighbour, and from the default guess where that fails; False
+    starts all from their default guesses. Raises `InputError` for a value that is not allowed.
+    """
+
+    solver: str = "ipopt"
+    tolerance: float = 1e-6
+    max_iterations: int = 500
+    max_time: float = 60.0
+    neighbours: bool = True
+
+    def __post_init__(self) -> None:
+        check_settings(self.solver, self.tolerance, self.max_iterations, self.max_time, 0.0, 0)
+
+    @property
+    def longest(self) -> float:
+        """Time after which the process of a case is ended, s."""
+        return (1 + self.neighbours) * (self.max_time + BESIDE) + GRACE + BUILD_TIME
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseResult:
+    """The figures of a case by column, and the content of its solution file, None for no motion."""
+
+    figures: dict[str, Any]
+    content: bytes | None
+
+
+def solve_case(case: BatchCase, settings: BatchSettings, start: bytes | None) -> CaseResult:
+    """Solve a case, in this process.
+
+    Args:
+        case: problem and values.
+        settings: of the batch.
+        start: the content of a neighbour's solution file; where its motion does not lead to one with the
+            grade, the default guess is tried too.
+
+    Raises:
+        TrajoptError: if the problem cannot be built.
+    """
+    begun = time.perf_counter()
+    problem = choose(families(), case.problem).load(case.values)
+    tried = [] if start is None else _from_neighbour(problem, settings, start)
+    if not (tried and tried[-1].success):
+        tried.append(_solved(problem, settings, None))
+    best = next((one for one in tried if one.success), tried[-1])
+    try:
+        content: bytes | None = best.to_bytes()
+    except InputError:  # an iterate that is not finite
+        content = None
+    meta, spent = best.meta, total_effort(tried)
+    figures = {
+        "success": best.success,
+        "status": meta["status"],
+        "detail": failure_text(meta),
+        "warm_start": bool(meta.get("warm_start")),
+        "iterations": spent["iterations"],
+        "solver_time_s": spent["wall_time_s"],
+        "case_time_s": time.perf_counter() - begun,
+        "objective": meta["objective"],
+        "motion_time_s": float(best.t[-1] - best.t[0]),
+        "energy_j": energy(best) if best.converged else None,
+        "cost_of_transport": cost_of_transport(best) if best.converged else None,
+        "max_violation": meta["max_violation"],
+        "tolerance_used": meta.get("tolerance_used"),
+        "worst_figure": meta.get("worst_figure"),
+        "variables": meta["variables"],
+        "intervals": best.n_intervals,
+    }
+    return CaseResult(figures=figures, content=content)
+
+
+def run_case_alone(case: BatchCase, settings: BatchSettings, start: bytes | None) -> CaseResult:
+    """`solve_case` as the task of a process, which the kernel ends where it never does."""
+    limit_time(settings.longest)
+    return solve_case(case, settings, start)
+
+
+def run_case_anywhere(case: BatchCase, settings: BatchSettings, start: bytes | None) -> CaseResult:
+    """`run_case_alone` in a process that this worker of any executor starts for it.
+
+    A case that crashes, hangs or runs out of memory does not take the worker with it. Raises a `TaskError`.
+    """
+    _allow_children()
+    return _processes().submit(run_case_alone, case, settings, start).result()
+
+
+@functools.cache
+def _processes() -> ProcessPerTaskExecutor:
+    """The processes of this worker; as many at a time as the worker has tasks."""
+    return case_executor(os.cpu_count() or 1)
+
+
+def case_executor(jobs: int) -> ProcessPerTaskExecutor:
+    """An executor of cases on this machine, so many at a time, with all modules loaded."""
+    return ProcessPerTaskExecutor(jobs, preload=(*problem_modules(), __name__))
+
+
+def _allow_children() -> None:
+    """Let a daemonic process have children, as the workers that Dask's nannies start are.
+
+    `multiprocessing` forbids it because they would not end with their parent; ours do.
+    """
+    getattr(multiprocessing.current_process(), "_config", {}).pop("daemon", None)
+
+
+def _from_neighbour(problem: Problem, settings: BatchSettings, start: bytes) -> list[Solution]:
+    """The solve from a neighbour's solution; none where that has other phases or joints."""
+    try:
+        return [_solved(problem, settings, Solution.from_bytes(start))]
+    except InputError:
+        return []
+
+
+def _solved(problem: Problem, settings: BatchSettings, start: Solution | None) -> Solution:
+    return solve(
+        problem,
+        start=start,
+        solver=settings.solver,
+        tolerance=settings.tolerance,
+        max_iterations=settings.max_iterations,
+        max_time=settings.max_time,
+    )

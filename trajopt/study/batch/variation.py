@@ -1,0 +1,234 @@
+"""Values of parameters that vary over a batch: grids, random samples, and their combinations."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trajopt.errors import InputError, not_among
+from trajopt.problem.catalogue import families
+from trajopt.problem.family import Family, Parameter, choose
+
+# Most cases of one batch: more belong into several folders.
+MOST_CASES = 10_000_000
+# Draws outside of a parameter's range are drawn again, this often.
+MOST_DRAWS = 1000
+GRID_FORM = "allowed: NAME=FIRST:LAST:COUNT or NAME=A,B,..."
+
+Draw = Callable[[np.random.Generator, Sequence[float]], float]
+
+
+def _loguniform(random: np.random.Generator, given: Sequence[float]) -> float:
+    return math.exp(random.uniform(math.log(given[0]), math.log(given[1])))
+
+
+# Distributions by name: names of their arguments, and a draw.
+DISTRIBUTIONS: dict[str, tuple[tuple[str, str], Draw]] = {
+    "uniform": (("low", "high"), lambda random, given: random.uniform(given[0], given[1])),
+    "loguniform": (("low", "high"), _loguniform),
+    "normal": (("mean", "deviation"), lambda random, given: random.normal(given[0], given[1])),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchCase:
+    """One case: a problem by name with values of its parameters, numbers or words."""
+
+    problem: str
+    values: Mapping[str, float | str]
+
+    @property
+    def name(self) -> str:
+        """The problem and its values in one line."""
+        return " ".join([self.problem, *(f"{name}={_shown(value)}" for name, value in self.values.items())])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """A parameter that takes each of some values."""
+
+    name: str
+    values: tuple[float | str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distribution:
+    """A parameter drawn from a distribution of `DISTRIBUTIONS` with these arguments."""
+
+    parameter: Parameter
+    kind: str
+    given: tuple[float, ...]
+
+    @property
+    def name(self) -> str:
+        """Of the parameter."""
+        return self.parameter.name
+
+    def draw(self, random: np.random.Generator) -> float:
+        """A value within the parameter's range; raises `InputError` where hardly any draw is."""
+        lower, upper = self.parameter.lower, self.parameter.upper
+        for _ in range(MOST_DRAWS):
+            value = float(DISTRIBUTIONS[self.kind][1](random, self.given))
+            if lower <= value <= upper:
+                return value
+        text = f"{self.kind}({', '.join(f'{value:g}' for value in self.given)})"
+        raise InputError(
+            f"--sample {self.name}={text} gives no value in {MOST_DRAWS} draws that is allowed",
+            f"allowed: {lower:g} to {upper:g} {self.parameter.unit}".rstrip(),
+        )
+
+
+def batch_cases(
+    problem: str,
+    *,
+    values: Mapping[str, str] | None = None,
+    robots: Sequence[str] = (),
+    vary: Sequence[str] = (),
+    sample: Sequence[str] = (),
+    count: int = 0,
+    seed: int = 0,
+) -> list[BatchCase]:
+    """Every combination of robots and grids, each with ``count`` samples where something is sampled.
+
+    A sample's values depend on ``seed``, the parameter's name and the sample's number: they are the same for
+    all robots and points of grids, and stay when others are added.
+
+    Args:
+        problem: a family of the catalogue.
+        values: parameters that hold for all cases, as text.
+        robots: names, for families that take one.
+        vary: grids as text, ``speed=0.2:1.2:50`` (first, last, count) or ``speed=0.2,0.5``.
+        sample: distributions as text, ``distance=uniform(0,0.6)``; also loguniform(low,high) and
+            normal(mean,deviation), drawn again outside of the parameter's range.
+        count: samples.
+        seed: of them.
+
+    Raises:
+        InputError: for names, values or forms that are not allowed.
+    """
+    family = choose(families(), problem)
+    fixed = {name: _parsed(family, name, text) for name, text in (values or {}).items()}
+    grids = [_grid(family, text) for text in vary]
+    if robots:
+        own = tuple(str(_parsed(family, "robot", name)) for name in robots)
+        grids.insert(0, Grid(name="robot", values=own))
+    drawn = [_distribution(family, text) for text in sample]
+    _require_once([*fixed, *(grid.name for grid in grids), *(one.name for one in drawn)])
+    if bool(drawn) != (count > 0):
+        raise InputError(
+            f"--count is {count} with {len(drawn)} parameters to sample",
+            "allowed: --sample and --count together",
+        )
+    total = math.prod(len(grid.values) for grid in grids) * (count or 1)
+    if total > MOST_CASES:
+        raise InputError(f"the batch has {total} cases", f"allowed: up to {MOST_CASES}")
+    samples = list(_samples(drawn, count, seed)) if drawn else [{}]
+    names = [grid.name for grid in grids]
+    return [
+        BatchCase(problem=problem, values={**fixed, **dict(zip(names, point, strict=True)), **own})
+        for point in itertools.product(*(grid.values for grid in grids))
+        for own in samples
+    ]
+
+
+def checked_cases(cases: Iterable[BatchCase]) -> list[BatchCase]:
+    """Cases with parsed values; raises `InputError` for an unknown problem, parameter or value."""
+    known, found = families(), []
+    for case in cases:
+        family = choose(known, case.problem)
+        values = {name: _parsed(family, name, value) for name, value in case.values.items()}
+        found.append(BatchCase(problem=case.problem, values=values))
+    if not found:
+        raise InputError("a batch has no case", "allowed: one or more")
+    return found
+
+
+def _samples(drawn: Sequence[Distribution], count: int, seed: int) -> Iterator[dict[str, float]]:
+    streams = [
+        np.random.default_rng(np.random.SeedSequence([seed, zlib.crc32(one.name.encode())])) for one in drawn
+    ]
+    for _ in range(count):
+        yield {one.name: one.draw(random) for one, random in zip(drawn, streams, strict=True)}
+
+
+def _grid(family: Family, text: str) -> Grid:
+    name, equals, rest = text.partition("=")
+    name = name.strip()
+    if not (name and equals and rest.strip()):
+        raise InputError(f"--vary '{text}' has the wrong form", GRID_FORM)
+    parts = rest.split(":")
+    if len(parts) == 1:
+        values = tuple(_parsed(family, name, word.strip()) for word in rest.split(","))
+        if len(set(values)) < len(values):
+            raise InputError(f"--vary '{text}' has a value twice", "allowed: different values")
+        return Grid(name=name, values=values)
+    counted = len(parts) == 3 and re.fullmatch(r"\s*[0-9]{1,9}\s*", parts[2])
+    if not counted or not 1 <= int(parts[2]) <= MOST_CASES:
+        raise InputError(f"--vary '{text}' has the wrong form", GRID_FORM)
+    _require_number(family, name, f"--vary '{text}'")
+    first, last = (float(_parsed(family, name, part)) for part in parts[:2])
+    spaced = np.linspace(first, last, int(parts[2])).tolist()
+    if len(set(spaced)) < len(spaced):
+        raise InputError(f"--vary '{text}' has a value twice", "allowed: FIRST and LAST apart")
+    return Grid(name=name, values=tuple(spaced))
+
+
+def _distribution(family: Family, text: str) -> Distribution:
+    match = re.fullmatch(r"\s*(\w+)\s*=\s*(\w+)\s*\(([^()]*)\)\s*", text)
+    if not match:
+        raise InputError(f"--sample '{text}' has the wrong form", "allowed: NAME=DISTRIBUTION(A,B)")
+    name, kind, rest = match.groups()
+    if kind not in DISTRIBUTIONS:
+        raise not_among(DISTRIBUTIONS, kind, f"--sample '{text}' has no distribution '{kind}'")
+    parameter, words = _require_number(family, name, f"--sample '{text}'"), rest.split(",")
+    wanted = DISTRIBUTIONS[kind][0]
+    try:
+        given = tuple(float(word) for word in words)
+    except ValueError:
+        given = ()
+    if len(given) != len(wanted) or not all(map(math.isfinite, given)):
+        raise InputError(f"--sample '{text}' has the wrong form", f"allowed: {kind}({','.join(wanted)})")
+    if kind == "normal":
+        if given[1] <= 0:
+            raise InputError(f"the deviation of --sample '{text}' is {given[1]:g}", "allowed: > 0")
+        return Distribution(parameter=parameter, kind=kind, given=given)
+    low, high = (float(parameter.parse(value)) for value in given)
+    if not low < high or (kind == "loguniform" and low <= 0):
+        least = "0 < low < high" if kind == "loguniform" else "low < high"
+        raise InputError(f"the range of --sample '{text}' is empty", f"allowed: {least}")
+    return Distribution(parameter=parameter, kind=kind, given=given)
+
+
+def _parsed(family: Family, name: str, value: object) -> float | str:
+    return _parameter(family, name).parse(value)
+
+
+def _parameter(family: Family, name: str) -> Any:
+    known = {parameter.name: parameter for parameter in family.parameters}
+    if name not in known:
+        raise not_among(known, name, f"{family.name} has no parameter '{name}'")
+    return known[name]
+
+
+def _require_number(family: Family, name: str, where: str) -> Parameter:
+    parameter = _parameter(family, name)
+    if not isinstance(parameter, Parameter):
+        raise InputError(f"{where}: parameter {name} is no number", GRID_FORM)
+    return parameter
+
+
+def _require_once(names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"parameter '{name}' is given twice", "allowed: once, fixed, varied or sampled")
+
+
+def _shown(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
