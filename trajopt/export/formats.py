@@ -1,0 +1,95 @@
+"""The formats, by name: what each writes, which options it knows, and where its writer is.
+
+A writer is a function ``write(motions, path, options)``: the motions (`ExportedMotion`), the file to write or
+the empty folder to fill, which nobody else sees until it is complete, and those of `Format.options` that are
+given. It raises `InputError` for motions that the format cannot hold. A new format is one entry here and one
+module; a new option is one entry here and one keyword of `export_motion`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from trajopt.errors import InputError, not_among
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOption:
+    """An option that some formats know: a keyword of `export_motion`, and ``--NAME`` on the command line.
+
+    metavar: placeholder of its value. help: one line. is_path: the value is a path, not a text.
+    """
+
+    metavar: str
+    help: str
+    is_path: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A format of motions.
+
+    help: one line. writer: "module:function", loaded when it is used. ending: of its file; "" for a folder.
+    several: takes several motions. options: names among `OPTIONS`. marker: path within its folder of a file
+    that every export has; a folder that lacks it is not replaced.
+    """
+
+    help: str
+    writer: str
+    ending: str = ""
+    several: bool = False
+    options: tuple[str, ...] = ()
+    marker: str = ""
+
+    def load_writer(self) -> Callable[..., None]:
+        """The writer."""
+        module, _, name = self.writer.partition(":")
+        found: Callable[..., None] = getattr(importlib.import_module(module), name)
+        return found
+
+
+OPTIONS = {
+    "mjcf": ExportOption(
+        metavar="FILE",
+        help="MJCF of the simulator's robot, for the order of its joints and bodies.",
+        is_path=True,
+    ),
+}
+FORMATS = {
+    "isaaclab-amp": Format(
+        help="Isaac Lab's motions for AMP (MotionLoader)",
+        writer="trajopt.export.isaaclab_amp:write_isaaclab_amp",
+        ending=".npz",
+    ),
+}
+
+
+def format_named(name: str) -> Format:
+    """The format of that name; raises `InputError`."""
+    if name not in FORMATS:
+        raise not_among(FORMATS, name, f"export format {name!r} is unknown")
+    return FORMATS[name]
+
+
+def keyword_arguments(**given: Any) -> dict[str, Any]:
+    """The options that are given, without those that are None."""
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def require_options(name: str, chosen: Format, given: Iterable[str]) -> None:
+    """Raise `InputError` where a format is given an option that it does not know."""
+    for option in given:
+        if option not in chosen.options:
+            allowed = ", ".join(chosen.options) or "no option"
+            raise InputError(f"{option} is of no use for {name}", f"allowed: {allowed}")
+
+
+def require_count(name: str, chosen: Format, count: int) -> None:
+    """Raise `InputError` where a format is given no motion, or several that it does not take."""
+    if count == 0 or (count > 1 and not chosen.several):
+        raise InputError(
+            f"{count} motions for {name}", "allowed: one or more" if chosen.several else "allowed: one"
+        )

@@ -1,0 +1,54 @@
+"""Exporting: one motion or several, in a format by name, completely or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from trajopt.arguments import Positive, PositiveCount, checked
+from trajopt.errors import expanded
+from trajopt.export.exported_motion import RATE, sample_cycles
+from trajopt.export.formats import format_named, keyword_arguments, require_count, require_options
+from trajopt.solution.input import SolutionOrFile, solutions_of
+from trajopt.solution.output import replacing, replacing_folder, require_ending
+
+
+@checked
+def export_motion(
+    solution: SolutionOrFile | Iterable[SolutionOrFile],
+    format: str,
+    path: str | Path,
+    rate: Positive = RATE,
+    cycles: PositiveCount = 1,
+    *,
+    mjcf: str | Path | None = None,
+) -> Path:
+    """Write a motion, or several, in the format of another tool; return the path of the file or folder.
+
+    Args:
+        solution: the plan, or the path of its file; several of them where the format takes several.
+        format: name of the format, such as "isaaclab-amp" (docs/exports.md has all of them).
+        path: of the file, or of the folder, which is replaced.
+        rate: samples a second, Hz.
+        cycles: of a periodic plan, each moved on from the one before.
+        mjcf: of formats in a simulator's order: the MJCF of its robot.
+
+    Raises:
+        InputError: for a format or option that is not known, motions that the format cannot hold, and a place
+            that cannot be written, or holds a folder that is no such export.
+    """
+    chosen, plans = format_named(format), solutions_of(solution)
+    options = keyword_arguments(mjcf=mjcf)
+    require_options(format, chosen, options)
+    require_count(format, chosen, len(plans))
+    target = expanded(path)
+    motions = [sample_cycles(plan, rate, cycles) for plan in plans]
+    write = chosen.load_writer()
+    if chosen.ending:
+        require_ending(target, chosen.ending)
+        with replacing(target) as unfinished:
+            write(motions, unfinished, options)
+    else:
+        with replacing_folder(target, chosen.marker) as unfinished:
+            write(motions, unfinished, options)
+    return target
