@@ -26,7 +26,7 @@ class ExportedMotion:
     """A motion at n times, ``rate`` a second; SI units, world axes unless said, arrays are read-only.
 
     plan: the solution. cycles: how often a periodic one is repeated. t: (n,) s, from 0.
-    q, v, a: (n, nq), (n, nv), (n, nv) in Pinocchio's convention: quaternions xyzw, a base's twist in its axes.
+    q, v, a: (n, nq), (n, nv), (n, nv), Pinocchio's: quaternions xyzw, the twist of a base along its axes.
     tau, drive_torque: (n, nu) as in `SampledMotion`. f: (n, nc, 6), active: (n, nc), of the plan's contacts.
     phase: (n,) index into ``phase_names``; with several cycles the phases of all, one after the other.
     joint_names: the d joints beside a moving base, in Pinocchio's order. Of each joint_position, whole turns

@@ -64,6 +64,24 @@ FORMATS = {
         writer="trajopt.export.isaaclab_amp:write_isaaclab_amp",
         ending=".npz",
     ),
+    "mjlab": Format(
+        help="mjlab and BeyondMimic (whole_body_tracking), in the order of an MJCF",
+        writer="trajopt.export.mjlab:write_mjlab",
+        ending=".npz",
+        options=("mjcf",),
+    ),
+    "loco-mujoco": Format(
+        help="LocoMuJoCo's Trajectory of one motion or several, in the order of an MJCF",
+        writer="trajopt.export.loco_mujoco:write_loco_mujoco",
+        ending=".npz",
+        several=True,
+        options=("mjcf",),
+    ),
+    "amp-hardware": Format(
+        help="AMP for hardware (AMPLoader), 61 numbers a frame; quadrupeds",
+        writer="trajopt.export.amp_hardware:write_amp_hardware",
+        ending=".json",
+    ),
 }
 
 
