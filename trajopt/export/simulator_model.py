@@ -40,7 +40,7 @@ class SimulatorModel:
 def read_simulator_model(motion: ExportedMotion, mjcf: str | Path | None) -> SimulatorModel:
     """The model in an MJCF file; without one, that of the plan, as `write_mjcf` writes it.
 
-    Raises `InputError` for a file that MuJoCo cannot read, where MuJoCo is not installed, and for ball joints.
+    Raises `InputError` for a file that MuJoCo cannot read, for ball joints, and without MuJoCo.
     """
     mujoco = mujoco_package()
     source = "the plan's own MJCF" if mjcf is None else str(mjcf)
@@ -92,13 +92,13 @@ def named_coordinates(motion: ExportedMotion) -> dict[str, tuple[np.ndarray, np.
 
 def require_same_joints(motion: ExportedMotion, simulator: SimulatorModel) -> None:
     """Raise `InputError` where the model lacks a joint of the motion, or its free joint, or has one more."""
-    known, source = named_coordinates(motion), simulator.source
-    free = simulator.is_free
+    known, source, free = named_coordinates(motion), simulator.source, simulator.is_free
+    held = held_joints(motion, simulator)
     for name in known:
         if name not in simulator.joint_names:
             raise not_among(simulator.joint_names, name, f"joint '{name}' of the motion is not in {source}")
     for name, is_free in zip(simulator.joint_names, free, strict=True):
-        if not is_free and name not in known and name not in held_joints(motion, simulator):
+        if not is_free and name not in known and name not in held:
             raise not_among(known, name, f"joint '{name}' of {source} is not in the motion")
     expected = int(base_of(motion.model) == "freeflyer")
     if free.sum() != expected:
@@ -108,9 +108,10 @@ def require_same_joints(motion: ExportedMotion, simulator: SimulatorModel) -> No
 
 
 def held_joints(motion: ExportedMotion, simulator: SimulatorModel) -> dict[str, float]:
-    """Angles, rad, of hinges that the motion holds: where it fixes the link that hangs from one to its parent.
+    """Angles, rad, of hinges that the motion holds: the link that hangs from one is fixed to its parent.
 
-    Such as the arms of a humanoid whose plan moves only its legs. They are read from the two links' poses.
+    Such as those of the arms of a humanoid whose plan moves only its legs. They are read from the two links'
+    poses.
     """
     compiled, names, found = simulator.compiled, motion.links.names, {}
     hinge = mujoco_package().mjtJoint.mjJNT_HINGE
