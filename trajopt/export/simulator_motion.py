@@ -120,7 +120,7 @@ def _require_same_places(motion: ExportedMotion, found: SimulatorMotion) -> None
     for body, name in enumerate(simulator.body_names):
         if name in motion.links.names:
             own = motion.links.position[:, motion.links.names.index(name)]
-            apart = float(np.abs(found.xpos[:, body] - own).max())
+            apart = float(np.linalg.norm(found.xpos[:, body] - own, axis=1).max())
             if apart > SAME_PLACE:
                 raise InputError(
                     f"{simulator.source} has '{name}' {1000 * apart:.0f} mm from where the motion has it",
