@@ -31,10 +31,14 @@ def test_a_folder_is_made_and_replaced_by_a_later_one(tmp_path: Path) -> None:
 
 
 def test_an_error_within_leaves_the_earlier_folder(tmp_path: Path) -> None:
+    def fail() -> None:
+        with replacing_folder(tmp_path / "out", MARKER) as unfinished:
+            (unfinished / "half").touch()
+            raise KeyError
+
     write(tmp_path / "out", "first")
-    with pytest.raises(KeyError), replacing_folder(tmp_path / "out", MARKER) as unfinished:
-        (unfinished / "half").touch()
-        raise KeyError
+    with pytest.raises(KeyError):
+        fail()
     assert (tmp_path / "out" / MARKER).read_text() == "first"
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
