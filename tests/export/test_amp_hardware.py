@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import trajopt
-from tests.support.exported_plans import ROUNDING, place_of, plan_to_export
+from tests.support.exported_plans import ROUNDING, place_of, plan_to_export, swinging_quadruped
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.synthetic_motions import sampled, standing
 from trajopt.export.writing import export_motion
@@ -46,26 +46,27 @@ def loaded(path: Path) -> dict[str, np.ndarray]:
     return found | {"duration": np.array((len(frames) - 1) * float(described["FrameDuration"]))}
 
 
-def test_frames_are_the_plan_by_numeric_pinocchio(tmp_path: Path) -> None:
-    plan = plan_to_export("turning trot")
+@pytest.mark.parametrize("base", ["freeflyer", "virtual"])
+def test_frames_are_the_plan_by_numeric_pinocchio(base: str, tmp_path: Path) -> None:
+    plan = plan_to_export("turning trot") if base == "freeflyer" else swinging_quadruped()
     read = loaded(export_motion(plan, "amp-hardware", tmp_path / "a.json", RATE))
     legs = ("FL", "FR", "HL", "HR")
     joints = [f"{leg}_{joint}" for leg in legs for joint in ("HAA", "HFE", "KFE")]
     assert plan.t[-1] - 1 / RATE < read["duration"] <= plan.t[-1]
     for row in range(len(read["root_pos"])):
         own = plan.sample(times=[row / RATE])
-        base = place_of(plan.model, "base_link", own.q[0], own.v[0])
-        back = base.pose.rotation.T
-        assert_allclose(read["root_pos"][row], base.pose.translation, atol=ROUNDING)
+        root = place_of(plan.model, "base_link", own.q[0], own.v[0])
+        back = root.pose.rotation.T
+        assert_allclose(read["root_pos"][row], root.pose.translation, atol=ROUNDING)
         rotation = pin.Quaternion(read["root_rot"][row]).toRotationMatrix()  # x, y, z, w
-        assert_allclose(rotation, base.pose.rotation, atol=ROUNDING)
-        assert_allclose(read["lin_vel"][row], back @ base.linear, atol=ROUNDING)
-        assert_allclose(read["ang_vel"][row], back @ base.angular, atol=ROUNDING)
+        assert_allclose(rotation, root.pose.rotation, atol=ROUNDING)
+        assert_allclose(read["lin_vel"][row], back @ root.linear, atol=ROUNDING)
+        assert_allclose(read["ang_vel"][row], back @ root.angular, atol=ROUNDING)
         assert_allclose(read["joint_pos"][row], [own.q[0, own.position_names.index(j)] for j in joints])
         assert_allclose(read["joint_vel"][row], [own.v[0, own.velocity_names.index(j)] for j in joints])
         for number, leg in enumerate(legs):
             foot = place_of(plan.model, f"{leg}_FOOT", own.q[0], own.v[0])
-            expected = base.pose.actInv(foot.pose.translation)
+            expected = root.pose.actInv(foot.pose.translation)
             assert_allclose(read["toe_pos"][row, 3 * number : 3 * number + 3], expected, atol=ROUNDING)
 
 

@@ -16,6 +16,7 @@ from tests.support.exported_plans import (
     plan_to_export,
     rotation_of,
     swinging_arm,
+    swinging_quadruped,
     write_own_mjcf,
 )
 from tests.support.refusals import assert_refused_in_one_line
@@ -129,6 +130,12 @@ def test_a_joint_that_the_plan_holds_keeps_its_angle(tmp_path: Path) -> None:
     own = locked.sample(times=[1 / RATE])
     hand = place_of(locked.model, "wrist_3_link", own.q[0], own.v[0])
     assert_allclose(read["body_pos_w"][1, -1], hand.pose.translation, atol=SINGLE)
+
+
+def test_a_base_of_several_joints_moves_the_free_joint_of_the_mjcf(tmp_path: Path) -> None:
+    plan = swinging_quadruped()
+    mjcf = write_own_mjcf(plan_to_export("turning trot"), tmp_path / "robot.xml")
+    assert_follows(plan, loaded(export_motion(plan, "mjlab", tmp_path / "a.npz", RATE, mjcf=mjcf)), mjcf)
 
 
 def rename_joint(root: ElementTree.Element) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -45,6 +45,14 @@ def swinging_arm(locked: tuple[str, ...] = ()) -> Solution:
     robot: Robot = trajopt.robot("ur5")
     robot = robot.with_locked(locked) if locked else robot
     return sampled(robot, [arm_motion(robot)], 4)
+
+
+def swinging_quadruped() -> Solution:
+    """Solo12 on a virtual base, every joint on a sine, without torques and contacts."""
+    robot = trajopt.load("solo12-flip", base="virtual").robot
+    still = np.zeros((len(robot.contacts), 6))
+    motion = replace(arm_motion(robot), tau=lambda t: np.zeros(robot.nu), f=lambda t: still)
+    return sampled(robot, [motion], 4)
 
 
 def write_own_mjcf(plan: Solution, path: Path) -> Path:

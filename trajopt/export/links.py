@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
+
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 
 # What descriptions call the world.
 WORLD = ("universe", "world")
@@ -17,7 +19,7 @@ class LinkMotion:
 
     names: (B,) parents before children. position: (n, B, 3) of the link's frame. quaternion: (n, B, 4), wxyz,
     without jumps of sign along time. linear_velocity: (n, B, 3) of the frame's origin. angular_velocity:
-    (n, B, 3).
+    (n, B, 3). base: index of the link that a moving base carries; None of a fixed base.
     """
 
     names: tuple[str, ...]
@@ -25,6 +27,7 @@ class LinkMotion:
     quaternion: np.ndarray
     linear_velocity: np.ndarray
     angular_velocity: np.ndarray
+    base: int | None = None
 
     def __post_init__(self) -> None:
         for array in (self.position, self.quaternion, self.linear_velocity, self.angular_velocity):
@@ -53,7 +56,11 @@ def link_motion(model: pin.Model, q: np.ndarray, v: np.ndarray) -> LinkMotion:
         model = pin.Model(model)
         for joint in sorted(bare):
             model.addFrame(pin.Frame(model.names[joint], joint, pin.SE3.Identity(), pin.BODY))
-    return frame_motion(model, link_frames(model), q, v)
+    frames, carrying = link_frames(model), BASE_JOINT[base_of(model)]
+    own = [model.frames[index] for index in frames.values()]
+    carried = [i for i, frame in enumerate(own) if carrying and frame.parentJoint == carrying]
+    central = [i for i in carried if own[i].placement.isIdentity()]
+    return replace(frame_motion(model, frames, q, v), base=next(iter(central + carried), None))
 
 
 def frame_motion(model: pin.Model, frames: dict[str, int], q: np.ndarray, v: np.ndarray) -> LinkMotion:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
-from trajopt.dynamics.base_joint import base_of
+from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS, base_of
 from trajopt.errors import InputError
 from trajopt.export.exported_motion import ExportedMotion
 
@@ -24,20 +23,23 @@ class Leg:
     columns: tuple[int, ...]
 
 
-def quadruped_legs(motion: ExportedMotion) -> dict[str, Leg]:
+def three_joint_legs(motion: ExportedMotion) -> dict[str, Leg]:
     """Legs by the names FR, FL, RR, RL, told apart by where their hips are (x ahead, y to the left).
 
     Raises `InputError` for any other robot.
     """
     model, feet = motion.model, motion.plan.contact_frames
-    if base_of(model) != "freeflyer" or len(feet) != 4 or len(motion.joint_names) != 4 * JOINTS:
+    base = BASE_JOINT[base_of(model)]
+    if BASE_ROWS[base_of(model)] != 6 or len(feet) != 4 or len(motion.joint_names) != 4 * JOINTS:
         raise InputError(
             f"{motion.robot} has {len(feet)} contacts and {len(motion.joint_names)} joints", ALLOWED
         )
-    chains = [list(model.supports[model.frames[model.getFrameId(foot)].parentJoint])[2:] for foot in feet]
-    if sorted(joint for chain in chains for joint in chain) != list(range(2, 2 + 4 * JOINTS)):
+    ends = [model.frames[model.getFrameId(foot)].parentJoint for foot in feet]
+    chains = [list(model.supports[end])[base + 1 :] for end in ends]
+    joints = sorted(joint for chain in chains for joint in chain)
+    if joints != list(range(base + 1, model.njoints)) or {len(chain) for chain in chains} != {JOINTS}:
         raise InputError(f"the legs of {motion.robot} do not have three joints each", ALLOWED)
-    hips = np.array([_place_on_base(model, chain[0]) for chain in chains])
+    hips = np.array([model.jointPlacements[chain[0]].translation for chain in chains])
     by_x = np.argsort(-hips[:, 0], kind="stable")
     found = {}
     for place, pair in (("F", by_x[:2]), ("R", by_x[2:])):
@@ -46,8 +48,3 @@ def quadruped_legs(motion: ExportedMotion) -> dict[str, Leg]:
             columns = tuple(motion.joint_names.index(model.names[joint]) for joint in chains[i])
             found[place + side] = Leg(foot=feet[i], columns=columns)
     return found
-
-
-def _place_on_base(model: pin.Model, joint: int) -> np.ndarray:
-    """Where a joint that hangs from the base sits (3,), base axes, m."""
-    return np.array(model.jointPlacements[joint].translation)

@@ -69,13 +69,20 @@ def read_simulator_model(motion: ExportedMotion, mjcf: str | Path | None) -> Sim
     )
 
 
-def named_coordinates(motion: ExportedMotion) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Positions and velocities (n,) by names of MuJoCo's hinges and slides: joints, and parts of a base."""
+def named_coordinates(
+    motion: ExportedMotion, simulator: SimulatorModel
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Positions and velocities (n,) by names of hinges and slides: joints, and parts of a base.
+
+    The parts of a planar or virtual base are left out where the model has a free joint in their place.
+    """
     model, base = motion.model, base_of(motion.model)
     found = {
         name: (motion.joint_position[:, i], motion.joint_velocity[:, i])
         for i, name in enumerate(motion.joint_names)
     }
+    if simulator.is_free.any():
+        return found
     if base == "planar":
         x, y, cosine, sine = motion.q[:, :4].T
         forward, left, turning = motion.v[:, :3].T
@@ -91,20 +98,21 @@ def named_coordinates(motion: ExportedMotion) -> dict[str, tuple[np.ndarray, np.
 
 
 def require_same_joints(motion: ExportedMotion, simulator: SimulatorModel) -> None:
-    """Raise `InputError` where the model lacks a joint of the motion, or its free joint, or has one more."""
-    known, source, free = named_coordinates(motion), simulator.source, simulator.is_free
-    held = held_joints(motion, simulator)
+    """Raise `InputError` where the model lacks a joint or the moving base of the motion, or has one more."""
+    known, source, free = named_coordinates(motion, simulator), simulator.source, simulator.is_free
+    base, held = base_of(motion.model), held_joints(motion, simulator)
+    allowed = {"freeflyer": (1,), "fixed": (0,)}.get(base, (0, 1))
+    if free.sum() not in allowed:
+        raise InputError(
+            f"{source} has {free.sum()} free joints",
+            f"allowed: {allowed[-1]}, as the motion of {motion.robot}",
+        )
     for name in known:
         if name not in simulator.joint_names:
             raise not_among(simulator.joint_names, name, f"joint '{name}' of the motion is not in {source}")
     for name, is_free in zip(simulator.joint_names, free, strict=True):
         if not is_free and name not in known and name not in held:
             raise not_among(known, name, f"joint '{name}' of {source} is not in the motion")
-    expected = int(base_of(motion.model) == "freeflyer")
-    if free.sum() != expected:
-        raise InputError(
-            f"{source} has {free.sum()} free joints", f"allowed: {expected}, as the motion of {motion.robot}"
-        )
 
 
 def held_joints(motion: ExportedMotion, simulator: SimulatorModel) -> dict[str, float]:

@@ -83,7 +83,11 @@ def simulator_motion(motion: ExportedMotion, simulator: SimulatorModel) -> Simul
 
 def _coordinates(motion: ExportedMotion, simulator: SimulatorModel) -> tuple[np.ndarray, np.ndarray]:
     """Positions (n, nq) and velocities (n, nv) of MuJoCo's joints."""
-    compiled, named, held = simulator.compiled, named_coordinates(motion), held_joints(motion, simulator)
+    compiled, named, held = (
+        simulator.compiled,
+        named_coordinates(motion, simulator),
+        held_joints(motion, simulator),
+    )
     qpos, qvel = np.zeros((len(motion.t), compiled.nq)), np.zeros((len(motion.t), compiled.nv))
     for joint, name in enumerate(simulator.joint_names):
         place, row = compiled.jnt_qposadr[joint], compiled.jnt_dofadr[joint]
@@ -102,11 +106,8 @@ def _free_joint(motion: ExportedMotion, body: str) -> tuple[np.ndarray, np.ndarr
 
     Linear velocity along world axes, angular velocity along those of the body.
     """
-    links, q, v = motion.links, motion.q, motion.v
-    if body not in links.names:
-        linear = np.einsum("nij,nj->ni", rotation_matrices(q[:, 3:7]), v[:, :3])
-        return q[:, [0, 1, 2, 6, 3, 4, 5]], np.hstack([linear, v[:, 3:6]])
-    own = links.names.index(body)
+    links = motion.links
+    own = links.names.index(body) if body in links.names else links.base
     quaternion = links.quaternion[:, own]
     turn = rotation_matrices(quaternion[:, [1, 2, 3, 0]])
     angular = np.einsum("nji,nj->ni", turn, links.angular_velocity[:, own])
