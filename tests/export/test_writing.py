@@ -34,6 +34,12 @@ def test_a_file_given_by_its_path_is_exported_and_its_path_returned(tmp_path: Pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "arm.npz"]
 
 
+def test_the_plans_own_file_is_not_replaced(tmp_path: Path) -> None:
+    file = plan_to_export("an arm").save(tmp_path / "arm.npz")
+    words = "arm.npz is an input file; allowed: another name for the output"
+    assert_refused_in_one_line(lambda: trajopt.export_motion(file, "isaaclab-amp", file), words)
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_the_same_motion_gives_the_same_file(name: str, tmp_path: Path) -> None:
     ending, plan = FORMATS[name].ending, plan_to_export("turning trot")
@@ -46,7 +52,7 @@ def test_the_same_motion_gives_the_same_file(name: str, tmp_path: Path) -> None:
     [
         ("isaaclab", "a.npz", {}, "export format 'isaaclab' is unknown; did you mean isaaclab-amp?"),
         ("isaaclab-amp", "a.json", {}, "does not end with .npz; allowed: NAME.npz"),
-        ("isaaclab-amp", "no/a.npz", {}, "No such file or directory"),
+        ("isaaclab-amp", "no/a.npz", {}, "no does not exist"),
         (
             "isaaclab-amp",
             "a.npz",

@@ -13,7 +13,7 @@ import click
 from trajopt.cli.input import COUNT, default_option, is_given
 from trajopt.errors import InputError
 from trajopt.export.formats import FORMATS, OPTIONS, keyword_arguments, require_count, require_options
-from trajopt.solution.output import check_apart, check_output, require_ending
+from trajopt.solution.output import check_apart, check_folder, check_output, require_ending
 
 if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
@@ -33,7 +33,9 @@ def _motion_options(command: Callable[..., Any]) -> Callable[..., Any]:
         knowing = ", ".join(sorted(key for key, each in FORMATS.items() if name in each.options))
         kind = Path if option.is_path else str
         words = f"{option.help} ({knowing})"
-        command = click.option(f"--{name}", type=kind, metavar=option.metavar, help=words)(command)
+        command = click.option(f"--{name.replace('_', '-')}", type=kind, metavar=option.metavar, help=words)(
+            command
+        )
     return command
 
 
@@ -129,6 +131,8 @@ def _export_motions(
     check_apart([target], files)
     if chosen.ending:
         _refuse_solution_file(check_output(target))
+    else:
+        check_folder(target, chosen.marker)
     plans = [_load_plan(file) for file in files]
     written = export_motion(plans, form, target, rate, cycles, **given)
     count = "1 motion" if len(plans) == 1 else f"{len(plans)} motions"

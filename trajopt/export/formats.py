@@ -60,18 +60,18 @@ OPTIONS = {
 }
 FORMATS = {
     "isaaclab-amp": Format(
-        help="Isaac Lab's motions for AMP (MotionLoader)",
+        help="Isaac Lab, AMP (MotionLoader)",
         writer="trajopt.export.isaaclab_amp:write_isaaclab_amp",
         ending=".npz",
     ),
     "mjlab": Format(
-        help="mjlab and BeyondMimic (whole_body_tracking), in the order of an MJCF",
+        help="mjlab and BeyondMimic (MotionLoader)",
         writer="trajopt.export.mjlab:write_mjlab",
         ending=".npz",
         options=("mjcf",),
     ),
     "loco-mujoco": Format(
-        help="LocoMuJoCo's Trajectory of one motion or several, in the order of an MJCF",
+        help="LocoMuJoCo (Trajectory), one motion or several",
         writer="trajopt.export.loco_mujoco:write_loco_mujoco",
         ending=".npz",
         several=True,

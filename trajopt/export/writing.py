@@ -10,7 +10,15 @@ from trajopt.errors import expanded
 from trajopt.export.exported_motion import RATE, sample_cycles
 from trajopt.export.formats import format_named, keyword_arguments, require_count, require_options
 from trajopt.solution.input import SolutionOrFile, solutions_of
-from trajopt.solution.output import replacing, replacing_folder, require_ending
+from trajopt.solution.output import (
+    check_apart,
+    check_folder,
+    check_output,
+    replacing,
+    replacing_folder,
+    require_ending,
+)
+from trajopt.solution.solution import Solution
 
 
 @checked
@@ -37,18 +45,18 @@ def export_motion(
         InputError: for a format or option that is not known, motions that the format cannot hold, and a place
             that cannot be written, or holds a folder that is no such export.
     """
-    chosen, plans = format_named(format), solutions_of(solution)
-    options = keyword_arguments(mjcf=mjcf)
+    given = [solution] if isinstance(solution, Solution | str | Path) else list(solution)
+    chosen, options, target = format_named(format), keyword_arguments(mjcf=mjcf), expanded(path)
     require_options(format, chosen, options)
-    require_count(format, chosen, len(plans))
-    target = expanded(path)
-    motions = [sample_cycles(plan, rate, cycles) for plan in plans]
-    write = chosen.load_writer()
+    require_count(format, chosen, len(given))
+    check_apart([target], [Path(one) for one in given if isinstance(one, str | Path)])
     if chosen.ending:
         require_ending(target, chosen.ending)
-        with replacing(target) as unfinished:
-            write(motions, unfinished, options)
+        check_output(target)
     else:
-        with replacing_folder(target, chosen.marker) as unfinished:
-            write(motions, unfinished, options)
+        check_folder(target, chosen.marker)
+    motions = [sample_cycles(plan, rate, cycles) for plan in solutions_of(given)]
+    place = replacing(target) if chosen.ending else replacing_folder(target, chosen.marker)
+    with place as unfinished:
+        chosen.load_writer()(motions, unfinished, options)
     return target
