@@ -16,6 +16,8 @@ from tests.support.refusals import assert_refused_in_one_line
 from tests.support.synthetic_motions import sampled, standing
 from trajopt.export.writing import export_motion
 
+pytestmark = pytest.mark.long
+
 RATE = 50
 # Sizes of a frame's parts, in their order.
 PARTS = {

@@ -22,6 +22,8 @@ from trajopt.export.exported_motion import sample_cycles
 from trajopt.export.links import without_jumps
 from trajopt.export.single_joints import SingleJoints, joint_angles
 
+pytestmark = pytest.mark.long
+
 # Central differences of a motion with this many samples a second are off by the step squared; m/s, rad/s.
 FINE, DIFFERENCE = 4000.0, 2e-3
 # Residual of the equations of motion over the weight: of a solver's tolerance, and of the mirror image by a

@@ -12,6 +12,8 @@ from tests.support.exported_plans import KINDS, SINGLE, moved_on, place_of, plan
 from trajopt.export.exported_motion import sample_cycles
 from trajopt.export.writing import export_motion
 
+pytestmark = pytest.mark.long
+
 RATE = 50
 
 

@@ -14,6 +14,8 @@ from tests.support.exported_plans import ROUNDING, place_of, plan_to_export, rot
 from tests.support.refusals import assert_refused_in_one_line
 from trajopt.export.writing import export_motion
 
+pytestmark = pytest.mark.long
+
 RATE = 40
 # The fields of TrajectoryInfo, TrajectoryModel and TrajectoryData; the loader refuses any other key.
 INFO = {"joint_names", "frequency", "body_names", "site_names", "metadata"}

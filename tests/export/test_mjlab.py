@@ -23,6 +23,8 @@ from tests.support.refusals import assert_refused_in_one_line
 from trajopt.export.writing import export_motion
 from trajopt.solution.solution import Solution
 
+pytestmark = pytest.mark.long
+
 RATE = 40
 KEYS = ("joint_pos", "joint_vel", "body_pos_w", "body_quat_w", "body_lin_vel_w", "body_ang_vel_w")
 
