@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -10,15 +11,13 @@ import pinocchio as pin
 from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.certify.repetition import CycleImage, passes_of
 from trajopt.errors import InputError
+from trajopt.export.formats import RATE
 from trajopt.export.links import LinkMotion, link_motion
 from trajopt.export.single_joints import SingleJoints, joint_angles, single_joints
 from trajopt.solution.consistency import SAME_TIME
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.sampling import MOST_SAMPLES
 from trajopt.solution.solution import Solution
-
-# Samples a second where nothing is said: what policies of legged robots are trained and run at.
-RATE = 50.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -161,3 +160,10 @@ def _named_motion(
         joint_torque=torque[:, joints.rows],
         links=link_motion(plan.model, arrays["q"], arrays["v"]),
     )
+
+
+def require_one_robot(motions: Sequence[ExportedMotion]) -> None:
+    """Raise `InputError` for motions of several robots."""
+    robots = {motion.robot for motion in motions}
+    if len(robots) > 1:
+        raise InputError(f"motions of {len(robots)} robots: {', '.join(sorted(robots))}", "allowed: of one")

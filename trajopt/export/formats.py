@@ -16,6 +16,12 @@ from typing import Any
 from trajopt.errors import InputError, not_among
 
 
+# Samples a second where nothing is said: what policies of legged robots are trained and run at.
+RATE = 50.0
+# The same of torques that are played back: what controllers of legged robots run at.
+CONTROL_RATE = 500.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class ExportOption:
     """An option that some formats know: a keyword of `export_motion`, and ``--NAME`` on the command line.
@@ -34,7 +40,7 @@ class Format:
 
     help: one line. writer: "module:function", loaded when it is used. ending: of its file; "" for a folder.
     several: takes several motions. options: names among `OPTIONS`. marker: path within its folder of a file
-    that every export has; a folder that lacks it is not replaced.
+    that every export has; a folder that lacks it is not replaced. rate: samples a second where none is given.
     """
 
     help: str
@@ -43,6 +49,7 @@ class Format:
     several: bool = False
     options: tuple[str, ...] = ()
     marker: str = ""
+    rate: float = RATE
 
     def load_writer(self) -> Callable[..., None]:
         """The writer."""
@@ -56,6 +63,9 @@ OPTIONS = {
         metavar="FILE",
         help="MJCF of the simulator's robot, for the order of its joints and bodies.",
         is_path=True,
+    ),
+    "task": ExportOption(
+        metavar="TEXT", help="What the robot does, in words.  [default: the problem's name]"
     ),
 }
 FORMATS = {
@@ -81,6 +91,24 @@ FORMATS = {
         help="AMP for hardware (AMPLoader), 61 numbers a frame; quadrupeds",
         writer="trajopt.export.amp_hardware:write_amp_hardware",
         ending=".json",
+    ),
+    "lerobot": Format(
+        help="LeRobot data set v3.0 (LeRobotDataset), one episode or several",
+        writer="trajopt.export.lerobot:write_lerobot",
+        several=True,
+        options=("task",),
+        marker="meta/info.json",
+    ),
+    "mujoco": Format(
+        help="MuJoCo: the model with its ground, and torques to play back; 500 Hz",
+        writer="trajopt.export.mujoco_playback:write_mujoco_playback",
+        marker="controls.npz",
+        rate=CONTROL_RATE,
+    ),
+    "rosbag": Format(
+        help="ROS 2 bag: trajectory, joint states, tf, odometry, contact forces",
+        writer="trajopt.export.rosbag:write_rosbag",
+        marker="metadata.yaml",
     ),
 }
 

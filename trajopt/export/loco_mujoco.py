@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError
 from trajopt.export.archives import names_array, write_archive
-from trajopt.export.exported_motion import ExportedMotion
+from trajopt.export.exported_motion import ExportedMotion, require_one_robot
 from trajopt.export.simulator_model import read_simulator_model
 from trajopt.export.simulator_motion import COMPUTED, simulator_motion
 
@@ -28,9 +27,7 @@ def write_loco_mujoco(motions: Sequence[ExportedMotion], path: Path, options: Ma
 
     The loader refuses keys that it does not know: there is no room for torques and forces.
     """
-    robots = {motion.robot for motion in motions}
-    if len(robots) > 1:
-        raise InputError(f"motions of {len(robots)} robots: {', '.join(sorted(robots))}", "allowed: of one")
+    require_one_robot(motions)
     simulator = read_simulator_model(motions[0], options.get("mjcf"))
     found = [simulator_motion(motion, simulator) for motion in motions]
     arrays = {
