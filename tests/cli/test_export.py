@@ -71,6 +71,16 @@ def test_several_files_become_one_where_the_format_takes_several(plan: Path) -> 
         np.testing.assert_array_equal(data["split_points"], [0, 41, 82])
 
 
+def test_folders_have_the_name_and_the_rate_of_their_format(plan: Path) -> None:
+    for form, rate in (("lerobot", 50), ("mujoco", 500), ("rosbag", 50)):
+        result = export(plan, "--format", form)
+        assert (result.exit_code, result.stdout) == (0, f"hop-{form}: 1 motion at {rate} Hz, {form}\n")
+        assert Path(f"hop-{form}", FORMATS[form].marker).is_file()
+    result = export(plan, plan, "--format", "lerobot", "--task", "hop", "-o", "hop-lerobot")
+    assert (result.exit_code, result.stdout) == (0, "hop-lerobot: 2 motions at 50 Hz, lerobot\n")
+    assert list(pd.read_parquet("hop-lerobot/meta/tasks.parquet").index) == ["hop"]
+
+
 def test_help_lists_the_formats() -> None:
     text = export("--help").stdout
     for name, each in FORMATS.items():
@@ -126,6 +136,13 @@ def test_mjcf_opens_in_mujoco(plan: Path) -> None:
         (("--format", "isaaclab-amp", "--cycles", 0), "cycles"),
         (("--format", "isaaclab-amp", "--rate", 0), "rate"),
         (("--format", "mjlab", "--mjcf", "none.xml"), "cannot read none.xml"),
+        (("--format", "rosbag", "--task", "hop"), "task is of no use for rosbag; allowed: no option"),
+        (("--format", "npz", "--task", "hop"), "--task is of no use for npz"),
+        (("--format", "lerobot", "--rate", 12.5), "rate is 12.5 Hz; allowed for lerobot: a whole number"),
+        (("--format", "lerobot", "-o", "hop.npz"), "hop.npz is an input file"),
+        (("--format", "lerobot", "-o", "other.npz"), "other.npz: it is not a folder"),
+        (("--format", "mujoco", "-o", "."), "cannot write .: it is there and is no such export"),
+        (("other.npz", "--format", "rosbag"), "2 motions for rosbag; allowed: one"),
         (("--format", "amp-hardware"), "allowed: a quadruped with a floating base"),
     ],
 )

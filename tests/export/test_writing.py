@@ -15,6 +15,7 @@ from trajopt.errors import InputError
 from trajopt.export.formats import FORMATS, OPTIONS
 
 ONE_MOTION = [name for name, each in FORMATS.items() if not each.several]
+FOLDERS = [name for name, each in FORMATS.items() if not each.ending]
 FILES = [name for name, each in FORMATS.items() if each.ending]
 
 
@@ -47,6 +48,32 @@ def test_the_same_motion_gives_the_same_file(name: str, tmp_path: Path) -> None:
     assert first.read_bytes() == second.read_bytes()
 
 
+@pytest.mark.parametrize("name", FOLDERS)
+def test_the_same_motion_gives_the_same_folder(name: str, tmp_path: Path) -> None:
+    found = []
+    for place in ("first", "second"):
+        (tmp_path / place).mkdir()
+        folder = trajopt.export_motion(plan_to_export("an arm"), name, tmp_path / place / "a")
+        assert (folder / FORMATS[name].marker).is_file()
+        files = sorted(path for path in folder.rglob("*") if path.is_file())
+        found.append({path.relative_to(folder): path.read_bytes() for path in files})
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_a_folder_is_replaced_only_by_an_export_of_its_kind(name: str, tmp_path: Path) -> None:
+    plan, target = plan_to_export("an arm"), tmp_path / "a"
+    target.mkdir()
+    (target / "notes.txt").write_text("mine")
+    words = "a: it is there and is no such export; allowed: another name"
+    assert_refused_in_one_line(lambda: trajopt.export_motion(plan, name, target), words)
+    assert [path.name for path in target.iterdir()] == ["notes.txt"]
+    (target / "notes.txt").unlink()
+    for rate in (20, 10):
+        trajopt.export_motion(plan, name, target, rate)
+    assert list(tmp_path.iterdir()) == [target]
+
+
 @pytest.mark.parametrize(
     ("format", "path", "settings", "words"),
     [
@@ -62,6 +89,10 @@ def test_the_same_motion_gives_the_same_file(name: str, tmp_path: Path) -> None:
         ("isaaclab-amp", "a.npz", {"rate": -1.0}, "rate"),
         ("isaaclab-amp", "a.npz", {"rate": "fast"}, "rate"),
         ("isaaclab-amp", "a.npz", {"cycles": 1.5}, "cycles"),
+        ("isaaclab-amp", "a.npz", {"task": "walk"}, "task is of no use for isaaclab-amp; allowed: no option"),
+        ("rosbag", "no/a", {}, "no does not exist"),
+        ("mujoco", "a", {"cycles": 2}, "the solution is not periodic"),
+        ("lerobot", "a", {"task": 3}, "task"),
         ("mjlab", "a.npz", {"mjcf": "none.xml"}, "cannot read none.xml"),
     ],
 )

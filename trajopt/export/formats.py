@@ -15,7 +15,6 @@ from typing import Any
 
 from trajopt.errors import InputError, not_among
 
-
 # Samples a second where nothing is said: what policies of legged robots are trained and run at.
 RATE = 50.0
 # The same of torques that are played back: what controllers of legged robots run at.

@@ -1,4 +1,4 @@
-"""Data sets of LeRobot (codebase version v3.0), as its ``LeRobotDataset`` reads them: motions are episodes."""
+"""Data sets of LeRobot, v3.0, as its ``LeRobotDataset`` reads them: motions are episodes."""
 
 from __future__ import annotations
 
@@ -44,9 +44,7 @@ def write_lerobot(motions: Sequence[ExportedMotion], path: Path, options: Mappin
         episodes.append(features_of(motion, episode=number, start=start, task=task))
         start += len(motion.t)
     _require_same_features(episodes)
-    joined = {
-        key: np.concatenate([episode[key].values for episode in episodes]) for key in episodes[0]
-    }
+    joined = {key: np.concatenate([episode[key].values for episode in episodes]) for key in episodes[0]}
     _write_info(path, episodes, motions, len(tasks), int(rate))
     _write_json(path / "meta/stats.json", {key: _statistics(values) for key, values in joined.items()})
     _write_tasks(path / "meta/tasks.parquet", tasks)

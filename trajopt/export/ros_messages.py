@@ -90,7 +90,7 @@ class RosMessages:
     def odometry(
         self, stamp: int, frames: tuple[str, str], pose: tuple[np.ndarray, np.ndarray], twist: np.ndarray
     ) -> Any:
-        """Position and quaternion of the second frame in the first, its velocities (6,) along its own axes."""
+        """Pose of the second frame in the first, and its velocities (6,) along its own axes."""
         unknown = np.zeros(COVARIANCE)
         placed = self.make(
             "geometry_msgs/Pose", position=self.xyz("Point", pose[0]), orientation=self.rotation(pose[1])

@@ -1,4 +1,4 @@
-"""The tree of a robot's frames: each link seen from the one that it hangs from, contact frames on their links."""
+"""The tree of a robot's frames: each link seen from the one that it hangs from, contact frames on links."""
 
 from __future__ import annotations
 
