@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,7 +23,7 @@ FIRST = {"chunk_index": 0, "file_index": 0}
 # Quantiles of statistics, by the names that policies normalise with.
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 # A value of the data at which so many are reached, as LeRobot's own counting in bins has it.
-METHOD = "inverted_cdf"
+METHOD: Final = "inverted_cdf"
 EXTRA = "data"
 
 

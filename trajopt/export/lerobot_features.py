@@ -32,7 +32,7 @@ class Feature:
 
 
 def features_of(motion: ExportedMotion, *, episode: int, start: int, task: int) -> dict[str, Feature]:
-    """Features of a motion by name, without those that have no entries; ``start``: index of its first frame."""
+    """Features of a motion by name, without those of no entries; ``start``: index of its first frame."""
     frames, count = np.arange(len(motion.t)), len(motion.t)
     found = {
         "observation.state": _vector(
