@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.exported_plans import ROUNDING, place_of, plan_to_export, rotation_of
 from tests.support.refusals import assert_refused_in_one_line
+from tests.support.sampled_problems import solution_of_kind
 from trajopt.export.writing import export_motion
 from trajopt.solution.solution import Solution
 
@@ -54,6 +55,7 @@ class Playback:
         places, rows = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         while data.time < until:
             now = np.searchsorted(plan["time"], data.time + ROUNDING, side="right") - 1
+            data.eq_active = plan["eq_active"][now]
             data.ctrl = plan["ctrl"][now]
             if feedback:
                 data.ctrl += plan["kp"][now] * (plan["qpos"][now, places] - data.qpos[places])
@@ -131,6 +133,15 @@ def test_torques_alone_follow_the_plan_for_a_short_time_and_with_gains_to_the_en
     found = exported(plan, tmp_path)
     assert_allclose(np.diff(found.arrays["time"]), 1 / 500, atol=ROUNDING)
     assert found.largest_error(SHORT, feedback=False) < OPEN_LOOP
+    assert found.largest_error(found.arrays["time"][-1], feedback=True) < FED_BACK
+
+
+def test_what_hands_hold_on_to_is_active_in_the_phases_of_the_grasp(tmp_path: Path) -> None:
+    plan = solution_of_kind("grasp")
+    found = exported(plan, tmp_path)
+    active, held = found.arrays["eq_active"], found.arrays["contact_active"]
+    assert active.shape == (len(found.arrays["time"]), found.model.neq)
+    assert_array_equal(active, held)
     assert found.largest_error(found.arrays["time"][-1], feedback=True) < FED_BACK
 
 
