@@ -2,6 +2,7 @@ from . import robot as robot
 from .certify.check import check as check
 from .errors import InputError as InputError
 from .errors import TrajoptError as TrajoptError
+from .export.writing import export_motion as export_motion
 from .problem.catalogue import load as load
 from .problem.problem import Problem as Problem
 from .robot.contact import Contact as Contact

@@ -30,7 +30,7 @@ def periodicity_error(plan: Solution) -> float | None:
 def periodic_image(
     model: pin.Model, described: dict[str, Any], q: np.ndarray, v: np.ndarray, duration: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Image of a state (nq,), (nv,) under a described periodicity; Pinocchio's convention."""
+    """Image of a state (nq,), (nv,), or of n (n, nq), (n, nv), under a described periodicity."""
     index, sign = np.array(described["index"], dtype=int), np.array(described["sign"], dtype=float)
     moved = _translation(described, duration)
     turn, origin = float(described["turn"]), np.array(described["origin"], dtype=float)
@@ -38,21 +38,27 @@ def periodic_image(
     for joint in list(model.joints)[1:]:
         if joint.nv == 1:
             other = next(own for own in list(model.joints)[1:] if own.idx_v == index[joint.idx_v])
-            found[joint.idx_q : joint.idx_q + joint.nq] = signed(
-                q[other.idx_q : other.idx_q + other.nq], sign[joint.idx_v]
+            found[..., joint.idx_q : joint.idx_q + joint.nq] = signed(
+                q[..., other.idx_q : other.idx_q + other.nq], sign[joint.idx_v]
             )
     base = base_of(model)
     if base == "freeflyer":
         rotation = pin.utils.rotate("z", turn)
-        position = q[:3] * sign[:3] + (1 - sign[:3]) * origin
-        found[:3] = origin + rotation @ (position - origin) + moved
-        mirrored = np.array([-q[3], q[4], -q[5], q[6]]) if described["mirror"] else q[3:7]
-        found[3:7] = (pin.Quaternion(rotation) * pin.Quaternion(*mirrored[[3, 0, 1, 2]])).coeffs()
+        position = q[..., :3] * sign[:3] + (1 - sign[:3]) * origin
+        found[..., :3] = origin + (position - origin) @ rotation.T + moved
+        mirrored = q[..., 3:7] * ([-1.0, 1.0, -1.0, 1.0] if described["mirror"] else np.ones(4))
+        found[..., 3:7] = mirrored @ _turning(turn).T
     elif base == "planar":
-        found[:2] += moved[[0, 2]]
+        found[..., :2] += moved[[0, 2]]
     elif base == "virtual":
-        found[:3] += moved
-    return found, sign * v[index]
+        found[..., :3] += moved
+    return found, sign * v[..., index]
+
+
+def _turning(turn: float) -> np.ndarray:
+    """Matrix (4, 4) that turns quaternions (x, y, z, w) by ``turn`` rad about the world's vertical."""
+    c, s = np.cos(turn / 2), np.sin(turn / 2)
+    return np.array([[c, -s, 0.0, 0.0], [s, c, 0.0, 0.0], [0.0, 0.0, c, s], [0.0, 0.0, -s, c]])
 
 
 def _translation(described: dict[str, Any], duration: float) -> np.ndarray:

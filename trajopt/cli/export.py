@@ -1,88 +1,176 @@
-"""``trajopt export``: a solution at an even rate for programs and robots, or its model for MuJoCo."""
+"""``trajopt export``: a solution at an even rate for robots and other tools, or its model for MuJoCo."""
 
 from __future__ import annotations
 
 import contextlib
 import warnings
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import default_option, is_given
+from trajopt.cli.input import COUNT, default_option, is_given
 from trajopt.errors import InputError
-from trajopt.solution.output import check_apart, check_output
+from trajopt.export.formats import FORMATS, OPTIONS, keyword_arguments, require_count, require_options
+from trajopt.solution.output import check_apart, check_folder, check_output, require_ending
 
-# Endings of files by format.
+if TYPE_CHECKING:
+    from trajopt.solution.solution import Solution
+
+# Endings of files by format: samples of the solution, and its model.
 ENDINGS = {"csv": ".csv", "parquet": ".parquet", "npz": ".npz", "mjcf": ".xml"}
-# Options that only samples have.
-OF_SAMPLES = ("rate", "quaternion", "base_velocity")
+# Options that only samples have, and that only motions in other tools' formats have.
+OF_SAMPLES = ("quaternion", "base_velocity")
+OF_MOTIONS = ("cycles", *OPTIONS)
+# Samples a second in the formats above, for robots; motions for learning have fewer.
+SAMPLE_RATE = 500.0
 
 
-@click.command("export")
-@click.argument("file", type=Path)
+def _motion_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that motion formats have, each with the formats that know it."""
+    for name, option in reversed(OPTIONS.items()):
+        knowing = ", ".join(sorted(key for key, each in FORMATS.items() if name in each.options))
+        kind = Path if option.is_path else str
+        words = f"{option.help} ({knowing})"
+        command = click.option(f"--{name.replace('_', '-')}", type=kind, metavar=option.metavar, help=words)(
+            command
+        )
+    return command
+
+
+def _described_formats() -> str:
+    """Lines of the help: each motion format, and what it is for."""
+    width = max(map(len, FORMATS))
+    lines = [f"  {name:{width}}  {each.help}" for name, each in FORMATS.items()]
+    return "\n".join(["\b", "Motion formats:", *lines])
+
+
+@click.command("export", epilog=_described_formats())
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=Path)
 @click.option(
     "--format",
-    type=click.Choice(tuple(ENDINGS)),
+    type=click.Choice((*ENDINGS, *FORMATS)),
     help="Form of the file.  [default: by the ending of --output, else csv]",
 )
-@default_option("--rate", 500.0, "HZ", "Samples a second.", kind=click.FLOAT)
+@click.option(
+    "--rate",
+    type=click.FLOAT,
+    metavar="HZ",
+    help="Samples a second.  [default: 500; of motion formats 50, but of mujoco 500]",
+)
 @click.option(
     "--output",
     "-o",
     type=Path,
     metavar="OUT",
-    help="File to write.  [default: FILE-500hz.csv, of a model FILE.xml]",
+    help="File or folder to write.  [default: FILE-500hz.csv, FILE.xml of a model, else FILE-FORMAT]",
 )
 @click.option(
     "--quaternion",
     type=click.Choice(("xyzw", "wxyz")),
     default="xyzw",
     show_default=True,
-    help="Order of quaternions.",
+    help="Order of quaternions in csv, parquet, npz.",
 )
 @click.option(
     "--base-velocity",
     type=click.Choice(("body", "world")),
     default="body",
     show_default=True,
-    help="Axes of the velocity and acceleration of a moving base.",
+    help="Axes of the velocity and acceleration of a moving base in csv, parquet, npz.",
 )
+@default_option("--cycles", 1, "N", "Cycles of a periodic plan, in motion formats.", kind=COUNT)
+@_motion_options
 def export_command(
-    file: Path,
+    files: tuple[Path, ...],
     format: str | None,
     output: Path | None,
-    rate: float,
-    **conventions: Any,
+    rate: float | None,
+    quaternion: str,
+    base_velocity: str,
+    cycles: int,
+    **options: Any,
 ) -> None:
-    """Write the motion in FILE at an even rate, for a robot.
+    """Write the motion in FILE at an even rate, for a robot or for another tool.
 
-    Times, q, v, a, torques, contacts and contact forces. Columns have names, such as q/FL_hip_joint; units
-    are SI. Where values jump, as at a touchdown, those after it are written. The format mjcf is the robot and
-    its ground for MuJoCo, as simulate uses them.
+    csv, parquet, npz: times, q, v, a, torques, contacts and contact forces. Columns have names, such as
+    q/FL_hip_joint; units are SI. Where values jump, as at a touchdown, those after it are written. mjcf is
+    the robot and its ground for MuJoCo, as simulate uses them.
     """
-    from trajopt.solution.solution import Solution
-
     form = _format(format, output)
+    if form in FORMATS:
+        _export_motions(files, form, output, rate=rate, cycles=cycles, options=options)
+        return
+    _refuse_options(form, OF_MOTIONS)
+    if len(files) > 1:
+        raise InputError(f"{len(files)} files for {form}", "allowed: one FILE")
+    conventions = {"quaternion": quaternion, "base_velocity": base_velocity}
+    _export_one(files[0], form, output, SAMPLE_RATE if rate is None else rate, conventions)
+
+
+def _export_motions(
+    files: tuple[Path, ...],
+    form: str,
+    output: Path | None,
+    *,
+    rate: float | None,
+    cycles: int,
+    options: dict[str, Any],
+) -> None:
+    """Write motions in the format of another tool."""
+    from trajopt.export.writing import export_motion
+
+    chosen = FORMATS[form]
+    rate = chosen.rate if rate is None else rate
+    _refuse_options(form, OF_SAMPLES)
+    given = keyword_arguments(**options)
+    require_options(form, chosen, given)
+    require_count(form, chosen, len(files))
+    target = output or Path(f"{files[0].stem}-{form}{chosen.ending}")
+    check_apart([target], files)
+    if chosen.ending:
+        _refuse_solution_file(check_output(target))
+    else:
+        check_folder(target, chosen.marker)
+    plans = [_load_plan(file) for file in files]
+    written = export_motion(plans, form, target, rate, cycles, **given)
+    count = "1 motion" if len(plans) == 1 else f"{len(plans)} motions"
+    click.echo(f"{written}: {count} at {rate:g} Hz, {form}")
+
+
+def _export_one(file: Path, form: str, output: Path | None, rate: float, conventions: dict[str, Any]) -> None:
+    """Write the samples of a solution, or its model."""
     samples = form != "mjcf"
     target = output or Path(f"{file.stem}-{rate:g}hz{ENDINGS[form]}" if samples else f"{file.stem}.xml")
     check_apart([target], [file])
     _refuse_solution_file(check_output(target))
     if samples:
-        plan = Solution.load(file)
-        if not plan.success:
-            warnings.warn(f"{file} is not a success: {plan.meta['status']}", UserWarning, stacklevel=2)
-        motion = plan.sample(rate, **conventions)
+        motion = _load_plan(file).sample(rate, **conventions)
         click.echo(f"{motion.save(target)}: {len(motion.t)} samples at {rate:g} Hz")
     else:
         from trajopt.simulation.mjcf import write_mjcf
 
-        _refuse_options()
+        _refuse_options(form, ("rate", *OF_SAMPLES))
         click.echo(write_mjcf(file, target))
+
+
+def _load_plan(file: Path) -> Solution:
+    """The solution in a file; warns where it is not a success."""
+    from trajopt.solution.solution import Solution
+
+    plan = Solution.load(file)
+    if not plan.success:
+        warnings.warn(f"{file} is not a success: {plan.meta['status']}", UserWarning, stacklevel=2)
+    return plan
 
 
 def _format(format: str | None, output: Path | None) -> str:
     """Format of the file to write; raises `InputError` where its ending is another one's, or unknown."""
+    if format in FORMATS:
+        if output is not None and FORMATS[format].ending:
+            require_ending(output, FORMATS[format].ending)
+        return format
     if output is None:
         return format or "csv"
     allowed = {ending: name for name, ending in ENDINGS.items() if format in (None, name)}
@@ -91,11 +179,12 @@ def _format(format: str | None, output: Path | None) -> str:
     return allowed[output.suffix.lower()]
 
 
-def _refuse_options() -> None:
-    """Raise `InputError` where options of samples are given for a model."""
-    for name in OF_SAMPLES:
+def _refuse_options(form: str, names: Iterable[str]) -> None:
+    """Raise `InputError` where options are given that a format does not know."""
+    for name in names:
         if is_given(name):
-            raise InputError(f"--{name.replace('_', '-')} is of no use for mjcf", "allowed: --output")
+            allowed = "--output" if form == "mjcf" else "see trajopt export --help"
+            raise InputError(f"--{name.replace('_', '-')} is of no use for {form}", f"allowed: {allowed}")
 
 
 def _refuse_solution_file(target: Path) -> None:

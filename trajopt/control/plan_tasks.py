@@ -8,11 +8,12 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.accuracy.natural_units import NaturalUnits
+from trajopt.certify.repetition import moving_rows
 from trajopt.control.balance import Balance
 from trajopt.control.gains import TrackerGains
 from trajopt.control.measured_contacts import MeasuredContacts
 from trajopt.control.plan_targets import PlanTargets, base_frame, tracking_model
-from trajopt.control.reference import ReferenceTrajectory, moving_rows
+from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.swing_tasks import SwingTasks
 from trajopt.control.tasks import ContactForceTask, FrameTask, PostureTask, Task

@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.closing import periodic_image
 from trajopt.certify.payloads import carrying_model
+from trajopt.certify.repetition import CycleImage, passes_of
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
@@ -60,19 +60,16 @@ def reference_of(plan: Solution, rate: float, cycles: int = 1, *, hold: float = 
 
     hold: in natural times.
     """
-    described = plan.meta.get("periodicity")
-    whole = cycles * (2 if described and described["mirror"] else 1)
+    whole = passes_of(plan, cycles)
     periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * rate * whole
     if periods > MOST_PERIODS:
         raise InputError(
             f"a simulation of {periods:.3g} periods of its controller",
             f"allowed: {MOST_PERIODS}; a lower --control-rate or fewer --cycles",
         )
-    if cycles > 1 and not described:
-        raise InputError("the solution is not periodic", "allowed: --cycles 1")
     one = _once(plan, rate)
-    if described and whole > 1:
-        one = _repeated(plan, one, described, whole)
+    if whole > 1:
+        one = _repeated(plan, one, whole)
     return _with_hold(plan, one, hold)
 
 
@@ -115,60 +112,32 @@ def _mean_acceleration(plan: Solution, t: np.ndarray, period: float, middle: np.
     return found
 
 
-def _repeated(
-    plan: Solution, one: ReferenceTrajectory, described: dict[str, Any], times: int
-) -> ReferenceTrajectory:
+def _repeated(plan: Solution, one: ReferenceTrajectory, times: int) -> ReferenceTrajectory:
     """The reference followed by its images, ``times`` in all."""
-    duration = one.period * len(one.t)
-    source = image_of_contacts(plan, described)
-    index, sign = np.array(described["index"], dtype=int), np.array(described["sign"], dtype=float)
-    first, turned = plan.n_unactuated, pin.utils.rotate("z", float(described["turn"]))
-    flip = np.array([1.0, -1.0, 1.0]) if described["mirror"] else np.ones(3)
-    to_force = turned * flip
-    to_moment = turned * (flip if not described["mirror"] else -flip)
-    parts, end = [one], one.end
+    image = CycleImage.of(plan)
+    parts = [one]
     for number in range(1, times):
         last = parts[-1]
-        states = [
-            periodic_image(plan.model, described, q, v, duration) for q, v in zip(last.q, last.v, strict=True)
-        ]
-        end = periodic_image(plan.model, described, end, np.zeros(plan.model.nv), duration)[0]
-        f = last.f[:, source]
+        q, v = image.of_states(last.q, last.v)
         parts.append(
             replace(
                 one,
-                t=one.t + number * duration,
-                q=np.array([q for q, _ in states]),
-                v=np.array([v for _, v in states]),
-                a=sign * last.a[:, index],
-                torque=sign[first:] * last.torque[:, index[first:] - first],
-                f=np.concatenate([f[..., :3] @ to_force.T, f[..., 3:] @ to_moment.T], axis=-1),
-                active=last.active[:, source],
+                t=one.t + number * image.duration,
+                q=q,
+                v=v,
+                a=image.of_accelerations(last.a),
+                torque=image.of_torques(last.torque),
+                f=image.of_contact_forces(last.f),
+                active=image.of_contacts(last.active),
                 phase=one.phase + number * len(one.phase_names),
-                end=end,
+                end=image.of_states(last.end, np.zeros(plan.model.nv))[0],
             )
         )
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in ("t", "q", "v", "a", "torque", "f", "active", "phase", "source")
     }
-    return replace(one, **joined, phase_names=one.phase_names * times, end=end)
-
-
-def image_of_contacts(plan: Solution, described: dict[str, Any]) -> list[int]:
-    """For each contact, the one whose image it is: the rows of v that move it map to the rows of that one."""
-    index = np.array(described["index"], dtype=int)
-    moved = [moving_rows(plan.model, frame) for frame in plan.contact_frames]
-    return [moved.index({int(index[row]) for row in rows}) for rows in moved]
-
-
-def moving_rows(model: pin.Model, frame: str) -> set[int]:
-    """Rows of v that move a frame."""
-    found: set[int] = set()
-    for joint in list(model.supports[model.frames[model.getFrameId(frame)].parentJoint])[1:]:
-        first = model.joints[joint].idx_v
-        found |= set(range(first, first + model.joints[joint].nv))
-    return found
+    return replace(one, **joined, phase_names=one.phase_names * times, end=parts[-1].end)
 
 
 def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray, np.ndarray]:

@@ -267,8 +267,8 @@ def mirrored_configuration(robot: Robot, mirror: Mirror, q: np.ndarray, y0: floa
 
 
 def signed(value: np.ndarray, sign: float) -> np.ndarray:
-    """A joint's coordinate times 1 or -1; of (cos, sin) the angle's."""
-    return sign * value if len(value) == 1 else np.array([value[0], sign * value[1]])
+    """A joint's coordinates (..., nq) times 1 or -1; of (cos, sin) the angle's."""
+    return value * (sign if value.shape[-1] == 1 else np.array([1.0, sign]))
 
 
 def mirrored_rows(robot: Robot, mirror: Mirror) -> tuple[np.ndarray, np.ndarray]:

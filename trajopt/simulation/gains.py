@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.payloads import carrying_model
-from trajopt.control.reference import ReferenceTrajectory, moving_rows
+from trajopt.certify.repetition import moving_rows
+from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import base_of
 from trajopt.simulation.bodies import mujoco_package, write_inertias
 from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.control.reference import image_of_contacts
+from trajopt.certify.repetition import image_of_contacts
 from trajopt.robot.collision.shapes import BoxObstacle, LinkShape, Obstacle
 from trajopt.simulation.bodies import (
     Bodies,

@@ -35,6 +35,8 @@ from trajopt.solution.solution import Solution
 LEAST = 1e-12
 # The viewer shows this group only where it is asked to: ground that is lifted for contacts with a radius.
 HIDDEN_GROUP, GROUND_COLOUR = "3", "0.8 0.85 0.9 1"
+# A robot whose links have no shapes is drawn as bones with a radius of this part of its reach.
+BONE = 0.02
 LIGHT = {"ambient": "0.4 0.4 0.4", "diffuse": "0.6 0.6 0.6", "specular": "0.1 0.1 0.1"}
 SKY = {"type": "skybox", "builtin": "gradient", "rgb1": "1 1 1", "rgb2": "0.7 0.8 0.9"}
 SKY_SIZE = {"width": "256", "height": "256"}
@@ -69,7 +71,12 @@ def write_mjcf(solution: SolutionOrFile, path: str | Path) -> Path:
 def mjcf_of(plan: Solution) -> str:
     """Return the MJCF of a plan; raises `InputError`."""
     with muted_mujoco():
-        world = build_world(plan, SimulationSettings())
+        return mjcf_of_world(plan, build_world(plan, SimulationSettings()))
+
+
+def mjcf_of_world(plan: Solution, world: World) -> str:
+    """Return the MJCF of a plan's model that is built already; raises `InputError`."""
+    with muted_mujoco():
         root = ElementTree.fromstring(world.bodies.spec.to_xml())
         root.set("model", str(plan.meta["robot"]))
         for index in range(1, plan.model.njoints):
@@ -77,6 +84,7 @@ def mjcf_of(plan: Solution) -> str:
         for joint in root.iter("joint"):
             _complete_joint(joint, world)
         _light_scene(root)
+        _draw_bones(root, BONE * world.units.length)
         _hold_first_grasps(root, world)
         _add_motors(root, plan)
         _add_keyframes(root, plan, world)
@@ -135,6 +143,23 @@ def _light_scene(root: ElementTree.Element) -> None:
         geom.set("rgba", GROUND_COLOUR)
         if "." in str(geom.get("name")):
             geom.set("group", HIDDEN_GROUP)
+
+
+def _draw_bones(root: ElementTree.Element, radius: float) -> None:
+    """Draw a robot without shapes: a ball at each joint, a bone to the next ones and to contacts.
+
+    They touch nothing and weigh nothing.
+    """
+    bodies = list(root.iter("body"))
+    if any(geom.get("type", "sphere") != "sphere" for body in bodies for geom in body.findall("geom")):
+        return
+    drawn = {"contype": "0", "conaffinity": "0", "mass": "0", "size": _numbers(radius)}
+    for body in bodies:
+        ends = [end.get("pos", "0 0 0") for end in (*body.findall("body"), *body.findall("site"))]
+        ElementTree.SubElement(body, "geom", drawn | {"type": "sphere"})
+        for end in ends:
+            if np.linalg.norm(np.array(end.split(), dtype=float)) > radius:
+                ElementTree.SubElement(body, "geom", drawn | {"type": "capsule", "fromto": f"0 0 0 {end}"})
 
 
 def _hold_first_grasps(root: ElementTree.Element, world: World) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from trajopt.errors import InputError, expanded
 
 ALLOWED = "allowed: a file in an existing folder that can be written"
+ALLOWED_FOLDER = "allowed: a new name in an existing folder that can be written"
 # First bytes of solution files.
 ARCHIVE = b"PK"
 
@@ -62,6 +63,46 @@ def replacing(target: Path) -> Iterator[Path]:
             os.replace(unfinished, target)
     except OSError as error:
         raise InputError(f"cannot write {target}: {error.strerror or error}", ALLOWED) from None
+
+
+@contextlib.contextmanager
+def replacing_folder(target: Path, marker: str) -> Iterator[Path]:
+    """Give an empty folder to fill, and move it to ``target`` at the end; after an error the old one stays.
+
+    marker: path within such a folder of a file that it always has. Raises a one-line `InputError` if it
+    cannot be written, or something else is in its place.
+    """
+    check_folder(target, marker)
+    try:
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as beside:
+            unfinished, earlier = Path(beside, target.name), Path(beside, "earlier")
+            unfinished.mkdir()
+            yield unfinished
+            if target.exists():
+                os.replace(target, earlier)
+            os.replace(unfinished, target)
+    except OSError as error:
+        raise InputError(f"cannot write {target}: {error.strerror or error}", ALLOWED_FOLDER) from None
+
+
+def check_folder(target: Path, marker: str) -> Path:
+    """The path, if a folder can be written there; raises `InputError` before anything is computed.
+
+    What is in its place, if anything, has to be a folder that is empty or has the file ``marker``.
+    """
+    with contextlib.suppress(OSError):
+        if target.is_dir() and any(target.iterdir()) and not (marker and (target / marker).exists()):
+            raise InputError(
+                f"cannot write {target}: it is there and is no such export", "allowed: another name"
+            )
+        if target.exists() and not target.is_dir():
+            raise InputError(f"cannot write {target}: it is not a folder", ALLOWED_FOLDER)
+    try:
+        tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.").cleanup()
+    except OSError as error:
+        reason = _reason(target) or error.strerror or str(error)
+        raise InputError(f"cannot write {target}: {reason}", ALLOWED_FOLDER) from None
+    return target
 
 
 def _require_file(target: Path) -> None:

@@ -1,0 +1,103 @@
+"""Motions of "AMP for hardware" and its followers, as their ``AMPLoader`` reads them: 61 numbers a frame."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.export.exported_motion import ExportedMotion
+from trajopt.export.links import frame_motion
+from trajopt.export.quadruped import three_joint_legs
+from trajopt.solution.local_states import rotation_matrices
+
+# Order of legs in files: PyBullet's, which the loader changes into Isaac Gym's (FL, FR, RL, RR).
+ORDER = ("FR", "FL", "RR", "RL")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Base:
+    """The base: position (n, 3) m and quaternion (n, 4) wxyz, world axes; velocities (n, 3) along its axes.
+
+    turn: (n, 3, 3) from its axes to the world's.
+    """
+
+    position: np.ndarray
+    quaternion: np.ndarray
+    turn: np.ndarray
+    linear: np.ndarray
+    angular: np.ndarray
+
+
+def write_amp_hardware(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
+    """Write one motion of a quadruped; raises `InputError` for another robot."""
+    (motion,) = motions
+    by_name = three_joint_legs(motion)
+    legs = [by_name[name] for name in ORDER]
+    columns = [column for leg in legs for column in leg.columns]
+    feet = [leg.foot for leg in legs]
+    contacts = [motion.plan.contact_frames.index(foot) for foot in feet]
+    base = _base(motion)
+    position, velocity = _feet_on_base(motion, base, feet)
+    frames = [
+        base.position,
+        base.quaternion[:, [1, 2, 3, 0]],
+        motion.joint_position[:, columns],
+        position,
+        base.linear,
+        base.angular,
+        motion.joint_velocity[:, columns],
+        velocity,
+    ]
+    described = {
+        "LoopMode": "Wrap" if motion.plan.meta.get("periodicity") else "Clamp",
+        "FrameDuration": 1.0 / motion.rate,
+        "EnableCycleOffsetPosition": True,
+        "EnableCycleOffsetRotation": True,
+        "MotionWeight": 1.0,
+        "Frames": np.hstack(frames).tolist(),
+        "JointNames": [motion.joint_names[column] for column in columns],
+        "ToeNames": feet,
+        "JointTorques": motion.joint_torque[:, columns].tolist(),
+        "ToeContacts": motion.active[:, contacts].astype(int).tolist(),
+        "ToeForces": motion.f[:, contacts, :3].reshape(len(motion.t), -1).tolist(),
+    }
+    path.write_text(_one_frame_a_line(described), encoding="utf-8")
+
+
+def _base(motion: ExportedMotion) -> _Base:
+    links, own = motion.links, motion.links.base
+    quaternion = links.quaternion[:, own]
+    turn = rotation_matrices(quaternion[:, [1, 2, 3, 0]])
+    linear, angular = links.linear_velocity[:, own], links.angular_velocity[:, own]
+    return _Base(
+        position=links.position[:, own],
+        quaternion=quaternion,
+        turn=turn,
+        linear=np.einsum("nji,nj->ni", turn, linear),
+        angular=np.einsum("nji,nj->ni", turn, angular),
+    )
+
+
+def _feet_on_base(motion: ExportedMotion, base: _Base, feet: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities (n, 12) of feet, seen from the base and along its axes; m, m/s."""
+    frames = {foot: motion.model.getFrameId(foot) for foot in feet}
+    world = frame_motion(motion.model, frames, motion.q, motion.v)
+    apart = np.einsum("nji,nkj->nki", base.turn, world.position - base.position[:, None])
+    moved = np.einsum("nji,nkj->nki", base.turn, world.linear_velocity) - base.linear[:, None]
+    moved -= np.cross(base.angular[:, None], apart)
+    return apart.reshape(len(motion.t), -1), moved.reshape(len(motion.t), -1)
+
+
+def _one_frame_a_line(described: Mapping[str, Any]) -> str:
+    """JSON with one line for each frame of a list of frames."""
+    lines = []
+    for key, value in described.items():
+        nested = isinstance(value, list) and value and isinstance(value[0], list)
+        text = "[\n  " + ",\n  ".join(map(json.dumps, value)) + "\n]" if nested else json.dumps(value)
+        lines.append(f"{json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"

@@ -1,0 +1,47 @@
+"""Archives of arrays (.npz), and what is added for those who read more than the format has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.export.exported_motion import ExportedMotion
+
+
+def frame_rate(rate: float) -> np.ndarray:
+    """A rate (), Hz: a whole number where it is one, as in the files that readers come with."""
+    return np.array(int(rate)) if float(rate).is_integer() else np.array(float(rate))
+
+
+def single(values: np.ndarray) -> np.ndarray:
+    """The values in single precision, which readers convert to."""
+    return values.astype(np.float32)
+
+
+def names_array(names: tuple[str, ...] | list[str]) -> np.ndarray:
+    """Names as an array of text, also where there are none."""
+    return np.array(names, dtype=str)
+
+
+def contact_arrays(motion: ExportedMotion) -> dict[str, np.ndarray]:
+    """Contacts of a motion, for readers that ignore keys they do not know.
+
+    ``contact_names`` (nc,) frames, ``contact_active`` (n, nc), ``contact_forces`` and ``contact_moments``
+    (n, nc, 3) N and N m of the surroundings on the robot, world axes at the frames' origins.
+    """
+    return {
+        "contact_names": names_array(motion.plan.contact_frames),
+        "contact_active": motion.active,
+        "contact_forces": single(motion.f[..., :3]),
+        "contact_moments": single(motion.f[..., 3:]),
+    }
+
+
+def write_archive(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays by name, compressed, without pickles."""
+    every: dict[str, Any] = dict(arrays)
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **every)

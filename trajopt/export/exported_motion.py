@@ -1,0 +1,169 @@
+"""A motion as it is exported: at an even rate, cycle after cycle, joints and links by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.arguments import Positive, PositiveCount, checked
+from trajopt.certify.repetition import CycleImage, passes_of
+from trajopt.errors import InputError
+from trajopt.export.formats import RATE
+from trajopt.export.links import LinkMotion, link_motion
+from trajopt.export.single_joints import SingleJoints, joint_angles, single_joints
+from trajopt.solution.consistency import SAME_TIME
+from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
+from trajopt.solution.sampling import MOST_SAMPLES
+from trajopt.solution.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExportedMotion:
+    """A motion at n times, ``rate`` a second; SI units, world axes unless said, arrays are read-only.
+
+    plan: the solution. cycles: how often a periodic one is repeated. t: (n,) s, from 0.
+    q, v, a: (n, nq), (n, nv), (n, nv), Pinocchio's: quaternions xyzw, the twist of a base along its axes.
+    tau, drive_torque: (n, nu) as in `SampledMotion`. f: (n, nc, 6), active: (n, nc), of the plan's contacts.
+    phase: (n,) index into ``phase_names``; with several cycles the phases of all, one after the other.
+    joint_names: the d joints beside a moving base, in Pinocchio's order. Of each joint_position, whole turns
+        counted, joint_velocity, joint_acceleration, joint_torque of its drive, 0 of a passive one: (n, d).
+    links: poses and velocities of all links.
+    """
+
+    plan: Solution
+    rate: float
+    cycles: int
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    tau: np.ndarray
+    drive_torque: np.ndarray
+    f: np.ndarray
+    active: np.ndarray
+    phase: np.ndarray
+    phase_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    joint_position: np.ndarray
+    joint_velocity: np.ndarray
+    joint_acceleration: np.ndarray
+    joint_torque: np.ndarray
+    links: LinkMotion
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
+    @property
+    def model(self) -> pin.Model:
+        """The model that was optimised."""
+        return self.plan.model
+
+    @property
+    def robot(self) -> str:
+        """Name of the robot."""
+        return str(self.plan.meta["robot"])
+
+    @property
+    def problem(self) -> str:
+        """Name of the problem."""
+        return str(self.plan.meta["problem"])
+
+
+@checked
+def sample_cycles(
+    solution: SolutionOrFile, rate: Positive = RATE, cycles: PositiveCount = 1
+) -> ExportedMotion:
+    """Return a motion at ``rate``, from the polynomials of its intervals; at a switch the values after it.
+
+    All steps are equal: what is left at the end, shorter than a step, is not sampled.
+
+    Args:
+        solution: the plan, or the path of its file.
+        rate: samples a second, Hz.
+        cycles: of a periodic plan, each moved on from the one before; half a cycle counts with its mirror
+            image, as in `simulate`.
+
+    Raises:
+        InputError: for a rate that gives over 200,000 samples, several cycles of a plan that is not periodic,
+            and joints beside the base with several degrees of freedom.
+    """
+    plan = require_motion(solution_of(solution))
+    joints = single_joints(plan)
+    passes = passes_of(plan, cycles)
+    start, end = float(plan.interval_t[0, 0]), float(plan.interval_t[-1, 1])
+    times = _even_times((end - start) * passes, rate)
+    slack = SAME_TIME * (end - start)
+    number = np.clip(np.floor((times + slack) / (end - start)).astype(int), 0, passes - 1)
+    own = plan.sample(times=np.clip(start + times - number * (end - start), start, end))
+    arrays = {
+        name: np.array(getattr(own, name)) for name in ("q", "v", "a", "tau", "drive_torque", "f", "active")
+    }
+    if passes > 1:
+        _move_on(CycleImage.of(plan), arrays, number, passes)
+    return _named_motion(
+        plan, joints, arrays, rate=rate, cycles=cycles, t=times, number=number, phase=own.phase
+    )
+
+
+def _even_times(duration: float, rate: float) -> np.ndarray:
+    steps = duration * rate
+    if steps >= MOST_SAMPLES:
+        raise InputError(
+            f"rate is {rate:g} Hz, {steps:.3g} samples in {duration:g} s", f"allowed: {MOST_SAMPLES} samples"
+        )
+    return np.arange(int(steps * (1 + SAME_TIME) + SAME_TIME) + 1) / rate
+
+
+def _move_on(image: CycleImage, arrays: dict[str, np.ndarray], number: np.ndarray, passes: int) -> None:
+    """Replace samples of pass ``number`` (n,) by their images, as many times as passes went before."""
+    for past in range(1, passes):
+        rows = number >= past
+        arrays["q"][rows], arrays["v"][rows] = image.of_states(arrays["q"][rows], arrays["v"][rows])
+        arrays["a"][rows] = image.of_accelerations(arrays["a"][rows])
+        for name in ("tau", "drive_torque"):
+            arrays[name][rows] = image.of_torques(arrays[name][rows])
+        arrays["f"][rows] = image.of_contact_forces(arrays["f"][rows])
+        arrays["active"][rows] = image.of_contacts(arrays["active"][rows])
+
+
+def _named_motion(
+    plan: Solution,
+    joints: SingleJoints,
+    arrays: dict[str, np.ndarray],
+    *,
+    rate: float,
+    cycles: int,
+    t: np.ndarray,
+    number: np.ndarray,
+    phase: np.ndarray,
+) -> ExportedMotion:
+    torque = np.zeros_like(arrays["v"])
+    torque[:, plan.n_unactuated :] = arrays["drive_torque"]
+    return ExportedMotion(
+        plan=plan,
+        rate=float(rate),
+        cycles=cycles,
+        t=t,
+        **arrays,
+        phase=phase + number * len(plan.phase_names),
+        phase_names=plan.phase_names * (int(number[-1]) + 1),
+        joint_names=joints.names,
+        joint_position=joint_angles(joints, arrays["q"], arrays["v"], t),
+        joint_velocity=arrays["v"][:, joints.rows],
+        joint_acceleration=arrays["a"][:, joints.rows],
+        joint_torque=torque[:, joints.rows],
+        links=link_motion(plan.model, arrays["q"], arrays["v"]),
+    )
+
+
+def require_one_robot(motions: Sequence[ExportedMotion]) -> None:
+    """Raise `InputError` for motions of several robots."""
+    robots = {motion.robot for motion in motions}
+    if len(robots) > 1:
+        raise InputError(f"motions of {len(robots)} robots: {', '.join(sorted(robots))}", "allowed: of one")

@@ -1,0 +1,140 @@
+"""The formats, by name: what each writes, which options it knows, and where its writer is.
+
+A writer is a function ``write(motions, path, options)``: the motions (`ExportedMotion`), the file to write or
+the empty folder to fill, which nobody else sees until it is complete, and those of `Format.options` that are
+given. It raises `InputError` for motions that the format cannot hold. A new format is one entry here and one
+module; a new option is one entry here and one keyword of `export_motion`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from trajopt.errors import InputError, not_among
+
+# Samples a second where nothing is said: what policies of legged robots are trained and run at.
+RATE = 50.0
+# The same of torques that are played back: what controllers of legged robots run at.
+CONTROL_RATE = 500.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOption:
+    """An option that some formats know: a keyword of `export_motion`, and ``--NAME`` on the command line.
+
+    metavar: placeholder of its value. help: one line. is_path: the value is a path, not a text.
+    """
+
+    metavar: str
+    help: str
+    is_path: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A format of motions.
+
+    help: one line. writer: "module:function", loaded when it is used. ending: of its file; "" for a folder.
+    several: takes several motions. options: names among `OPTIONS`. marker: path within its folder of a file
+    that every export has; a folder that lacks it is not replaced. rate: samples a second where none is given.
+    """
+
+    help: str
+    writer: str
+    ending: str = ""
+    several: bool = False
+    options: tuple[str, ...] = ()
+    marker: str = ""
+    rate: float = RATE
+
+    def load_writer(self) -> Callable[..., None]:
+        """The writer."""
+        module, _, name = self.writer.partition(":")
+        found: Callable[..., None] = getattr(importlib.import_module(module), name)
+        return found
+
+
+OPTIONS = {
+    "mjcf": ExportOption(
+        metavar="FILE",
+        help="MJCF of the simulator's robot, for the order of its joints and bodies.",
+        is_path=True,
+    ),
+    "task": ExportOption(
+        metavar="TEXT", help="What the robot does, in words.  [default: the problem's name]"
+    ),
+}
+FORMATS = {
+    "isaaclab-amp": Format(
+        help="Isaac Lab, AMP (MotionLoader)",
+        writer="trajopt.export.isaaclab_amp:write_isaaclab_amp",
+        ending=".npz",
+    ),
+    "mjlab": Format(
+        help="mjlab and BeyondMimic (MotionLoader)",
+        writer="trajopt.export.mjlab:write_mjlab",
+        ending=".npz",
+        options=("mjcf",),
+    ),
+    "loco-mujoco": Format(
+        help="LocoMuJoCo (Trajectory), one motion or several",
+        writer="trajopt.export.loco_mujoco:write_loco_mujoco",
+        ending=".npz",
+        several=True,
+        options=("mjcf",),
+    ),
+    "amp-hardware": Format(
+        help="AMP for hardware (AMPLoader), 61 numbers a frame; quadrupeds",
+        writer="trajopt.export.amp_hardware:write_amp_hardware",
+        ending=".json",
+    ),
+    "lerobot": Format(
+        help="LeRobot data set v3.0 (LeRobotDataset), one episode or several",
+        writer="trajopt.export.lerobot:write_lerobot",
+        several=True,
+        options=("task",),
+        marker="meta/info.json",
+    ),
+    "mujoco": Format(
+        help="MuJoCo: the model with its ground, and torques to play back; 500 Hz",
+        writer="trajopt.export.mujoco_playback:write_mujoco_playback",
+        marker="controls.npz",
+        rate=CONTROL_RATE,
+    ),
+    "rosbag": Format(
+        help="ROS 2 bag: trajectory, joint states, tf, odometry, contact forces",
+        writer="trajopt.export.rosbag:write_rosbag",
+        marker="metadata.yaml",
+    ),
+}
+
+
+def format_named(name: str) -> Format:
+    """The format of that name; raises `InputError`."""
+    if name not in FORMATS:
+        raise not_among(FORMATS, name, f"export format {name!r} is unknown")
+    return FORMATS[name]
+
+
+def keyword_arguments(**given: Any) -> dict[str, Any]:
+    """The options that are given, without those that are None."""
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def require_options(name: str, chosen: Format, given: Iterable[str]) -> None:
+    """Raise `InputError` where a format is given an option that it does not know."""
+    for option in given:
+        if option not in chosen.options:
+            allowed = ", ".join(chosen.options) or "no option"
+            raise InputError(f"{option} is of no use for {name}", f"allowed: {allowed}")
+
+
+def require_count(name: str, chosen: Format, count: int) -> None:
+    """Raise `InputError` where a format is given no motion, or several that it does not take."""
+    if count == 0 or (count > 1 and not chosen.several):
+        raise InputError(
+            f"{count} motions for {name}", "allowed: one or more" if chosen.several else "allowed: one"
+        )

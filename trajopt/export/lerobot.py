@@ -1,0 +1,161 @@
+"""Data sets of LeRobot, v3.0, as its ``LeRobotDataset`` reads them: motions are episodes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from trajopt.errors import InputError
+from trajopt.export.archives import frame_rate
+from trajopt.export.exported_motion import ExportedMotion, require_one_robot
+from trajopt.export.lerobot_features import Feature, features_of
+from trajopt.export.packages import package_of_extra
+
+# What the layout is called, and its own limits: files in a folder, and the size at which a new one begins.
+VERSION, FILES, FILE_SIZE_MB, VIDEO_SIZE_MB = "v3.0", 1000, 100, 200
+CHUNK = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+DATA, EPISODES = f"data/{CHUNK}.parquet", f"meta/episodes/{CHUNK}.parquet"
+FIRST = {"chunk_index": 0, "file_index": 0}
+# Quantiles of statistics, by the names that policies normalise with.
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+# A value of the data at which so many are reached, as LeRobot's own counting in bins has it.
+METHOD: Final = "inverted_cdf"
+EXTRA = "data"
+
+
+def write_lerobot(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
+    """Write motions of one robot, one after the other; an episode begins at 0 s.
+
+    Raises `InputError` for motions with different joints or contacts, a rate that is no whole number, and
+    without pandas and pyarrow.
+    """
+    require_one_robot(motions)
+    rate = frame_rate(motions[0].rate)
+    if not np.issubdtype(rate.dtype, np.integer):
+        raise InputError(f"rate is {float(rate):g} Hz", "allowed for lerobot: a whole number")
+    tasks = list(dict.fromkeys(_task(motion, options) for motion in motions))
+    episodes, start = [], 0
+    for number, motion in enumerate(motions):
+        task = tasks.index(_task(motion, options))
+        episodes.append(features_of(motion, episode=number, start=start, task=task))
+        start += len(motion.t)
+    _require_same_features(episodes)
+    joined = {key: np.concatenate([episode[key].values for episode in episodes]) for key in episodes[0]}
+    _write_info(path, episodes, motions, len(tasks), int(rate))
+    _write_json(path / "meta/stats.json", {key: _statistics(values) for key, values in joined.items()})
+    _write_tasks(path / "meta/tasks.parquet", tasks)
+    _write_rows(path / EPISODES.format(**FIRST), _described_episodes(episodes, tasks))
+    _write_frames(path / DATA.format(**FIRST), episodes[0], joined)
+
+
+def _task(motion: ExportedMotion, options: Mapping[str, Any]) -> str:
+    return str(options.get("task", motion.problem))
+
+
+def _require_same_features(episodes: Sequence[Mapping[str, Feature]]) -> None:
+    first = {key: feature.names for key, feature in episodes[0].items()}
+    for number, episode in enumerate(episodes):
+        own = {key: feature.names for key, feature in episode.items()}
+        for key in sorted(set(first) | set(own)):
+            if first.get(key) != own.get(key):
+                raise InputError(
+                    f"'{key}' of motion {number} has other entries than that of motion 0",
+                    "allowed: motions with the same joints and contacts",
+                )
+
+
+def _write_info(
+    path: Path,
+    episodes: Sequence[Mapping[str, Feature]],
+    motions: Sequence[ExportedMotion],
+    tasks: int,
+    rate: int,
+) -> None:
+    info = {
+        "codebase_version": VERSION,
+        "robot_type": motions[0].robot,
+        "total_episodes": len(motions),
+        "total_frames": sum(len(motion.t) for motion in motions),
+        "total_tasks": tasks,
+        "chunks_size": FILES,
+        "data_files_size_in_mb": FILE_SIZE_MB,
+        "video_files_size_in_mb": VIDEO_SIZE_MB,
+        "fps": rate,
+        "splits": {"train": f"0:{len(motions)}"},
+        "data_path": DATA,
+        "video_path": None,
+        "features": {key: feature.described for key, feature in episodes[0].items()},
+    }
+    _write_json(path / "meta/info.json", info)
+
+
+def _described_episodes(
+    episodes: Sequence[Mapping[str, Feature]], tasks: Sequence[str]
+) -> list[dict[str, Any]]:
+    """A row for each episode: its frames, where its data are, and statistics of its features."""
+    rows = []
+    for number, episode in enumerate(episodes):
+        index = episode["index"].values
+        row = {
+            "episode_index": number,
+            "tasks": [tasks[int(episode["task_index"].values[0])]],
+            "length": len(index),
+            "data/chunk_index": 0,
+            "data/file_index": 0,
+            "dataset_from_index": int(index[0]),
+            "dataset_to_index": int(index[-1]) + 1,
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
+        }
+        for key, feature in episode.items():
+            row |= {f"stats/{key}/{name}": value for name, value in _statistics(feature.values).items()}
+        rows.append(row)
+    return rows
+
+
+def _statistics(values: np.ndarray) -> dict[str, list[Any]]:
+    """Statistics of the entries of a feature (n, k) over frames, as lists (k,); ``count`` of frames."""
+    columns = values.reshape(len(values), -1).astype(values.dtype if values.dtype.kind == "i" else float)
+    found = {
+        "min": columns.min(axis=0),
+        "max": columns.max(axis=0),
+        "mean": columns.mean(axis=0),
+        "std": columns.std(axis=0),
+        "count": np.array([len(columns)]),
+    }
+    found |= {name: np.quantile(columns, level, axis=0, method=METHOD) for name, level in QUANTILES.items()}
+    return {name: value.tolist() for name, value in found.items()}
+
+
+def _write_json(path: Path, described: Mapping[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(described, indent=4) + "\n", encoding="utf-8")
+
+
+def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
+    """Texts of tasks are the index of the table: readers look numbers up by text."""
+    package_of_extra("pyarrow", EXTRA)
+    table = package_of_extra("pandas", EXTRA).DataFrame({"task_index": range(len(tasks))}, index=list(tasks))
+    table.to_parquet(path)
+
+
+def _write_rows(path: Path, rows: list[dict[str, Any]]) -> None:
+    arrow, parquet = package_of_extra("pyarrow", EXTRA), package_of_extra("pyarrow.parquet", EXTRA)
+    path.parent.mkdir(parents=True)
+    parquet.write_table(arrow.Table.from_pylist(rows), path)
+
+
+def _write_frames(path: Path, features: Mapping[str, Feature], joined: Mapping[str, np.ndarray]) -> None:
+    """A row for each frame: vectors as lists of fixed size, a single entry as a number."""
+    arrow, parquet = package_of_extra("pyarrow", EXTRA), package_of_extra("pyarrow.parquet", EXTRA)
+    columns = {}
+    for key, values in joined.items():
+        flat = arrow.array(values.ravel(), type=arrow.from_numpy_dtype(values.dtype))
+        size = features[key].size
+        columns[key] = flat if size == 1 else arrow.FixedSizeListArray.from_arrays(flat, size)
+    path.parent.mkdir(parents=True)
+    parquet.write_table(arrow.table(columns), path)

@@ -1,0 +1,48 @@
+"""Motions of mjlab and BeyondMimic (whole_body_tracking), as their ``MotionLoader`` reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.export.archives import contact_arrays, frame_rate, names_array, single, write_archive
+from trajopt.export.exported_motion import ExportedMotion
+from trajopt.export.simulator_model import read_simulator_model
+from trajopt.export.simulator_motion import simulator_motion
+
+
+def write_mjlab(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
+    """Write one motion; float32, joints and bodies in the simulator's order, without free joint and world.
+
+    Velocities are those of the bodies' origins along world axes, as mjlab's converter has them.
+    """
+    (motion,) = motions
+    simulator = read_simulator_model(motion, options.get("mjcf"))
+    found = simulator_motion(motion, simulator)
+    compiled, joints = simulator.compiled, np.flatnonzero(~simulator.is_free)
+    names = [simulator.joint_names[i] for i in joints]
+    arrays = {
+        "fps": frame_rate(motion.rate)[None],
+        "joint_pos": single(found.qpos[:, compiled.jnt_qposadr[joints]]),
+        "joint_vel": single(found.qvel[:, compiled.jnt_dofadr[joints]]),
+        "body_pos_w": single(found.xpos[:, 1:]),
+        "body_quat_w": single(found.xquat[:, 1:]),
+        "body_lin_vel_w": single(found.linear_velocity[:, 1:]),
+        "body_ang_vel_w": single(found.angular_velocity[:, 1:]),
+        "joint_names": names_array(names),
+        "body_names": names_array(simulator.body_names[1:]),
+        "joint_torques": single(_torques(motion, names)),
+    }
+    write_archive(path, arrays | contact_arrays(motion))
+
+
+def _torques(motion: ExportedMotion, names: list[str]) -> np.ndarray:
+    """Torques (n, d) of joints by name; 0 of those that the motion does not move, such as a base's."""
+    found = np.zeros((len(motion.t), len(names)))
+    for column, name in enumerate(names):
+        if name in motion.joint_names:
+            found[:, column] = motion.joint_torque[:, motion.joint_names.index(name)]
+    return found

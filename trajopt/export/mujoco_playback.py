@@ -1,0 +1,117 @@
+"""A motion to play back in MuJoCo: the model with its ground, and torques and states along the motion."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajopt.control.reference import ReferenceTrajectory
+from trajopt.export.archives import contact_arrays, names_array, write_archive
+from trajopt.export.exported_motion import ExportedMotion
+from trajopt.export.single_joints import single_joints
+from trajopt.simulation.bodies import mujoco_package, muted_mujoco
+from trajopt.simulation.gains import gains_of
+from trajopt.simulation.mjcf import mjcf_of_world
+from trajopt.simulation.settings import SimulationSettings
+from trajopt.simulation.world import World, build_world
+
+MODEL, ARRAYS, TABLE = "model.xml", "controls.npz", "controls.csv"
+# Names of the coordinates of MuJoCo's joints, after that of the joint; others have one of each.
+FREE_POSITION = ("/x", "/y", "/z", "/qw", "/qx", "/qy", "/qz")
+FREE_VELOCITY = ("/linear_x", "/linear_y", "/linear_z", "/angular_x", "/angular_y", "/angular_z")
+
+
+def write_mujoco_playback(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
+    """Write one motion: the MJCF, and times, torques, states and feedback gains as arrays and as a table.
+
+    Raises `InputError` for a model that MJCF cannot express, and without MuJoCo.
+    """
+    (motion,) = motions
+    with muted_mujoco():
+        world = build_world(motion.plan, SimulationSettings())
+        text = mjcf_of_world(motion.plan, world)
+        compiled = mujoco_package().MjModel.from_xml_string(text)
+        arrays = _playback_arrays(motion, world)
+    (path / MODEL).write_text(text, encoding="utf-8")
+    named = {
+        "actuator_names": names_array([compiled.actuator(i).name for i in range(compiled.nu)]),
+        "qpos_names": names_array(_coordinate_names(compiled, FREE_POSITION)),
+        "qvel_names": names_array(_coordinate_names(compiled, FREE_VELOCITY)),
+    }
+    write_archive(path / ARRAYS, arrays | named | contact_arrays(motion))
+    _write_table(path / TABLE, arrays, named)
+
+
+def _playback_arrays(motion: ExportedMotion, world: World) -> dict[str, np.ndarray]:
+    """Times (n,), torques and gains (n, nu) in the order of the motors, states (n, nq), (n, nv), and grasps.
+
+    A motor's torque is that of its drive: the model has the joints' friction.
+    """
+    coordinates, joints = world.coordinates, single_joints(motion.plan)
+    qpos = coordinates.to_mujoco(motion.q)
+    addresses = [coordinates.addresses[motion.model.getJointId(name) - 1].q for name in joints.names]
+    for place, angle in zip(addresses, motion.joint_position.T, strict=True):
+        qpos[:, place] = angle[:, None]  # counts turns also where samples are far apart
+    gains = gains_of(motion.plan, world, _reference(motion, world), SimulationSettings())
+    return {
+        "time": motion.t,
+        "ctrl": motion.drive_torque,
+        "qpos": qpos,
+        "qvel": coordinates.rates_to_mujoco(qpos, motion.v),
+        "kp": gains.kp,
+        "kd": gains.kd,
+        "eq_active": _held_grasps(motion, world),
+    }
+
+
+def _reference(motion: ExportedMotion, world: World) -> ReferenceTrajectory:
+    """The motion as the gains read it; feedback acts at every step of the physics."""
+    return ReferenceTrajectory(
+        t=motion.t,
+        period=float(world.compiled.opt.timestep),
+        q=motion.q,
+        v=motion.v,
+        a=motion.a,
+        torque=motion.drive_torque,
+        f=motion.f,
+        active=motion.active,
+        phase=motion.phase,
+        source=_phase_of_plan(motion),
+        phase_names=motion.phase_names,
+        held=0,
+        end=motion.q[-1],
+    )
+
+
+def _phase_of_plan(motion: ExportedMotion) -> np.ndarray:
+    """Phases (n,) as the plan counts them, which repeat in every cycle."""
+    return np.asarray(motion.phase % len(motion.plan.phase_names))
+
+
+def _held_grasps(motion: ExportedMotion, world: World) -> np.ndarray:
+    """Whether each grasp holds (n, neq), in the order of the model's equality constraints."""
+    phase = _phase_of_plan(motion)
+    return np.array([np.isin(phase, grasp.phases) for grasp in world.grasps]).reshape(-1, len(phase)).T
+
+
+def _coordinate_names(compiled: Any, of_free: Sequence[str]) -> list[str]:
+    free = mujoco_package().mjtJoint.mjJNT_FREE
+    return [
+        f"{compiled.joint(joint).name}{part}"
+        for joint in range(compiled.njnt)
+        for part in (of_free if compiled.jnt_type[joint] == free else ("",))
+    ]
+
+
+def _write_table(path: Path, arrays: Mapping[str, np.ndarray], named: Mapping[str, np.ndarray]) -> None:
+    """A line of names, then a line a sample: time, torques, positions, velocities; numbers in full."""
+    groups = {"ctrl": "actuator_names", "qpos": "qpos_names", "qvel": "qvel_names"}
+    header = ["time", *(f"{group}/{name}" for group, names in groups.items() for name in named[names])]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(np.column_stack([arrays[name] for name in ("time", *groups)]).tolist())

@@ -1,0 +1,57 @@
+"""The joints of a robot beside its moving base, each with one position and one velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.errors import InputError
+from trajopt.solution.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SingleJoints:
+    """Joints of one degree of freedom: names (d,), rows (d,) of v, and of q where each begins.
+
+    counted: (d,) q has the angle as cosine and sine.
+    """
+
+    names: tuple[str, ...]
+    rows: np.ndarray
+    places: np.ndarray
+    counted: np.ndarray
+
+
+def single_joints(plan: Solution) -> SingleJoints:
+    """The joints beside the base; raises `InputError` for one of several degrees of freedom."""
+    own = Coordinates(plan.model).joints[BASE_JOINT[base_of(plan.model)] :]
+    for joint in own:
+        if joint.v.stop - joint.v.start != 1:
+            raise InputError(
+                f"joint '{joint.name}' has several degrees of freedom", "allowed: one, beside a moving base"
+            )
+    return SingleJoints(
+        names=tuple(joint.name for joint in own),
+        rows=np.array([joint.v.start for joint in own], dtype=int),
+        places=np.array([joint.q.start for joint in own], dtype=int),
+        counted=np.array([joint.is_counted for joint in own], dtype=bool),
+    )
+
+
+def joint_angles(joints: SingleJoints, q: np.ndarray, v: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Positions (n, d) of joints at times ``t`` (n,), rad or m; angles go on where they are cosine and sine.
+
+    From sample to sample the velocities say how many whole turns a continuous joint has made.
+    """
+    found = q[:, joints.places]
+    for column in np.flatnonzero(joints.counted):
+        place = joints.places[column]
+        angle = np.arctan2(q[:, place + 1], q[:, place])
+        rate = v[:, joints.rows[column]]
+        expected = (rate[1:] + rate[:-1]) / 2 * np.diff(t)
+        turns = np.round((expected - np.diff(angle)) / (2 * np.pi))
+        found[:, column] = angle + 2 * np.pi * np.append(0.0, np.cumsum(turns))
+    return found

@@ -1,0 +1,65 @@
+"""Exporting: one motion or several, in a format by name, completely or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from trajopt.arguments import Positive, PositiveCount, checked
+from trajopt.errors import expanded
+from trajopt.export.exported_motion import sample_cycles
+from trajopt.export.formats import format_named, keyword_arguments, require_count, require_options
+from trajopt.solution.input import SolutionOrFile, solutions_of
+from trajopt.solution.output import (
+    check_apart,
+    check_folder,
+    check_output,
+    replacing,
+    replacing_folder,
+    require_ending,
+)
+from trajopt.solution.solution import Solution
+
+
+@checked
+def export_motion(
+    solution: SolutionOrFile | Iterable[SolutionOrFile],
+    format: str,
+    path: str | Path,
+    rate: Positive | None = None,
+    cycles: PositiveCount = 1,
+    *,
+    mjcf: str | Path | None = None,
+    task: str | None = None,
+) -> Path:
+    """Write a motion, or several, in the format of another tool; return the path of the file or folder.
+
+    Args:
+        solution: the plan, or the path of its file; several of them where the format takes several.
+        format: name of the format, such as "isaaclab-amp" (docs/exports.md has all of them).
+        path: of the file, or of the folder, which is replaced.
+        rate: samples a second, Hz; None for that of the format, 50 or, of torques to play back, 500.
+        cycles: of a periodic plan, each moved on from the one before.
+        mjcf: of formats in a simulator's order: the MJCF of its robot.
+        task: of data sets: what the robot does, in words; None for the problem's name.
+
+    Raises:
+        InputError: for a format or option that is not known, motions that the format cannot hold, and a place
+            that cannot be written, or holds a folder that is no such export.
+    """
+    given = [solution] if isinstance(solution, Solution | str | Path) else list(solution)
+    chosen, options, target = format_named(format), keyword_arguments(mjcf=mjcf, task=task), expanded(path)
+    require_options(format, chosen, options)
+    require_count(format, chosen, len(given))
+    check_apart([target], [Path(one) for one in given if isinstance(one, str | Path)])
+    if chosen.ending:
+        require_ending(target, chosen.ending)
+        check_output(target)
+    else:
+        check_folder(target, chosen.marker)
+    sampled = chosen.rate if rate is None else rate
+    motions = [sample_cycles(plan, sampled, cycles) for plan in solutions_of(given)]
+    place = replacing(target) if chosen.ending else replacing_folder(target, chosen.marker)
+    with place as unfinished:
+        chosen.load_writer()(motions, unfinished, options)
+    return target
