@@ -19,6 +19,8 @@ from .solution.solution import Solution as Solution
 from .solving.continuation import continuation as continuation
 from .solving.graded import solve as solve
 from .solving.ladder import solve_ladder as solve_ladder
+from .study.batch.batch import batch as batch
+from .study.batch.dataset import dataset as dataset
 from .study.diagnosis.diagnose import diagnose as diagnose
 from .terrain.flat import FlatGround as FlatGround
 from .view.replay.show import replay as replay

@@ -16,9 +16,8 @@ MOST_GROWTH = 2.0
 LONGEST = 0.25
 # For an error that stays feet land at most this part of l farther.
 STEADIEST = 0.1
-# An error stays where the velocity of the centre of mass has been this close to the plan's, in sqrt(g l), for
-# so many sqrt(l / g): not after a push.
-STAYING, SETTLING = 0.15, 2.0
+# It stays where the velocity of the centre of mass is so close to the plan's, in sqrt(g l): not after a push.
+STAYING = 0.1
 
 
 def capture_error(
@@ -94,8 +93,7 @@ class SteadyError:
     """What stays of the error of the centre of mass in a gait, integrated.
 
     Where the model's is not the robot's, or the ground is higher, feet have to land beside their footholds
-    all the time. After a push nothing is integrated until the velocity has settled: the integral would wind
-    up.
+    all the time. While the velocity is off the plan too, as after a push, nothing is integrated.
 
     Args:
         rate: of the integral, 1/s.
@@ -107,17 +105,12 @@ class SteadyError:
     def __init__(self, *, rate: float, period: float, length: float, time: float) -> None:
         self.integral = np.zeros(3)
         self._step, self._most, self._slow = rate * period, STEADIEST * length, STAYING * length / time
-        self._settling, self._waits = round(SETTLING * time / period), 0
 
     def copy(self) -> SteadyError:
         """This integral, apart; updates replace its array."""
         return copy.copy(self)
 
     def update(self, error: np.ndarray, change: np.ndarray) -> None:
-        """Integrate the error (3,) of the centre of mass, m, unless that of its velocity, m/s, was large."""
-        if np.linalg.norm(change[:2]) > self._slow:
-            self._waits = self._settling
-        elif self._waits:
-            self._waits -= 1
-        else:
+        """Integrate the error of the centre of mass (3,), m, while that of its velocity, m/s, is small."""
+        if np.linalg.norm(change[:2]) < self._slow:
             self.integral = np.clip(self.integral + self._step * error, -self._most, self._most)

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
@@ -305,6 +306,7 @@ class Solution:
         return file.solution_bytes(self.meta, self.model_text, self.arrays)
 
     @classmethod
+    @checked
     def from_bytes(cls, content: bytes, name: str = "solution") -> Solution:
         """The solution of `to_bytes`; raises a `SolutionFileError`, which calls it ``name``."""
         meta, model_text, arrays = file.parse_solution(content, Path(name))

@@ -37,14 +37,14 @@ def batch(
     """Solve many cases; results are written to a folder as they come, and depend on the cases alone.
 
     Args:
-        cases: problems with values of their parameters, as of `trajopt.study.batch.batch_cases`.
+        cases: problems with values of their parameters, as of `trajopt.study.batch_cases`.
         folder: a new or an empty one, or with ``resume`` that of the same cases.
         executor: any of `concurrent.futures`, such as that of a Dask client; default: processes on this
             machine. Each case runs in a process of its own where its worker runs.
         jobs: of these processes; default: one for each processor.
         resume: go on with a batch that was ended; cases that were lost or not saved are run again.
         on_row: called with every row of the index as it is written.
-        **settings: those of `trajopt.study.batch.BatchSettings`.
+        **settings: those of `trajopt.study.BatchSettings`.
 
     Returns:
         The batch as data.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded
 from trajopt.solution.solution import Solution
 from trajopt.study.batch.columns import column_of, schema
@@ -66,6 +67,7 @@ class BatchDataset:
                 yield BatchEntry(case=self.cases[row["case"]], figures=row, file=file)
 
 
+@checked
 def dataset(folder: str | Path) -> BatchDataset:
     """The batch in a folder, finished or not, also while it runs.
 

@@ -9,6 +9,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+from trajopt.arguments import checked
 from trajopt.certify.energy_use import cost_of_transport, energy
 from trajopt.errors import InputError
 from trajopt.problem.catalogue import families, problem_modules
@@ -28,6 +29,7 @@ from trajopt.study.workers.task import limit_time
 BUILD_TIME = 300.0
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class BatchSettings:
     """How every case of a batch is solved.

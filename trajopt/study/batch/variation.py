@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.arguments import checked
 from trajopt.errors import InputError, not_among
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import Family, Parameter, choose
@@ -37,6 +38,7 @@ DISTRIBUTIONS: dict[str, tuple[tuple[str, str], Draw]] = {
 }
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class BatchCase:
     """One case: a problem by name with values of its parameters, numbers or words."""
@@ -85,6 +87,7 @@ class Distribution:
         )
 
 
+@checked
 def batch_cases(
     problem: str,
     *,
