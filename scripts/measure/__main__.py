@@ -9,6 +9,7 @@ from __future__ import annotations
 import click
 
 from scripts.measure import (
+    batches,
     clearance,
     control,
     grades,
@@ -28,6 +29,7 @@ from scripts.measure import (
 )
 
 COMMANDS = (
+    batches.batches,
     models.models,
     models.bases,
     models.goals,

@@ -178,7 +178,7 @@ BAD = {
     "no command": ((), ["Missing command"]),
     "unknown command": (
         ("sole",),
-        ["sole", "allowed: bench, check, continue, diagnose, export, list"],
+        ["sole", "allowed: batch, bench, check, continue, diagnose, export, list"],
     ),
     "no problem": (("solve",), ["PROBLEM"]),
     "unknown problem": (("solve", "solo12-jmp"), ["did you mean solo12-jump?"]),
