@@ -148,7 +148,7 @@ def _run(
         with (
             BatchRecords(folder, cases, chosen, versions(), resume=resume) as records,
             _cluster(jobs, scheduler) as cluster,
-            TaskDisplay("batch", len(cases)) as display,
+            TaskDisplay("batch", len(cases), len(records.solved)) as display,
         ):
             named = _Named(display, len(cases), records.solved)
 
@@ -180,8 +180,6 @@ class _Named:
     def __init__(self, display: Any, total: int, known: dict[int, bool]) -> None:
         self._display, self._total = display, total
         self._done, self._solved, self._failed = len(known), sum(known.values()), 0
-        for _ in known:
-            display.finished("")
 
     def tell(self, row: dict[str, Any], case: BatchCase) -> None:
         """Say what has become of a case."""
