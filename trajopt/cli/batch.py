@@ -106,6 +106,8 @@ def batch_command(
 def _chosen(problem: str, choosing: dict[str, Any]) -> list[BatchCase]:
     from trajopt.study.batch.variation import batch_cases
 
+    if is_given("seed") and not choosing["sample"]:
+        raise InputError("--seed has no effect here", "allowed: with --sample")
     words = choosing["robots"]
     robots = [] if words is None else [word.strip() for word in words.split(",")]
     return batch_cases(
@@ -146,9 +148,9 @@ def _run(
 
     def run(check: Callable[[], None]) -> None:
         with (
+            _cluster(jobs, scheduler) as cluster,  # first: without a scheduler no folder is made
             BatchRecords(folder, cases, chosen, versions(), resume=resume) as records,
-            _cluster(jobs, scheduler) as cluster,
-            TaskDisplay("batch", len(cases)) as display,
+            TaskDisplay("batch", len(cases), len(records.solved)) as display,
         ):
             named = _Named(display, len(cases), records.solved)
 
@@ -180,8 +182,6 @@ class _Named:
     def __init__(self, display: Any, total: int, known: dict[int, bool]) -> None:
         self._display, self._total = display, total
         self._done, self._solved, self._failed = len(known), sum(known.values()), 0
-        for _ in known:
-            display.finished("")
 
     def tell(self, row: dict[str, Any], case: BatchCase) -> None:
         """Say what has become of a case."""

@@ -78,11 +78,15 @@ class _Queue:
         self._children: dict[int, list[int]] = {}
         self.waiting: deque[int] = deque()
         for index in self._tree.order if self._tree else range(len(cases)):
-            parent = self._tree.parents[index] if self._tree else None
-            if index not in self._solved and (parent is None or parent in self._solved):
+            if index in self._solved:
+                continue
+            # Of all ancestors, not the parent alone: one that was lost is run again after its descendants.
+            above = self._tree.ancestors(index) if self._tree else []
+            missing = next((other for other in above if other not in self._solved), None)
+            if missing is None:
                 self.waiting.append(index)
-            elif index not in self._solved and parent is not None:
-                self._children.setdefault(parent, []).append(index)
+            else:
+                self._children.setdefault(missing, []).append(index)
 
     def start(self, index: int) -> int | None:
         """The case from which a case starts, None for its default guess."""
@@ -90,7 +94,7 @@ class _Queue:
         return next((other for other in above if self._solved.get(other)), None)
 
     def done(self, index: int) -> None:
-        """A case has its row: those below it can run."""
+        """A case has its row: those that wait for it can run."""
         self.waiting.extend(self._children.pop(index, ()))
 
 

@@ -34,14 +34,18 @@ class StartTree:
             self._grow(np.array(members), levels)
         self.order = [index for level in levels for index in sorted(level)]
 
-    def nearest(self, index: int) -> list[int]:
-        """The ancestors of a case, the nearest first; of those as near, the lower in the tree."""
+    def ancestors(self, index: int) -> list[int]:
+        """The parent of a case, its parent and so on up to the root."""
         found: list[int] = []
         above = self.parents[index]
         while above is not None:
             found.append(above)
             above = self.parents[above]
-        own = self._points[index]
+        return found
+
+    def nearest(self, index: int) -> list[int]:
+        """The ancestors of a case, the nearest first; of those as near, the lower in the tree."""
+        own, found = self._points[index], self.ancestors(index)
         return sorted(found, key=lambda other: float(np.linalg.norm(self._points[other] - own)))
 
     def _grow(self, members: np.ndarray, levels: list[list[int]]) -> None:

@@ -189,6 +189,8 @@ def cases_of(head: Mapping[str, Any]) -> list[BatchCase]:
 def read_rows(folder: Path, wanted: pa.Schema) -> tuple[pa.Table, dict[int, dict[str, Any]]]:
     """The index, and the rows of the journal by case. Raises `InputError` for an index that is damaged."""
     pyarrow, index = arrow(), expanded(folder) / INDEX
+    # The journal first: rows that move to the index meanwhile are then in both, not in none.
+    rows = JsonLines(expanded(folder) / JOURNAL).read()
     table = wanted.empty_table()
     if index.exists():
         try:
@@ -196,7 +198,8 @@ def read_rows(folder: Path, wanted: pa.Schema) -> tuple[pa.Table, dict[int, dict
         except (OSError, pyarrow.ArrowException) as error:
             reason = str(error).splitlines()[0]
             raise InputError(f"cannot read {index}: {reason}", "allowed: the index of a batch") from None
-    rows = JsonLines(expanded(folder) / JOURNAL).read()
+        if not table.schema.equals(wanted):
+            raise InputError(f"{index} has other columns", "allowed: the index of this batch")
     return table, {row["case"]: row for row in rows if isinstance(row.get("case"), int)}
 
 

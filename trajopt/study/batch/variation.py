@@ -5,14 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 import re
+import sys
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from trajopt.arguments import checked
+from trajopt.arguments import Count, checked
 from trajopt.errors import InputError, not_among
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import Family, Parameter, choose
@@ -21,7 +22,9 @@ from trajopt.problem.family import Family, Parameter, choose
 MOST_CASES = 10_000_000
 # Draws outside of a parameter's range are drawn again, this often.
 MOST_DRAWS = 1000
+LARGEST = sys.float_info.max
 GRID_FORM = "allowed: NAME=FIRST:LAST:COUNT or NAME=A,B,..."
+SAMPLE_FORM = "allowed: NAME=DISTRIBUTION(A,B)"
 
 Draw = Callable[[np.random.Generator, Sequence[float]], float]
 
@@ -95,8 +98,8 @@ def batch_cases(
     robots: Sequence[str] = (),
     vary: Sequence[str] = (),
     sample: Sequence[str] = (),
-    count: int = 0,
-    seed: int = 0,
+    count: Count = 0,
+    seed: Count = 0,
 ) -> list[BatchCase]:
     """Every combination of robots and grids, each with ``count`` samples where something is sampled.
 
@@ -120,8 +123,8 @@ def batch_cases(
     fixed = {name: _parsed(family, name, text) for name, text in (values or {}).items()}
     grids = [_grid(family, text) for text in vary]
     if robots:
-        own = tuple(str(_parsed(family, "robot", name)) for name in robots)
-        grids.insert(0, Grid(name="robot", values=own))
+        words = ",".join(robots)
+        grids.insert(0, _listed(family, "robot", words, f"--robots {words}"))
     drawn = [_distribution(family, text) for text in sample]
     _require_once([*fixed, *(grid.name for grid in grids), *(one.name for one in drawn)])
     if bool(drawn) != (count > 0):
@@ -168,14 +171,11 @@ def _grid(family: Family, text: str) -> Grid:
         raise InputError(f"--vary '{text}' has the wrong form", GRID_FORM)
     parts = rest.split(":")
     if len(parts) == 1:
-        values = tuple(_parsed(family, name, word.strip()) for word in rest.split(","))
-        if len(set(values)) < len(values):
-            raise InputError(f"--vary '{text}' has a value twice", "allowed: different values")
-        return Grid(name=name, values=values)
+        return _listed(family, name, rest, f"--vary '{text}'")
     counted = len(parts) == 3 and re.fullmatch(r"\s*[0-9]{1,9}\s*", parts[2])
     if not counted or not 1 <= int(parts[2]) <= MOST_CASES:
         raise InputError(f"--vary '{text}' has the wrong form", GRID_FORM)
-    _require_number(family, name, f"--vary '{text}'")
+    _require_number(family, name, f"--vary '{text}'", "allowed: NAME=A,B,...")
     first, last = (float(_parsed(family, name, part)) for part in parts[:2])
     spaced = np.linspace(first, last, int(parts[2])).tolist()
     if len(set(spaced)) < len(spaced):
@@ -183,20 +183,29 @@ def _grid(family: Family, text: str) -> Grid:
     return Grid(name=name, values=tuple(spaced))
 
 
+def _listed(family: Family, name: str, words: str, where: str) -> Grid:
+    values = tuple(_parsed(family, name, word.strip()) for word in words.split(","))
+    if len(set(values)) < len(values):
+        raise InputError(f"{where} has a value twice", "allowed: different values")
+    return Grid(name=name, values=values)
+
+
 def _distribution(family: Family, text: str) -> Distribution:
     match = re.fullmatch(r"\s*(\w+)\s*=\s*(\w+)\s*\(([^()]*)\)\s*", text)
     if not match:
-        raise InputError(f"--sample '{text}' has the wrong form", "allowed: NAME=DISTRIBUTION(A,B)")
+        raise InputError(f"--sample '{text}' has the wrong form", SAMPLE_FORM)
     name, kind, rest = match.groups()
     if kind not in DISTRIBUTIONS:
         raise not_among(DISTRIBUTIONS, kind, f"--sample '{text}' has no distribution '{kind}'")
-    parameter, words = _require_number(family, name, f"--sample '{text}'"), rest.split(",")
+    parameter = _require_number(family, name, f"--sample '{text}'", "allowed: a parameter that is a number")
     wanted = DISTRIBUTIONS[kind][0]
+    # A mean or a deviation may be outside of the parameter's range; the draws are not.
+    free = replace(parameter, lower=-LARGEST, upper=LARGEST)
     try:
-        given = tuple(float(word) for word in words)
-    except ValueError:
+        given = tuple(free.parse(word) for word in rest.split(","))
+    except InputError:
         given = ()
-    if len(given) != len(wanted) or not all(map(math.isfinite, given)):
+    if len(given) != len(wanted):
         raise InputError(f"--sample '{text}' has the wrong form", f"allowed: {kind}({','.join(wanted)})")
     if kind == "normal":
         if given[1] <= 0:
@@ -220,10 +229,10 @@ def _parameter(family: Family, name: str) -> Any:
     return known[name]
 
 
-def _require_number(family: Family, name: str, where: str) -> Parameter:
+def _require_number(family: Family, name: str, where: str, allowed: str) -> Parameter:
     parameter = _parameter(family, name)
     if not isinstance(parameter, Parameter):
-        raise InputError(f"{where}: parameter {name} is no number", GRID_FORM)
+        raise InputError(f"{where}: parameter {name} is no number", allowed)
     return parameter
 
 
