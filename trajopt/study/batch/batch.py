@@ -21,6 +21,8 @@ from trajopt.study.workers.executor import processors
 
 # Tasks at a time for each process on this machine.
 AHEAD = 2
+# Tasks at a time of an executor that does not say how many workers it has.
+MOST_AHEAD = 1000
 
 
 @checked
@@ -57,8 +59,8 @@ def batch(
     if executor is not None and jobs is not None:
         raise InputError("jobs has no effect with an executor", "allowed: one of them")
     with (
-        BatchRecords(Path(folder), known, chosen, versions(), resume=resume) as records,
         local_or(executor, jobs) as cluster,
+        BatchRecords(Path(folder), known, chosen, versions(), resume=resume) as records,
     ):
         for row in run_batch(
             known, chosen, records, cluster.executor, window=cluster.window, check=cluster.check
@@ -72,8 +74,9 @@ def batch(
 def local_or(executor: Executor | None, jobs: int | None) -> Iterator[Cluster]:
     """An executor that is given, or processes on this machine, ended at the end."""
     if executor is not None:
-        most = getattr(executor, "_max_workers", None) or processors()
-        yield Cluster(executor=executor, window=lambda: AHEAD * most, check=lambda: None)
+        workers = getattr(executor, "_max_workers", None)
+        most = AHEAD * workers if workers else MOST_AHEAD
+        yield Cluster(executor=executor, window=lambda: most, check=lambda: None)
         return
     count = jobs or processors()
     with case_executor(count) as own:

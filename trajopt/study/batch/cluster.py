@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -15,6 +17,8 @@ PATIENCE = 10.0
 # workers come.
 AHEAD, LEAST_AHEAD = 3, 8
 RUNS = "running"
+# Seconds after which workers are counted again.
+AGAIN = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +28,23 @@ class Cluster:
     executor: Executor
     window: Callable[[], int]
     check: Callable[[], None]
+
+
+def last_for(seconds: float) -> Callable[[Callable[[], int]], Callable[[], int]]:
+    """Return a decorator of functions whose value holds so long, s."""
+
+    def decorate(function: Callable[[], int]) -> Callable[[], int]:
+        known: list[float] = []
+
+        def call() -> int:
+            now = time.monotonic()
+            if not known or now - known[0] > seconds:
+                known[:] = [now, function()]
+            return int(known[1])
+
+        return call
+
+    return decorate
 
 
 @contextmanager
@@ -49,12 +70,13 @@ def dask_cluster(address: str) -> Iterator[Cluster]:
                 f"the scheduler at {address} is gone", "what was reported is kept; go on with --resume"
             )
 
+    @last_for(AGAIN)
     def window() -> int:
-        threads = sum(info["nthreads"] for info in client.scheduler_info(n_workers=-1)["workers"].values())
-        return max(AHEAD * threads, LEAST_AHEAD)
+        return max(AHEAD * sum(client.nthreads().values()), LEAST_AHEAD)
 
     try:
         # Not pure: two cases with the same parameters are two tasks.
         yield Cluster(executor=client.get_executor(pure=False), window=window, check=check)
     finally:
-        client.close(timeout=PATIENCE if client.status == RUNS else 0)
+        with contextlib.suppress(OSError):  # it does not answer
+            client.close(timeout=PATIENCE if client.status == RUNS else 0)

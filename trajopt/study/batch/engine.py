@@ -56,11 +56,13 @@ def run_batch(
             try:
                 running.submit(index, task, cases[index], settings, content)
             except (BrokenExecutor, RuntimeError) as error:
+                check()
                 raise _broken(error, records, cases) from None
         for index, future in running.ended():
             try:
                 result = _result(future, again=attempts[index] < MOST_ATTEMPTS)
             except (BrokenExecutor, CancelledError) as error:
+                check()
                 raise _broken(error, records, cases) from None
             if result is None:
                 queue.waiting.append(index)
