@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 CHOOSING = ("values", "robots", "vary", "sample", "count", "seed")
 # Cases that are named as they fail: more are in the index.
 MOST_NAMED = 20
+# Characters of why one failed; the index has all.
+LONGEST = 120
 
 
 @click.command("batch")
@@ -192,7 +195,8 @@ class _Named:
         if not row["success"]:
             self._failed += 1
             if self._failed <= MOST_NAMED:
-                text = f"case {row['case']}: {case.name}: NOT solved, {row['detail'] or row['status']}"
+                why = shorten(row["detail"] or row["status"], LONGEST, placeholder=" ...")
+                text = f"case {row['case']}: {case.name}: NOT solved, {why}"
             if self._failed == MOST_NAMED:
                 text += "; further ones are in the index only"
         self._display.finished("", text)
