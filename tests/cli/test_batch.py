@@ -230,7 +230,10 @@ def test_on_a_full_disk_rows_are_kept_and_solutions_are_solved_again(
     assert full.returncode == 2, full.stderr  # not even the index can be written
     lines = full.stderr.splitlines()
     assert "Traceback" not in full.stderr
-    assert lines[-1].startswith(f"trajopt: cannot write {out / 'index.parquet'}: File too large; ")
+    assert lines[-1].startswith(f"trajopt: cannot write {out / 'index.parquet'}: ")
+    assert lines[-1].endswith(
+        f"File too large; all rows are kept in {out / 'journal.jsonl'}; free space, then --resume"
+    )
     assert [row["status"] for row in rows(out).values()] == ["not_saved"] * 3
     assert not list(out.rglob("*.npz"))
     again = batch("--resume", "--out", out, "--jobs", "1")
