@@ -29,7 +29,7 @@ CLUSTER = """
 import json, os, sys, time
 from distributed import LocalCluster
 if __name__ == "__main__":
-    settings = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    settings = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     with LocalCluster(**settings, processes=True, host="127.0.0.1", scheduler_port=0) as cluster:
         pids = [worker.pid for worker in cluster.workers.values()]
         with open(sys.argv[1] + ".part", "w") as stream:
