@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from trajopt.errors import InputError
@@ -56,6 +56,7 @@ def dask_cluster(address: str) -> Iterator[Cluster]:
         raise InputError(
             "--scheduler needs dask.distributed", "allowed: after pip install 'trajopt-contacts[batch]'"
         ) from None
+    _silence()
     try:
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError, KeyError) as error:
@@ -78,5 +79,13 @@ def dask_cluster(address: str) -> Iterator[Cluster]:
         # Not pure: two cases with the same parameters are two tasks.
         yield Cluster(executor=client.get_executor(pure=False), window=window, check=check)
     finally:
-        with contextlib.suppress(OSError):  # it does not answer
+        # Without a scheduler nobody answers: the reason is told by `check`, not by this wait.
+        with suppress(OSError):
             client.close(timeout=PATIENCE if client.status == RUNS else 0)
+
+
+def _silence() -> None:
+    """Keep Dask from logging tracebacks of lost connections: they are one line here."""
+    for name in [*logging.root.manager.loggerDict]:
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -83,6 +83,11 @@ class BatchRecords:
     def __exit__(self, *error: object) -> None:
         try:
             self.checkpoint()
+        except InputError as failed:
+            journal = self.folder / JOURNAL
+            raise InputError(
+                failed.what, f"all rows are kept in {journal}; free space, then --resume"
+            ) from None
         finally:
             self._lock.close()
 

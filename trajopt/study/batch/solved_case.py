@@ -27,6 +27,8 @@ from trajopt.study.workers.task import limit_time
 
 # Seconds of a case beside its solves: building, functions that are not in the cache yet, the check.
 BUILD_TIME = 300.0
+# Seconds that a timer of every kernel can take.
+MOST_TIME = 1e9
 
 
 @checked
@@ -51,7 +53,7 @@ class BatchSettings:
     @property
     def longest(self) -> float:
         """Time after which the process of a case is ended, s."""
-        return (1 + self.neighbours) * (self.max_time + BESIDE) + GRACE + BUILD_TIME
+        return min((1 + self.neighbours) * (self.max_time + BESIDE) + GRACE + BUILD_TIME, MOST_TIME)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,12 +120,15 @@ def run_case_anywhere(case: BatchCase, settings: BatchSettings, start: bytes | N
     A case that crashes, hangs or runs out of memory does not take the worker with it. Raises a `TaskError`.
     """
     _allow_children()
-    return _processes().submit(run_case_alone, case, settings, start).result()
+    return _processes(os.getpid()).submit(run_case_alone, case, settings, start).result()
 
 
 @functools.cache
-def _processes() -> ProcessPerTaskExecutor:
-    """The processes of this worker; as many at a time as the worker has tasks."""
+def _processes(worker: int) -> ProcessPerTaskExecutor:
+    """The processes of the worker with that process id; as many at a time as the worker has tasks.
+
+    A worker that is forked from another does not have its threads.
+    """
     return case_executor(os.cpu_count() or 1)
 
 

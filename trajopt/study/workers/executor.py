@@ -36,6 +36,19 @@ PATIENCE = 5.0
 _processes = threading.Lock()
 
 
+def _forget_server() -> None:
+    """In a process that was forked from one with a server, such as a worker of `ProcessPoolExecutor`.
+
+    The server is no child of it: it needs another one, and a lock that no thread of its parent holds.
+    """
+    global _processes
+    _processes = threading.Lock()
+    forkserver._forkserver.__init__()  # type: ignore[misc]
+
+
+os.register_at_fork(after_in_child=_forget_server)
+
+
 class ProcessPerTaskExecutor(Executor):
     """Runs each task in a process that is forked for it from a server with all modules loaded.
 

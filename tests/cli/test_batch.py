@@ -1,0 +1,242 @@
+"""``trajopt batch`` on the command line: output, exit status, Ctrl-C, a killed client, a full disk."""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import Result
+
+from tests.support import batch_problems
+from tests.support.batch_problems import HELD, runs
+from tests.support.command_lines import assert_refused, invoke
+from tests.support.packages import installed
+from tests.support.processes import (
+    TRAJOPT,
+    Running,
+    environment,
+    needs_proc,
+    no_task_process_left,
+    run,
+    task_processes,
+    until,
+)
+from trajopt.study.batch.dataset import dataset
+
+# Size of files on a disk that is "full": rows of the journal of a few cases fit in, a solution does not.
+FULL = 4096
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The folder that offers the tests' own families."""
+    with installed(batch_problems, tmp_path_factory.mktemp("package")) as folder:
+        yield folder
+
+
+@pytest.fixture
+def noted(tmp_path: Path) -> Path:
+    """A folder in which cases of ``t-fated`` note that they run."""
+    folder = tmp_path / "noted"
+    folder.mkdir()
+    return folder
+
+
+def batch(*arguments: object) -> Result:
+    return invoke("batch", *arguments)
+
+
+def fates(noted: Path, words: str, numbers: str) -> tuple[str, ...]:
+    return ("t-fated", "--robots", f"{noted}", "--vary", f"fate={words}", "--vary", f"number={numbers}")
+
+
+def rows(out: Path) -> dict[int, dict[str, Any]]:
+    """Rows by case of a batch, also while it runs; none before it is begun."""
+    return {row["case"]: row for row in dataset(out).index.to_pylist()} if out.exists() else {}
+
+
+def test_cases_are_listed_without_solving(tmp_path: Path):
+    arguments = ("t-swing", "--vary", "goal=10deg,0.5", "--set", "cost=torque", "--out", tmp_path / "out")
+    result = batch(*arguments, "--list")
+    assert result.exit_code == 0
+    assert result.stdout == "0 t-swing cost=torque goal=0.174533\n1 t-swing cost=torque goal=0.5\n"
+    assert result.stderr == "2 cases\n"
+    found = json.loads(batch(*arguments, "--list", "--json").stdout)
+    assert found["cases"][1] == {"problem": "t-swing", "parameters": {"cost": "torque", "goal": 0.5}}
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "PROBLEM is missing; allowed: without it --resume --out DIR, or --status DIR"),
+        (("--resume",), "PROBLEM is missing"),
+        (("t-swnig",), "'t-swnig'"),
+        (("t-swing", "--vary", "goal=0:1"), "--vary 'goal=0:1' has the wrong form"),
+        (("t-swing", "--sample", "goal=uniform(0,1)"), "--count is 0 with 1 parameters to sample"),
+        (("t-swing", "--count", "-1"), "--count"),
+        (("t-swing", "--seed", "x"), "--seed"),
+        (("t-swing", "--set", "goal"), "--set"),
+        (("t-swing", "--set", "goal=far"), "goal='far' is not a number"),
+        (("t-swing", "--robots", "go2"), "t-swing has no parameter 'robot'"),
+        (("t-swing", "--solver", "snopt"), "snopt"),
+        (("t-swing", "--max-time", "0"), "max_time is 0 s; allowed: > 0"),
+        (("t-swing", "--max-time", "inf"), "max_time"),
+        (("t-swing", "--jobs", "0"), "--jobs"),
+        (("t-swing", "--jobs", "1", "--scheduler", "tcp://x:1"), "--jobs has no effect here"),
+        (("--status", "no/such"), "no/such holds no batch"),
+        (("t-swing", "--status", "no/such"), "--status is given with problem t-swing"),
+        (("--resume", "--out", "no/such"), "no/such holds no batch"),
+        (("--resume", "--out", "no/such", "--max-time", "3"), "--max-time has no effect here"),
+        (("--resume", "--out", "no/such", "--set", "a=1"), "--set has no effect here"),
+        (("t-swing", "--resume", "--out", "no/such"), "no/such holds no batch"),
+    ],
+)
+def test_bad_input_is_one_line(arguments: tuple[str, ...], words: str):
+    assert_refused(batch(*arguments), words)
+    assert not Path("no").exists()
+    assert not Path("t-swing-batch").exists()
+
+
+@pytest.mark.long
+def test_a_batch_is_printed_written_and_resumed(noted: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    run_it = (*fates(noted, "solved,refused,killed-once", "1:3:3"), "--jobs", "2", "--out", out)
+    first = batch(*run_it, "--json")
+    assert first.exit_code == 1
+    found = json.loads(first.stdout)
+    assert {name: found[name] for name in ("folder", "cases", "done", "outcomes")} == {
+        "folder": f"{out}", "cases": 9, "done": 9, "outcomes": {"solved": 6, "refused": 3},
+    }  # fmt: skip
+    assert {(part["parameter"], part["region"]): (part["solved"], part["cases"]) for part in found["regions"]} == {
+        ("fate", "killed-once"): (3, 3), ("fate", "refused"): (0, 3), ("fate", "solved"): (3, 3),
+        ("number", "1"): (2, 3), ("number", "2"): (2, 3), ("number", "3"): (2, 3),
+    }  # fmt: skip
+    assert found["plot"] == f"{out / 'failures.png'}"
+    assert (out / "failures.png").read_bytes().startswith(PNG)
+    named = [line for line in first.stderr.splitlines() if line.startswith("case ")]
+    assert len(named) == 3
+    assert all(line.endswith("NOT solved, the goal is on the moon; allowed: on earth") for line in named)
+    assert "9/9 cases, 6 solved" in first.stderr
+    assert sorted(path.name for path in out.iterdir()) == [
+        "batch.json", "failures.png", "index.parquet", "journal.jsonl", "solutions",
+    ]  # fmt: skip
+
+    counts = runs(noted)
+    again = batch("--resume", "--out", out)
+    assert (again.exit_code, again.stderr, runs(noted)) == (1, "", counts)
+    assert again.stdout.startswith("9 of 9 cases done: 6 solved, 3 refused\n")
+    assert "3 of 3" in again.stdout
+    shown = batch("--status", out)
+    assert (shown.exit_code, shown.stderr) == (0, "")
+    assert shown.stdout.startswith("9 of 9 cases done: 6 solved, 3 refused\n")
+    assert_refused(batch(*run_it), f"{out} is there and not empty; allowed: --resume, or another folder")
+    assert_refused(batch(*run_it, "--max-time", "5", "--resume"), "holds a batch with other settings")
+    assert_refused(batch(*fates(noted, "solved", "1"), "--out", out, "--resume"), "other cases")
+
+    good = batch(*fates(noted, "solved", "1"), "--jobs", "1", "--out", tmp_path / "good")
+    assert (good.exit_code, good.stderr) == (0, "1/1 cases, 1 solved\n")
+    assert not (tmp_path / "good" / "failures.png").exists()  # nothing varies
+
+
+def held(package: Path, noted: Path, out: Path) -> Running:
+    """A batch in a process of its own, when all cases but the two that are held are done."""
+    (noted / HELD).touch()
+    arguments = (*fates(noted, "solved,hold", "1,2"), "--start", "default", "--jobs", "2", "--out", out)
+    process = Running(*TRAJOPT, "batch", *arguments, "--json", env=environment(package))
+    assert until(lambda: process.popen.poll() is not None or {"hold-1", "hold-2"} <= set(runs(noted)))
+    assert task_processes(package)
+    return process
+
+
+def assert_rest_is_run(noted: Path, out: Path, kept: dict[int, dict[str, Any]]) -> None:
+    """What was done is kept and not run again; the rest is."""
+    (noted / HELD).unlink()
+    assert {row["fate"] for row in kept.values()} == {"solved"}
+    shown = json.loads(batch("--status", out, "--json").stdout)
+    assert (shown["cases"], shown["done"], shown["outcomes"]) == (4, 2, {"solved": 2})
+    assert shown["plot"] is None
+    again = batch("--resume", "--jobs", "2", "--out", out)
+    assert again.exit_code == 0, again.stderr
+    assert again.stdout.startswith("4 of 4 cases done: 4 solved\n")
+    assert runs(noted) == {"solved-1": 1, "solved-2": 1, "hold-1": 2, "hold-2": 2}
+    assert {index: rows(out)[index] for index in kept} == kept
+
+
+@pytest.mark.long
+@needs_proc
+def test_ctrl_c_keeps_what_is_done_and_leaves_no_process(package: Path, noted: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    with held(package, noted, out) as process:
+        assert until(lambda: len(rows(out)) == 2)
+        assert_refused(batch("--resume", "--out", out), f"a batch runs in {out}; allowed: another folder")
+        process.popen.send_signal(signal.SIGINT)
+        status, output, errors = process.finish()
+    assert status == 130
+    assert json.loads(output)["done"] == 2
+    assert errors.endswith(f"trajopt: cancelled; go on with --resume --out {out}\n")
+    assert "Traceback" not in errors
+    assert no_task_process_left(package)
+    assert_rest_is_run(noted, out, rows(out))
+
+
+@pytest.mark.long
+@needs_proc
+def test_a_client_that_is_killed_loses_no_row(package: Path, noted: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    with held(package, noted, out) as process:
+        assert until(lambda: len(rows(out)) == 2)
+        process.popen.kill()
+        process.finish()
+        assert no_task_process_left(package)
+    assert not (out / "index.parquet").exists()  # the journal alone has them
+    assert_rest_is_run(noted, out, rows(out))
+
+
+@pytest.mark.long
+def test_before_anything_is_done_the_status_says_so(package: Path, noted: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    (noted / HELD).touch()
+    arguments = (*fates(noted, "hold", "1,2"), "--jobs", "1", "--out", out)
+    with Running(*TRAJOPT, "batch", *arguments, env=environment(package)) as process:
+        assert until(lambda: process.popen.poll() is not None or runs(noted))
+        shown = batch("--status", out)
+        assert (shown.exit_code, shown.stderr) == (0, "")
+        assert shown.stdout.startswith("0 of 2 cases done: none\n")
+        process.popen.send_signal(signal.SIGINT)
+        status, output, errors = process.finish()
+    assert (status, errors) == (130, f"trajopt: cancelled; go on with --resume --out {out}\n")
+    assert output.startswith("0 of 2 cases done: none\n")
+
+
+def small_files() -> None:
+    """In a new process: a file that would become larger cannot be written, as on a full disk."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (FULL, FULL))
+
+
+@pytest.mark.long
+def test_on_a_full_disk_rows_are_kept_and_solutions_are_solved_again(
+    package: Path, noted: Path, tmp_path: Path
+):
+    out = tmp_path / "out"
+    arguments = (*fates(noted, "solved", "1,2,3"), "--jobs", "1", "--out", out)
+    full = run(*TRAJOPT, "batch", *arguments, env=environment(package), preexec_fn=small_files)
+    assert full.returncode == 2, full.stderr  # not even the index can be written
+    lines = full.stderr.splitlines()
+    assert "Traceback" not in full.stderr
+    assert lines[-1].startswith(f"trajopt: cannot write {out / 'index.parquet'}: ")
+    assert lines[-1].endswith(
+        f"File too large; all rows are kept in {out / 'journal.jsonl'}; free space, then --resume"
+    )
+    assert [row["status"] for row in rows(out).values()] == ["not_saved"] * 3
+    assert not list(out.rglob("*.npz"))
+    again = batch("--resume", "--out", out, "--jobs", "1")
+    assert again.exit_code == 0, again.stderr
+    assert [row["status"] for row in rows(out).values()] == ["solved"] * 3
+    assert len(list(out.rglob("*.npz"))) == 3
