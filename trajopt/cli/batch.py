@@ -146,8 +146,8 @@ def _run(
 
     def run(check: Callable[[], None]) -> None:
         with (
+            _cluster(jobs, scheduler) as cluster,  # first: without one no folder is made
             BatchRecords(folder, cases, chosen, versions(), resume=resume) as records,
-            _cluster(jobs, scheduler) as cluster,
             TaskDisplay("batch", len(cases), len(records.solved)) as display,
         ):
             named = _Named(display, len(cases), records.solved)
