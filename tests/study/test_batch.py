@@ -310,7 +310,7 @@ def test_a_batch_that_is_complete_runs_nothing(reference: BatchDataset):
 
 
 def test_a_case_waits_for_ancestors_that_are_run_again(noted: Path, tmp_path: Path):
-    """Where a root was lost and its descendants were not, those that are left start as if it had been there."""
+    """Where a root was lost and some descendants were not, the others start as if it had been there."""
     cases = fates(noted, "solved", "1,2,3,4,5,6,7")
     whole = batch(cases, tmp_path / "whole", jobs=1)
     rows = whole.index.to_pylist()
