@@ -114,7 +114,8 @@ def test_a_batch_is_printed_written_and_resumed(noted: Path, tmp_path: Path):
     assert {name: found[name] for name in ("folder", "cases", "done", "outcomes")} == {
         "folder": f"{out}", "cases": 9, "done": 9, "outcomes": {"solved": 6, "refused": 3},
     }  # fmt: skip
-    assert {(part["parameter"], part["region"]): (part["solved"], part["cases"]) for part in found["regions"]} == {
+    parts = {(one["parameter"], one["region"]): (one["solved"], one["cases"]) for one in found["regions"]}
+    assert parts == {
         ("fate", "killed-once"): (3, 3), ("fate", "refused"): (0, 3), ("fate", "solved"): (3, 3),
         ("number", "1"): (2, 3), ("number", "2"): (2, 3), ("number", "3"): (2, 3),
     }  # fmt: skip

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import signal
 import multiprocessing
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack
@@ -154,7 +154,7 @@ def test_results_do_not_depend_on_the_order_of_the_cases(reference: BatchDataset
     found = batch(swings()[::-1], tmp_path / "out", jobs=2)
     objectives = reference.index["objective"].to_pylist()
     assert found.index["success"].to_pylist() == reference.index["success"].to_pylist()[::-1]
-    solved = [success for success in found.index["success"].to_pylist()]
+    solved = found.index["success"].to_pylist()
     pairs = zip(found.index["objective"].to_pylist(), objectives[::-1], solved, strict=True)
     assert all(own == pytest.approx(other, rel=1e-6) for own, other, success in pairs if success)
 
@@ -310,7 +310,7 @@ def test_a_batch_that_is_complete_runs_nothing(reference: BatchDataset):
 
 
 def test_a_case_waits_for_ancestors_that_are_run_again(noted: Path, tmp_path: Path):
-    """Where a root was lost and its descendants were not, those that are left start as if it had been there."""
+    """Where a root was lost and some descendants were not, the others start as if it had been there."""
     cases = fates(noted, "solved", "1,2,3,4,5,6,7")
     whole = batch(cases, tmp_path / "whole", jobs=1)
     rows = whole.index.to_pylist()

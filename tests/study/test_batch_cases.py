@@ -103,11 +103,17 @@ def test_two_parameters_of_one_distribution_have_different_samples():
 @pytest.mark.parametrize(
     ("text", "least", "most", "mean", "deviation"),
     [
-        ("uniform(-10deg,20deg)", math.radians(-10), math.radians(20), math.radians(5), math.radians(30) / 12**0.5),
+        (
+            "uniform(-10deg,20deg)",
+            math.radians(-10),
+            math.radians(20),
+            math.radians(5),
+            math.radians(30) / 12**0.5,
+        ),
         ("loguniform(0.01,1)", 0.01, 1.0, 0.99 / math.log(100), 0.26),
         ("normal(0.2,0.1)", -1.5, 1.5, 0.2, 0.1),
     ],
-)  # fmt: skip
+)
 def test_samples_have_their_distribution(text: str, least: float, most: float, mean: float, deviation: float):
     drawn = np.array(column(values(sample=[f"goal={text}"], count=DRAWS), "goal"))
     assert least <= drawn.min()
@@ -117,7 +123,7 @@ def test_samples_have_their_distribution(text: str, least: float, most: float, m
 
 def test_draws_outside_of_a_parameters_range_are_drawn_again():
     drawn = column(values(sample=["duration=normal(0,1)"], count=DRAWS), "duration")
-    assert 0.1 <= min(drawn)
+    assert min(drawn) >= 0.1
     assert max(drawn) <= 2.0
 
 
@@ -151,7 +157,10 @@ def test_draws_outside_of_a_parameters_range_are_drawn_again():
         ({"values": {"goal": "far"}}, "parameter goal='far' is not a number"),
         ({"values": {"gaol": "1"}}, "t-swing has no parameter 'gaol'; did you mean goal?"),
         ({"robots": ["go2"]}, "t-swing has no parameter 'robot'"),
-        ({"sample": ["goal"], "count": 1}, "--sample 'goal' has the wrong form; allowed: NAME=DISTRIBUTION(A,B)"),
+        (
+            {"sample": ["goal"], "count": 1},
+            "--sample 'goal' has the wrong form; allowed: NAME=DISTRIBUTION(A,B)",
+        ),
         ({"sample": ["goal=uniform(0,1"], "count": 1}, "has the wrong form; allowed: NAME=DISTRIBUTION(A,B)"),
         ({"sample": ["goal=unifrom(0,1)"], "count": 1}, "no distribution 'unifrom'; did you mean uniform?"),
         ({"sample": ["goal=uniform(0)"], "count": 1}, "has the wrong form; allowed: uniform(low,high)"),
@@ -160,17 +169,35 @@ def test_draws_outside_of_a_parameters_range_are_drawn_again():
         ({"sample": ["goal=uniform(1,0)"], "count": 1}, "is empty; allowed: low < high"),
         ({"sample": ["goal=uniform(0,9)"], "count": 1}, "parameter goal is 9; allowed: -1.5 to 1.5 rad"),
         ({"sample": ["goal=loguniform(0,1)"], "count": 1}, "is empty; allowed: 0 < low < high"),
-        ({"sample": ["goal=normal(0,0)"], "count": 1}, "the deviation of --sample 'goal=normal(0,0)' is 0; allowed: > 0"),
-        ({"sample": ["goal=normal(90,1)"], "count": 1}, "gives no value in 1000 draws that is allowed; allowed: -1.5 to 1.5 rad"),
-        ({"sample": ["cost=uniform(0,1)"], "count": 1}, "parameter cost is no number; allowed: a parameter that is a number"),
-        ({"sample": ["gaol=uniform(0,1)"], "count": 1}, "t-swing has no parameter 'gaol'; did you mean goal?"),
-        ({"sample": ["goal=uniform(0,1)", "goal=normal(0,1)"], "count": 1}, "parameter 'goal' is given twice"),
-        ({"sample": ["goal=uniform(0,1)"]}, "--count is 0 with 1 parameters to sample; allowed: --sample and --count together"),
+        (
+            {"sample": ["goal=normal(0,0)"], "count": 1},
+            "the deviation of --sample 'goal=normal(0,0)' is 0; allowed: > 0",
+        ),
+        (
+            {"sample": ["goal=normal(90,1)"], "count": 1},
+            "gives no value in 1000 draws that is allowed; allowed: -1.5 to 1.5 rad",
+        ),
+        (
+            {"sample": ["cost=uniform(0,1)"], "count": 1},
+            "parameter cost is no number; allowed: a parameter that is a number",
+        ),
+        (
+            {"sample": ["gaol=uniform(0,1)"], "count": 1},
+            "t-swing has no parameter 'gaol'; did you mean goal?",
+        ),
+        (
+            {"sample": ["goal=uniform(0,1)", "goal=normal(0,1)"], "count": 1},
+            "parameter 'goal' is given twice",
+        ),
+        (
+            {"sample": ["goal=uniform(0,1)"]},
+            "--count is 0 with 1 parameters to sample; allowed: --sample and --count together",
+        ),
         ({"count": 3}, "--count is 3 with 0 parameters to sample"),
         ({"count": -1}, "count of batch_cases is -1; allowed: "),
         ({"seed": -1}, "seed of batch_cases is -1; allowed: "),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_allowed_is_one_line(arguments: dict[str, Any], words: str):
     assert_refused_in_one_line(lambda: batch_cases(SWING, **arguments), words)
 
@@ -183,7 +210,7 @@ def test_other_names_are_one_line():
     assert_refused_in_one_line(lambda: batch_cases("t-fated", robots=["a", ""]), "parameter robot=''")
     assert_refused_in_one_line(
         lambda: batch_cases("t-fated", robots=["a"], vary=["robot=b"]), "parameter 'robot' is given twice"
-    )  # fmt: skip
+    )
 
 
 def test_cases_of_ones_own_are_checked():

@@ -1,7 +1,7 @@
 """A package of families for tests of batches: one to solve, and one whose cases end as they are told to.
 
-The second takes the folder in which its runs are noted as its robot, which a family looks up as it likes: that
-reaches processes on any worker, where variables of the environment may not.
+The second takes the folder in which its runs are noted as its robot, which a family looks up as it likes:
+that reaches processes on any worker, where variables of the environment may not.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
@@ -19,6 +20,8 @@ AHEAD, LEAST_AHEAD = 3, 8
 RUNS = "running"
 # Seconds after which workers are counted again.
 AGAIN = 5.0
+ADDRESS, LAST_PORT = r"(?:(?:tcp|tls)://)?(?:\[[^\]\s]+\]|[^\s:/\[\]]+):([0-9]{1,5})", 65535
+ALLOWED = "allowed: tcp://HOST:PORT of a Dask scheduler"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,14 +59,16 @@ def dask_cluster(address: str) -> Iterator[Cluster]:
         raise InputError(
             "--scheduler needs dask.distributed", "allowed: after pip install 'trajopt-contacts[batch]'"
         ) from None
+    # A client of another address raises, and again at the end of the process.
+    match = re.fullmatch(ADDRESS, address)
+    if not match or int(match[1]) > LAST_PORT:
+        raise InputError(f"no scheduler answers at '{address}': the form is wrong", ALLOWED)
     _silence()
     try:
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError, KeyError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(
-            f"no scheduler answers at {address}: {reason}", "allowed: tcp://HOST:PORT of a Dask scheduler"
-        ) from None
+        raise InputError(f"no scheduler answers at {address}: {reason}", ALLOWED) from None
 
     def check() -> None:
         if client.status != RUNS:
