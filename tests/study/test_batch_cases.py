@@ -142,6 +142,7 @@ def test_draws_outside_of_a_parameters_range_are_drawn_again():
         ({"vary": ["goal=0:1:-2"]}, "--vary 'goal=0:1:-2' has the wrong form"),
         ({"vary": ["goal=0:1:2.5"]}, "--vary 'goal=0:1:2.5' has the wrong form"),
         ({"vary": ["goal=0:1:999999999"]}, "--vary 'goal=0:1:999999999' has the wrong form"),
+        ({"vary": ["goal=0:1:1"]}, "--vary 'goal=0:1:1' has one value, and two ends"),
         ({"vary": ["goal=1:1:2"]}, "--vary 'goal=1:1:2' has a value twice; allowed: FIRST and LAST apart"),
         ({"vary": ["goal=1,1.0"]}, "--vary 'goal=1,1.0' has a value twice; allowed: different values"),
         ({"vary": ["goal=0:9:3"]}, "parameter goal is 9; allowed: -1.5 to 1.5 rad"),
@@ -218,9 +219,11 @@ def test_cases_of_ones_own_are_checked():
     assert found.values == {"goal": pytest.approx(math.radians(10)), "cost": "torque"}
     assert found.name == "t-swing goal=0.174533 cost=torque"
     assert_refused_in_one_line(lambda: checked_cases([]), "a batch has no case; allowed: one or more")
-    for given, words in (({"gaol": 1}, "no parameter 'gaol'"), ({"goal": True}, "goal=True is not a number")):
-        case = BatchCase(problem=SWING, values=given)
-        assert_refused_in_one_line(lambda case=case: checked_cases([case]), words)
+    wrong = BatchCase(problem=SWING, values={"gaol": 1})
+    assert_refused_in_one_line(lambda: checked_cases([wrong]), "no parameter 'gaol'")
+    assert_refused_in_one_line(
+        lambda: BatchCase(problem=SWING, values={"goal": True}), "values['goal'] of BatchCase is True"
+    )
 
 
 # The tree of starts

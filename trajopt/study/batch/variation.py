@@ -173,11 +173,13 @@ def _grid(family: Family, text: str) -> Grid:
     if len(parts) == 1:
         return _listed(family, name, rest, f"--vary '{text}'")
     counted = len(parts) == 3 and re.fullmatch(r"\s*[0-9]{1,9}\s*", parts[2])
-    if not counted or not 2 <= int(parts[2]) <= MOST_CASES:
+    if not counted or not 1 <= int(parts[2]) <= MOST_CASES:
         raise InputError(f"--vary '{text}' has the wrong form", GRID_FORM)
     _require_number(family, name, f"--vary '{text}'", "allowed: NAME=A,B,...")
     first, last = (float(_parsed(family, name, part)) for part in parts[:2])
     spaced = np.linspace(first, last, int(parts[2])).tolist()
+    if len(spaced) == 1 and first != last:
+        raise InputError(f"--vary '{text}' has one value, and two ends", "allowed: COUNT of two or more")
     if len(set(spaced)) < len(spaced):
         raise InputError(f"--vary '{text}' has a value twice", "allowed: FIRST and LAST apart")
     return Grid(name=name, values=tuple(spaced))
