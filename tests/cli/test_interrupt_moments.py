@@ -151,7 +151,7 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         ("suite", "--problems", "t-reach,t-hanging", "--jobs", "2"),
         [
             at("pool:run_all", CANCELLED),
-            at("running:ended", CANCELLED, event="return"),
+            at("running:RunningTasks.ended", CANCELLED, event="return"),
             at("records:SuiteRecords.add", CANCELLED),
         ],
     ),
