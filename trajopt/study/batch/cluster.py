@@ -57,7 +57,8 @@ def dask_cluster(address: str) -> Iterator[Cluster]:
         from distributed import Client
     except ImportError:
         raise InputError(
-            "--scheduler needs dask.distributed", "allowed: after pip install 'trajopt-contacts[batch]'"
+            "--scheduler needs distributed, which is not installed",
+            "pip install distributed, or the extra 'batch'",
         ) from None
     # A client of another address raises, and again at the end of the process.
     match = re.fullmatch(ADDRESS, address)

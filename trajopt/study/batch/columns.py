@@ -43,7 +43,8 @@ def arrow() -> Any:
         import pyarrow.parquet
     except ImportError:
         raise InputError(
-            "the index of a batch needs pyarrow", "allowed: after pip install 'trajopt-contacts[batch]'"
+            "the index of a batch needs pyarrow, which is not installed",
+            "pip install pyarrow, or the extra 'batch'",
         ) from None
     return pyarrow
 
