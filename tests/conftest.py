@@ -7,6 +7,8 @@ import os
 # Before OpenMP is loaded: rounding depends on the number of threads, `trajopt suite` measures with one.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+from pathlib import Path
+
 import pytest
 
 pytest.register_assert_rewrite("tests.support", "tests.extremes")
@@ -17,3 +19,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("long") is None and item.get_closest_marker("slow") is None:
             item.add_marker(pytest.mark.quick)
+
+
+@pytest.fixture
+def noted(tmp_path: Path) -> Path:
+    """A folder in which cases of ``t-fated`` note that they run."""
+    folder = tmp_path / "noted"
+    folder.mkdir()
+    return folder

@@ -1,11 +1,13 @@
-"""The wheels installed must be those the extension was compiled against."""
+"""Installed packages: the wheels that the extension was compiled against, and those that may be missing."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
+from types import ModuleType
 
-from trajopt.errors import VersionMismatchError
+from trajopt.errors import InputError, VersionMismatchError
 
 # The distribution that holds this package.
 DISTRIBUTION = "trajopt-contacts"
@@ -17,6 +19,19 @@ def installed_version(name: str) -> str:
         return version(DISTRIBUTION if name == "trajopt" else name)
     except PackageNotFoundError:
         return "none"
+
+
+def optional_package(name: str, *, what: str = "this", extra: str = "") -> ModuleType:
+    """The module ``name`` of a package that is not always installed; raises `InputError` without it.
+
+    what: needs it, in the message. extra: of this project, which installs it too.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        own = name.partition(".")[0]
+        advice = f"pip install {own}" + (f", or the extra '{extra}'" if extra else "")
+        raise InputError(f"{what} needs {own}, which is not installed", advice) from None
 
 
 def check_versions(needed: Mapping[str, str]) -> None:

@@ -40,14 +40,6 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-@pytest.fixture
-def noted(tmp_path: Path) -> Path:
-    """A folder in which cases of ``t-fated`` note that they run."""
-    folder = tmp_path / "noted"
-    folder.mkdir()
-    return folder
-
-
 def batch(*arguments: object) -> Result:
     return invoke("batch", *arguments)
 

@@ -39,14 +39,6 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def noted(tmp_path: Path) -> Path:
-    """A folder in which cases of ``t-fated`` note that they run."""
-    folder = tmp_path / "noted"
-    folder.mkdir()
-    return folder
-
-
 def swings() -> list[BatchCase]:
     """Two groups; the farthest swing is not possible in the shortest time."""
     return batch_cases("t-swing", vary=["goal=0.2,0.4,1.4", "duration=0.4,0.8", "cost=acceleration,torque"])

@@ -46,14 +46,6 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-@pytest.fixture
-def noted(tmp_path: Path) -> Path:
-    """A folder in which cases of ``t-fated`` note that they run."""
-    folder = tmp_path / "noted"
-    folder.mkdir()
-    return folder
-
-
 class RunningCluster:
     """A cluster: its ``process``, the ``address`` of its scheduler, process ids of its ``workers``."""
 

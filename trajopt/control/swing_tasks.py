@@ -44,8 +44,8 @@ class SwingTasks:
         self._level = level_footholds(plan, targets)
         period, length, time = reference.period, self._units.length, self._units.time
         self._offsets = FootholdOffsets(len(self._frames), period=period, length=length, time=time)
-        rate = gains.steady / time if plan.meta.get("periodicity") else 0.0
-        self._steady = SteadyError(rate=rate, period=period, length=length, time=time)
+        self._steady = SteadyError(rate=gains.steady / time, period=period, length=length, time=time)
+        self._walks = bool(plan.meta.get("periodicity"))
 
     def copy(self) -> SwingTasks:
         """These tasks, apart."""
@@ -55,7 +55,8 @@ class SwingTasks:
 
     def stand(self, k: int, active: np.ndarray, state: RobotState) -> None:
         """Contacts (nc,) of a mask stand where they are; once a tick."""
-        self._steady.update(*self._error(k, state))
+        if self._walks:
+            self._steady.update(*self._error(k, state))
         for i in np.flatnonzero(active):
             here = state.frame(self._frames[i]).placement.translation
             self._offsets.stand(int(i), (here - self._targets.position[k, i])[:2])

@@ -11,9 +11,11 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 from trajopt.errors import InputError, not_among
+from trajopt.versions import optional_package
 
 # Samples a second where nothing is said: what policies of legged robots are trained and run at.
 RATE = 50.0
@@ -110,6 +112,11 @@ FORMATS = {
         marker="metadata.yaml",
     ),
 }
+
+
+def package_of_format(name: str, extra: str) -> ModuleType:
+    """The module ``name`` of a package of an extra; raises `InputError` where it is not installed."""
+    return optional_package(name, what="this format", extra=extra)
 
 
 def format_named(name: str) -> Format:

@@ -12,8 +12,8 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.export.archives import frame_rate
 from trajopt.export.exported_motion import ExportedMotion, require_one_robot
+from trajopt.export.formats import package_of_format
 from trajopt.export.lerobot_features import Feature, features_of
-from trajopt.export.packages import package_of_extra
 
 # What the layout is called, and its own limits: files in a folder, and the size at which a new one begins.
 VERSION, FILES, FILE_SIZE_MB, VIDEO_SIZE_MB = "v3.0", 1000, 100, 200
@@ -138,20 +138,20 @@ def _write_json(path: Path, described: Mapping[str, Any]) -> None:
 
 def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
     """Texts of tasks are the index of the table: readers look numbers up by text."""
-    package_of_extra("pyarrow", EXTRA)
-    table = package_of_extra("pandas", EXTRA).DataFrame({"task_index": range(len(tasks))}, index=list(tasks))
+    package_of_format("pyarrow", EXTRA)
+    table = package_of_format("pandas", EXTRA).DataFrame({"task_index": range(len(tasks))}, index=list(tasks))
     table.to_parquet(path)
 
 
 def _write_rows(path: Path, rows: list[dict[str, Any]]) -> None:
-    arrow, parquet = package_of_extra("pyarrow", EXTRA), package_of_extra("pyarrow.parquet", EXTRA)
+    arrow, parquet = package_of_format("pyarrow", EXTRA), package_of_format("pyarrow.parquet", EXTRA)
     path.parent.mkdir(parents=True)
     parquet.write_table(arrow.Table.from_pylist(rows), path)
 
 
 def _write_frames(path: Path, features: Mapping[str, Feature], joined: Mapping[str, np.ndarray]) -> None:
     """A row for each frame: vectors as lists of fixed size, a single entry as a number."""
-    arrow, parquet = package_of_extra("pyarrow", EXTRA), package_of_extra("pyarrow.parquet", EXTRA)
+    arrow, parquet = package_of_format("pyarrow", EXTRA), package_of_format("pyarrow.parquet", EXTRA)
     columns = {}
     for key, values in joined.items():
         flat = arrow.array(values.ravel(), type=arrow.from_numpy_dtype(values.dtype))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.export.packages import package_of_extra
+from trajopt.export.formats import package_of_format
 
 EXTRA = "ros"
 # A second in the unit of stamps.
@@ -25,7 +25,7 @@ class RosMessages:
     @classmethod
     def load(cls) -> RosMessages:
         """The types of ROS 2; raises `InputError` where rosbags is not installed."""
-        typesys = package_of_extra("rosbags.typesys", EXTRA)
+        typesys = package_of_format("rosbags.typesys", EXTRA)
         return cls(store=typesys.get_typestore(typesys.Stores.ROS2_HUMBLE))
 
     def make(self, kind: str, **fields: Any) -> Any:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from trajopt.export.exported_motion import ExportedMotion
+from trajopt.export.formats import package_of_format
 from trajopt.export.links import frame_motion
-from trajopt.export.packages import package_of_extra
 from trajopt.export.ros_messages import EXTRA, NANOSECONDS, RosMessages, full_type
 from trajopt.export.transforms import WORLD_FRAME, FrameTree, frame_tree
 from trajopt.robot.data import VisualSource
@@ -50,7 +50,7 @@ def write_rosbag(motions: Sequence[ExportedMotion], path: Path, options: Mapping
     """Write one motion; raises `InputError` where rosbags is not installed."""
     (motion,) = motions
     messages, tree = RosMessages.load(), frame_tree(motion)
-    rosbag2 = package_of_extra("rosbags.rosbag2", EXTRA)
+    rosbag2 = package_of_format("rosbags.rosbag2", EXTRA)
     inner = path / path.name  # the writer makes its folder, and names its file after it
     with rosbag2.Writer(inner, version=VERSION) as writer:
         for key, value in (("robot", motion.robot), ("problem", motion.problem)):
@@ -66,7 +66,7 @@ def write_rosbag(motions: Sequence[ExportedMotion], path: Path, options: Mapping
 
 def _latched() -> Any:
     """Quality of service: the last message is kept for subscribers that come later."""
-    kinds = package_of_extra("rosbags.interfaces", EXTRA)
+    kinds = package_of_format("rosbags.interfaces", EXTRA)
     endless = kinds.QosTime(*ENDLESS)
     return kinds.Qos(
         history=kinds.QosHistory.KEEP_LAST,

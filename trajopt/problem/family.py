@@ -171,16 +171,21 @@ class Family:
         named = {name if name in known else RENAMED.get(name, name): value for name, value in given.items()}
         return {name: value for name, value in named.items() if name in known and value is not None}
 
+    def parameter(self, name: str) -> Parameter | Choice | RobotName:
+        """The parameter of that name; raises `InputError` that names the one that may be meant."""
+        known = {parameter.name: parameter for parameter in self.parameters}
+        if name in known:
+            return known[name]
+        what = f"{self.name} has no parameter '{name}'"
+        if RENAMED.get(name) in known:
+            raise InputError(what, f"allowed: {RENAMED[name]}")
+        raise not_among(known, name, what)
+
     def load(self, values: Mapping[str, object]) -> Problem:
         """Build the problem with ``values`` over the defaults. Raises InputError."""
-        known = {parameter.name: parameter for parameter in self.parameters}
-        for name in values:
-            if name not in known and RENAMED.get(name) in known:
-                raise InputError(f"{self.name} has no parameter '{name}'", f"allowed: {RENAMED[name]}")
-            if name not in known:
-                raise not_among(known, name, f"{self.name} has no parameter '{name}'")
-        chosen: dict[str, float | str | None] = {name: own.default for name, own in known.items()}
-        chosen |= {name: known[name].parse(value) for name, value in values.items()}
+        given = {name: self.parameter(name) for name in values}
+        chosen: dict[str, float | str | None] = {own.name: own.default for own in self.parameters}
+        chosen |= {name: given[name].parse(value) for name, value in values.items()}
         from trajopt.problem.problem import Problem
 
         try:

@@ -20,11 +20,7 @@ def check_output(path: Path) -> Path:
     """The path, if a file can be written there; raises `InputError` before anything is computed."""
     target = expanded(path)
     _require_file(target)
-    try:  # as in writing: under another name beside it, then renamed
-        tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.").cleanup()
-    except OSError as error:
-        reason = _reason(target) or error.strerror or str(error)
-        raise InputError(f"cannot write {target}: {reason}", ALLOWED) from None
+    _require_place(target, ALLOWED)
     return target
 
 
@@ -97,11 +93,7 @@ def check_folder(target: Path, marker: str) -> Path:
             )
         if target.exists() and not target.is_dir():
             raise InputError(f"cannot write {target}: it is not a folder", ALLOWED_FOLDER)
-    try:
-        tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.").cleanup()
-    except OSError as error:
-        reason = _reason(target) or error.strerror or str(error)
-        raise InputError(f"cannot write {target}: {reason}", ALLOWED_FOLDER) from None
+    _require_place(target, ALLOWED_FOLDER)
     return target
 
 
@@ -131,6 +123,15 @@ def _place(path: Path) -> Path:
     with contextlib.suppress(OSError, RuntimeError):  # a loop of links, an unknown home
         return path.expanduser().resolve()
     return path
+
+
+def _require_place(target: Path, allowed: str) -> None:
+    """Raise `InputError` unless something can be written there as it will be: beside it, then renamed."""
+    try:
+        tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.").cleanup()
+    except OSError as error:
+        reason = _reason(target) or error.strerror or str(error)
+        raise InputError(f"cannot write {target}: {reason}", allowed) from None
 
 
 def _reason(target: Path) -> str:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import csv
-import importlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ import numpy as np
 from trajopt.errors import InputError, expanded
 from trajopt.solution.names import BaseAxes, QuaternionOrder
 from trajopt.solution.output import replacing
+from trajopt.versions import optional_package
 
 AXES = "xyz"
 
@@ -146,7 +145,7 @@ class SampledMotion:
 
         Raises `InputError` where pandas is not installed.
         """
-        frame = _package("pandas").DataFrame(self.columns)
+        frame = optional_package("pandas").DataFrame(self.columns)
         frame.attrs.update(self.facts)
         return frame
 
@@ -177,7 +176,7 @@ def _write_csv(motion: SampledMotion, path: Path) -> None:
 
 
 def _write_parquet(motion: SampledMotion, path: Path) -> None:
-    arrow, parquet = _package("pyarrow"), _package("pyarrow.parquet")
+    arrow, parquet = optional_package("pyarrow"), optional_package("pyarrow.parquet")
     table = arrow.table({name: arrow.array(values) for name, values in motion.columns.items()})
     parquet.write_table(table.replace_schema_metadata(motion.facts), path)
 
@@ -194,12 +193,3 @@ _WRITERS: dict[str, Callable[[SampledMotion, Path], None]] = {
     ".parquet": _write_parquet,
     ".npz": _write_npz,
 }
-
-
-def _package(name: str) -> ModuleType:
-    """The module ``name`` of a package that is not always installed; raises `InputError` without it."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        own = name.partition(".")[0]
-        raise InputError(f"this needs {own}, which is not installed", f"pip install {own}") from None

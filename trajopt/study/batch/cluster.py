@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from trajopt.errors import InputError
+from trajopt.versions import optional_package
 
 # Seconds in which a scheduler has to answer.
 PATIENCE = 10.0
@@ -53,20 +54,14 @@ def last_for(seconds: float) -> Callable[[Callable[[], int]], Callable[[], int]]
 @contextmanager
 def dask_cluster(address: str) -> Iterator[Cluster]:
     """Connect to a scheduler, such as ``tcp://127.0.0.1:8786``. Raises `InputError` if none answers."""
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError(
-            "--scheduler needs distributed, which is not installed",
-            "pip install distributed, or the extra 'batch'",
-        ) from None
+    distributed = optional_package("distributed", what="--scheduler", extra="batch")
     # A client of another address raises, and again at the end of the process.
     match = re.fullmatch(ADDRESS, address)
     if not match or int(match[1]) > LAST_PORT:
         raise InputError(f"no scheduler answers at '{address}': the form is wrong", ALLOWED)
     _silence()
     try:
-        client = Client(address, timeout=PATIENCE, set_as_default=False)
+        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError, KeyError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"no scheduler answers at {address}: {reason}", ALLOWED) from None

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from trajopt.errors import InputError
 from trajopt.study.batch.variation import BatchCase
+from trajopt.versions import optional_package
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -37,16 +37,10 @@ FIRST = ("case", "problem")
 
 
 def arrow() -> Any:
-    """PyArrow; raises one line that names the extra."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise InputError(
-            "the index of a batch needs pyarrow, which is not installed",
-            "pip install pyarrow, or the extra 'batch'",
-        ) from None
-    return pyarrow
+    """PyArrow, with its Parquet; raises one line that names the extra."""
+    for name in ("pyarrow.parquet", "pyarrow"):
+        found = optional_package(name, what="the index of a batch", extra="batch")
+    return found
 
 
 def parameter_columns(cases: Iterable[BatchCase]) -> dict[str, bool]:
@@ -63,10 +57,9 @@ def column_of(name: str) -> str:
     return f"parameter_{name}" if name in FIGURES or name in FIRST else name
 
 
-def schema(cases: Sequence[BatchCase]) -> pa.Schema:
-    """Names and types of all columns."""
+def schema(words: Mapping[str, bool]) -> pa.Schema:
+    """Names and types of all columns, with the parameters of `parameter_columns`."""
     pyarrow = arrow()
-    words = parameter_columns(cases)
     parameters = [
         (column_of(name), pyarrow.string() if word else pyarrow.float64()) for name, word in words.items()
     ]
@@ -74,7 +67,7 @@ def schema(cases: Sequence[BatchCase]) -> pa.Schema:
     return pyarrow.schema([("case", pyarrow.int64()), ("problem", pyarrow.string()), *parameters, *figures])
 
 
-def row_of(index: int, case: BatchCase, figures: dict[str, Any], words: dict[str, bool]) -> dict[str, Any]:
+def row_of(index: int, case: BatchCase, figures: dict[str, Any], words: Mapping[str, bool]) -> dict[str, Any]:
     """A row of the index."""
     values = {
         column_of(name): str(value) if words[name] else float(value) for name, value in case.values.items()

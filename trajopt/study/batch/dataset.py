@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded
 from trajopt.solution.solution import Solution
-from trajopt.study.batch.columns import column_of, schema
+from trajopt.study.batch.columns import FIGURES, FIRST, parameter_columns, schema
 from trajopt.study.batch.records import cases_of, merged, read_request, read_rows
 from trajopt.study.batch.variation import BatchCase
 
@@ -57,7 +57,7 @@ class BatchDataset:
     @property
     def parameters(self) -> list[str]:
         """Columns of parameters."""
-        return list(dict.fromkeys(column_of(name) for case in self.cases for name in case.values))
+        return [name for name in self.index.column_names if name not in FIGURES and name not in FIRST]
 
     def entries(self) -> Iterator[BatchEntry]:
         """All cases that have a row, solved or not."""
@@ -79,6 +79,6 @@ def dataset(folder: str | Path) -> BatchDataset:
     """
     place = expanded(folder)
     cases = cases_of(read_request(place))
-    wanted = schema(cases)
+    wanted = schema(parameter_columns(cases))
     index, new = read_rows(place, wanted)
     return BatchDataset(folder=place, cases=tuple(cases), index=merged(index, new, wanted))

@@ -8,6 +8,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from typing import Any
 
 from trajopt.errors import InputError
+from trajopt.solvers.status import Status
 from trajopt.study.batch.neighbours import StartTree
 from trajopt.study.batch.records import LOST, REFUSED, BatchRecords
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult, run_case_alone, run_case_anywhere
@@ -18,8 +19,6 @@ from trajopt.study.workers.task import LostTaskError, RefusedTaskError, TaskTime
 
 # A case whose process was lost is run again, up to so many times in all.
 MOST_ATTEMPTS = 3
-# Status of a case that was ended because it took too long.
-TIMED_OUT = "time_limit"
 
 
 def run_batch(
@@ -46,7 +45,7 @@ def run_batch(
     """
     queue = _Queue(cases, settings, records)
     task = run_case_alone if isinstance(executor, ProcessPerTaskExecutor) else run_case_anywhere
-    running, attempts = RunningTasks[int](executor, check), Counter[int]()
+    running, attempts = RunningTasks[tuple[int, int | None]](executor, check), Counter[int]()
     while queue.waiting or running:
         while queue.waiting and len(running) < max(1, window()):
             index = queue.waiting.popleft()
@@ -54,11 +53,11 @@ def run_batch(
             start = queue.start(index)
             content = None if start is None else records.content(start)
             try:
-                running.submit(index, task, cases[index], settings, content)
+                running.submit((index, start), task, cases[index], settings, content)
             except (BrokenExecutor, RuntimeError) as error:
                 check()
                 raise _broken(error, records, cases) from None
-        for index, future in running.ended():
+        for (index, start), future in running.ended():
             try:
                 result = _result(future, again=attempts[index] < MOST_ATTEMPTS)
             except (BrokenExecutor, CancelledError) as error:
@@ -67,7 +66,7 @@ def run_batch(
             if result is None:
                 queue.waiting.append(index)
                 continue
-            yield records.add(index, result, start=queue.start(index), attempts=attempts[index])
+            yield records.add(index, result, start=start, attempts=attempts[index])
             queue.done(index)
 
 
@@ -107,7 +106,7 @@ def _result(future: Future[CaseResult], *, again: bool) -> CaseResult | None:
     except RefusedTaskError as error:
         return _without(REFUSED, error)
     except TaskTimeoutError as error:
-        return _without(TIMED_OUT, error)
+        return _without(Status.TIME_LIMIT.word, error)
     except LostTaskError as error:
         return None if again else _without(LOST, error)
     except (BrokenExecutor, CancelledError):

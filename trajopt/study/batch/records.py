@@ -62,7 +62,8 @@ class BatchRecords:
         resume: bool,
     ) -> None:
         self.folder, self._cases = expanded(folder), cases
-        self._schema, self._words = schema(cases), parameter_columns(cases)
+        self._words = parameter_columns(cases)
+        self._schema = schema(self._words)
         head = {
             "cases": [[case.problem, dict(case.values)] for case in cases],
             "settings": asdict(settings),

@@ -9,7 +9,6 @@ import sys
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -120,7 +119,7 @@ def batch_cases(
         InputError: for names, values or forms that are not allowed.
     """
     family = choose(families(), problem)
-    fixed = {name: _parsed(family, name, text) for name, text in (values or {}).items()}
+    fixed = {name: family.parameter(name).parse(text) for name, text in (values or {}).items()}
     grids = [_grid(family, text) for text in vary]
     if robots:
         words = ",".join(robots)
@@ -149,7 +148,7 @@ def checked_cases(cases: Iterable[BatchCase]) -> list[BatchCase]:
     known, found = families(), []
     for case in cases:
         family = choose(known, case.problem)
-        values = {name: _parsed(family, name, value) for name, value in case.values.items()}
+        values = {name: family.parameter(name).parse(value) for name, value in case.values.items()}
         found.append(BatchCase(problem=case.problem, values=values))
     if not found:
         raise InputError("a batch has no case", "allowed: one or more")
@@ -176,7 +175,7 @@ def _grid(family: Family, text: str) -> Grid:
     if not counted or not 1 <= int(parts[2]) <= MOST_CASES:
         raise InputError(f"--vary '{text}' has the wrong form", GRID_FORM)
     _require_number(family, name, f"--vary '{text}'", "allowed: NAME=A,B,...")
-    first, last = (float(_parsed(family, name, part)) for part in parts[:2])
+    first, last = (float(family.parameter(name).parse(part)) for part in parts[:2])
     spaced = np.linspace(first, last, int(parts[2])).tolist()
     if len(spaced) == 1 and first != last:
         raise InputError(f"--vary '{text}' has one value, and two ends", "allowed: COUNT of two or more")
@@ -186,7 +185,7 @@ def _grid(family: Family, text: str) -> Grid:
 
 
 def _listed(family: Family, name: str, words: str, where: str) -> Grid:
-    values = tuple(_parsed(family, name, word.strip()) for word in words.split(","))
+    values = tuple(family.parameter(name).parse(word.strip()) for word in words.split(","))
     if len(set(values)) < len(values):
         raise InputError(f"{where} has a value twice", "allowed: different values")
     return Grid(name=name, values=values)
@@ -220,19 +219,8 @@ def _distribution(family: Family, text: str) -> Distribution:
     return Distribution(parameter=parameter, kind=kind, given=given)
 
 
-def _parsed(family: Family, name: str, value: object) -> float | str:
-    return _parameter(family, name).parse(value)
-
-
-def _parameter(family: Family, name: str) -> Any:
-    known = {parameter.name: parameter for parameter in family.parameters}
-    if name not in known:
-        raise not_among(known, name, f"{family.name} has no parameter '{name}'")
-    return known[name]
-
-
 def _require_number(family: Family, name: str, where: str, allowed: str) -> Parameter:
-    parameter = _parameter(family, name)
+    parameter = family.parameter(name)
     if not isinstance(parameter, Parameter):
         raise InputError(f"{where}: parameter {name} is no number", allowed)
     return parameter
