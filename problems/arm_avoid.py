@@ -9,18 +9,16 @@ from itertools import product
 import numpy as np
 import pinocchio as pin
 
-from trajopt.problem import Family, Parameter, Problem
-from trajopt.robot import (
+from trajopt.collision import (
     BoxObstacle,
     CapsuleObstacle,
     CollisionScene,
     Obstacle,
-    Robot,
-    frame_pose,
-    inverse_kinematics,
     robot_capsules,
     robot_shapes,
 )
+from trajopt.problem import Family, Parameter, Problem
+from trajopt.robot import Robot, frame_pose, inverse_kinematics
 from trajopt.terms import AccelerationCost, Clearance, TorqueCost
 from trajopt.terrain import smooth_step
 

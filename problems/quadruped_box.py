@@ -8,9 +8,10 @@ from typing import Literal
 
 import numpy as np
 
+from trajopt.collision import robot_shapes
 from trajopt.errors import InputError
 from trajopt.problem import Family, Problem
-from trajopt.robot import Robot, contact_positions, robot_shapes
+from trajopt.robot import Robot, contact_positions
 from trajopt.terrain import FlatGround, PiecewiseTerrain
 
 from . import common, leaping, pushing

@@ -14,9 +14,9 @@ import pinocchio as pin
 
 from scripts.measure.shared import NOISE, head, row, solver_option
 from trajopt import Problem, Schedule, Solution, check, solve
-from trajopt.certify.energy_use import cost_of_transport
 from trajopt.dynamics.base_joint import virtual_order
 from trajopt.dynamics.virtual_base import to_free_flyer
+from trajopt.motion.energy_use import cost_of_transport
 from trajopt.reduced.base_conversion import with_virtual_base
 from trajopt.terms import Cost, PowerCost, TimeCost
 from trajopt.terms.objectives import REST_OF_LINEAR

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from scripts.measure.shared import head, row
-from trajopt.robot.collision.description import robot_shapes, sampled_postures
+from trajopt.collision.description import robot_shapes, sampled_postures
 from trajopt.robot.robot import Robot
 from trajopt.terrain import FlatGround
 from trajopt_library import robots

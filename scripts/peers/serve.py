@@ -19,7 +19,8 @@ import numpy as np
 
 from scripts.peers import problems
 from scripts.peers.tasks import TASKS
-from trajopt.certify.reintegration import integrated_states, state_distance
+from trajopt.certify.reintegration import integrated_states
+from trajopt.motion.samples import state_distance
 from trajopt.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import LINEAR_SOLVER

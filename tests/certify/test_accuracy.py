@@ -22,11 +22,11 @@ from tests.support.synthetic_motions import (
     tumbling_flight,
 )
 from trajopt.certify.accuracy.measures import interval_errors, measure
-from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.certify.accuracy.table import accuracy_table
 from trajopt.certify.contact.impact import impact
 from trajopt.certify.reintegration import active_contacts
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.robot.payload import loaded_model
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution

@@ -18,10 +18,10 @@ from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbl
 from trajopt.certify.accuracy.comparison import compare
 from trajopt.certify.accuracy.measures import measure
 from trajopt.certify.accuracy.named_points import NamedPoints
-from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.errors import InputError
+from trajopt.motion.natural_units import NaturalUnits
+from trajopt.motion.resampling import sample_interval
 from trajopt.solution.local_states import local_state, state_from_local
-from trajopt.solution.resampling import sample_interval
 from trajopt.solution.solution import Solution
 from trajopt_library import robots
 

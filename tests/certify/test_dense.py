@@ -12,11 +12,11 @@ from trajopt.certify.accuracy.local_errors import local_errors
 from trajopt.certify.accuracy.measures import interval_errors
 from trajopt.certify.check import check
 from trajopt.certify.contact_figures import force_traces
-from trajopt.certify.limit_figures import limit_traces
-from trajopt.certify.samples import contact_places
-from trajopt.solution.resampling import resampled
+from trajopt.motion.limits import limit_traces
+from trajopt.motion.resampling import resampled
+from trajopt.motion.samples import contact_places
+from trajopt.motion.touched import touched_surfaces
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import touched_surfaces
 
 pytestmark = pytest.mark.long
 

@@ -9,7 +9,6 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from trajopt.certify.accuracy.natural_units import NaturalUnits, turning_rows
 from trajopt.control import (
     CenterOfMassTask,
     ContactForceTask,
@@ -24,6 +23,7 @@ from trajopt.control import (
 from trajopt.control.contact_forces import ActiveContact
 from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.errors import InputError
+from trajopt.motion.natural_units import NaturalUnits, turning_rows
 from trajopt.robot.robot import Robot
 from trajopt_library import robots
 

@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose
 
 from tests.support.synthetic_motions import sampled, standing
 from trajopt import Solution
-from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.control import Tracker
 from trajopt.control.falling import FallingMass
 from trajopt.control.recovery import DEEPEST, LIFT, SWING, Recovery, swing_height
 from trajopt.control.support_polygon import SupportPolygon
 from trajopt.control.swing_legs import diagonal_pairs, swing_leg
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.push import PushTrials
 from trajopt_library import robots

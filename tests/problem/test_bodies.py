@@ -12,13 +12,13 @@ import pytest
 import trajopt
 from tests.support.ground import HILLS, STAIRS
 from tests.support.swings import BALL, FAR, MARGIN, past, rods, swing
+from trajopt.collision.description import robot_shapes, sampled_postures
+from trajopt.collision.link_capsules import robot_capsules
+from trajopt.collision.near import GROUND
+from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.errors import InputError
 from trajopt.problem.bodies import DEEPER, GIVE, TOO_NEAR, ProblemBodies, bodies_meta, bodies_of, clearance_of
 from trajopt.problem.problem import Problem
-from trajopt.robot.collision.description import robot_shapes, sampled_postures
-from trajopt.robot.collision.link_capsules import robot_capsules
-from trajopt.robot.collision.near import GROUND
-from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
 from trajopt.schedule import start_of
 from trajopt.solving.rest import rest
 from trajopt.terms import Clearance, FramePose, Term, TerminalPosture, TerminalState

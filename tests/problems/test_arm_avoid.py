@@ -10,10 +10,10 @@ import pinocchio as pin
 import pytest
 
 from trajopt.certify.check import check
+from trajopt.collision.description import robot_shapes
 from trajopt.errors import InputError
 from trajopt.problem.bodies import ProblemBodies, bodies_of
 from trajopt.problem.problem import Problem
-from trajopt.robot.collision.description import robot_shapes
 from trajopt.robot.kinematics import frame_pose
 from trajopt.solving.exchange import TOO_NEAR, Exchange
 from trajopt.solving.graded import solve as solve_graded

@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose
 import trajopt
 from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS
+from trajopt.collision import robot_shapes
 from trajopt.errors import InputError
-from trajopt.robot import robot_shapes
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.legs import leg_joints, quadruped_legs
 from trajopt.solving.solving import solve

@@ -15,9 +15,9 @@ from scipy.optimize import linprog
 import trajopt
 from tests.support.problems import FOOT, hop, hopper, reach
 from trajopt.certify.report import AT_POINTS
-from trajopt.certify.samples import sample_quantities
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
+from trajopt.motion.samples import sample_quantities
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import (
     base_rows_problem,

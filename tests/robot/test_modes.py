@@ -13,8 +13,8 @@ import trajopt
 from tests.support.derivatives import Matrices, assert_derivatives, random_unknowns
 from tests.support.problems import FOOT, hop, hopper
 from trajopt.certify.report import AT_POINTS
-from trajopt.certify.samples import contact_places
 from trajopt.errors import InputError
+from trajopt.motion.samples import contact_places
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import stance_mode

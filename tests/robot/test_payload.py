@@ -11,9 +11,9 @@ import pinocchio as pin
 import pytest
 
 import trajopt
-from trajopt.certify.payloads import payload_wrenches
 from trajopt.certify.report import AT_POINTS, RESIDUAL
 from trajopt.errors import InputError
+from trajopt.motion.carried import payload_wrenches
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.payload import Payload, loaded, payload_wrench

@@ -13,9 +13,9 @@ import pytest
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.synthetic_motions import arm_motion, planar_flight, sampled, standing
 from trajopt import Solution
-from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.control.reference import reference_of
 from trajopt.errors import InputError
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.run import SimulationRun
 from trajopt.simulation.settings import SimulationSettings

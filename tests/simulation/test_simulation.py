@@ -11,9 +11,9 @@ import pytest
 from tests.support.synthetic_motions import Motion, arm_motion, sampled, standing, tumbling_flight
 from trajopt import Contact, Robot, Solution, solve
 from trajopt.certify.closing import periodic_image
-from trajopt.certify.samples import sample_quantities
 from trajopt.control.reference import reference_of
 from trajopt.errors import InputError
+from trajopt.motion.samples import sample_quantities
 from trajopt.simulation.figures import farthest_travel
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.simulate import simulate

@@ -14,7 +14,7 @@ from tests.support.suite_outcomes import outcome_of
 from trajopt import Solution
 from trajopt.cli.commands import main
 from trajopt.errors import InputError
-from trajopt.solution.motion import geodesic_configurations
+from trajopt.motion.configurations import geodesic_configurations
 from trajopt.study.suite import data
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.outcome import Ledger, Outcome

@@ -11,10 +11,10 @@ import pytest
 
 from tests.support.synthetic_motions import arm_motion, sampled, standing
 from trajopt import Solution
-from trajopt.certify.samples import sample_quantities
+from trajopt.collision.description import robot_shapes
+from trajopt.collision.shapes import LinkShape, SphereObstacle
+from trajopt.motion.samples import sample_quantities
 from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.collision.description import robot_shapes
-from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.simulate import simulate
 from trajopt.simulation.world import AROUND_FOOT, build_world

@@ -11,9 +11,9 @@ import pytest
 from tests.support.replay_pages import objects_of, placements_of, shown
 from tests.support.synthetic_motions import sampled, standing, with_meta
 from trajopt.certify.check import check
+from trajopt.collision.description import RobotShapes, robot_shapes
+from trajopt.collision.shapes import SphereObstacle
 from trajopt.errors import InputError
-from trajopt.robot.collision.description import RobotShapes, robot_shapes
-from trajopt.robot.collision.shapes import SphereObstacle
 from trajopt.solution.descriptions import bodies_of, body_scene_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.rest import rest

@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.sampled_problems import KINDS, solution_of_kind
 from trajopt.certify.accuracy.between import figures_between_points
-from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.payloads import carrying_model
 from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.motion.carried import carrying_model
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.solution.sampled_motion import SampledMotion
 from trajopt.solution.solution import Solution
 

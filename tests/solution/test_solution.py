@@ -12,8 +12,8 @@ import pytest
 
 from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.motion.configurations import geodesic_configurations
 from trajopt.solution.arrays import OTHERS, REQUESTS, SAMPLED
-from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt_library import robots
 

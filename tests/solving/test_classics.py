@@ -11,9 +11,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from trajopt.certify.check import check
-from trajopt.certify.energy_use import cost_of_transport
 from trajopt.certify.report import AT_POINTS
 from trajopt.errors import InputError
+from trajopt.motion.energy_use import cost_of_transport
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions
 from trajopt.solution.solution import Solution

@@ -13,9 +13,9 @@ import trajopt
 from tests.support.swings import BALL, END, FAR, MARGIN, POLE, START, avoided, past, rods, swing
 from trajopt.certify.check import check
 from trajopt.errors import InputError
+from trajopt.motion.configurations import SolutionMotion
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
-from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.solving.exchange import TOO_NEAR, Exchange
 from trajopt.solving.graded import solve as solve_graded

@@ -12,10 +12,10 @@ import pytest
 from tests.support.problems import FOOT, hop, landing
 from tests.support.swings import BALL, DURATION, END, FAR, MARGIN, POLE, START, avoided, past, rods, swing
 from trajopt.certify.report import PENETRATION
+from trajopt.collision.link_capsules import robot_capsules
+from trajopt.collision.shapes import LinkShape, SphereObstacle
+from trajopt.motion.configurations import SolutionMotion
 from trajopt.problem.problem import Problem
-from trajopt.robot.collision.link_capsules import robot_capsules
-from trajopt.robot.collision.shapes import LinkShape, SphereObstacle
-from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.solving.exchange import LOOK_STEP, LOOKS, TOO_NEAR, Exchange, Look, along
 from trajopt.solving.solving import solve

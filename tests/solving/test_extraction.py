@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.problems import FOOT, hop, hopper, planar_hopper, reach
-from trajopt.certify.samples import sample_quantities
+from trajopt.motion.samples import sample_quantities
 from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import solve

@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 import trajopt
 from tests.support.problems import REACH, REACH_TIME, SCHEME_ORDERS, hop, planar_hopper, reach
 from tests.support.solved_problems import ROUNDING, SAME_STATE, Solved, solved, solved_hop
+from trajopt.motion.configurations import motion_of
 from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.motion import motion_of
 from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.extraction import extract

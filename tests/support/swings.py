@@ -8,9 +8,9 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
+from trajopt.collision.link_capsules import robot_capsules
+from trajopt.collision.shapes import CapsuleObstacle, Obstacle, SphereObstacle
 from trajopt.problem.problem import Problem
-from trajopt.robot.collision.link_capsules import robot_capsules
-from trajopt.robot.collision.shapes import CapsuleObstacle, Obstacle, SphereObstacle
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution

@@ -11,11 +11,11 @@ from tests.support.replay_pages import objects_of, placements_of, shown
 from tests.support.swings import BALL, FAR, MARGIN, POLE, avoided, past, rods, swing
 from tests.support.synthetic_motions import with_meta
 from trajopt.certify.check import check
+from trajopt.collision.link_capsules import robot_capsules
+from trajopt.collision.near import CollisionScene
+from trajopt.collision.shapes import LinkShape
 from trajopt.errors import InputError
 from trajopt.problem.bodies import bodies_meta
-from trajopt.robot.collision.link_capsules import robot_capsules
-from trajopt.robot.collision.near import CollisionScene
-from trajopt.robot.collision.shapes import LinkShape
 from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve as solve_graded

@@ -14,8 +14,8 @@ from scipy import sparse
 from tests.support.goals import objective, sampled, wandering, with_terms
 from tests.support.problems import FOOT, REACH, hop, hopper, one_joint_arm, reach
 from tests.support.scenes import biped, push, usual
-from trajopt.certify.energy_use import energy
 from trajopt.errors import InputError
+from trajopt.motion.energy_use import energy
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.robot import Robot

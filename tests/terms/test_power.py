@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from tests.support.goals import integral, objective, sampled, wandering, with_terms
 from tests.support.problems import hop, hopper, one_joint_arm, reach
-from trajopt.certify.energy_use import cost_of_transport, energy
+from trajopt.motion.energy_use import cost_of_transport, energy
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
 from trajopt.solving.solving import solve

@@ -13,11 +13,11 @@ from numpy.testing import assert_allclose
 from tests.support.goals import integral, objective, sampled, wandering, with_terms
 from tests.support.problems import REACH, REACH_TIME, hop, hopper, one_joint_arm, reach
 from trajopt.errors import InputError
+from trajopt.motion.configurations import geodesic_motion
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.motion import geodesic_motion
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import TorqueCost, TrackingCost
 from trajopt.terms.tracking import key_frames

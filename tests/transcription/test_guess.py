@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.models import hand_built, random_state
 from tests.support.problems import SCHEME_ORDERS, hop, hopper, reach
-from trajopt.certify.samples import sample_quantities
+from trajopt.motion.samples import sample_quantities
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule

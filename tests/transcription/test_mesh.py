@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose
 
 from tests.support.problems import hop, lean
 from trajopt.certify.check import check
-from trajopt.certify.energy_use import energy
 from trajopt.errors import InputError
+from trajopt.motion.energy_use import energy
 from trajopt.schedule import END, Moment, Phase, end_of, middle_of, start_of
 from trajopt.solution.grid import interpolated, mesh_of
 from trajopt.solution.solution import Solution

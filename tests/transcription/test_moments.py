@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 from tests.support.derivatives import assert_derivatives
 from tests.support.problems import FOOT, SCHEME_ORDERS, hop, landing, reach
 from trajopt.errors import InputError
+from trajopt.motion.configurations import SolutionMotion
 from trajopt.problem.problem import Problem
-from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms.moments import ForceSide, JointSide, MomentConstraint, PlaneSide

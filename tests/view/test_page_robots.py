@@ -18,8 +18,8 @@ from tests.support.browser import (
     pixels_of,
     until,
 )
+from trajopt.motion.configurations import geodesic_configurations
 from trajopt.robot.robot import Robot
-from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.collada import ColladaError, read_collada
 from trajopt.view.replay.robot import joint_path

@@ -18,9 +18,9 @@ from tests.support.processes import LIMIT, ctrl_c_here
 from tests.support.replay_pages import objects_of, scene_of, tracks_of
 from tests.support.synthetic_motions import Motion, arm_motion, meta_of, sampled, standing, with_meta
 from trajopt.errors import InputError
+from trajopt.motion.configurations import geodesic_configurations
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
-from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import robot as drawn_robot
 from trajopt.view.replay import visuals

@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.support.replay_pages import STANCE, objects_of, scene_of, shown, tracks_of
+from trajopt.motion.touched import contact_radii
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import contact_radii
 from trajopt.view.replay.arrows import HEAD_LENGTH
 from trajopt.view.replay.motion import replay_motion, replay_motions
 from trajopt.view.replay.scene import build_scene

@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose
 from tests.support.replay_pages import STANCE, objects_of, placements_of, scene_of, shown, tracks_of
 from tests.support.synthetic_motions import arm_motion, sampled, with_meta
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.motion.configurations import geodesic_configurations
 from trajopt.schedule import start_of
 from trajopt.schedule.targets import Target
-from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 from trajopt.terms import FramePose, TerminalState
 from trajopt.view.replay.copies import MOST_GHOSTS, ghost_frames

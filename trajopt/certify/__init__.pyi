@@ -2,5 +2,3 @@ from .contact.contact_dynamics import forward_dynamics as forward_dynamics
 from .contact.contact_set import ContactSet as ContactSet
 from .contact.impact import cone_margins as cone_margins
 from .contact.impact import impact as impact
-from .energy_use import cost_of_transport as cost_of_transport
-from .energy_use import energy as energy

@@ -9,13 +9,10 @@ import numpy as np
 
 from trajopt.arguments import checked
 from trajopt.certify.accuracy.local_errors import LocalErrors, local_errors
-from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.body_figures import FileBodies, missing_shapes
 from trajopt.certify.closing import periodicity_error
 from trajopt.certify.consistency import interval_gaps
 from trajopt.certify.contact_figures import ContactStarts, inactive_force, landing_height
 from trajopt.certify.dense import dense_motion, figures_at
-from trajopt.certify.dynamics_figures import dynamics_traces
 from trajopt.certify.flight import FIGURES as FLIGHT
 from trajopt.certify.flight import flight_errors
 from trajopt.certify.impact_figures import impact_figures
@@ -32,12 +29,15 @@ from trajopt.certify.report import (
     PhaseReport,
     Tolerances,
 )
-from trajopt.certify.samples import largest, largest_known, sample_quantities
-from trajopt.certify.traces import Found, Occurrence, Traces, worst_of
 from trajopt.dynamics.virtual_base import gimbal_margin_along
+from trajopt.motion.body_distances import FileBodies, missing_shapes
+from trajopt.motion.dynamics_rows import dynamics_traces
+from trajopt.motion.natural_units import NaturalUnits
+from trajopt.motion.samples import largest, largest_known, sample_quantities
+from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
+from trajopt.motion.traces import Found, Occurrence, Traces, worst_of
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
 # Worst of all phases in the report.
 PHASE_FIGURES = (*FLIGHT, *OPEN_LOOP, "local_position", "local_joints")

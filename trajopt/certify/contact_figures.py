@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.certify.samples import ContactPlaces
-from trajopt.certify.sliding import held_part, sliding_error
-from trajopt.certify.traces import Trace, Traces
+from trajopt.certify.sliding import sliding_error
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.motion.samples import ContactPlaces
+from trajopt.motion.touched import TouchedSurfaces, held_part, is_sole
+from trajopt.motion.traces import Trace, Traces
 from trajopt.robot.sole import pressure_rows, yaw_rows
 from trajopt.solution.descriptions import patches_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces
 
 
 def force_traces(plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces) -> Traces:
@@ -142,11 +142,6 @@ def _patch_margin(plan: Solution, places: ContactPlaces) -> Trace:
             inside = patch.inside(position).reshape(len(position), -1)
             counts[rows, index], margin[rows, index] = True, inside.min(axis=1)
     return Trace.of(margin, counts, plan.contact_frames, margin=True)
-
-
-def is_sole(plan: Solution) -> np.ndarray:
-    """Which contacts are soles (nc,)."""
-    return np.array([kind == "surface" for kind in plan.meta["contact_kinds"]], dtype=bool)
 
 
 def _angle(apart: np.ndarray, scale: float) -> np.ndarray:

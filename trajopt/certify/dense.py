@@ -10,16 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.certify.body_figures import FileBodies
 from trajopt.certify.contact_figures import ContactStarts, force_traces, place_traces
-from trajopt.certify.limit_figures import drive_traces, limit_traces
-from trajopt.certify.samples import ContactPlaces, contact_places
-from trajopt.certify.traces import Trace, Traces, merged
+from trajopt.motion.body_distances import FileBodies
+from trajopt.motion.limits import drive_traces, limit_traces
+from trajopt.motion.resampling import samples_at
+from trajopt.motion.samples import ContactPlaces, contact_places
+from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
+from trajopt.motion.traces import Trace, Traces, merged
 from trajopt.solution.arrays import REQUESTS, SAMPLED
 from trajopt.solution.interpolation import InterpolatedMotion
-from trajopt.solution.resampling import samples_at
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
 # Samples nearer than this fraction of an interval are one.
 SAME = 1e-6

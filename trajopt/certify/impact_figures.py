@@ -9,12 +9,12 @@ import pinocchio as pin
 
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.certify.contact.impact import cone_margins, momentum_of_links, total_wrench
-from trajopt.certify.payloads import carrying_model
 from trajopt.certify.reintegration import active_contacts
 from trajopt.dynamics.base_joint import base_of
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.motion.carried import carrying_model
+from trajopt.motion.touched import TouchedSurfaces
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces
 
 _Figures = dict[str, float | None]
 

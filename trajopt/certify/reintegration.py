@@ -23,11 +23,12 @@ import pinocchio as pin
 from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.certify.contact.impact import impact
-from trajopt.certify.payloads import carrying_model
 from trajopt.certify.runge_kutta import integrate
 from trajopt.certify.sliding import SlidingDynamics
-from trajopt.dynamics.base_joint import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
+from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
+from trajopt.motion.carried import carrying_model
+from trajopt.motion.samples import state_distance
 from trajopt.solution.descriptions import surfaces_of
 from trajopt.solution.interpolation import collocation_fractions, lagrange_coefficients
 from trajopt.solution.solution import Solution
@@ -112,30 +113,6 @@ def _after_impact(plan: Solution, row: int, q: np.ndarray, v: np.ndarray) -> np.
         return impact(model, q, v, active_contacts(plan, model, row)).velocity
     except (InputError, np.linalg.LinAlgError):  # a state that has diverged
         return None
-
-
-def state_distance(model: pin.Model, planned: np.ndarray, reached: np.ndarray) -> np.ndarray:
-    """Distance of base position (m), base orientation (rad) and worst joint (rad or m)."""
-    base = base_of(model)
-    rows = BASE_ROWS[base]
-    difference = pin.difference(model, planned, reached)
-    position = BASE_POSITION[base]
-    turn = difference[position:rows]
-    if base == "virtual":  # differences of its angles are not a rotation
-        turn = pin.log3(_base_rotation(model, planned).T @ _base_rotation(model, reached))
-    return np.array(
-        [
-            np.linalg.norm(reached[:position] - planned[:position]),
-            np.linalg.norm(turn),
-            np.abs(difference[rows:]).max(initial=0.0),
-        ]
-    )
-
-
-def _base_rotation(model: pin.Model, q: np.ndarray) -> np.ndarray:
-    data = model.createData()
-    pin.forwardKinematics(model, data, q)
-    return np.array(data.oMi[BASE_JOINT[base_of(model)]].rotation)
 
 
 def integrate_interval(

@@ -6,8 +6,8 @@ import math
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from trajopt.certify.traces import Occurrence
 from trajopt.dynamics.virtual_base import LEAST_MARGIN
+from trajopt.motion.traces import Occurrence
 from trajopt.solution.descriptions import jsonable
 
 # Residuals, contact accelerations and forces of inactive contacts over the weight (over gravity): what a

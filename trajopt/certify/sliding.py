@@ -6,17 +6,11 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.certify.traces import Trace
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.motion.touched import TouchedSurfaces
+from trajopt.motion.traces import Trace
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces
 from trajopt.terrain.surface import Surface
-
-
-def held_part(vectors: np.ndarray, surfaces: TouchedSurfaces) -> np.ndarray:
-    """Motion vectors (K, nc, 3); of sliding contacts only the normal component."""
-    normal = surfaces.along_normal(vectors)[..., None] * surfaces.normal
-    return np.where(surfaces.slides[..., None], normal, vectors)
 
 
 def sliding_error(plan: Solution, velocity: np.ndarray, surfaces: TouchedSurfaces) -> Trace:

@@ -30,7 +30,7 @@ def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...],
     scaling, active limits, the first value that is not finite, and constraints in conflict. Exit status 0
     whatever is found.
     """
-    from trajopt.study.diagnosis.diagnose import diagnose
+    from trajopt.diagnosis.diagnose import diagnose
 
     if settings and problem is None:
         raise InputError("--set is given without a problem", "allowed: with --problem NAME")
@@ -45,7 +45,7 @@ diagnose_option = click.option("--diagnose", "diagnosed", is_flag=True, help="Di
 
 def diagnosis_of(solution: Solution, problem: Problem) -> tuple[dict[str, Any], str]:
     """Diagnose the result of a solve, as JSON and as text; where that fails, the reason."""
-    from trajopt.study.diagnosis.diagnose import diagnose
+    from trajopt.diagnosis.diagnose import diagnose
 
     try:
         diagnosis = diagnose(solution, problem)

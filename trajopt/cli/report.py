@@ -85,7 +85,7 @@ def _finite(value: object) -> object:
 
 def solve_dict(solution: Solution, report: CheckReport | None, file: Path | None) -> dict[str, Any]:
     """Return the JSON of a solve; ``accuracy`` and ``file`` may be null."""
-    from trajopt.certify.energy_use import cost_of_transport, energy
+    from trajopt.motion.energy_use import cost_of_transport, energy
 
     meta = solution.meta
     return {
@@ -169,7 +169,7 @@ def _line(title: str, text: str) -> str:
 
 def _energy(solution: Solution) -> str:
     """Energy drawn by the joints, and for a robot that travels the cost of transport."""
-    from trajopt.certify.energy_use import cost_of_transport, energy
+    from trajopt.motion.energy_use import cost_of_transport, energy
 
     drawn, transport = energy(solution), cost_of_transport(solution)
     cost = f", cost of transport {transport:.3g}" if transport < MOST_TRANSPORT else ""

@@ -38,7 +38,7 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
     base, feet and posture are guessed from the geometry: --write saves them as a .py file. Warnings do not
     change the exit status.
     """
-    from trajopt.robot.inspection.report import robot_report
+    from trajopt.inspection.report import robot_report
 
     check_apart([write, html], [Path(robot)])
     if html is not None:
@@ -62,7 +62,7 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
 
 def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
     if Path(name).suffix == ".urdf":
-        from trajopt.robot.inspection.starter import guessed
+        from trajopt.inspection.starter import guessed
 
         return guessed(Path(name), cast("Base | None", base))
     for option, value in (("--base", base), ("--write", write)):
@@ -76,7 +76,7 @@ def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
 
 
 def _starter(loaded: Robot, target: Path) -> str:
-    from trajopt.robot.inspection.starter import starter
+    from trajopt.inspection.starter import starter
 
     if target.suffix != ".py" or not target.absolute().parent.is_dir():
         raise InputError(f"cannot write {target}", "allowed: a .py file in an existing folder")

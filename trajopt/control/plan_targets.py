@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.payloads import carrying_model
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.motion.carried import carrying_model
+from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
 
 @dataclass(frozen=True, kw_only=True)

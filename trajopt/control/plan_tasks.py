@@ -7,8 +7,6 @@ import copy
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.repetition import moving_rows
 from trajopt.control.balance import Balance
 from trajopt.control.gains import TrackerGains
 from trajopt.control.measured_contacts import MeasuredContacts
@@ -18,6 +16,8 @@ from trajopt.control.robot_state import RobotState
 from trajopt.control.swing_tasks import SwingTasks
 from trajopt.control.tasks import ContactForceTask, FrameTask, PostureTask, Task
 from trajopt.dynamics.base_joint import base_of
+from trajopt.motion.cycles import moving_rows
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
 # Rotations of the base about lines on which the robot balances weigh this part.

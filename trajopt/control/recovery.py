@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.control.falling import FallingMass
 from trajopt.control.footholds import FootholdOffsets
 from trajopt.control.measured_contacts import DEEPEST, LOST, PRESSED
@@ -23,6 +22,7 @@ from trajopt.control.support import LOWEST
 from trajopt.control.support_polygon import SupportPolygon
 from trajopt.control.swing_legs import SwingLeg, diagonal_pairs, swing_leg
 from trajopt.control.swing_tasks import level_footholds
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.control.gains import TrackerGains
 from trajopt.control.plan_targets import PlanTargets, base_frame, tracking_model
 from trajopt.control.recovery import RecoveryStep
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
 # Joints weigh this part while a robot recovers: its feet are far from the posture.

@@ -7,7 +7,6 @@ import copy
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.control.footholds import FootholdOffsets, SteadyError, capture_error
 from trajopt.control.gains import TrackerGains
 from trajopt.control.measured_contacts import DEEPEST, PRESSED
@@ -16,6 +15,7 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import Support
 from trajopt.control.tasks import FrameTask
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.solution.descriptions import terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface

@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import Positive, PositiveCount, checked
-from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.control.gains import TrackerGains
 from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, TickLimits, TickResult
 from trajopt.control.limits import JointRange, limits_with_drives, torque_limits
@@ -24,6 +23,7 @@ from trajopt.control.robot_state import RobotState
 from trajopt.control.tick_counts import TickCounts
 from trajopt.control.tick_request import TickRequest
 from trajopt.errors import InputError
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.solution import Solution

@@ -1,4 +1,4 @@
-"""Rigid-body functions: Pinocchio on CasADi, the manifold, and classical forms to compare with."""
+"""Rigid-body functions: Pinocchio on CasADi, and the manifold of configurations."""
 
 import lazy_loader
 

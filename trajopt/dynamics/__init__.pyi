@@ -1,15 +1,5 @@
 from .base_joint import ORDERS as ORDERS
-from .lagrange import coriolis_matrix as coriolis_matrix
-from .lagrange import equations_of_motion as equations_of_motion
 from .manifold import Coordinates as Coordinates
-from .mass_bounds import a_priori_bounds as a_priori_bounds
-from .mass_bounds import eigenvalue_range as eigenvalue_range
-from .mass_bounds import random_postures as random_postures
 from .model_quantities import STANDARD_GRAVITY as STANDARD_GRAVITY
 from .model_quantities import contact_jacobian as contact_jacobian
 from .model_quantities import gravity_of as gravity_of
-from .newton_euler import joint_forces as joint_forces
-from .structure import mass_blocks as mass_blocks
-from .structure import momentum_maps as momentum_maps
-from .structure import symbolic_mass_matrix_rate as symbolic_mass_matrix_rate
-from .whole_body import whole_body_balance as whole_body_balance

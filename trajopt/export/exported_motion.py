@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import Positive, PositiveCount, checked
-from trajopt.certify.repetition import CycleImage, passes_of
 from trajopt.errors import InputError
 from trajopt.export.formats import RATE
 from trajopt.export.links import LinkMotion, link_motion
 from trajopt.export.single_joints import SingleJoints, joint_angles, single_joints
+from trajopt.motion.cycles import CycleImage, passes_of
 from trajopt.solution.consistency import SAME_TIME
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.sampling import MOST_SAMPLES

@@ -16,7 +16,6 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
-from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.control.contact_forces import ActiveContact
 from trajopt.control.inverse_dynamics import TaskSpaceInverseDynamics, TickLimits
 from trajopt.control.robot_state import RobotState
@@ -24,6 +23,7 @@ from trajopt.control.tasks import ContactForceTask, PostureTask
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError, require_finite
 from trajopt.guesses.foot_motion import FootMotion, guess_from_lip
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.problem.problem import Problem
 from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.footsteps import Walk, feet_of

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.collision.description import RobotShapes, above_ground, robot_shapes
+from trajopt.collision.near import CollisionScene, ShapePair, separable_pairs
+from trajopt.collision.planes import PlacedBody, SeparatingPlane, beyond_foot, separating_plane
+from trajopt.collision.shapes import LinkShape
 from trajopt.errors import InputError
 from trajopt.problem.placed_link import placed_link
 from trajopt.problem.places import CONTACT_GAP, PLACE_SLACK
 from trajopt.problem.problem import Problem
-from trajopt.robot.collision.description import RobotShapes, above_ground, robot_shapes
-from trajopt.robot.collision.near import CollisionScene, ShapePair, separable_pairs
-from trajopt.robot.collision.planes import PlacedBody, SeparatingPlane, beyond_foot, separating_plane
-from trajopt.robot.collision.shapes import LinkShape
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.terms.clearance import Clearance

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from trajopt.robot.collision.near import CollisionScene, ShapePair
-from trajopt.robot.collision.shapes import LinkShape
+from trajopt.collision.near import CollisionScene, ShapePair
+from trajopt.collision.shapes import LinkShape
 from trajopt.schedule.targets import Target
 from trajopt.terrain.smooth import SmoothTerrain
 

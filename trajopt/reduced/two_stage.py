@@ -19,9 +19,9 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
-from trajopt.certify.samples import sample_quantities
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
+from trajopt.motion.samples import sample_quantities
 from trajopt.problem.problem import Problem
 from trajopt.reduced.term_reader import TermReader
 from trajopt.robot.actuators.on_robot import drive_torque_values

@@ -26,10 +26,10 @@ from scipy import sparse
 from scipy.linalg import null_space
 
 from trajopt.arguments import checked
-from trajopt.certify.samples import SampleQuantities, sample_quantities
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
+from trajopt.motion.samples import SampleQuantities, sample_quantities
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import TorqueBounds, problem_torque_limit, torque_bounds
 from trajopt.robot.units import Units

@@ -1,12 +1,6 @@
 from .actuators.beams import Beam as Beam
 from .actuators.drive import Drive as Drive
 from .building import sagittal as sagittal
-from .collision.description import robot_shapes as robot_shapes
-from .collision.link_capsules import robot_capsules as robot_capsules
-from .collision.near import CollisionScene as CollisionScene
-from .collision.shapes import BoxObstacle as BoxObstacle
-from .collision.shapes import CapsuleObstacle as CapsuleObstacle
-from .collision.shapes import Obstacle as Obstacle
 from .contact import Contact as Contact
 from .data import robot_file as robot_file
 from .kinematics import Posture as Posture

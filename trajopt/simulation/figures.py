@@ -8,15 +8,14 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.reintegration import state_distance
-from trajopt.certify.samples import sample_quantities
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.motion.samples import sample_quantities, state_distance
+from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.world import World, touching_places
 from trajopt.solution.arrays import rows_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 
 # A contact is loaded above this fraction of the weight: far above rounding, far below a leg's share.
 LOADED = 0.02

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.certify.payloads import carrying_model
-from trajopt.certify.repetition import moving_rows
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import base_of
+from trajopt.motion.carried import carrying_model
+from trajopt.motion.cycles import moving_rows
 from trajopt.simulation.bodies import mujoco_package, write_inertias
 from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
 from trajopt.simulation.world import World

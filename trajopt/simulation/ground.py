@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.certify.repetition import image_of_contacts
-from trajopt.robot.collision.shapes import BoxObstacle, LinkShape, Obstacle
+from trajopt.collision.shapes import BoxObstacle, LinkShape, Obstacle
+from trajopt.motion.cycles import image_of_contacts
+from trajopt.motion.touched import contact_radii
 from trajopt.simulation.bodies import (
     Bodies,
     add_geom,
@@ -26,7 +27,6 @@ from trajopt.simulation.bodies import (
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import contact_radii
 from trajopt.terrain.patch import Patch, cut_polygon
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain

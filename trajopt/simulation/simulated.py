@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.control.reference import ReferenceTrajectory
+from trajopt.motion.touched import held_samples
 from trajopt.simulation.bodies import mujoco_package
 from trajopt.simulation.figures import loaded_contacts
 from trajopt.simulation.record import SimulationRecord
@@ -21,7 +22,6 @@ from trajopt.simulation.report import SimulationReport
 from trajopt.simulation.world import World
 from trajopt.solution.arrays import rows_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import held_samples
 from trajopt.versions import VERSIONED, installed_version
 
 # Periods of the controller in an interval: 4 ms by default, finer than a video frame.

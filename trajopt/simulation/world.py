@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.body_figures import FileBodies
-from trajopt.certify.payloads import carrying_model
-from trajopt.certify.samples import SampleQuantities, sample_quantities
+from trajopt.collision.near import GROUND
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.robot.collision.near import GROUND
+from trajopt.motion.body_distances import FileBodies
+from trajopt.motion.carried import carrying_model
+from trajopt.motion.natural_units import NaturalUnits
+from trajopt.motion.samples import SampleQuantities, sample_quantities
+from trajopt.motion.touched import held_samples
 from trajopt.simulation.bodies import (
     Bodies,
     add_geom,
@@ -38,7 +39,6 @@ from trajopt.simulation.ground import (
 from trajopt.simulation.settings import CONTACT_TIME, SimulationSettings
 from trajopt.solution.descriptions import bodies_of, body_scene_of, scene_of_meta, terrain_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import held_samples
 
 # A penetration meets nearly the whole stiffness from the first touch on: d0, dmax, width in radii
 # of the balls, midpoint and power of MuJoCo's impedance.

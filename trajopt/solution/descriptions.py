@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 import numpy as np
 import pinocchio as pin
 
+from trajopt.collision.description import RobotShapes
+from trajopt.collision.near import CollisionScene
+from trajopt.collision.shapes import LinkShape, obstacle_from_description
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.robot.collision.description import RobotShapes
-from trajopt.robot.collision.near import CollisionScene
-from trajopt.robot.collision.shapes import LinkShape, obstacle_from_description
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain

@@ -2,7 +2,7 @@
 
 A robot's links make hundreds of pairs that could meet, and hardly any of them does. So a motion is solved
 without them and looked at along all of it, between points too; pairs that come too near get rows (see
-`trajopt.robot.collision.planes`) at the moments where they are near, and it is solved again from there, until
+`trajopt.collision.planes`) at the moments where they are near, and it is solved again from there, until
 it is clear. This is the exchange method for semi-infinite programs (Blankenship and Falk, "Infinitely
 constrained optimization problems", 1976). No pair enters that never matters.
 """
@@ -19,15 +19,15 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.report import PENETRATION
+from trajopt.collision.near import ShapePair
+from trajopt.collision.planes import PlacedBody, SeparatingPlane
+from trajopt.motion.configurations import SolutionMotion
 from trajopt.problem.bodies import TOO_NEAR, ProblemBodies, bodies_of, contacts_by_shape
 from trajopt.problem.problem import Problem
-from trajopt.robot.collision.near import ShapePair
-from trajopt.robot.collision.planes import PlacedBody, SeparatingPlane
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.units import Units
 from trajopt.solution.interpolation import collocation_fractions
-from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.terms.moments import PlaneSide
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.certify.accuracy.comparison import Comparison, compare
-from trajopt.certify.accuracy.natural_units import NaturalUnits
 from trajopt.errors import InputError, TrajoptError, require_positive
+from trajopt.motion.natural_units import NaturalUnits
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajopt.inspection.standing import standing_feet
 from trajopt.problem.problem import Problem
-from trajopt.robot.inspection.standing import standing_feet
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms.costs import AccelerationCost, WrenchCost

@@ -18,9 +18,9 @@ import pinocchio as pin
 from typing_extensions import override
 
 from trajopt.errors import InputError
+from trajopt.motion.configurations import SolutionMotion
 from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.local_states import local_state
-from trajopt.solution.motion import SolutionMotion
 from trajopt.solution.solution import Solution
 from trajopt.solvers.result import WarmMultipliers
 from trajopt.solving.multipliers import resampled_multipliers

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trajopt.arguments import checked
+from trajopt.collision.shapes import LinkShape, Obstacle, require_different_names
 from trajopt.errors import require_not_negative
-from trajopt.robot.collision.shapes import LinkShape, Obstacle, require_different_names
 from trajopt.terms.interfaces import Term
 
 

@@ -76,7 +76,7 @@ class PlaneSide(MomentConstraint):
     Point or plane moves with a frame of the robot, or is fixed in the world. The parameters of a moment are
     the point (3,) m in the axes of ``frame``, the unit normal (3,) and the offset in m in those of ``body``.
     A plane that separates two convex bodies keeps them apart, whatever else they do; see
-    `trajopt.robot.collision.planes` for those of least distance.
+    `trajopt.collision.planes` for those of least distance.
 
     Args:
         frame: that carries the point; None for the world.

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.body_figures import FileBodies
 from trajopt.certify.contact_figures import ContactStarts
 from trajopt.certify.dense import DenseMotion, dense_motion, figures_at
-from trajopt.certify.dynamics_figures import dynamics_rows
-from trajopt.certify.samples import sample_quantities
-from trajopt.solution.resampling import resampled
+from trajopt.motion.body_distances import FileBodies
+from trajopt.motion.dynamics_rows import dynamics_rows
+from trajopt.motion.natural_units import NaturalUnits
+from trajopt.motion.resampling import resampled
+from trajopt.motion.samples import sample_quantities
+from trajopt.motion.touched import touched_surfaces
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import touched_surfaces
 
 # Fractions of an interval for its residuals: between the points of a scheme of degree four lie two at least.
 FRACTIONS = np.linspace(0.0, 1.0, 11)

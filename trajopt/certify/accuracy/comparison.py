@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.accuracy.named_points import NamedPoints
-from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.reintegration import state_distance
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
+from trajopt.motion.natural_units import NaturalUnits
+from trajopt.motion.resampling import sample_interval
+from trajopt.motion.samples import state_distance
 from trajopt.solution.interpolation import MotionSample, joined
-from trajopt.solution.resampling import sample_interval
 from trajopt.solution.solution import Solution
 
 # Times of each phase at which motions are compared, from its start to its end.

@@ -18,8 +18,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.accuracy.named_points import NamedPoints
-from trajopt.certify.accuracy.natural_units import NaturalUnits, turning_rows
 from trajopt.certify.reintegration import PhaseDynamics, integrated_interval_error, phase_dynamics
+from trajopt.motion.natural_units import NaturalUnits, turning_rows
 from trajopt.solution.interpolation import InterpolatedMotion
 from trajopt.solution.solution import Solution
 

@@ -11,7 +11,7 @@ from trajopt.certify.accuracy.between import BetweenPoints, figures_between_poin
 from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.certify.accuracy.open_loop import OpenLoopDrift, interval_drifts, motion_drift, phase_drifts
 from trajopt.certify.consistency import interval_gaps
-from trajopt.certify.samples import largest_known
+from trajopt.motion.samples import largest_known
 from trajopt.solution.descriptions import jsonable
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution

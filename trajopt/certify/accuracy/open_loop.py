@@ -13,15 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.accuracy.named_points import NamedPoints
-from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.reintegration import (
-    RobotState,
-    integrate_interval,
-    integrated_states,
-    phase_dynamics,
-    state_distance,
-)
+from trajopt.certify.reintegration import RobotState, integrate_interval, integrated_states, phase_dynamics
 from trajopt.dynamics.base_joint import base_of
+from trajopt.motion.natural_units import NaturalUnits
+from trajopt.motion.samples import state_distance
 from trajopt.solution.solution import Solution
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from trajopt.arguments import checked
-from trajopt.certify.energy_use import cost_of_transport, energy
 from trajopt.errors import InputError
+from trajopt.motion.energy_use import cost_of_transport, energy
 from trajopt.problem.catalogue import families, problem_modules
 from trajopt.problem.family import choose
 from trajopt.problem.problem import Problem

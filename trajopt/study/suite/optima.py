@@ -21,8 +21,8 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from trajopt.dynamics.manifold import Coordinates
+from trajopt.motion.configurations import geodesic_configurations
 from trajopt.robot.building import reach
-from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
 
 SAMPLES = 11

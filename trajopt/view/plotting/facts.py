@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.accuracy.table import FIGURES as MEASURED
-from trajopt.certify.energy_use import cost_of_transport, energy
 from trajopt.certify.report import FIGURES, Tolerances
+from trajopt.motion.energy_use import cost_of_transport, energy
 from trajopt.view.plotting.track import Track, tried
 
 # Name, a value for each solution, unit, and tolerance.

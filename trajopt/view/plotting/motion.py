@@ -8,20 +8,19 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.accuracy.natural_units import NaturalUnits
-from trajopt.certify.contact_figures import is_sole
-from trajopt.certify.dynamics_figures import DynamicsRows, dynamics_rows
-from trajopt.certify.payloads import payload_wrenches
-from trajopt.certify.samples import SampleQuantities, sample_quantities
+from trajopt.collision.near import GROUND
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.dynamics.virtual_base import angles_of
+from trajopt.motion.carried import payload_wrenches
+from trajopt.motion.dynamics_rows import DynamicsRows, dynamics_rows
+from trajopt.motion.natural_units import NaturalUnits
+from trajopt.motion.samples import SampleQuantities, sample_quantities
+from trajopt.motion.touched import TouchedSurfaces, is_sole, touched_surfaces
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
-from trajopt.robot.collision.near import GROUND
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.descriptions import body_scene_of, scene_of_meta
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces, touched_surfaces
 from trajopt.view.replay.motion import LEAST_PRESSURE
 
 # From model, data, q and v to numbers.

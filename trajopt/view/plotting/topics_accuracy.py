@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trajopt.certify.limit_figures import limit_traces
+from trajopt.motion.limits import limit_traces
 from trajopt.solution.grid import interval_schemes
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve

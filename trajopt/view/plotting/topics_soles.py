@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajopt.certify.contact_figures import is_sole
+from trajopt.motion.touched import is_sole
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.page import (

@@ -15,8 +15,8 @@ from trajopt.certify.accuracy.open_loop import interval_drifts
 from trajopt.certify.check import check
 from trajopt.certify.report import CheckReport
 from trajopt.errors import InputError, TrajoptError
+from trajopt.motion.resampling import resampled, sample_interval
 from trajopt.solution.interpolation import MotionSample
-from trajopt.solution.resampling import resampled, sample_interval
 from trajopt.solution.solution import Solution
 from trajopt.view.phases import PhaseSpan, phase_spans
 from trajopt.view.plotting.joints import JointAxis, axes_of

@@ -21,13 +21,12 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
-from trajopt.certify.contact_figures import is_sole
-from trajopt.certify.payloads import carrying_model
 from trajopt.dynamics.model_quantities import mass_of
+from trajopt.motion.carried import carrying_model
+from trajopt.motion.touched import TouchedSurfaces, contact_radii, is_sole
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.descriptions import terrain_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces, contact_radii
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface
 from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
 from trajopt.view.replay.surfaces import plane_of

@@ -8,9 +8,9 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.payloads import payload_inertia
-from trajopt.robot.collision.coal_shapes import segment_placement
-from trajopt.robot.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
+from trajopt.collision.coal_shapes import segment_placement
+from trajopt.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
+from trajopt.motion.carried import payload_inertia
 from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.commands import Animation

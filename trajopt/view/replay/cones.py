@@ -7,7 +7,7 @@ from typing import Any
 import meshcat.geometry as shapes
 import numpy as np
 
-from trajopt.solution.touched import TouchedSurfaces
+from trajopt.motion.touched import TouchedSurfaces
 from trajopt.view.replay.commands import Animation
 from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
 from trajopt.view.replay.parts import (

@@ -11,7 +11,7 @@ from typing import Any
 import meshcat.geometry as shapes
 import numpy as np
 
-from trajopt.solution.touched import contact_radii
+from trajopt.motion.touched import contact_radii
 from trajopt.view.replay.arrows import LEAST_FORCE, ArrowLook, draw_arrow
 from trajopt.view.replay.balance_marks import THROUGH
 from trajopt.view.replay.commands import Animation

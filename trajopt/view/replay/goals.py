@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.motion.touched import contact_radii
 from trajopt.schedule.targets import Target, targets_of
 from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import contact_radii
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
 from trajopt.view.replay.parts import (
     HIDDEN_OPACITY,

@@ -8,8 +8,8 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
-from trajopt.robot.collision.coal_shapes import segment_placement, thick
-from trajopt.robot.collision.shapes import LinkShape
+from trajopt.collision.coal_shapes import segment_placement, thick
+from trajopt.collision.shapes import LinkShape
 from trajopt.solution.descriptions import bodies_of
 from trajopt.view.replay.commands import Animation, without_shadow
 from trajopt.view.replay.parts import UPRIGHT, ColouredMesh, ColouredMeshGeometry, colour_array

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.contact_figures import is_sole
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.errors import InputError, is_number
+from trajopt.motion.configurations import geodesic_configurations
+from trajopt.motion.touched import TouchedSurfaces, held_samples, is_sole, touched_surfaces
 from trajopt.robot.sole import centre_of_pressure
-from trajopt.solution.motion import geodesic_configurations
 from trajopt.solution.solution import Solution
-from trajopt.solution.touched import TouchedSurfaces, held_samples, touched_surfaces
 
 # Pictures a second of playback: what screens show.
 # Playback speed beyond which nothing is seen.

@@ -1,0 +1,10 @@
+from .lagrange import coriolis_matrix as coriolis_matrix
+from .lagrange import equations_of_motion as equations_of_motion
+from .mass_bounds import a_priori_bounds as a_priori_bounds
+from .mass_bounds import eigenvalue_range as eigenvalue_range
+from .mass_bounds import random_postures as random_postures
+from .newton_euler import joint_forces as joint_forces
+from .structure import mass_blocks as mass_blocks
+from .structure import momentum_maps as momentum_maps
+from .structure import symbolic_mass_matrix_rate as symbolic_mass_matrix_rate
+from .whole_body import whole_body_balance as whole_body_balance

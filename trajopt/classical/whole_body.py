@@ -1,0 +1,88 @@
+"""Newton's and Euler's equations of the whole robot, and their relation to the base rows of the dynamics.
+
+The rate of momentum about the centre of mass is the wrench of gravity and contacts (Featherstone, "Rigid Body
+Dynamics Algorithms", 2008, section 2.12): joint torques do not appear. Frames and the transport to the base
+are those of `structure`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.classical.structure import (
+    MomentumMaps,
+    base_joint_and_rows,
+    composite_inertia,
+    momentum_maps,
+    require_shapes,
+)
+from trajopt.dynamics.model_content import frame_content
+from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class WholeBodyBalance:
+    """Newton and Euler for the robot as a whole, (6,) force N and moment N m each, at G.
+
+    momentum_rate: rate of linear and angular momentum.
+    gravity, contacts: wrench of the weight, and of the contacts together.
+    base_rows: (nb,), base rows of ``RNEA(q, v, a) - sum J^T f``.
+    momentum: the maps between these rows and wrenches.
+    """
+
+    momentum_rate: np.ndarray
+    gravity: np.ndarray
+    contacts: np.ndarray
+    base_rows: np.ndarray
+    momentum: MomentumMaps
+
+    @property
+    def missing(self) -> np.ndarray:
+        """(6,): the wrench that the motion needs beyond gravity and contacts.
+
+        Zero in a consistent motion of a floating base; the reaction in the bearings of a fixed or planar
+        base. Its base rows, ``momentum.base_rows(missing)``, are ``base_rows`` for every motion.
+        """
+        return self.momentum_rate - self.gravity - self.contacts
+
+
+def whole_body_balance(
+    model: pin.Model,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    frames: Sequence[str] = (),
+    wrenches: np.ndarray | None = None,
+    base_joint: str | None = None,
+) -> WholeBodyBalance:
+    """Balance of the robot as a whole in a motion q (nq,), v (nv,), a (nv,).
+
+    ``wrenches`` (n, 6: N, N m) act on the robot at the origins of ``frames`` in world axes. Raises
+    `InputError` for a wrong frame, base or shape.
+    """
+    q, v, a = motion
+    outer = np.zeros((len(frames), 6)) if wrenches is None else np.asarray(wrenches, dtype=float)
+    require_shapes(model, q=q, v=v, a=a)
+    if outer.shape != (len(frames), 6):
+        raise InputError(f"wrenches have shape {outer.shape}", f"shape {(len(frames), 6)}")
+    for name in frames:
+        frame_content(model, name)
+    indices, rows = [model.getFrameId(name) for name in frames], base_joint_and_rows(model, base_joint)[1]
+    data = model.createData()
+    forces = generalized_force(model, data, motion, indices, outer)
+    contacts, centre = np.zeros(6), pin.centerOfMass(model, data, q).copy()
+    for index, wrench in zip(indices, outer, strict=True):
+        arm = data.oMf[index].translation - centre
+        contacts += np.concatenate([wrench[:3], wrench[3:] + np.cross(arm, wrench[:3])])
+    rate = pin.computeCentroidalMomentumTimeVariation(model, data, q, v, a)
+    weight = composite_inertia(model, q).mass * model.gravity.linear
+    return WholeBodyBalance(
+        momentum_rate=rate.vector.copy(),
+        gravity=np.concatenate([weight, np.zeros(3)]),
+        contacts=contacts,
+        base_rows=forces[:rows],
+        momentum=momentum_maps(model, q, base_joint),
+    )

@@ -1,0 +1,83 @@
+"""Shapes as Coal has them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from trajopt.collision.shapes import BoxObstacle, LinkShape, Obstacle
+from trajopt.terrain.surface import frame_of_normal
+
+# Thickness to either side, m, of hulls that have no volume: Coal's depths need one.
+THICKNESS = 1e-6
+# Hulls that are kept: scenes of one robot are made again and again.
+MOST_HULLS = 1024
+
+
+def segment_placement(start: np.ndarray, end: np.ndarray) -> pin.SE3:
+    """Placement of a Coal capsule (along z, about its middle) on a segment."""
+    along = end - start
+    length = float(np.linalg.norm(along))
+    turn = frame_of_normal(along / length) if length > 0 else np.eye(3)
+    return pin.SE3(turn, (start + end) / 2)
+
+
+def coal_capsule(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[Any, pin.SE3]:
+    """Coal's capsule and its placement; a sphere where the segment has no length."""
+    length = float(np.linalg.norm(end - start))
+    shape = coal.Capsule(radius, length) if length > 0 else coal.Sphere(radius)
+    return shape, segment_placement(start, end)
+
+
+def coal_obstacle(obstacle: Obstacle) -> tuple[Any, pin.SE3]:
+    """Coal's shape of an obstacle and its placement in the world."""
+    if isinstance(obstacle, BoxObstacle):
+        return coal.Box(*obstacle.sides.tolist()), pin.SE3(obstacle.turn, obstacle.position)
+    return coal_capsule(*obstacle.axis, obstacle.radius)
+
+
+def coal_link(shape: LinkShape) -> tuple[Any, pin.SE3]:
+    """Coal's shape of a link and its placement in the link's frame."""
+    if len(shape.points) <= 2:
+        return coal_capsule(*shape.axis, shape.radius)
+    edges = shape.box_axes
+    if edges is not None:
+        lengths = np.linalg.norm(edges, axis=1)
+        turn = (edges / lengths[:, None]).T
+        if np.linalg.det(turn) < 0:
+            turn[:, 2] *= -1
+        return coal.Box(*lengths.tolist()), pin.SE3(turn, shape.points.mean(axis=0))
+    return coal_hull(shape.points, shape.radius), pin.SE3.Identity()
+
+
+def coal_hull(points: np.ndarray, radius: float = 0.0) -> Any:
+    """Coal's convex hull of points (n, 3) m with a ball of ``radius`` m about each of its points.
+
+    Points in a plane or on a line get the thickness `THICKNESS`. Equal hulls are one object.
+    """
+    return _hull_once(np.asarray(points, dtype=float).tobytes(), float(radius))
+
+
+@lru_cache(maxsize=MOST_HULLS)
+def _hull_once(numbers: bytes, radius: float) -> Any:
+    listed = coal.StdVec_Vec3s()
+    for point in thick(np.frombuffer(numbers).reshape(-1, 3)):
+        listed.append(point)
+    hull = coal.Convex.convexHull(listed, True, "Qt")
+    if radius > 0:
+        hull.setSweptSphereRadius(radius)
+    return hull
+
+
+def thick(points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) m of a hull, moved apart by `THICKNESS` where it has no volume."""
+    away = points - points.mean(axis=0)
+    _, axes = np.linalg.eigh(away.T @ away)
+    for axis in axes.T:
+        if np.ptp(away @ axis) <= THICKNESS:
+            points = np.concatenate([points + THICKNESS * axis, points - THICKNESS * axis])
+    return points

@@ -1,0 +1,235 @@
+"""A robot's shapes, and which pairs of them must not touch: all but those that touch by construction."""
+
+from __future__ import annotations
+
+import itertools
+import xml.etree.ElementTree as Tree
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.arguments import checked
+from trajopt.collision.near import CollisionScene, ShapePair
+from trajopt.collision.reading import read_shapes
+from trajopt.collision.shapes import LinkShape, Obstacle
+from trajopt.dynamics.base_joint import BASE_ROWS
+from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.terrain import Terrain
+
+# Postures within the limits in which pairs are tested, and the part of them in which a pair that always
+# touches overlaps.
+POSTURES = 100
+ALWAYS = 0.95
+SEED = 0
+# A disabled pair of an SRDF with one of these reasons is still judged: it says that it was not seen to touch,
+# not that it may.
+JUDGED_REASONS = ("never",)
+# Joints this near each other, m, are one cluster: hips and wrists with crossing axes.
+NO_LENGTH = 1e-3
+# Folders above a URDF whose folder ``srdf`` may hold its SRDF.
+SRDF_LEVELS = 2
+MOST_ROBOTS = 64
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotShapes:
+    """Shapes of a robot's links, by `robot_shapes`.
+
+    pairs: of shapes, by name, that must not touch. left_out: the other pairs, each with its reason. missing:
+    geometry of the description that could not be read. above_ground: whether terrain is solid to the robot:
+    not for a fixed base whose links reach below the world's origin in the reference posture, as a pendulum's.
+    """
+
+    shapes: tuple[LinkShape, ...] = ()
+    pairs: tuple[ShapePair, ...] = ()
+    left_out: Mapping[ShapePair, str] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+    above_ground: bool = True
+
+    def scene(
+        self, model: pin.Model, terrain: Terrain | None = None, obstacles: Sequence[Obstacle] = ()
+    ) -> CollisionScene:
+        """Return the scene of these shapes on ``model``, with the ground where it is solid to the robot."""
+        return CollisionScene(
+            model=model,
+            shapes=self.shapes,
+            obstacles=tuple(obstacles),
+            self_pairs=self.pairs,
+            terrain=terrain if self.above_ground else None,
+        )
+
+    def describe(self) -> dict[str, Any]:
+        """JSON-able description for a solution file."""
+        return {
+            "shapes": [shape.describe() for shape in self.shapes],
+            "pairs": [list(pair) for pair in self.pairs],
+            "left_out": [[*pair, reason] for pair, reason in self.left_out.items()],
+            "missing": list(self.missing),
+            "above_ground": self.above_ground,
+        }
+
+    @classmethod
+    def from_description(cls, described: Any) -> RobotShapes:
+        """The shapes that ``describe`` wrote. Raises InputError."""
+        keys = ("shapes", "pairs", "left_out", "missing")
+        if not isinstance(described, dict) or not all(isinstance(described.get(k), list) for k in keys):
+            raise InputError("bodies are not an object of lists", f"keys: {', '.join(keys)}")
+        for key, size in (("pairs", 2), ("left_out", 3)):
+            if not all(isinstance(entry, list) and len(entry) == size for entry in described[key]):
+                raise InputError(f"{key} of bodies are not lists of {size} words", "names, and a reason")
+        return cls(
+            shapes=tuple(LinkShape.from_description(entry) for entry in described["shapes"]),
+            pairs=tuple((str(first), str(second)) for first, second in described["pairs"]),
+            left_out={(str(a), str(b)): str(reason) for a, b, reason in described["left_out"]},
+            missing=tuple(str(entry) for entry in described["missing"]),
+            above_ground=bool(described.get("above_ground", True)),
+        )
+
+
+@checked
+def robot_shapes(robot: Robot) -> RobotShapes:
+    """Return the shapes of a robot's description, and the pairs of them that must not touch.
+
+    Shapes are those of `read_shapes`. Left out are pairs on one joint or on joints that are neighbours, those
+    that an SRDF beside the URDF disables because they touch, and those that overlap in the reference posture
+    or in almost all of a sample of postures within the limits. Nothing is random beyond a fixed seed, and a
+    robot of the same content is not read again.
+    """
+    return _robot_shapes(_Keyed(_content(robot), robot))
+
+
+@dataclass(frozen=True)
+class _Keyed:
+    """A robot that is equal to another of the same content."""
+
+    content: tuple[object, ...]
+    robot: Robot = field(compare=False)
+
+
+def _content(robot: Robot) -> tuple[object, ...]:
+    limits = (robot.reference, robot.position_lower, robot.position_upper)
+    changed = None
+    if robot.visual is not None and robot.visual.urdf.is_file():
+        changed = robot.visual.urdf.stat().st_mtime_ns
+    return robot.model.saveToString(), *(part.tobytes() for part in limits), robot.visual, changed
+
+
+@lru_cache(maxsize=MOST_ROBOTS)
+def _robot_shapes(keyed: _Keyed) -> RobotShapes:
+    robot = keyed.robot
+    if robot.visual is None:
+        return RobotShapes()
+    shapes, links, missing = read_shapes(robot.visual, robot.model)
+    left_out = dict(_touching_by_construction(robot, shapes, links))
+    pairs = tuple(
+        (first.name, second.name)
+        for first, second in itertools.combinations(shapes, 2)
+        if (first.name, second.name) not in left_out
+    )
+    for pair, reason in _overlapping(robot, shapes, pairs):
+        left_out[pair] = reason
+    pairs = tuple(pair for pair in pairs if pair not in left_out)
+    return RobotShapes(
+        shapes=shapes,
+        pairs=pairs,
+        left_out=MappingProxyType(left_out),
+        missing=missing,
+        above_ground=above_ground(robot, shapes),
+    )
+
+
+def above_ground(robot: Robot, shapes: tuple[LinkShape, ...]) -> bool:
+    """Whether terrain is solid to a robot with these shapes, see `RobotShapes`."""
+    if robot.base != "fixed":
+        return True
+    scene = CollisionScene(model=robot.model, shapes=shapes, terrain=FlatGround())
+    return bool((scene.distances(robot.reference) >= 0).all())
+
+
+def _touching_by_construction(
+    robot: Robot, shapes: tuple[LinkShape, ...], links: Mapping[str, str]
+) -> Iterator[tuple[ShapePair, str]]:
+    """Pairs whose joints are the same or neighbours, and those that an SRDF disables."""
+    model, disabled = robot.model, _disabled(robot)
+    joints = {s.name: int(model.frames[model.getFrameId(s.frame)].parentJoint) for s in shapes}
+    for first, second in itertools.combinations(shapes, 2):
+        one, other = joints[first.name], joints[second.name]
+        if one == other:
+            yield (first.name, second.name), "on one link"
+        elif model.parents[one] == other or model.parents[other] == one:
+            yield (first.name, second.name), "neighbours"
+        else:
+            reason = disabled.get(frozenset((links[first.name], links[second.name])))
+            if reason is not None:
+                yield (first.name, second.name), f"SRDF: {reason}"
+
+
+def _disabled(robot: Robot) -> dict[frozenset[str], str]:
+    """Pairs of links that the SRDF of a URDF disables because they touch, with its reasons."""
+    file = None if robot.visual is None else _srdf_of(robot.visual.urdf)
+    if file is None:
+        return {}
+    try:
+        entries = list(Tree.parse(file).getroot().iter("disable_collisions"))
+    except Tree.ParseError:
+        return {}
+    found = {frozenset((e.get("link1", ""), e.get("link2", ""))): e.get("reason", "") for e in entries}
+    return {pair: reason for pair, reason in found.items() if reason.lower() not in JUDGED_REASONS}
+
+
+def _srdf_of(urdf: Path) -> Path | None:
+    """The SRDF named like the file or its robot, or the only one, in a folder ``srdf`` beside or above."""
+    for folder in urdf.parents[:SRDF_LEVELS]:
+        files = sorted((folder / "srdf").glob("*.srdf"))
+        if not files:
+            continue
+        name = Tree.parse(urdf).getroot().get("name", "")
+        named = [file for stem in (urdf.stem, name) for file in files if file.stem == stem]
+        return next(iter(named or files[: len(files) == 1]), None)
+    return None
+
+
+def _overlapping(
+    robot: Robot, shapes: tuple[LinkShape, ...], pairs: tuple[ShapePair, ...]
+) -> Iterator[tuple[ShapePair, str]]:
+    """Pairs that overlap in the reference posture, or in almost all postures of a sample."""
+    if not pairs:
+        return
+    scene = CollisionScene(model=robot.model, shapes=shapes, self_pairs=pairs)
+    distances = scene.distances(np.vstack([robot.reference, sampled_postures(robot, POSTURES)]), within=0.0)
+    often = (distances[1:] < 0).mean(axis=0)
+    for pair, depth, part in zip(pairs, -distances[0], often, strict=True):
+        if depth > 0:
+            yield pair, f"overlap by {1e3 * depth:.1f} mm in the reference posture"
+        elif part >= ALWAYS:
+            yield pair, f"overlap in {100 * part:.0f} % of all postures"
+
+
+def sampled_postures(robot: Robot, count: int) -> np.ndarray:
+    """Postures (count, nq) within the limits, the base as in the reference; the same ones every time.
+
+    A joint without limits turns by half a turn, or moves by the robot's length, either way.
+    """
+    model, random = robot.model, np.random.default_rng(SEED)
+    lower, upper = np.zeros(robot.nv), np.zeros(robot.nv)
+    for joint in list(model.joints)[1:]:
+        if joint.idx_v < BASE_ROWS[robot.base]:
+            continue
+        rows, entries = slice(joint.idx_v, joint.idx_v + joint.nv), slice(joint.idx_q, joint.idx_q + joint.nq)
+        straight = joint.shortname().removeprefix("JointModel").startswith(("P", "Translation"))
+        free = robot.length if straight else np.pi
+        lower[rows], upper[rows] = -free, free
+        if joint.nq == joint.nv:
+            at = robot.reference[entries]
+            lower[rows] = np.maximum(robot.position_lower[entries] - at, -free)
+            upper[rows] = np.minimum(robot.position_upper[entries] - at, free)
+    steps = random.uniform(lower, upper, (count, robot.nv))
+    return np.array([pin.integrate(model, robot.reference, step) for step in steps])

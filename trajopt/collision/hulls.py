@@ -1,0 +1,125 @@
+"""Convex hulls of few points: a mesh's hull within a fraction of a millimetre, a cylinder's prism."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib.metadata
+import math
+from functools import lru_cache
+from pathlib import Path
+
+import coal
+import numpy as np
+
+from trajopt.cache import read_entry, write_entry
+from trajopt.collision.coal_shapes import coal_hull, thick
+from trajopt.errors import InputError
+
+# A simplified hull is larger than the mesh's by at most this, over the mesh's extent and in m.
+EXCESS = 0.005
+LEAST_EXCESS, MOST_EXCESS = 5e-4, 2e-3
+# With fewer corners than this a hull is made this exact, m.
+FEW, EXACT = 48, 1e-4
+# Corners that are outside by this part of the farthest join together, one for each face.
+FAR = 0.9
+# A cylinder's prism is larger by at most this part of the radius, or this in m, whichever is more.
+ROUND_EXCESS, LEAST_ROUND_EXCESS = 0.01, 3e-4
+# Coal's distance of a point from a hull is exact to this, m; points of shapes are rounded to it.
+ROUNDING = 1e-6
+# Directions of the first corners: along the axes and the diagonals.
+DIRECTIONS = np.array(
+    [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)]
+)
+
+
+def simplified(points: np.ndarray, fine: bool = False) -> tuple[np.ndarray, float]:
+    """Few of the corners (k, 3) m of the convex hull of ``points`` (n, 3), and a radius, that enclose it all.
+
+    Every corner of the hull is within the radius of the hull of those kept, so by convexity all of it is. The
+    corner farthest outside joins until the farthest is within the excess that is allowed: `EXCESS` of the
+    mesh's extent, or `LEAST_EXCESS` if it is to be ``fine``. The mesh of a ball is that ball, one point.
+    Nothing is random. Found in the cache by the points, where they were simplified before.
+    """
+    given = np.ascontiguousarray(points, dtype=float)
+    name = f"hull.{hashlib.sha256(f'{_maker()}|{fine}|'.encode() + given.tobytes()).hexdigest()[:32]}"
+    entry = read_entry(name)
+    if entry is not None:
+        numbers = np.frombuffer(entry)
+        return numbers[1:].reshape(-1, 3).copy(), float(numbers[0])
+    corners, radius = _simplified(given, fine)
+    with contextlib.suppress(InputError):  # without a cache it takes longer, no more
+        write_entry(name, np.append(radius, corners).tobytes())
+    return corners, radius
+
+
+@lru_cache(maxsize=1)
+def _maker() -> str:
+    """What an entry depends on besides the points: versions, and this code."""
+    versions = [importlib.metadata.version(name) for name in ("scipy", "coal")]
+    return "|".join([*versions, Path(__file__).read_text("utf-8")])
+
+
+def _simplified(points: np.ndarray, fine: bool) -> tuple[np.ndarray, float]:
+    from scipy.spatial import ConvexHull  # takes a while to load
+
+    solid = thick(points)
+    whole = ConvexHull(solid)
+    corners = solid[np.sort(whole.vertices)]
+    extent = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    allowed = LEAST_EXCESS if fine else min(max(EXCESS * extent, LEAST_EXCESS), MOST_EXCESS)
+    allowed -= 3 * ROUNDING
+    ball = _ball(corners, whole.equations)
+    if ball[1] - ball[2] <= allowed:
+        return np.round(ball[0], 6)[None], round(ball[1] + 2 * ROUNDING, 6)
+    kept = list(dict.fromkeys((corners @ DIRECTIONS.T).argmax(axis=0).tolist()))
+    if len(corners) <= len(kept):
+        return np.round(corners, 6), 2 * ROUNDING
+    hull = ConvexHull(corners[kept], incremental=True)
+    while True:
+        enough = allowed if len(kept) >= FEW else EXACT
+        over = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
+        outside, face = over.max(axis=1), over.argmax(axis=1)
+        if outside.max() <= enough:
+            outside = _distances(corners, corners[kept])
+            if outside.max() <= enough:
+                break
+        order = np.argsort(-outside, kind="stable")
+        order = order[outside[order] >= FAR * outside[order[0]]]
+        new = order[np.sort(np.unique(face[order], return_index=True)[1])]
+        kept += new.tolist()
+        hull.add_points(corners[new])
+    kept = [kept[index] for index in sorted(set(hull.simplices.ravel().tolist()))]
+    radius = max(float(outside.max()), 0.0) + 2 * ROUNDING
+    return np.round(corners[kept], 6), round(math.ceil(radius / ROUNDING) * ROUNDING, 6)
+
+
+def _ball(corners: np.ndarray, planes: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Centre (3,) of the ball that fits corners (n, 3); radii of balls that hold and fill their hull, m."""
+    rows = np.column_stack([2 * corners, np.ones(len(corners))])
+    centre = np.linalg.lstsq(rows, np.sum(corners**2, axis=1), rcond=None)[0][:3]
+    outer = float(np.linalg.norm(corners - centre, axis=1).max())
+    return centre, outer, float(-(planes[:, :3] @ centre + planes[:, 3]).max())
+
+
+def _distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Distances (n,) m of points (n, 3) from the hull of ``corners`` (k, 3), zero inside."""
+    hull, ball = coal_hull(corners), coal.Sphere(ROUNDING)
+    measure = coal.ComputeDistance(hull, ball)
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    still, place, found = coal.Transform3s(), coal.Transform3s(), np.empty(len(points))
+    for index, point in enumerate(points):
+        place.setTranslation(point)
+        result.clear()
+        found[index] = measure(still, place, request, result) + ROUNDING
+    return np.maximum(found, 0.0)
+
+
+def prism(radius: float, height: float) -> np.ndarray:
+    """Corners (2 k, 3) m of the prism around a cylinder about z, its faces tangent to the cylinder."""
+    excess = max(ROUND_EXCESS, LEAST_ROUND_EXCESS / radius)
+    count = max(math.ceil(math.pi / math.acos(1 / (1 + excess))), 6)
+    angle = 2 * np.pi * np.arange(count) / count
+    ring = radius / math.cos(math.pi / count) * np.column_stack([np.cos(angle), np.sin(angle)])
+    half = np.full(count, height / 2)
+    return np.concatenate([np.column_stack([ring, -half]), np.column_stack([ring, half])])

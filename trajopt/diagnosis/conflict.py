@@ -1,0 +1,119 @@
+"""Which rows contradict each other: the elastic minimum of the linearised constraints.
+
+About an iterate, within a box of natural units, the least sum of violations of the linearised rows,
+
+    min sum w (s+ + s-)    lower <= g + J p + s+ - s- <= upper,    |p| <= box,  bounds of variables
+
+w is 1, and large for the motion itself (defects and dynamics): goals and limits are relaxed first.
+Rows with s > 0 have to give way. The multipliers y, at most w in magnitude, are a Farkas certificate: rows
+weighted with y add up to a contradiction, so the rows and bounds with large ones are in conflict with those
+that give way. (Gill, Murray, Saunders, "SNOPT", SIAM Review 2005, elastic mode.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import piqp  # type: ignore[import-untyped]
+from scipy import sparse
+
+from trajopt.diagnosis.snapshot import Snapshot
+from trajopt.solving.conflict import ConflictMember, members_against, members_giving, rows_of_motion
+
+# How far variables may move, scaled units: the range in which the linearisation is trusted.
+BOX = 1.0
+# Weight of the step: selects the nearest of equal minima, and makes the program well-posed.
+NEAREST = 1e-6
+# Violations below this fraction of the largest are ignored.
+GIVES = 1e-3
+# Price of rows of the dynamics: they give way last.
+LAST = 1e3
+# Fractions of the violation left after the best small step: in a conflict, and at an early iterate.
+STUCK, MENDED = 0.5, 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conflict:
+    """before, after: sum of violations at the iterate, and its least value within the box.
+
+    giving: rows that have to give way; against: limits, bounds and goals in conflict with them; edge:
+    fraction of the variables at the edge of the box.
+    """
+
+    before: float
+    after: float
+    giving: tuple[ConflictMember, ...]
+    against: tuple[ConflictMember, ...]
+    edge: float
+
+    @property
+    def stuck(self) -> bool:
+        """Whether no small step removes half of the violation: a conflict, not merely an early iterate."""
+        return self.after > STUCK * self.before
+
+    @property
+    def mended(self) -> bool:
+        """Whether a small step removes nearly all of the violation: an early iterate."""
+        return self.after <= MENDED * self.before
+
+
+def conflict(snapshot: Snapshot) -> Conflict | None:
+    """The conflict at an iterate; None where the quadratic program is not solved."""
+    t = snapshot.transcription
+    free = np.flatnonzero(~snapshot.fixed)
+    jacobian = snapshot.jacobian[:, free].tocsc()
+    m, n = jacobian.shape
+    result = _elastic(snapshot, jacobian, free)
+    if result is None:
+        return None
+    x, weights = result
+    step, give = x[:n], x[n : n + m] + x[n + m :]
+    before = float(snapshot.violations[: t.n_rows].sum())
+    give[give < GIVES * max(give.max(initial=0.0), snapshot.tolerance)] = 0.0
+    return Conflict(
+        before=before,
+        after=float(give.sum()),
+        giving=members_giving(snapshot.names, give),
+        against=members_against(snapshot.names, give, weights),
+        edge=float(np.mean(np.abs(step) > 0.99 * BOX)),
+    )
+
+
+def _elastic(
+    snapshot: Snapshot, jacobian: sparse.csc_matrix, free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Variables of the elastic program; multipliers of rows, then of bounds that are not the box's."""
+    t = snapshot.transcription
+    m, n = jacobian.shape
+    eye = sparse.eye(m, format="csc")
+    rows = sparse.hstack([jacobian, eye, -eye], format="csc")
+    equal = snapshot.equality
+    lower_room, upper_room = (t.lower_x - snapshot.x)[free], (t.upper_x - snapshot.x)[free]
+    low = np.concatenate([np.clip(lower_room, -BOX, 0.0), np.zeros(2 * m)])
+    high = np.concatenate([np.clip(upper_room, 0.0, BOX), np.full(2 * m, np.inf)])
+    price = np.full(n + 2 * m, NEAREST)
+    elastic = np.where(rows_of_motion(t), LAST, 1.0)
+    solver = piqp.SparseSolver()
+    solver.settings.verbose = False
+    solver.settings.eps_abs, solver.settings.eps_rel, solver.settings.max_iter = 1e-7, 1e-8, 100
+    solver.setup(
+        sparse.diags(price, format="csc"),
+        np.concatenate([np.zeros(n), elastic, elastic]),
+        rows[equal].tocsc(),
+        (t.lower_g - snapshot.g)[equal],
+        rows[~equal].tocsc(),
+        (t.lower_g - snapshot.g)[~equal],
+        (t.upper_g - snapshot.g)[~equal],
+        low,
+        high,
+    )
+    status = solver.solve()
+    if status not in (piqp.PIQP_SOLVED, piqp.PIQP_MAX_ITER_REACHED):
+        return None
+    found = solver.result
+    weights = np.zeros(len(snapshot.lower))
+    weights[np.flatnonzero(equal)] = found.y
+    weights[np.flatnonzero(~equal)] = found.z_u - found.z_l
+    weights[m + free] = found.z_bu[:n] * (upper_room < BOX) - found.z_bl[:n] * (lower_room > -BOX)
+    return np.array(found.x), weights

@@ -1,0 +1,208 @@
+"""Diagnose a solution: rebuild its NLP, analyse it at the iterate, and report in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from trajopt.arguments import checked
+from trajopt.diagnosis.activity import active_limits
+from trajopt.diagnosis.advice import advice
+from trajopt.diagnosis.conflict import conflict
+from trajopt.diagnosis.contacts import phase_contacts
+from trajopt.diagnosis.diagnosis import Diagnosis, Violation
+from trajopt.diagnosis.findings import curvature_report, rank_report, start_findings
+from trajopt.diagnosis.nonfinite import first_nonfinite
+from trajopt.diagnosis.scaling import scaling
+from trajopt.diagnosis.snapshot import Snapshot
+from trajopt.errors import InputError, TrajoptError
+from trajopt.problem.catalogue import families
+from trajopt.problem.problem import Problem
+from trajopt.solution.grid import mesh_of
+from trajopt.solution.input import solution_of
+from trajopt.solution.solution import Solution
+from trajopt.solving.deprecation import accepts_compile
+from trajopt.solving.extraction import extract
+from trajopt.solving.solving import PreparedProblem, prepare
+from trajopt.solving.verdicts import STILL_FEASIBLE, finite_or_none
+from trajopt.solving.warm_start import warm_start
+from trajopt.transcription.transcription import Transcription
+
+# Rows count as violated beyond this, or ten times the solve's tolerance, as in a solve.
+TRUSTED = 10.0
+WORST = 5
+# Largest difference of objective and violation between a file and the problem rebuilt from it.
+SAME = 1e-4
+
+
+@accepts_compile
+@checked
+def diagnose(
+    what: Solution | PreparedProblem | str | Path,
+    problem: Problem | None = None,
+) -> Diagnosis:
+    """Diagnose an NLP at an iterate.
+
+    Args:
+        what: A solution or its file, solved or not; or a prepared problem, which is diagnosed at its guess.
+        problem: Of the solution; default: the one in the catalogue that the file names, with its parameters.
+
+    Raises:
+        InputError: Where the problem is unknown, on another robot, or has other phases than the solution.
+    """
+    if isinstance(what, PreparedProblem):
+        return _diagnosed(
+            Snapshot(nlp=what.nlp, x=what.guess), None, f"guess of {what.transcription.problem.name}"
+        )
+    solution = solution_of(what)
+    source = str(what) if isinstance(what, str | Path) else "solution"
+    rebuilt = _problem_of(solution) if problem is None else problem
+    robot = str(solution.meta["robot"])
+    if robot != rebuilt.robot.name:
+        raise InputError(
+            f"problem '{rebuilt.name}' is on robot '{rebuilt.robot.name}', and {source} on '{robot}'",
+            f"allowed: a problem on robot {robot}",
+        )
+    prepared = prepare(rebuilt, mesh=mesh_of(solution))
+    return _diagnosed(at_solution(prepared, solution), solution, source)
+
+
+def _problem_of(solution: Solution) -> Problem:
+    """The problem of the catalogue that a solution names, with its parameters. Raises InputError."""
+    name, known = str(solution.meta["problem"]), families()
+    if name not in known:
+        raise InputError(
+            f"the file's problem '{name}' is not in the catalogue",
+            "allowed: trajopt.diagnose(solution, problem=...) in Python, or --problem NAME",
+        )
+    family = known[name]
+    own = {parameter.name: parameter for parameter in family.parameters}
+    values = family.of_file(solution.meta.get("parameters") or {})
+    try:
+        return family.load(values)
+    except InputError:  # a derived value may be outside the parameter's range
+        asked = {key: value for key, value in values.items() if own[key].default is not None}
+        return family.load(asked)
+
+
+def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
+    """The solution's own variables, and its multipliers if they belong to the same rows."""
+    t = prepared.transcription
+    found = warm_start(t, solution)
+    known = _same_rows(t, solution)
+    return Snapshot(
+        nlp=prepared.nlp,
+        x=found.x,
+        row_multiplier=solution.row_multiplier if known else None,
+        bound_multiplier=solution.bound_multiplier if known else None,
+        tolerance=float(solution.meta["tolerance"]),
+    )
+
+
+def _same_rows(t: Transcription, solution: Solution) -> bool:
+    """Whether a solution's multipliers belong to this transcription's rows, and are not all zero."""
+    if solution.row_multiplier is None or solution.bound_multiplier is None or solution.row_place is None:
+        return False
+    if not (solution.row_multiplier.any() or solution.bound_multiplier.any()):
+        return False
+    places = np.column_stack([t.rows.block, t.rows.stage, t.rows.point])
+    return (
+        list(solution.meta.get("row_names", ())) == list(t.rows.names)
+        and np.array_equal(solution.row_place, places)
+        and len(solution.bound_multiplier) == t.layout.n_unknowns
+    )
+
+
+def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Diagnosis:
+    t = snapshot.transcription
+    finite = snapshot.finite
+    near = bool(snapshot.violations.max(initial=0.0) <= STILL_FEASIBLE)
+    count = len(t.layout.schedule.phases)
+    phases = range(count) if count > 1 else ()
+    judged = snapshot if near else snapshot.structure
+    worst = _worst(snapshot, TRUSTED * snapshot.tolerance)
+    largest = float(snapshot.violations.max(initial=0.0)) if np.isfinite(snapshot.violations).all() else None
+    meta = {} if solution is None else solution.meta
+    motion = extract(t, snapshot.x, {"success": False}) if solution is None else solution
+    found = Diagnosis(
+        problem=t.problem.name,
+        robot=t.problem.robot.name,
+        source=source,
+        status=meta.get("status"),
+        solved=bool(meta.get("converged", meta.get("success", False))),
+        variables=t.layout.n_unknowns,
+        constraints=t.n_rows,
+        max_violation=largest,
+        stationarity=snapshot.stationarity if finite else None,
+        worst=tuple(worst),
+        nonfinite=None if finite else first_nonfinite(snapshot.nlp, snapshot.names, snapshot.x),
+        ranks=tuple(rank_report(judged, phase) for phase in (None, *phases)) if finite else (),
+        contacts=tuple(phase_contacts(t, motion)),
+        curvature=curvature_report(judged) if finite else None,
+        scaling=scaling(snapshot) if finite else None,
+        limits=tuple(active_limits(snapshot)) if finite else (),
+        conflict=conflict(snapshot) if finite and worst else None,
+        local_error=_local_errors(solution) if meta.get("converged") else None,
+        start=tuple(start_findings(t.problem)),
+        notes=tuple(_notes(snapshot, solution, largest)),
+    )
+    return replace(found, advice=tuple(advice(found)))
+
+
+def _worst(snapshot: Snapshot, limit: float) -> list[Violation]:
+    """The worst violated rows and bounds, each block once."""
+    names = snapshot.names
+    amounts = np.where(np.isfinite(snapshot.violations), snapshot.violations, np.inf)
+    found: dict[str, Violation] = {}
+    for index in np.argsort(-amounts, kind="stable")[: np.count_nonzero(amounts > limit)].tolist():
+        block = names.block(index)
+        if block not in found and len(found) < WORST:
+            found[block] = Violation(
+                row=names.row_text(index),
+                block=block,
+                phase=names.phase(names.sites[index].stage),
+                amount=finite_or_none(float(amounts[index])),
+            )
+    return list(found.values())
+
+
+def _local_errors(solution: Solution | None) -> dict[str, float] | None:
+    """Largest error of one interval by phase, m; None where re-integration fails."""
+    from trajopt.certify.accuracy.measures import interval_errors
+
+    if solution is None:
+        return None
+    try:
+        with np.errstate(all="ignore"):
+            errors = interval_errors(solution)
+    except (TrajoptError, ArithmeticError, ValueError):
+        return None
+    names = solution.meta.get("phase_names") or [str(i) for i in range(len(solution.phases))]
+    return {
+        str(name): float(np.max(errors[np.unique(solution.interval[list(rows)])]))
+        for name, rows in zip(names, solution.phases, strict=True)
+    }
+
+
+def _notes(snapshot: Snapshot, solution: Solution | None, largest: float | None) -> Iterator[str]:
+    """Signs that the rebuilt problem is not the one that the file was made from."""
+    if solution is None:
+        return
+    unit = snapshot.transcription.objective_unit
+    before, now = solution.meta.get("objective"), unit * float(snapshot.nlp.engine.f(snapshot.x))
+    if before is not None and math.isfinite(now) and abs(now - before) > SAME * max(1.0, abs(before)):
+        yield f"the rebuilt problem's objective is {now:.6g} here, the file says {before:.6g}: they differ"
+    told = solution.meta.get("max_violation")
+    if told is not None and largest is not None and abs(largest - told) > SAME * max(1.0, told):
+        yield f"the rebuilt problem's rows miss {largest:.2e} here, the file says {told:.2e}: they differ"
+    if solution.converged and snapshot.complementarity > SAME:
+        yield (
+            f"multipliers do not fit the slacks of the rebuilt problem's limits "
+            f"({snapshot.complementarity:.1e}): the problem has changed since the file was made"
+        )
+    if solution.converged and snapshot.row_multiplier is None:
+        yield "the file has no multipliers of these rows: limits and curvature are judged without them"

@@ -1,0 +1,184 @@
+"""A diagnosis as data, and as lines for a terminal."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from trajopt.diagnosis.activity import ActiveLimit
+from trajopt.diagnosis.conflict import Conflict
+from trajopt.diagnosis.contacts import PhaseContacts
+from trajopt.diagnosis.findings import CurvatureReport, DependentRows, RankReport
+from trajopt.diagnosis.nonfinite import NonFinite
+from trajopt.diagnosis.scaling import Scaling
+from trajopt.transcription.names import BOUNDS
+
+# Entries of long lists that are shown, the JSON has all; columns of titles.
+SHOWN, LABEL = 8, 10
+
+
+@dataclass(frozen=True)
+class Advice:
+    """``finding``: what was seen; ``remedy``: what to try."""
+
+    finding: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.finding}: {self.remedy}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Violation:
+    """A row or bound in words, and by how much it is violated, natural units; None where not finite."""
+
+    row: str
+    block: str
+    phase: str
+    amount: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """The findings at one iterate; those that need finite values are None if values are not finite.
+
+    source: what was diagnosed. status: the solver's, None for a guess. free: number of free variables at the
+    iterate. local_error: per phase the largest error in m that one interval makes, of a solved motion.
+    """
+
+    problem: str
+    robot: str
+    source: str
+    status: str | None
+    solved: bool
+    variables: int
+    constraints: int
+    max_violation: float | None
+    stationarity: float | None
+    worst: tuple[Violation, ...]
+    nonfinite: NonFinite | None
+    ranks: tuple[RankReport, ...]
+    contacts: tuple[PhaseContacts, ...]
+    curvature: CurvatureReport | None
+    scaling: Scaling | None
+    limits: tuple[ActiveLimit, ...]
+    conflict: Conflict | None
+    local_error: dict[str, float] | None
+    start: tuple[str, ...]
+    notes: tuple[str, ...]
+    advice: tuple[Advice, ...] = ()
+
+    @property
+    def clean(self) -> bool:
+        """Whether there is no advice."""
+        return not self.advice
+
+    @property
+    def dependent(self) -> tuple[DependentRows, ...]:
+        """Groups of dependent rows: of single phases, then across phases."""
+        own = [group for report in self.ranks[1:] for group in report.dependent]
+        known = {group.rows for group in own}
+        across = [group for report in self.ranks[:1] for group in report.dependent]
+        return (*own, *(group for group in across if group.rows not in known))
+
+    @property
+    def feasible(self) -> bool:
+        """Whether all rows and bounds hold by the criterion of a solve."""
+        return self.max_violation is not None and not self.worst
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able; non-finite numbers are left to the writer."""
+        return {**asdict(self), "clean": self.clean, "feasible": self.feasible}
+
+    def __str__(self) -> str:
+        return "\n".join(_lines(self))
+
+
+def _lines(found: Diagnosis) -> Iterator[str]:
+    """Sections in reading order: what, why, what to try."""
+    state = "guess" if found.status is None else found.status.replace("_", " ")
+    yield f"{found.problem} on {found.robot}: {state} ({found.source})"
+    yield _line("size", f"{found.variables} variables, {found.constraints} rows")
+    yield from _listed("note", found.notes)
+    if found.nonfinite is not None:
+        yield _line("not finite", str(found.nonfinite))
+    steady = "" if found.stationarity is None else f"; gradient of the Lagrangian {found.stationarity:.1e}"
+    yield _line("violation", f"{_amount(found.max_violation)}{steady}")
+    yield from _listed("worst", (f"{one.row}: {_amount(one.amount)}" for one in found.worst))
+    yield from _rank_lines(found)
+    yield from _listed("contacts", (f"phase '{one.phase}': {one}" for one in found.contacts))
+    if found.curvature is not None:
+        yield _line("curvature", str(found.curvature))
+        flat = found.curvature.flat_along
+        along = (*found.curvature.smallest_along, *(one for one in flat if found.curvature.negative))
+        yield from _listed("", map(str, along))
+    yield from _scaling_lines(found)
+    yield from _limit_lines(found)
+    if found.conflict is not None:
+        yield from _conflict_lines(found.conflict)
+    if found.local_error:
+        worst = ", ".join(f"'{name}' {error:.1e} m" for name, error in found.local_error.items())
+        yield _line("intervals", f"largest error of one interval, from its own start: {worst}")
+    yield from _listed("start", found.start)
+    yield from _listed("try", map(str, found.advice), limit=None)
+    if found.clean:
+        yield _line("try", "nothing: rows are independent, curved and scaled as they should be")
+
+
+def _line(title: str, text: str) -> str:
+    return f"  {title:{LABEL}} {text}"
+
+
+def _listed(title: str, entries: Iterable[str], limit: int | None = SHOWN) -> Iterator[str]:
+    every = list(entries)
+    shown = every if limit is None else every[:limit]
+    for index, entry in enumerate(shown):
+        yield _line("" if index else title, entry)
+    if len(every) > len(shown):
+        yield _line("", f"and {len(every) - len(shown)} more (--json has all)")
+
+
+def _amount(value: float | None) -> str:
+    return "not finite" if value is None else f"{value:.2e}"
+
+
+def _rank_lines(found: Diagnosis) -> Iterator[str]:
+    texts = []
+    for report in found.ranks:
+        texts.append(f"{'all' if report.phase is None else repr(report.phase)}: {report}")
+        told = {group.rows for one in found.ranks[1:] for group in one.dependent}
+        fresh = [g for g in report.dependent if report.phase is not None or g.rows not in told]
+        texts += [f"  {group}" for group in fresh[:SHOWN]]
+        if len(fresh) > SHOWN:
+            texts.append(f"  and {len(fresh) - SHOWN} more groups (--json has all)")
+    yield from _listed("rank", texts, limit=None)
+
+
+def _scaling_lines(found: Diagnosis) -> Iterator[str]:
+    if found.scaling is None:
+        return
+    scale = found.scaling
+    yield _line("scaling", f"Jacobian {scale.jacobian}, Hessian {scale.hessian}, gradient {scale.gradient}")
+    for block in scale.blocks[:3]:
+        paid = "" if block.multiplier is None else f", multipliers {block.multiplier}"
+        yield _line("", f"{block.block}: {block.rows} rows, norms {block.row_norm}{paid}")
+    for kind in scale.kinds[:2]:
+        yield _line("", f"{kind.kind}: values {kind.value}, columns {kind.column_norm}")
+
+
+def _limit_lines(found: Diagnosis) -> Iterator[str]:
+    if not found.scaling:
+        return
+    blocks = Counter(limit.block for limit in found.limits)
+    counts = ", ".join(f"{name if name != BOUNDS else 'bounds of nodes'} {n}" for name, n in blocks.items())
+    yield _line("limits", f"active: {counts}" if counts else "none is active")
+    yield from _listed("", map(str, found.limits))
+
+
+def _conflict_lines(clash: Conflict) -> Iterator[str]:
+    least = f"linearised, at least {clash.after:.2e} within a natural unit"
+    yield _line("conflict", f"rows miss {clash.before:.2e} in sum; {least}")
+    yield from _listed("  gives", map(str, clash.giving))
+    yield from _listed("  against", map(str, clash.against))

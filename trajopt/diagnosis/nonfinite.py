@@ -1,0 +1,232 @@
+"""The first value or derivative that is not finite: the term, the place, and the inputs that cause it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trajopt.diagnosis.term_values import (
+    Evaluation,
+    derivative_function,
+    nonfinite_terms,
+    value_function,
+)
+from trajopt.terms.context_symbols import Place
+from trajopt.transcription.names import NlpNames, Site
+from trajopt.transcription.nlp import Nlp
+from trajopt.transcription.symbols import (
+    Label,
+    coordinate_labels,
+    input_labels,
+    node_labels,
+    rotation_labels,
+)
+from trajopt.transcription.timeline import NodeLayout, StageKind
+from trajopt.transcription.transcription import FunctionGroup, Transcription
+
+# Changes of one input, in its natural units, tried in turn until the value is finite. Small ones leave a
+# point without slope, such as a norm at zero; large ones reach the domain of a root or a logarithm.
+# Quaternion entries are changed little: far from unit length they are not rotations.
+CHANGES = (1e-3, 1e-1, 1.0, 10.0, 100.0)
+MOST_TURN = 0.1
+# Most inputs that are named; where more of them cause it together, their kinds are named.
+MOST_NAMED = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuspectInput:
+    """An input of the function: name, value (SI units, true or nominal time as the variable is)."""
+
+    name: str
+    value: float
+
+    def __str__(self) -> str:
+        return f"{self.name} = {self.value:.6g}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class NonFinite:
+    """What is not finite: ``output`` (cost, rows, gradient, jacobian, hessian) of ``terms`` at a place.
+
+    row: the row's subject, if it is one. inputs: those that are not finite, or any one of which, changed a
+    little, makes all finite. kinds: if no single input does, kinds of inputs that do.
+    """
+
+    output: str
+    terms: tuple[str, ...] = ()
+    row: str = ""
+    phase: str
+    node: int
+    point: int | None
+    time: float
+    place: str
+    inputs: tuple[SuspectInput, ...]
+    kinds: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        what = f"{self.output} of {' and '.join(self.terms) or 'a function'}"
+        what += f" [{self.row}]" if self.row else ""
+        cause = ", ".join(map(str, self.inputs)) or " and ".join(self.kinds)
+        return f"{what} is not finite at {self.place}" + (f"; because of {cause}" if cause else "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Where:
+    """The group of functions, its position, and the names of its inputs."""
+
+    group: FunctionGroup
+    position: int
+    site: Site
+    form: NodeLayout
+    place: Place | None
+    labels: Sequence[Label]
+
+
+def first_nonfinite(nlp: Nlp, names: NlpNames, x: np.ndarray) -> NonFinite | None:
+    """The first function of the NLP that is not finite at scaled variables x (n_unknowns,), or None."""
+    first = nlp.engine.first_nonfinite(x)
+    if first is None:
+        return _unknown_itself(names, x)
+    number, position, output, index = first
+    t = nlp.transcription
+    where = _where(t, names, number, position)
+    own = _own(t, where)
+    inputs = _inputs(where, x[own])
+    guilty = []
+    if where.place is not None:
+        guilty = nonfinite_terms(names, where.site, where.form, where.place, inputs)
+    causes = _suspects(names.unknown_labels, x, own[~np.isfinite(x[own])])
+    kinds: tuple[str, ...] = ()
+    if not causes:
+        function, parameters = where.group.point, where.group.parameters[where.position]
+        whole = [value_function(function, parameters), derivative_function(function, parameters)]
+        causes, kinds = _causes([value for _, value in guilty] or whole, where, inputs)
+    return NonFinite(
+        output=output,
+        terms=tuple(name for name, _ in guilty) or (() if where.place else ("defect",)),
+        row=names.row(int(where.group.rows[position, index])).about if output == "rows" else "",
+        inputs=causes,
+        kinds=kinds,
+        **_at(names, where.site),
+    )
+
+
+def _at(names: NlpNames, site: Site) -> dict[str, Any]:
+    return {
+        "phase": names.phase(site.stage),
+        "node": site.stage,
+        "point": site.point if site.point >= 0 else None,
+        "time": names.time(site),
+        "place": names.place(site),
+    }
+
+
+def _unknown_itself(names: NlpNames, x: np.ndarray) -> NonFinite | None:
+    """A variable that is not finite and that no function depends on."""
+    wrong = np.flatnonzero(~np.isfinite(x))
+    if not len(wrong):
+        return None
+    inputs = _suspects(names.unknown_labels, x, wrong[:1])
+    return NonFinite(output="unknown", inputs=inputs, **_at(names, names.unknown_sites[int(wrong[0])]))
+
+
+def _suspects(labels: Sequence[Label], values: np.ndarray, which: np.ndarray) -> tuple[SuspectInput, ...]:
+    return tuple(
+        SuspectInput(name=str(labels[i]), value=float(values[i])) for i in which[:MOST_NAMED].tolist()
+    )
+
+
+def _where(t: Transcription, names: NlpNames, number: int, position: int) -> _Where:
+    group, layout = t.groups[number], t.layout
+    k = int(group.stages[position])
+    form = layout.forms[k]
+    point, place = _point_of(t, group, k), None
+    if point >= 0:
+        place = Place.POINT
+    elif k < layout.n_stages and group.point.name.startswith("impact_"):
+        place = Place.IMPACT
+    elif group.point.name.startswith("node_"):
+        place = Place.NODE
+    return _Where(
+        group=group,
+        position=position,
+        site=Site(stage=k, point=point),
+        form=form,
+        place=place,
+        labels=_labels(t, names, group, k, place),
+    )
+
+
+def _point_of(t: Transcription, group: FunctionGroup, k: int) -> int:
+    """Index of a group's collocation point, -1 where it is at a node; points share one function."""
+    if k == t.layout.n_stages or t.layout.stages[k].kind is not StageKind.INTERVAL:
+        return -1
+    siblings = [
+        one for one in t.groups if one.point is group.point and np.array_equal(one.stages, group.stages)
+    ]
+    count = t.layout.scheme_of(int(t.layout.phase_of[k])).s
+    plain = group.point.name in ("interval_end", "change") or group.point.name.startswith("node_")
+    if plain or len(siblings) != count:
+        return -1
+    return next(i for i, one in enumerate(siblings) if one is group)
+
+
+def _labels(
+    t: Transcription, names: NlpNames, group: FunctionGroup, k: int, place: Place | None
+) -> Sequence[Label]:
+    layout, form = t.layout, t.layout.forms[k]
+    if place is not None:
+        phase = layout.place_phase(k) if place is Place.NODE else layout.stages[k].phase
+        return input_labels(names.functions.context(phase, form, place), form, names.free_phases)
+    if group.point.name == "change":
+        return node_labels(form, names.free_phases)
+    labels = rotation_labels(form.robot, form.coordinates)
+    for kind in ("position", "rate")[: form.order]:
+        own = coordinate_labels(form.robot, form.coordinates, kind)
+        labels += [own[int(index)] for index in form.coordinates.rotation_index]
+    return labels
+
+
+def _own(t: Transcription, where: _Where) -> np.ndarray:
+    """Indices of the variables that the function may depend on."""
+    return int(t.layout.node_offset[where.site.stage]) + np.arange(where.group.gather.shape[1])
+
+
+def _inputs(where: _Where, seen: np.ndarray) -> np.ndarray:
+    """Inputs of the function, from the variables that it may depend on."""
+    with np.errstate(invalid="ignore"):  # NaN times a structural zero is not NaN
+        return np.array([row[row != 0] @ seen[row != 0] for row in where.group.gather.toarray()])
+
+
+def _causes(
+    functions: Sequence[Evaluation], where: _Where, inputs: np.ndarray
+) -> tuple[tuple[SuspectInput, ...], tuple[str, ...]]:
+    """Inputs of which any one alone makes all finite, or if there are none, kinds of inputs."""
+    units = np.abs(where.group.gather).max(axis=1).toarray().ravel()
+    units[units == 0] = 1.0
+    kinds = np.array([label.kind for label in where.labels])
+    turning = np.array(["quaternion" in label.quantity for label in where.labels])
+    for change in CHANGES:
+        steps = units * np.where(turning, min(change, MOST_TURN), change)
+        alone = [j for j in range(len(inputs)) if _mended(functions, inputs, [j], steps)]
+        if alone:
+            return _suspects(where.labels, inputs, np.array(alone)), ()
+    members = {kind: np.flatnonzero(kinds == kind).tolist() for kind in dict.fromkeys(kinds.tolist())}
+    return (), tuple(
+        kind
+        for kind, own in members.items()
+        if any(_mended(functions, inputs, own, units * change) for change in CHANGES)
+    )
+
+
+def _mended(functions: Sequence[Evaluation], inputs: np.ndarray, which: list[int], steps: np.ndarray) -> bool:
+    """Whether all functions are finite when only these inputs are changed, in either direction."""
+    for sign in (1.0, -1.0):
+        trial = inputs.copy()
+        trial[which] += sign * steps[which]
+        if all(np.isfinite(function(trial)).all() for function in functions):
+            return True
+    return False

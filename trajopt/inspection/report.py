@@ -1,0 +1,214 @@
+"""A robot in figures: joints, limits, contacts, torques needed to stand, and likely mistakes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from trajopt.dynamics.base_joint import BASE_ROWS
+from trajopt.errors import InputError
+from trajopt.inspection.faults import find_faults, listed, shapes_of
+from trajopt.inspection.shape_facts import ShapeFacts, shape_facts
+from trajopt.inspection.standing import StandingPosture, standing_posture
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFacts:
+    """A joint behind the base. rad, N m and rad/s, or m, N and m/s where it is ``straight``.
+
+    reference, lower, upper: of its coordinate, NaN where it has several. torque: needed to hold the reference
+    posture at rest, NaN for a joint without actuator or with several degrees of freedom.
+    """
+
+    name: str
+    kind: str
+    straight: bool
+    reference: float
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+    torque: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactFacts:
+    """A contact. position: (3,) of its frame in the reference posture, world, m. load: N at rest.
+
+    radius: of the ball with which a point touches, m.
+    """
+
+    name: str
+    frame: str
+    kind: str
+    radius: float
+    position: tuple[float, float, float]
+    load: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotReport:
+    """Result of `robot_report`. SI units; ``notes`` are facts worth knowing, ``warnings`` likely mistakes."""
+
+    name: str
+    base: str
+    nq: int
+    nv: int
+    nu: int
+    mass: float
+    weight: float
+    length: float
+    joints: tuple[JointFacts, ...]
+    contacts: tuple[ContactFacts, ...]
+    shapes: ShapeFacts
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON form."""
+        return asdict(self)
+
+    def table(self) -> str:
+        """Return the report as text."""
+        lines = [
+            f"{self.name}: {self.base} base, {self.mass:.4g} kg ({self.weight:.4g} N),"
+            f" length {self.length:.3g} m, nq {self.nq}, nv {self.nv}, {self.nu} actuated"
+        ]
+        lines += _columns(_JOINT_TITLES, [_joint_row(joint) for joint in self.joints])
+        if self.contacts:
+            lines += _columns(_CONTACT_TITLES, [_contact_row(contact) for contact in self.contacts])
+        lines += [f"  shapes     {text}" for text in self.shapes.lines()]
+        lines += [f"  note       {text}" for text in self.notes]
+        lines += [f"  warning    {text}" for text in self.warnings]
+        return "\n".join(lines)
+
+
+_JOINT_TITLES = ("joint", "kind", "reference", "position limits", "velocity", "effort", "at rest")
+_CONTACT_TITLES = ("contact", "frame", "kind", "radius", "x", "y", "z", "load")
+
+
+def robot_report(robot: Robot) -> RobotReport:
+    """Return figures, notes and warnings of a robot. Computed with numeric Pinocchio; nothing is solved."""
+    rest = standing_posture(robot)
+    loads = dict(zip(rest.feet, rest.load, strict=True)) if len(rest.load) == len(rest.feet) else {}
+    places = contact_positions(robot, robot.reference)
+    return RobotReport(
+        name=robot.name,
+        base=robot.base,
+        nq=robot.nq,
+        nv=robot.nv,
+        nu=robot.nu,
+        mass=robot.mass,
+        weight=robot.weight,
+        length=robot.length,
+        joints=_joints(robot, rest.effort),
+        contacts=tuple(
+            ContactFacts(
+                name=contact.name,
+                frame=contact.frame,
+                kind=contact.kind,
+                radius=contact.radius,
+                position=tuple(places[contact.name].tolist()),
+                load=float(loads.get(contact.name, 0.0)),
+            )
+            for contact in robot.contacts
+        ),
+        shapes=shape_facts(robot),
+        notes=_notes(robot, rest),
+        warnings=find_faults(robot, rest),
+    )
+
+
+def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
+    found, first = [], robot.n_unactuated
+    effort = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
+    for joint in list(robot.model.joints)[1:]:
+        if joint.idx_v < BASE_ROWS[robot.base]:
+            continue
+        kind = joint.shortname().removeprefix("JointModel")
+        single, actuated = joint.nv == 1, joint.idx_v >= first
+        q = robot.reference[joint.idx_q : joint.idx_q + joint.nq]
+        angle = float(q[0]) if joint.nq == 1 else float(np.arctan2(q[1], q[0])) if joint.nq == 2 else np.nan
+        bounded = joint.nq == joint.nv == 1
+        row = joint.idx_v - first
+        found.append(
+            JointFacts(
+                name=robot.model.names[joint.id],
+                kind=kind,
+                straight=kind.startswith("P") and not kind.startswith("Planar"),
+                reference=angle if single else np.nan,
+                lower=float(robot.position_lower[joint.idx_q]) if bounded else -np.inf,
+                upper=float(robot.position_upper[joint.idx_q]) if bounded else np.inf,
+                velocity=float(robot.velocity_limit[joint.idx_v]),
+                effort=float(effort[row]) if actuated else np.inf,
+                torque=float(torque[row]) if actuated and single else np.nan,
+            )
+        )
+    return tuple(found)
+
+
+def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:
+    notes = []
+    if robot.base != "fixed" and robot.contacts:
+        lifted = [contact.name for contact in robot.contacts if contact.name not in rest.feet]
+        if lifted:
+            notes.append(f"off the ground in the reference posture: {listed(lifted)}")
+    for what, values in (
+        ("damping", robot.model.damping),
+        ("dry friction", robot.model.upperDryFrictionLimit),
+    ):
+        owners = [robot.model.names[j.id] for j in list(robot.model.joints)[1:] for _ in range(j.nv)]
+        names = list(dict.fromkeys(owners[row] for row in np.flatnonzero(values)))
+        if names:
+            notes.append(f"{what} of the file is not part of the dynamics: {listed(names)}")
+    if robot.visual is None:
+        notes.append("no description with meshes: a replay draws a skeleton")
+        return tuple(notes)
+    try:
+        shapes = shapes_of(robot)
+        count = 0 if shapes is None else shapes.ngeoms
+        notes.append(f"{count} shapes to draw" if count else "nothing to draw: a replay draws a skeleton")
+    except InputError as error:
+        notes.append(f"a replay draws a skeleton: {error}")
+    return tuple(notes)
+
+
+def _joint_row(joint: JointFacts) -> tuple[str, ...]:
+    length, rate, force = ("m", "m/s", "N") if joint.straight else ("rad", "rad/s", "N m")
+    limits = f"{joint.lower:.3g} to {joint.upper:.3g} {length}"
+    return (
+        joint.name,
+        joint.kind,
+        "-" if np.isnan(joint.reference) else f"{round(joint.reference, 3) + 0.0:.3f}",
+        limits if np.isfinite([joint.lower, joint.upper]).any() else "none",
+        f"{joint.velocity:.3g} {rate}" if np.isfinite(joint.velocity) else "none",
+        f"{joint.effort:.3g} {force}" if np.isfinite(joint.effort) else "none",
+        _torque(joint, force),
+    )
+
+
+def _torque(joint: JointFacts, unit: str) -> str:
+    if np.isnan(joint.torque):
+        return "-"
+    share = abs(joint.torque) / joint.effort if joint.effort else np.inf
+    part = f" ({100 * share:.0f} %)" if np.isfinite(joint.effort) and np.isfinite(share) else ""
+    return f"{round(joint.torque, 2) + 0.0:.2f} {unit}{part}"
+
+
+def _contact_row(contact: ContactFacts) -> tuple[str, ...]:
+    # Rounding of a height may be a negative zero.
+    place = (f"{round(value, 3) + 0.0:.3f}" for value in contact.position)
+    radius = f"{1e3 * contact.radius:.4g} mm" if contact.radius else "-"
+    return (contact.name, contact.frame, contact.kind, radius, *place, f"{contact.load:.1f} N")
+
+
+def _columns(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(titles, *rows, strict=True)]
+    return [
+        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in (titles, *rows)
+    ]

@@ -1,0 +1,5 @@
+"""Quantities along a motion: samples, carried bodies, touched surfaces, images of cycles, energy."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,102 @@
+"""Figures of a check about bodies: depth of links in the ground, distances from obstacles and each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trajopt.collision.near import CollisionScene
+from trajopt.motion.traces import Trace, Traces
+from trajopt.solution.descriptions import bodies_of, body_margins_of, body_scene_of, scene_of_meta
+from trajopt.solution.solution import Solution
+
+# Pairs within this distance beyond their margin, m, are measured, and farther ones where no pair of their
+# kind is so near.
+NEAR = 0.02
+KINDS = ("ground", "obstacle", "self")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileBodies:
+    """Scenes of the bodies in a solution's meta.
+
+    Of the shapes in ``meta["bodies"]``, and of the capsules in ``meta["collision"]``, which are wider, or are
+    all that an older file has. kinds: (n,) of the pairs of all scenes, what the second body is. margins: (n,)
+    m that they shall keep. within: (n,) m, beyond which distances are lower bounds.
+    """
+
+    scenes: tuple[CollisionScene, ...]
+    kinds: np.ndarray
+    margins: np.ndarray
+    within: np.ndarray
+
+    @classmethod
+    def of(cls, plan: Solution) -> tuple[FileBodies, Traces]:
+        """The bodies of a plan and their figures at its samples; of each kind the nearest pair is exact."""
+        bodies, collision = body_scene_of(plan.model, plan.meta), plan.meta.get("collision")
+        scenes = [own for own in (bodies, scene_of_meta(plan.model, collision)) if own is not None]
+        margins = [
+            body_margins_of(plan.meta, own) if own is bodies else np.zeros(len(own.pairs)) for own in scenes
+        ]
+        asked = np.concatenate([np.zeros(0), *margins])
+        found = cls(
+            scenes=tuple(scenes),
+            kinds=np.array([kind for own in scenes for kind in _kinds(own)], dtype=object),
+            margins=asked,
+            within=np.full(len(asked), NEAR + asked.max(initial=0.0)),
+        )
+        distances = found.distances(plan.q)
+        reach = found.within.copy()
+        for kind in KINDS:
+            own = found.kinds == kind
+            short = distances[:, own] - asked[own]
+            if short.size and short.min() > NEAR:  # all are bounds: the nearest pair is no farther than here
+                at = plan.q[np.unravel_index(short.argmin(), short.shape)[0]]
+                exact = np.concatenate([scene.distances(at)[0] for scene in scenes])
+                reach[own] = (exact - asked)[own].min() + asked.max(initial=0.0)
+        if (reach > found.within).any():
+            found = replace(found, within=reach)
+            distances = found.distances(plan.q)
+        return found, found._traces(distances)
+
+    def distances(self, q: np.ndarray) -> np.ndarray:
+        """Distances (K, n) m of all pairs at configurations (K, nq)."""
+        parts = np.split(self.within, np.cumsum([len(scene.pairs) for scene in self.scenes])[:-1])
+        found = [scene.distances(q, part) for scene, part in zip(self.scenes, parts, strict=False)]
+        return np.concatenate([np.zeros((len(q), 0)), *found], axis=1)
+
+    def traces(self, plan: Solution) -> Traces:
+        """Depth in the ground, and least distances, m, of every pair at the samples of ``plan``."""
+        return self._traces(self.distances(plan.q))
+
+    def _traces(self, distances: np.ndarray) -> Traces:
+        pairs = [" and ".join(pair) for scene in self.scenes for pair in scene.pairs]
+
+        def of(values: np.ndarray, columns: np.ndarray, margin: bool = True) -> Trace:
+            return Trace.of(
+                values[:, columns], True, [pairs[i] for i in np.flatnonzero(columns)], margin=margin
+            )
+
+        return {
+            "link_depth": of(-distances, self.kinds == "ground", margin=False),
+            "obstacle_distance": of(distances, self.kinds == "obstacle"),
+            "self_distance": of(distances, self.kinds == "self"),
+            "clearance_margin": of(distances - self.margins, self.margins > 0),
+        }
+
+
+def _kinds(scene: CollisionScene) -> list[str]:
+    """Of every pair what the second body is."""
+    kinds = ["ground"] * scene.n_ground + ["obstacle"] * (scene.n_outer - scene.n_ground)
+    return kinds + ["self"] * (len(scene.pairs) - scene.n_outer)
+
+
+def missing_shapes(plan: Solution) -> tuple[str, ...]:
+    """What is not known of a motion because shapes of links are not in its file."""
+    bodies = bodies_of(plan.meta.get("bodies"))
+    if bodies is None or not bodies.shapes:
+        return ("no shapes of links are in the file: their depth in the ground and distances are not known",)
+    if bodies.missing:
+        return (f"without shapes of links that could not be read: {'; '.join(bodies.missing)}",)
+    return ()

@@ -1,0 +1,141 @@
+"""A periodic plan cycle after cycle: each is the image of the one before under the plan's periodicity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.base_joint import base_of
+from trajopt.errors import InputError
+from trajopt.robot.mirror import signed
+from trajopt.solution.solution import Solution
+
+
+def passes_of(plan: Solution, cycles: int) -> int:
+    """How often a plan is gone through in ``cycles`` cycles: half a cycle and its mirror image are two.
+
+    Raises `InputError` for several cycles of a plan that is not periodic.
+    """
+    described = plan.meta.get("periodicity")
+    if cycles > 1 and not described:
+        raise InputError("the solution is not periodic", "allowed: --cycles 1")
+    return cycles * (2 if described and described["mirror"] else 1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CycleImage:
+    """The map from a periodic plan's samples to those one pass later; arrays have one row a sample.
+
+    described: the key ``periodicity`` of meta. duration: of a pass, s. index, sign: (nv,) for each row of v
+    the one that it comes from. contacts: for each contact the one whose image it is. first: number of
+    unactuated rows. to_force, to_moment: (3, 3) maps of contact forces and moments, world axes.
+    """
+
+    model: pin.Model
+    described: dict[str, Any]
+    duration: float
+    index: np.ndarray
+    sign: np.ndarray
+    contacts: list[int]
+    first: int
+    to_force: np.ndarray
+    to_moment: np.ndarray
+
+    @classmethod
+    def of(cls, plan: Solution) -> CycleImage:
+        """The map of a plan that is periodic."""
+        described = plan.meta["periodicity"]
+        turned = pin.utils.rotate("z", float(described["turn"]))
+        flip = np.array([1.0, -1.0, 1.0]) if described["mirror"] else np.ones(3)
+        return cls(
+            model=plan.model,
+            described=described,
+            duration=float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]),
+            index=np.array(described["index"], dtype=int),
+            sign=np.array(described["sign"], dtype=float),
+            contacts=image_of_contacts(plan, described),
+            first=plan.n_unactuated,
+            to_force=turned * flip,
+            to_moment=turned * (flip if not described["mirror"] else -flip),
+        )
+
+    def of_states(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Images of configurations (n, nq) and velocities (n, nv)."""
+        return periodic_image(self.model, self.described, q, v, self.duration)
+
+    def of_accelerations(self, a: np.ndarray) -> np.ndarray:
+        """Images of accelerations (n, nv)."""
+        return np.asarray(self.sign * a[:, self.index])
+
+    def of_torques(self, torque: np.ndarray) -> np.ndarray:
+        """Images of torques (n, nu)."""
+        return np.asarray(self.sign[self.first :] * torque[:, self.index[self.first :] - self.first])
+
+    def of_contact_forces(self, f: np.ndarray) -> np.ndarray:
+        """Images of contact forces and moments (n, nc, 6)."""
+        own = f[:, self.contacts]
+        return np.concatenate([own[..., :3] @ self.to_force.T, own[..., 3:] @ self.to_moment.T], axis=-1)
+
+    def of_contacts(self, active: np.ndarray) -> np.ndarray:
+        """Images of what is known of each contact (n, nc)."""
+        return active[:, self.contacts]
+
+
+def image_of_contacts(plan: Solution, described: dict[str, Any]) -> list[int]:
+    """For each contact, the one whose image it is: the rows of v that move it map to the rows of that one."""
+    index = np.array(described["index"], dtype=int)
+    moved = [moving_rows(plan.model, frame) for frame in plan.contact_frames]
+    return [moved.index({int(index[row]) for row in rows}) for rows in moved]
+
+
+def moving_rows(model: pin.Model, frame: str) -> set[int]:
+    """Rows of v that move a frame."""
+    found: set[int] = set()
+    for joint in list(model.supports[model.frames[model.getFrameId(frame)].parentJoint])[1:]:
+        first = model.joints[joint].idx_v
+        found |= set(range(first, first + model.joints[joint].nv))
+    return found
+
+
+def periodic_image(
+    model: pin.Model, described: dict[str, Any], q: np.ndarray, v: np.ndarray, duration: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Image of a state (nq,), (nv,), or of n (n, nq), (n, nv), under a described periodicity."""
+    index, sign = np.array(described["index"], dtype=int), np.array(described["sign"], dtype=float)
+    moved = _translation(described, duration)
+    turn, origin = float(described["turn"]), np.array(described["origin"], dtype=float)
+    found = q.copy()
+    for joint in list(model.joints)[1:]:
+        if joint.nv == 1:
+            other = next(own for own in list(model.joints)[1:] if own.idx_v == index[joint.idx_v])
+            found[..., joint.idx_q : joint.idx_q + joint.nq] = signed(
+                q[..., other.idx_q : other.idx_q + other.nq], sign[joint.idx_v]
+            )
+    base = base_of(model)
+    if base == "freeflyer":
+        rotation = pin.utils.rotate("z", turn)
+        position = q[..., :3] * sign[:3] + (1 - sign[:3]) * origin
+        found[..., :3] = origin + (position - origin) @ rotation.T + moved
+        mirrored = q[..., 3:7] * ([-1.0, 1.0, -1.0, 1.0] if described["mirror"] else np.ones(4))
+        found[..., 3:7] = mirrored @ _turning(turn).T
+    elif base == "planar":
+        found[..., :2] += moved[[0, 2]]
+    elif base == "virtual":
+        found[..., :3] += moved
+    return found, sign * v[..., index]
+
+
+def _turning(turn: float) -> np.ndarray:
+    """Matrix (4, 4) that turns quaternions (x, y, z, w) by ``turn`` rad about the world's vertical."""
+    c, s = np.cos(turn / 2), np.sin(turn / 2)
+    return np.array([[c, -s, 0.0, 0.0], [s, c, 0.0, 0.0], [0.0, 0.0, c, s], [0.0, 0.0, -s, c]])
+
+
+def _translation(described: dict[str, Any], duration: float) -> np.ndarray:
+    if described["velocity"] is not None:
+        return np.array(described["velocity"], dtype=float) * duration
+    given = described["translation"]
+    return np.zeros(3) if given is None else np.array(given, dtype=float)

@@ -1,0 +1,58 @@
+"""Residuals of the dynamics and of contact motion at samples of a solution, and their figures in a check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.motion.samples import SampleQuantities, sample_quantities
+from trajopt.motion.touched import TouchedSurfaces, held_part, is_sole
+from trajopt.motion.traces import Trace, Traces, names_of_rows
+from trajopt.solution.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamicsRows:
+    """Residuals of the rows that hold at the collocation points, at K samples, in SI units.
+
+    base (K, n_unactuated), actuated (K, nu): N and N m. contact (K, nc, 6), linear rows first: classical
+    acceleration of active contacts, with velocity sources, their velocity; zero where there is no such row.
+    """
+
+    base: np.ndarray
+    actuated: np.ndarray
+    contact: np.ndarray
+
+
+def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> DynamicsRows:
+    """Residuals at every sample; base rows of velocity sources are statics, RNEA(q, 0, 0) - sum J^T f."""
+    base, force = plan.n_unactuated, samples.generalized_force
+    balance, held = force[:, :base], samples.acceleration
+    if plan.meta.get("actuation") == "velocity":  # rows of statics and of velocities, not of motion
+        still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
+        balance = sample_quantities(still).generalized_force[:, :base] if base else balance
+        held = samples.velocity
+    contact = np.concatenate([held_part(held[..., :3], surfaces), held[..., 3:]], axis=-1)
+    contact[~plan.active] = 0.0
+    contact[:, ~is_sole(plan), 3:] = 0.0
+    return DynamicsRows(base=balance, actuated=force[:, base:] - plan.tau, contact=contact)
+
+
+def dynamics_traces(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> Traces:
+    """Largest residuals at the collocation points, over the weight (moments: times 1 m) and over g.
+
+    With velocity sources, the contacts' velocities are over sqrt(g 1 m).
+    """
+    rows, points = dynamics_rows(plan, samples, surfaces), plan.collocation[:, None]
+    gravity = gravity_of(plan.model)
+    weight = mass_of(plan.model) * gravity
+    moving = np.sqrt(gravity) if plan.meta.get("actuation") == "velocity" else gravity
+    names, contact = names_of_rows(plan), np.abs(rows.contact).max(axis=-1, initial=0.0) / moving
+    base = plan.n_unactuated
+    return {
+        "base_residual": Trace.of(np.abs(rows.base) / weight, points, names[:base]),
+        "actuated_residual": Trace.of(np.abs(rows.actuated) / weight, points, names[base:]),
+        "contact_acceleration": Trace.of(contact, points & plan.active, plan.contact_frames),
+    }
