@@ -36,9 +36,14 @@ def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
 class ContactLanding(AtMoment, NodeConstraint):
     """New contacts of a phase lie on their surface, patch or foothold and do not move.
 
-    The surface is the one that the phase states for the contact, else the terrain; a sole lies flat on it, a
-    contact with a radius touches it. On a patch a point, or each corner of a sole, keeps the margin from
-    every edge.
+        p = foothold          or, without one,        n . p = d
+        n . R e_x = n . R e_y = 0                     of a sole, which lies flat
+        a_i . p_k >= b_i + margin                     on a patch, of its edges i and the corners k of a sole
+        J v = 0                                       of a sliding contact  n^T J v = 0
+
+    with p the frame's origin, n the normal and d the height of the surface that the phase states for the
+    contact, else of the terrain; a contact with a radius touches it. Over smooth ground the second row is the
+    height of p over it. Rows are over l, sqrt(g l) and sqrt(g / l).
 
     Args:
         at: the start of that phase.

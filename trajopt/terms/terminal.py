@@ -74,7 +74,16 @@ def _node_with_rate(coordinates: Coordinates, q: np.ndarray, index: int) -> np.n
 @checked
 @dataclass(frozen=True, kw_only=True)
 class TerminalState(NodeConstraint):
-    """The final configuration is ``q`` (nq,), in the directions that active contacts leave free."""
+    """The motion ends in a configuration, in the directions that active contacts leave free.
+
+        N^T ((xi - xi*) / u) = 0
+
+    with N (nv, n) the `free_directions` at q and u the unit of each coordinate, l or 1 rad. Of a rotation the
+    difference is 2 tan(angle / 2) times its axis.
+
+    Args:
+        q: configuration (nq,), m and rad.
+    """
 
     q: np.ndarray
 
@@ -122,6 +131,10 @@ def configuration_difference(context: Context, q: np.ndarray) -> ca.SX:
 class TerminalRest(NodeConstraint):
     """The motion ends at rest, in the directions that active contacts leave free.
 
+        N^T (xi' / u) = 0
+
+    with N (nv, n) the `free_directions` at q and u the unit of each rate, sqrt(g l) or sqrt(g / l).
+
     Args:
         q: configuration (nq,) at which these directions are taken; default that of the guess.
     """
@@ -144,9 +157,13 @@ def guessed_posture(context: Context) -> np.ndarray:
 class TerminalVelocity(NodeConstraint):
     """The motion ends with a given velocity in the directions that active contacts leave free.
 
+        N^T ((xi' - xi'*) / u) = 0
+
+    with N (nv, n) the `free_directions` at q and u the unit of each rate, sqrt(g l) or sqrt(g / l).
+
     Args:
-        q: configuration at the end (nq,).
-        v: Pinocchio's velocity (nv,): of a free-flyer linear and angular in its own axes.
+        q: configuration at the end (nq,), m and rad.
+        v: Pinocchio's velocity (nv,): of a free-flyer linear and angular in its own axes, m/s and rad/s.
     """
 
     q: np.ndarray
@@ -167,8 +184,10 @@ HORIZONTAL = {"planar": (0, -1), "freeflyer": (0, 1)}
 class TerminalPosture(NodeConstraint):
     """The motion ends in a given posture wherever a contact has landed, without turning.
 
-    Rows are in the directions that active contacts leave free, as in `TerminalState`. The base is a
-    free-flyer or planar, in the world's axes.
+        N^T ((xi - xi* - B (p - p*)) / u) = 0
+
+    as of `TerminalState`, with p the contact's position, p* that in q, and B the horizontal part on the
+    base's rows. The base is a free-flyer or planar, in the world's axes.
 
     Args:
         q: configuration (nq,); it is displaced horizontally to where the contact stands.
