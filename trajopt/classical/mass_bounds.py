@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.classical.structure import mass_matrix_at
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.dynamics.model_content import joint_kind
+from trajopt.dynamics.model_quantities import mass_matrix_at
 from trajopt.errors import InputError
 
 # Number of translational and rotational directions of each kind of joint, by the beginning of its name.

@@ -76,7 +76,7 @@ def joint_forces(
     ):
         if np.shape(value) != shape:
             raise InputError(f"{name} has shape {np.shape(value)}", f"shape {shape}")
-    function = newton_euler(model, frames, [6] * len(frames))
+    function = recursive_newton_euler(model, frames, [6] * len(frames))
     tau, *columns = (value.full() for value in function.call([ca.DM(x) for x in (q, v, a, outer.ravel())]))
     force, moment, constraint_force, constraint_moment = (value.T for value in columns)
     return JointForces(
@@ -89,7 +89,7 @@ def joint_forces(
     )
 
 
-def newton_euler(
+def recursive_newton_euler(
     model: pin.Model, frames: Sequence[str] = (), wrench_kinds: Sequence[int] = ()
 ) -> ca.Function:
     """``(q, v, a, w) -> (tau, force, moment, constraint_force, constraint_moment)`` on SX.

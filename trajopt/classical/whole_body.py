@@ -18,10 +18,9 @@ from trajopt.classical.structure import (
     base_joint_and_rows,
     composite_inertia,
     momentum_maps,
-    require_shapes,
 )
 from trajopt.dynamics.model_content import frame_content
-from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.dynamics.model_quantities import generalized_force, require_shapes
 from trajopt.errors import InputError
 
 
