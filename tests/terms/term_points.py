@@ -14,12 +14,12 @@ import pinocchio as pin
 from tests.support.problems import FOOT, hopper
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.reduced.term_reader import on_inputs
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms import Context, Cost, NodeCost, NodePlace, Rows, Term
 from trajopt.terms.context_symbols import Actuation, Place
 from trajopt.terrain import FlatGround, Ground
-from trajopt.transcription.robot_layers import robot_layers
 
 # A duration that is free is this multiple of the nominal one.
 TIME_SCALE = 1.3
@@ -247,14 +247,9 @@ class Evaluated:
     @cached_property
     def function(self) -> ca.Function:
         """z -> (value, Jacobian)."""
-        context, expression = self.context, self.expression
-        symbols, layers = robot_layers(context, expression)
-        terms = ca.Function("terms", [context.z, symbols, context.parameters], [expression])
-        z = value = ca.SX.sym("z", context.z.numel())
-        for layer in layers:
-            value = layer(value)
-        out = terms(z, value if layers else ca.SX(0, 1), ca.DM(context.parameter_values))
-        return ca.Function("term", [z], [out, ca.jacobian(out, z)])
+        expression = self.expression
+        z, (value,) = on_inputs(self.context, expression, [self.context.parameter_values])
+        return ca.Function("term", [z], [value, ca.jacobian(value, z)])
 
     def at(self, z: np.ndarray) -> np.ndarray:
         return np.array(self.function(z)[0]).ravel()

@@ -28,7 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics import rigid_body
-from trajopt.dynamics.model_content import frame_content, once_per_content
+from trajopt.dynamics.model_content import once_per_content
 from trajopt.errors import InputError
 
 _LINK = "link"
@@ -98,12 +98,7 @@ def recursive_newton_euler(
     axes. Outputs as in `JointForces`, one column per joint. Built once per model content. Raises `InputError`
     for an unknown frame or wrench size, `UnsupportedJointError` for an unsupported joint.
     """
-    if len(frames) != len(wrench_kinds) or not set(wrench_kinds) <= set(rigid_body.WRENCH_SIZES):
-        raise InputError(
-            f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}", "one of 0, 3, 6 per frame"
-        )
-    pairs = zip(frames, wrench_kinds, strict=True)
-    return _function(model, tuple(frame_content(model, name, size) for name, size in pairs))
+    return _function(model, rigid_body.loaded_frames(model, frames, wrench_kinds))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,12 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.classical.structure import (
-    MomentumMaps,
-    base_joint_and_rows,
-    composite_inertia,
-    momentum_maps,
-)
+from trajopt.classical.structure import MomentumMaps, base_joint_and_rows, composite_inertia, momentum_maps
 from trajopt.dynamics.model_content import frame_content
 from trajopt.dynamics.model_quantities import generalized_force, require_shapes
 from trajopt.errors import InputError

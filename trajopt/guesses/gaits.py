@@ -147,15 +147,14 @@ def _waypoint_times(schedule: Schedule) -> list[float]:
     ends = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
     flown = flights(schedule)
     rounding = SAME_TIME * schedule.duration
-
-    def between_flights(t: float) -> bool:
-        landed = [end for _, end in flown if end < t - rounding]
-        leaving = [begin for begin, _ in flown if begin > t + rounding]
-        return bool(landed and leaving)
-
     edges = {time for flight in flown for time in flight}
-    at_edge = [any(abs(t - edge) < rounding for edge in edges) for t in ends]
-    return [float(t) for t, edge in zip(ends, at_edge, strict=True) if edge or not between_flights(t)]
+
+    def counts(t: float) -> bool:
+        landed = any(end < t - rounding for _, end in flown)
+        leaves = any(begin > t + rounding for begin, _ in flown)
+        return any(abs(t - edge) < rounding for edge in edges) or not (landed and leaves)
+
+    return [float(t) for t in ends if counts(t)]
 
 
 def _velocity(robot: Robot, pace: Pace, t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -219,7 +218,8 @@ def plan_of_part(
     motion = legged_guess(robot, whole, path, clearance=clearance)
     landings = with_footholds(robot, whole, path).phases[first:]
     phases = [
-        replace(own, footholds=landing.footholds) for own, landing in zip(part.phases, landings, strict=False)
+        replace(phase, footholds=landing.footholds)
+        for phase, landing in zip(part.phases, landings, strict=False)
     ]
     return GaitPlan(schedule=Schedule(tuple(phases)), guess=lambda t: motion(t + begin))
 
@@ -230,13 +230,11 @@ def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedu
     Two, since a foot that swings at the beginning left a stance of the cycle before, where the base
     already moved as it does in every cycle.
     """
-    own = other = cycle.phases
+    this = other = cycle.phases
     if mirror is not None:
-        other = tuple(
-            replace(phase, contacts=tuple(mirror[name] for name in phase.contacts)) for phase in own
-        )
+        other = tuple(replace(p, contacts=tuple(mirror[name] for name in p.contacts)) for p in this)
     first = 2 if mirror is None else 4
-    pieces = (own, other) * first + (own,)
+    pieces = (this, other) * first + (this,)
     phases = [replace(phase, name=f"{phase.name}_{i}") for i, piece in enumerate(pieces) for phase in piece]
     return Schedule(tuple(phases)), first
 

@@ -74,14 +74,10 @@ def _drive_rows(drive: Drive, units: Units) -> list[np.ndarray]:
     rows = []
     if reach / drive.stall_torque + speed / drive.no_load_speed > 1:
         rows.append(np.array([drive.voltage_use(1.0, 0.0), drive.voltage_use(0.0, 1.0)]))
-    if drive.joint_torque_limit < units.unreachable_torque and not _voltage_is_tighter(drive):
+    # Below its no-load speed a motor on its voltage line has at most twice the stall torque, braking.
+    if drive.joint_torque_limit < units.unreachable_torque and drive.torque_limit < 2 * drive.stall_torque:
         rows.append(np.array([drive.motor_torque(1.0) / drive.torque_limit, 0.0]))
     return rows
-
-
-def _voltage_is_tighter(drive: Drive) -> bool:
-    """Below its no-load speed a motor on its voltage line has at most twice the stall torque, braking."""
-    return drive.torque_limit >= 2 * drive.stall_torque
 
 
 @checked

@@ -157,8 +157,8 @@ class FramesAbove(DuringPhases, NodeConstraint):
 
     @override
     def acts_at(self, place: NodePlace) -> bool:
-        own = place.index < place.count or place.last
-        return own and place.index > 0 and self.acts_in(place.phase.name)
+        of_phase = place.index < place.count or place.last
+        return of_phase and place.index > 0 and self.acts_in(place.phase.name)
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:

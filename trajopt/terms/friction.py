@@ -166,17 +166,17 @@ class FrictionPyramid(ContactConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        found = _ConeRows()
+        cone = _ConeRows()
         for contact in self._unilateral_contacts(context):
             friction, f = self._friction(context, contact), ca.vertsplit(surface_force(context, contact))
-            found.at_least_zero([f[2]], units.force)
+            cone.at_least_zero([f[2]], units.force)
             if friction == 0.0:
-                found.zero(f[:2], units.force)
+                cone.zero(f[:2], units.force)
                 continue
             sides = friction_rows(f, context.parameter(friction / math.sqrt(2)))
             kept = [side for i, side in enumerate(sides) if not f[i // 2].is_zero()]
-            found.at_least_zero(kept, units.force)
-        return found.rows()
+            cone.at_least_zero(kept, units.force)
+        return cone.rows()
 
 
 @checked
@@ -204,19 +204,19 @@ class FrictionCone(ContactConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        found = _ConeRows()
+        cone = _ConeRows()
         for contact in self._unilateral_contacts(context):
             friction = self._friction(context, contact)
             f = ca.vertsplit(surface_force(context, contact) / units.force)
-            found.at_least_zero([f[2]], 1.0)
+            cone.at_least_zero([f[2]], 1.0)
             if friction == 0.0:
-                found.zero(f[:2], 1.0)
+                cone.zero(f[:2], 1.0)
                 continue
             largest = context.parameter(friction) * f[2]
             inside = largest**2 - f[0] ** 2 - f[1] ** 2
             tight = TIGHT * ca.exp(-((largest / TIP) ** 2))
-            found.at_least_zero([inside / ca.sqrt(largest**2 + APEX**2) - tight], 1.0)
-        return found.rows()
+            cone.at_least_zero([inside / ca.sqrt(largest**2 + APEX**2) - tight], 1.0)
+        return cone.rows()
 
 
 @checked
@@ -240,7 +240,7 @@ class SoleLimits(ContactConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        found = _ConeRows()
+        cone = _ConeRows()
         for contact in self._unilateral_contacts(context):
             friction = self._friction(context, contact)
             rotation = context.frame(contact.frame).rotation
@@ -250,11 +250,11 @@ class SoleLimits(ContactConstraint):
             arm = (*half, sum(half) / 2 * context.parameter(friction) if friction else 0.0)
             for i in _turning(contact):
                 if i == 2 and friction == 0.0:
-                    found.zero([moment[i]], units.torque)
+                    cone.zero([moment[i]], units.torque)
                     continue
                 sides = [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
-                found.at_least_zero(sides, units.torque)
-        return found.rows()
+                cone.at_least_zero(sides, units.torque)
+        return cone.rows()
 
 
 @checked
@@ -281,22 +281,22 @@ class SoleCone(ContactConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        found = _ConeRows()
+        cone = _ConeRows()
         for contact in self._unilateral_contacts(context):
             friction = self._friction(context, contact)
             to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
             force, moment = (ca.vertsplit(ca.mtimes(to_sole, part)) for part in (wrench[:3], wrench[3:]))
             size = (contact.half_length, contact.half_width)
             if friction == 0.0:
-                found.at_least_zero(pressure_rows(force, moment, size), units.torque)
-                found.zero(force[:2], units.force)
-                found.zero([moment[2]], units.torque)
+                cone.at_least_zero(pressure_rows(force, moment, size), units.torque)
+                cone.zero(force[:2], units.force)
+                cone.zero([moment[2]], units.torque)
                 continue
             mu = context.parameter(friction / math.sqrt(2))
-            found.at_least_zero(friction_rows(force, mu), units.force)
+            cone.at_least_zero(friction_rows(force, mu), units.force)
             moments = [*pressure_rows(force, moment, size), *yaw_rows(force, moment, size, mu)]
-            found.at_least_zero(moments, units.torque)
-        return found.rows()
+            cone.at_least_zero(moments, units.torque)
+        return cone.rows()
 
 
 @checked

@@ -91,15 +91,15 @@ def _places(
     if foothold is None and contact.name in place.phase.patches:
         edges = _inside(context, units, contact, place.phase.patches[contact.name])
     if foothold is not None:
-        found = [Rows.create(frame.position[movable], foothold[movable], foothold[movable], units.length)]
+        rows = [Rows.create(frame.position[movable], foothold[movable], foothold[movable], units.length)]
     elif 2 in held or (movable and not ground.is_level):
-        found = [_on_ground(context, ground, frame.position, units.length)]
+        rows = [_on_ground(context, ground, frame.position, units.length)]
     else:
         return edges
     tilting = _tilting_axes(contact, held)
     if tilting and isinstance(ground, Surface):
-        found.append(Rows.create(along_normal(context, ground, frame.rotation[:, tilting]).T, 0.0, 0.0, 1.0))
-    return found + edges
+        rows.append(Rows.create(along_normal(context, ground, frame.rotation[:, tilting]).T, 0.0, 0.0, 1.0))
+    return rows + edges
 
 
 def _on_ground(context: Context, ground: Ground, position: ca.SX, length: float) -> Rows:

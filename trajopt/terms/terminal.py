@@ -52,9 +52,9 @@ def free_directions(
     if not contacts:
         return np.eye(robot.nv)
     coordinates = Coordinates(robot.model)
-    to_pinocchio = np.column_stack(
-        [coordinates.node_to_pinocchio(_node_with_rate(coordinates, q, i))[1][0] for i in range(robot.nv)]
-    )
+    nodes = np.tile(coordinates.node_from_pinocchio(q, np.zeros(robot.nv)), (robot.nv, 1))
+    nodes[:, -robot.nv :] = np.eye(robot.nv)
+    to_pinocchio = coordinates.node_to_pinocchio(nodes)[1].T
     held = []
     for contact in map(robot.contact, contacts):
         rows = contact_jacobian(robot.model, q, [(contact.frame, contact.rows)])
@@ -63,12 +63,6 @@ def free_directions(
     _, singular, vt = np.linalg.svd(jacobian)
     rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
     return vt[rank:].T
-
-
-def _node_with_rate(coordinates: Coordinates, q: np.ndarray, index: int) -> np.ndarray:
-    node = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
-    node[len(node) - coordinates.nv + index] = 1.0
-    return node
 
 
 @checked
@@ -207,19 +201,13 @@ class TerminalPosture(NodeConstraint):
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        robot, q = context.robot, context.posture(self.q)
-        foot = context.contact(self.over)
+        robot, q, foot = context.robot, context.posture(self.q), context.contact(self.over)
+        if robot.base not in HORIZONTAL:
+            what = f"robot '{robot.name}' has a {robot.base} base"
+            raise InputError(what, "allowed: freeflyer or planar for a free place")
         goal = contact_positions(robot, q)[self.over]
         error = configuration_difference(context, q)
-        for axis, row in enumerate(_horizontal(robot)):
+        for axis, row in enumerate(HORIZONTAL[robot.base]):
             if row >= 0:
                 error[row] -= context.frame(foot.frame).position[axis] - context.parameter(goal[axis])
         return free_rows(context, place, q, error / units.position)
-
-
-def _horizontal(robot: Robot) -> tuple[int, int]:
-    if robot.base not in HORIZONTAL:
-        raise InputError(
-            f"robot '{robot.name}' has a {robot.base} base", "allowed: freeflyer or planar for a free place"
-        )
-    return HORIZONTAL[robot.base]

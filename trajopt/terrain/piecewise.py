@@ -107,21 +107,19 @@ class PiecewiseTerrain:
         object.__setattr__(shifted, "raised", self.raised + distance)
         return shifted
 
-    def _crack(self, face: Patch) -> float:
-        """Distance in m outside its polygon at which a position still stands on a face."""
-        upward = float(face.surface.normal[2])
-        return CRACK + self.raised * math.sqrt(max(1.0 - upward * upward, 0.0)) / upward
-
     def _heights(self, x: Any, y: Any) -> np.ndarray:
         """Heights (faces, ...) in m of all faces at x, y (...), -inf outside of them."""
         across, along = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-        found = []
+        heights = []
         for face in self.faces:
             normal, height = face.surface.normal, face.surface.height
+            upward = float(normal[2])
+            # A position this far outside the polygon, m, still stands on the face.
+            crack = CRACK + self.raised * math.sqrt(max(1.0 - upward * upward, 0.0)) / upward
             z = (height - normal[0] * across - normal[1] * along) / normal[2]
-            inside = face.inside(np.stack([across, along, z], axis=-1)) >= -self._crack(face)
-            found.append(np.where(inside, z, -np.inf))
-        return np.array(found)
+            inside = face.inside(np.stack([across, along, z], axis=-1)) >= -crack
+            heights.append(np.where(inside, z, -np.inf))
+        return np.array(heights)
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""

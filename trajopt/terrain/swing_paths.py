@@ -36,10 +36,7 @@ SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
 @checked
 def swing_path(
-    terrain: Terrain,
-    clearance: float,
-    reach: float = 0.0,
-    radii: Mapping[str, float] = MappingProxyType({}),
+    terrain: Terrain, clearance: float, reach: float = 0.0, radii: Mapping[str, float] = MappingProxyType({})
 ) -> SwingPath:
     """Path of a swinging foot: (name, start (3,), end (3,), s) -> position (3,), m, world; s from 0 to 1.
 
@@ -75,12 +72,9 @@ def crossing_of(terrain: Terrain, start: np.ndarray, end: np.ndarray) -> Crossin
 
 def _reached(ground: Crossing, start: tuple[float, ...], end: tuple[float, ...], reach: float) -> Crossing:
     """The same ground with the fractions of the way at which the foot's front or back meets the edges."""
-    way = math.hypot(end[0] - start[0], end[1] - start[1])
-
-    def met(edge: Edge | None) -> Edge | None:
-        return edge and edge.met_earlier(reach / way)
-
-    return replace(ground, rise=met(ground.rise), fall=met(ground.fall))
+    earlier = reach / math.hypot(end[0] - start[0], end[1] - start[1]) if ground.rise or ground.fall else 0.0
+    rise, fall = (edge and edge.met_earlier(earlier) for edge in (ground.rise, ground.fall))
+    return replace(ground, rise=rise, fall=fall)
 
 
 def _plane(terrain: Terrain, point: np.ndarray) -> Surface:
