@@ -127,10 +127,12 @@ LEAST_CYCLES = 2
 
 
 def _family(kind: str) -> Family:
+    stand, rest = (0.5 if has[kind] else None for has in (STARTS, STOPS))
+    example = transition(QUADRUPED["trot"], 1.0, cycles=2, stand=stand, rest=rest)
     return Family(
         name=f"quadruped-{kind}",
         robots=ROBOTS,
-        phases=tuple(phase.name for phase in _example(kind)),
+        phases=tuple(phase.name for phase in example),
         summary=f"{kind}: {_SUMMARIES[kind]}",
         parameters=(
             Choice(name="gait", default="trot", choices=tuple(STYLES), meaning="name of the gait"),
@@ -150,12 +152,6 @@ def _family(kind: str) -> Family:
         ),
         build=partial(build, kind=kind),
     )
-
-
-def _example(kind: str) -> tuple[Phase, ...]:
-    """Phases of the default gait."""
-    stand, rest = (0.5 if has[kind] else None for has in (STARTS, STOPS))
-    return transition(QUADRUPED["trot"], 1.0, cycles=2, stand=stand, rest=rest)
 
 
 FAMILIES = tuple(_family(kind) for kind in _SUMMARIES)

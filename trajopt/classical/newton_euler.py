@@ -62,10 +62,19 @@ def joint_forces(
     frames: Sequence[str] = (),
     wrenches: np.ndarray | None = None,
 ) -> JointForces:
-    """Actuator, joint and constraint forces of a motion q (nq,), v (nv,), a (nv,).
+    """Actuator, joint and constraint forces of a motion.
 
-    ``wrenches`` (n, 6: force N, moment N m) act on the robot at the origins of ``frames`` in world axes.
-    Raises `InputError` for wrong shapes or names and `UnsupportedJointError` for an unknown kind of joint.
+    Args:
+        model: of any robot.
+        q: configuration (nq,).
+        v: velocity (nv,).
+        a: acceleration (nv,).
+        frames: at whose origins wrenches act on the robot.
+        wrenches: (n, 6: force N, moment N m), world axes.
+
+    Raises:
+        InputError: for wrong shapes or names.
+        UnsupportedJointError: for an unknown kind of joint.
     """
     outer = np.zeros((len(frames), 6)) if wrenches is None else np.asarray(wrenches, dtype=float)
     for name, value, shape in (

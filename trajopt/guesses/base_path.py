@@ -81,11 +81,16 @@ class BaseWaypoint:
 class WaypointPath:
     """Placement of the base over time, C1: cubics where feet stand, parabolas at a constant rate in flight.
 
-    schedule: says which stretches are flights. waypoints: in time order, the first at 0, two at the ends
-    of every flight and none within it. gravity: m/s^2, along -z. Raises `InputError`.
-
     Between two waypoints R(t) = exp(theta(t)) R_(i-1), theta along the turn at a constant rate in flight,
     else the cubic whose ends have the angular velocities there: theta' = J_l(theta)^-1 omega.
+
+    Args:
+        schedule: says which stretches are flights.
+        waypoints: in time order, the first at 0, two at the ends of every flight and none within it.
+        gravity: m/s^2, along -z.
+
+    Raises:
+        InputError: for other times, and turns of a whole turn while feet stand.
     """
 
     def __init__(

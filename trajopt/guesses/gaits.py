@@ -38,9 +38,14 @@ DIFFERENCE_STEP = 1e-4
 class Pace:
     """A commanded motion of the base over level ground: along an arc, optionally from or to rest.
 
-    velocity: (forward, left) m/s in axes of the base; turn_rate: rad/s to the left. starts, stops: times
-    (begin, end) in s between which the pace rises from zero, and falls to zero; None: it does not.
-    Raises `InputError`.
+    Args:
+        velocity: forward and to the left, in axes of the base, m/s.
+        turn_rate: to the left, rad/s.
+        starts: times (begin, end) in s between which the pace rises from zero; None: it does not.
+        stops: times (begin, end) in s between which the pace falls to zero; None: it does not.
+
+    Raises:
+        InputError: for numbers that are not finite, and times that do not rise.
     """
 
     velocity: tuple[float, float]
@@ -177,9 +182,17 @@ class GaitPlan:
     guess: Motion
 
     def state(self, robot: Robot, t: float, resting: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Configuration (nq,) and velocity (nv,) of the guess at ``t`` s, these contacts exactly at rest.
+        """State of the guess at a time, with some contacts exactly at rest.
 
         Rates by differences; joint rates get the least correction that stops the contacts.
+
+        Args:
+            robot: the robot.
+            t: s.
+            resting: names of these contacts.
+
+        Returns:
+            Configuration (nq,) and velocity (nv,).
         """
         q, step = self.guess(t), DIFFERENCE_STEP
         v = pin.difference(robot.model, self.guess(t - step), self.guess(t + step)) / (2 * step)
@@ -194,10 +207,18 @@ class GaitPlan:
 def plan_of_cycle(
     robot: Robot, cycle: Schedule, pace: Pace, *, mirror: Mapping[str, str] | None = None, clearance: float
 ) -> GaitPlan:
-    """The plan of a periodic motion, the middle one of five cycles of ``cycle``.
+    """The plan of a periodic motion, the middle one of five cycles.
 
-    mirror: where the cycle is half of one, the contact on the other side, for every contact: halves before
-    and after are its mirror images. clearance: height of swings, m. Raises `InputError`.
+    Args:
+        robot: the robot.
+        cycle: contacts over one cycle, or half of one.
+        pace: of the base.
+        mirror: where the cycle is half of one, the contact on the other side, for every contact: halves
+            before and after are its mirror images.
+        clearance: height of swings, m.
+
+    Raises:
+        InputError: for a clearance that is negative or not finite.
     """
     whole, first = _repeated(cycle, mirror)
     return plan_of_part(robot, cycle, whole, first * len(cycle.phases), pace, clearance=clearance)
@@ -207,11 +228,21 @@ def plan_of_cycle(
 def plan_of_part(
     robot: Robot, part: Schedule, whole: Schedule, first: int, pace: Pace, *, clearance: float
 ) -> GaitPlan:
-    """The plan of a ``part`` of a longer schedule, whose phases ``first`` and on it repeats.
+    """The plan of a part of a longer schedule.
 
     The whole determines how feet in the air at the part's ends move, and the middle of stances that go on
-    beyond them. ``pace`` is over time from the part's beginning, where the base is at the reference's
-    position. clearance: height of swings, m. Raises `InputError`.
+    beyond them.
+
+    Args:
+        robot: the robot.
+        part: contacts over time.
+        whole: the longer schedule.
+        first: index of the phase of the whole with which the part begins.
+        pace: over time from the part's beginning, where the base is at the reference's position.
+        clearance: height of swings, m.
+
+    Raises:
+        InputError: for a clearance that is negative or not finite.
     """
     begin = sum(phase.duration for phase in whole.phases[:first])
     path = gait_path(robot, whole, pace, begin=-begin)

@@ -45,13 +45,23 @@ class TerrainPlan:
 def plan_over_terrain(
     robot: Robot, schedule: Schedule, pace: Pace, terrain: Terrain, *, clearance: float, free: bool = False
 ) -> TerrainPlan:
-    """The plan of a gait that starts from standing and goes over ``terrain`` at ``pace``.
+    """The plan of a gait that starts from standing and goes over terrain.
 
-    Feet land under their hips in mid-stance (`gaits`), moved to the nearest point of the terrain that
-    keeps the margin from edges. With ``free`` they may land anywhere on that face, or anywhere on ground
-    without faces; only each foot's last landing is planned, so that the posture at the end is that of the
-    guess. The feet start under the reference's, vertically. clearance: least height of swings, m, also over
-    edges; those of the guess are higher (`swing_path`). Raises `InputError` for a gait with flights.
+    Feet land under their hips in mid-stance (`gaits`), moved to the nearest point of the terrain that keeps
+    the margin from edges. The feet start under the reference's, vertically.
+
+    Args:
+        robot: the robot.
+        schedule: contacts over time, without flights.
+        pace: of the base.
+        terrain: the ground.
+        clearance: least height of swings, m, also over edges; those of the guess are higher (`swing_path`).
+        free: feet may land anywhere on the face on which they are planned, or anywhere on ground without
+            faces; only each foot's last landing is planned, so that the posture at the end is that of the
+            guess.
+
+    Raises:
+        InputError: for a gait with flights, and ground that legs do not reach at the start.
     """
     require_free_flyer(robot)
     if flights(schedule):

@@ -118,7 +118,7 @@ def shapes_of(problem: Problem) -> RobotShapes:
 
 
 def bodies_of(problem: Problem) -> ProblemBodies:
-    """The bodies of a problem. Raises InputError where they are in each other at its start or at a goal."""
+    """The bodies of a problem. Raises InputError where two overlap at its start or at a goal."""
     clearance = clearance_of(problem)
     scene = shapes_of(problem).scene(problem.robot.model, problem.terrain, clearance.obstacles)
     # A periodic motion's start is free.
@@ -220,7 +220,7 @@ def _require_clear(
 
 
 def _require_clear_goals(problem: Problem, bodies: ProblemBodies) -> None:
-    """Raise `InputError` where bodies are in each other at a goal, as far as it is known before solving.
+    """Raise `InputError` where bodies overlap at a goal, as far as it is known before solving.
 
     Of a configuration all pairs are; of one that is placed where a contact lands, those of two links; of a
     frame's pose, its link with ground and obstacles. Of a position the link may turn about it.

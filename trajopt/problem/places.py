@@ -1,4 +1,4 @@
-"""Whether start, footholds and goals can be, judged before solving by what a check allows afterwards."""
+"""Whether start, footholds and goals are possible, judged before solving with the tolerances of the check."""
 
 from __future__ import annotations
 
@@ -66,9 +66,9 @@ class Stances:
 def require_places(
     stances: Stances, start: np.ndarray | None, terms: Sequence[Term], rows: Sequence[PointConstraint]
 ) -> None:
-    """Raise `InputError` for a start, a foothold or a goal at which no motion can be.
+    """Raise `InputError` for a start, a foothold or a goal that no motion can have.
 
-    Whether bodies are clear there, `trajopt.problem.bodies` judges.
+    `trajopt.problem.bodies` judges whether bodies are clear there.
 
     Args:
         stances: where contacts stand.

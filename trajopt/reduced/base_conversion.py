@@ -35,11 +35,18 @@ SAMPLES = 120
 
 @checked
 def with_virtual_base(problem: Problem, order: str = DEFAULT_ORDER) -> Problem:
-    """Return ``problem`` on the robot `Robot.with_virtual_base`, with angles about the axes of ``order``.
+    """Return the problem on the robot `Robot.with_virtual_base`.
 
     Start, guess and every configuration ``q`` (nq,) of a term are mapped; `VelocityCost` and
-    `AccelerationCost` become `BaseVelocityCost` and `BaseAccelerationCost`. Raises `InputError` for a robot
-    of another base, phases in minimal coordinates, a periodic motion, or a start in gimbal lock.
+    `AccelerationCost` become `BaseVelocityCost` and `BaseAccelerationCost`.
+
+    Args:
+        problem: of a robot on a free-flyer.
+        order: of the axes of the angles.
+
+    Raises:
+        InputError: for a robot of another base, phases in minimal coordinates, a periodic motion, or a start
+            in gimbal lock.
     """
     robot = problem.robot.with_virtual_base(order)
     if problem.modes:

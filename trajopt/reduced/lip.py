@@ -31,7 +31,15 @@ from trajopt.errors import InputError, finite_array, require_positive
 
 @dataclass(frozen=True, kw_only=True)
 class Pendulum:
-    """Linear inverted pendulum of ``height`` (m, of the CoM over the ground) under ``gravity`` (m/s^2)."""
+    """Linear inverted pendulum.
+
+    Args:
+        height: of the centre of mass over the ground, m.
+        gravity: m/s^2.
+
+    Raises:
+        InputError: for numbers that are not above zero.
+    """
 
     height: float
     gravity: float = STANDARD_GRAVITY

@@ -38,8 +38,12 @@ Plane = Literal["auto", True, False]
 class Scene:
     """A task and the smallest problem found for it.
 
-    original: the problem as built. problem: the reduced one, ready for ``trajopt.solve``. reduction: from the
-    whole robot to the one of ``problem``. report: every decision with its reason and what it saved.
+    Args:
+        original: the problem as built.
+        problem: the reduced one, ready for `trajopt.solve`.
+        reduction: from the whole robot to the one of ``problem``.
+        report: every decision with its reason and what it saved.
+        soles: surface contacts in place of corners, None without any.
     """
 
     original: Problem

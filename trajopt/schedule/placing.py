@@ -22,10 +22,18 @@ from trajopt.terrain.terrain import Terrain
 
 @checked
 def footholds_at(robot: Robot, q: np.ndarray, terrain: Terrain | None = None) -> dict[str, np.ndarray]:
-    """Points (3,) of the ground that contacts touch at ``q`` (nq,), world, m, by the contact's name.
+    """Points of the ground that contacts touch at a configuration.
 
-    The frame's origin, moved against the ground's normal by the contact's radius. ``terrain``: default level
-    ground; over a hole the normal is up.
+    The frame's origin, moved against the ground's normal by the contact's radius; over a hole the normal is
+    up.
+
+    Args:
+        robot: the robot.
+        q: configuration (nq,).
+        terrain: the ground, default level.
+
+    Returns:
+        Points (3,), world, m, by the contact's name.
     """
     ground = FlatGround() if terrain is None else terrain
     footholds = {}

@@ -83,7 +83,16 @@ class Patch:
         margin: NonNegative = 0.0,
         name: str = "patch",
     ) -> Patch:
-        """A level rectangle: ``centre`` (3,) m, ``size`` along its own axes in m, turned by ``yaw`` rad."""
+        """A level rectangle.
+
+        Args:
+            centre: (3,), m, world.
+            size: along its own axes, m.
+            yaw: of these axes, rad.
+            friction: Coulomb's coefficient.
+            margin: as of `Patch`, m.
+            name: as of `Patch`.
+        """
         middle = finite_array(f"centre of patch '{name}'", centre, unit="m")
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(size) / 2

@@ -28,7 +28,15 @@ class PiecewiseTerrain:
 
     The ground at (x, y) is the highest face there. Without a face there is a bottomless hole: its height is
     -inf, nothing penetrates there, and no contact can stand. Risers between faces are not faces: a point
-    lower than the highest face at its (x, y) penetrates by the whole difference. Raises `InputError`.
+    lower than the highest face at its (x, y) penetrates by the whole difference. The constructors below place
+    an obstacle ``at`` (x, y) m, turned by ``yaw`` rad; all its faces have the ``friction`` and the ``margin``
+    in m of `Patch`.
+
+    Args:
+        faces: the faces, at least one.
+
+    Raises:
+        InputError: for faces of one name, and for one that is vertical, points down or holds contacts.
     """
 
     faces: tuple[Patch, ...]
@@ -148,10 +156,16 @@ class PiecewiseTerrain:
         friction: float = 0.7,
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
-        """Level treads of ``heights`` m over the ground before them, each ``run`` m deep, ``width`` m wide.
+        """Level treads: faces ``before``, ``step1``, ..., ``beyond``.
 
-        Faces ``before``, ``step1``, ...; the last height is that of the flat ``beyond``. The first riser
-        stands at ``at`` (x, y) m, across the direction ``yaw`` rad.
+        Args:
+            heights: of the treads over the ground before them, m; the last is that of the flat ``beyond``.
+            run: depth of a tread, m.
+            width: across the steps, m.
+            at: where the first riser stands (x, y), m.
+            yaw: direction of the steps, rad.
+            friction: Coulomb's coefficient.
+            margin: as of `Patch`, m.
         """
         require_lengths(run=run, width=width)
         levels = np.array(heights, dtype=float).ravel()
@@ -198,10 +212,19 @@ class PiecewiseTerrain:
         friction: float = 0.7,
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
-        """A ``box`` on level ground, ``length`` along x by ``width`` along y, its centre at ``at`` (x, y) m.
+        """A ``box`` on level ground.
 
         The ground around it is ``before`` (smaller x), ``beyond``, ``left`` (greater y) and ``right``, which
-        overlap at the corners. A negative ``height`` is a pit.
+        overlap at the corners.
+
+        Args:
+            height: of the box, m; negative for a pit.
+            length: along x, m.
+            width: along y, m.
+            at: its centre (x, y), m.
+            yaw: of its axes, rad.
+            friction: Coulomb's coefficient.
+            margin: as of `Patch`, m.
         """
         require_lengths(length=length, width=width)
         require_finite("height of a box", height, "m")

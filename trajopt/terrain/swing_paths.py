@@ -38,12 +38,22 @@ SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 def swing_path(
     terrain: Terrain, clearance: float, reach: float = 0.0, radii: Mapping[str, float] = MappingProxyType({})
 ) -> SwingPath:
-    """Path of a swinging foot: (name, start (3,), end (3,), s) -> position (3,), m, world; s from 0 to 1.
+    """Path of a swinging foot over terrain, for `legged_guess`.
 
     It rises to the highest ground between its ends before reaching it, and descends behind it; added to that
-    is an arc that is ``clearance`` m over smooth or flat ground and over edges. ``reach``: how far the foot
-    extends before and behind its position, m, half a sole's length. ``radii``: of contacts by name, m, whose
-    centres the positions are. For `legged_guess`.
+    is an arc over smooth or flat ground and over edges.
+
+    Args:
+        terrain: the ground.
+        clearance: height of the arc, m.
+        reach: how far the foot extends before and behind its position, m: half a sole's length.
+        radii: of contacts by name, m, whose centres the positions are.
+
+    Returns:
+        (name, start (3,), end (3,), s) -> position (3,), m, world, with s from 0 to 1.
+
+    Raises:
+        InputError: for a clearance that is negative or not finite.
     """
     require_clearance(clearance)
 
