@@ -184,7 +184,7 @@ class Family:
     def load(self, values: Mapping[str, object]) -> Problem:
         """Build the problem with ``values`` over the defaults. Raises InputError."""
         given = {name: self.parameter(name) for name in values}
-        chosen: dict[str, float | str | None] = {own.name: own.default for own in self.parameters}
+        chosen: dict[str, float | str | None] = {each.name: each.default for each in self.parameters}
         chosen |= {name: given[name].parse(value) for name, value in values.items()}
         from trajopt.problem.problem import Problem
 
