@@ -81,6 +81,12 @@ class Track:
         """The phases in time order."""
         return tuple(replace(span, name=short(span.name)) for span in phase_spans(self.solution))
 
+    @property
+    def impact_times(self) -> list[float]:
+        """Times of the impacts, s."""
+        index = self.solution.impact_index
+        return [] if index is None else [float(self.solution.t[row]) for row in index]
+
     @cached_property
     def report(self) -> CheckReport | None:
         """The check of the solution, None if it is inconsistent or not finite."""
