@@ -27,8 +27,8 @@ UNIT, GROWTH, LEAST = 1.3, 1.6, 0.5
 NOTE_LETTERS, TITLE_LETTERS = 150, 64
 # Space between panels side by side, over the width of all, and where they have vertical labels.
 GAP, LABELLED_GAP = 0.08, 0.125
-# Points between axes and what stands above them, and of a remark there.
-PAD, REMARK = 2.0, 8.0
+# Points between axes and what stands above them, of a remark there, and down to the power of ten of numbers.
+PAD, REMARK, OFFSET_PAD = 2.0, 8.0, 2
 # Inches across a letter in the names of phases, their line, and what a page has for them.
 PHASE_LETTER, PHASE_LINE, PHASES = 0.05, 0.09, 6.5
 
@@ -121,7 +121,7 @@ def _draw_row(axes: Sequence[Axes], row: PlotRow, tracks: Tracks, *, labelled: b
         one.set_label(panel.name)
         one.set_ylabel(panel.ylabel)
         one.yaxis.get_offset_text().set(fontsize=style.SMALLEST, va="top")
-        one.yaxis.OFFSETTEXTPAD = -PAD  # inside, below title and remark
+        one.yaxis.OFFSETTEXTPAD = -OFFSET_PAD  # inside, below title and remark
         one.set_title(style.literal(panel.title), loc="left", weight="bold", pad=PAD + above * (not named))
         look: dict[str, Any] = {"fontsize": style.TINY, "color": style.GREY, "in_layout": False}
         one.annotate(
