@@ -8,13 +8,12 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
-from trajopt.collision.coal_shapes import segment_placement
-from trajopt.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
+from trajopt.collision.shapes import BoxObstacle, Obstacle
 from trajopt.motion.carried import payload_inertia
 from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.commands import Animation
-from trajopt.view.replay.parts import UPRIGHT, box_corners, placed
+from trajopt.view.replay.parts import box_corners, draw_capsule, placed
 from trajopt.view.replay.robot import box_of_inertia
 from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.thinning import hold_while_hidden
@@ -40,14 +39,8 @@ def _draw_obstacle(node: Any, obstacle: Obstacle) -> np.ndarray:
         placement = pin.SE3(obstacle.turn, obstacle.position)
         _solid(node, shapes.Box(obstacle.sides.tolist()), placement)
         return np.asarray(_CORNERS * obstacle.sides / 2 @ obstacle.turn.T + obstacle.position)
-    start, end = obstacle.axis
-    _solid(node["start"], shapes.Sphere(obstacle.radius), pin.SE3(np.eye(3), start))
-    length = float(np.linalg.norm(end - start))
-    if isinstance(obstacle, CapsuleObstacle) and length > 0:
-        _solid(node["end"], shapes.Sphere(obstacle.radius), pin.SE3(np.eye(3), end))
-        placement = segment_placement(start, end) * pin.SE3(UPRIGHT, np.zeros(3))
-        _solid(node["side"], shapes.Cylinder(length, obstacle.radius), placement)
-    return np.concatenate([place + obstacle.radius * _CORNERS for place in (start, end)])
+    draw_capsule(node, obstacle.axis, obstacle.radius, _solid)
+    return np.concatenate([place + obstacle.radius * _CORNERS for place in obstacle.axis])
 
 
 def _solid(node: Any, shape: Any, placement: pin.SE3) -> None:
@@ -76,15 +69,15 @@ def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
 
 def _bodies(solution: Solution) -> list[tuple[dict[str, Any], list[int]]]:
     """Each carried body with its phases; the file describes a body once per phase."""
-    found: list[tuple[dict[str, Any], list[int]]] = []
+    bodies: list[tuple[dict[str, Any], list[int]]] = []
     for entry in solution.meta.get("payloads") or []:
         body = {key: value for key, value in entry.items() if key != "phases"}
-        same = [phases for other, phases in found if other == body]
+        same = [phases for other, phases in bodies if other == body]
         if same:
             same[0].extend(entry["phases"])
         else:
-            found.append((body, list(entry["phases"])))
-    return found
+            bodies.append((body, list(entry["phases"])))
+    return bodies
 
 
 def _draw_payload(node: Any, body: pin.Inertia) -> float:
