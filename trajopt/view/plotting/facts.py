@@ -37,6 +37,40 @@ class FigureTable:
     beyond: frozenset[tuple[int, int]] = frozenset()
 
 
+def title_of(tracks: Sequence[Track]) -> str:
+    """Return problem and robot; of several problems their names."""
+    names = dict.fromkeys(str(track.meta["problem"]) for track in tracks)
+    return f"{', '.join(names)} on {tracks[0].meta['robot']}"
+
+
+def state_of(track: Track) -> str:
+    """Describe a solution in a line: status, solver and grid."""
+    meta, plan = track.meta, track.solution
+    objective = meta.get("objective")
+    parts = [
+        "solved" if meta["success"] else f"not solved, {_status(track)}",
+        f"{meta['solver']}, {meta['iterations']} iterations",
+        f"objective {objective:.6g}" if isinstance(objective, float) else "",
+        f"{meta['transcription']}, {plan.n_intervals} interval{'s' * (plan.n_intervals > 1)}",
+        f"{plan.t[-1] - plan.t[0]:.3g} s",
+    ]
+    return "  \u00b7  ".join(part for part in parts if part)
+
+
+def failure_of(track: Track) -> str:
+    """Say how a solution failed; empty if it did not."""
+    failed = not track.meta["success"] and not track.is_simulated
+    parts = [
+        f"NOT SOLVED ({_status(track)}): the last iterate" if failed else "",
+        "" if track.is_finite else "NOT FINITE: what is finite is shown",
+    ]
+    return "; ".join(part for part in parts if part)
+
+
+def _status(track: Track) -> str:
+    return str(track.meta["status"]).replace("_", " ")
+
+
 def sections(tracks: Sequence[Track]) -> tuple[FigureTable, ...]:
     """Facts, check and accuracy of the solutions; missing figures are left empty."""
     return tuple(
@@ -59,7 +93,7 @@ def _facts_of(track: Track) -> dict[str, str]:
         "problem": str(meta["problem"]),
         "robot": str(meta["robot"]),
         "parameters": ", ".join(f"{key} {_value(entry)}" for key, entry in meta["parameters"].items()),
-        "status": f"{solved}: {str(meta['status']).replace('_', ' ')}",
+        "status": f"{solved}: {_status(track)}",
         "advice": "" if meta["success"] else str(meta.get("advice", "")),
         "solver": f"{meta['solver']}, tolerance {meta['tolerance']:g}",
         "iterations": str(meta["iterations"]),
@@ -100,15 +134,15 @@ def _check(tracks: Sequence[Track]) -> FigureTable | None:
 
 
 def _accuracy(tracks: Sequence[Track]) -> FigureTable | None:
-    found = [track.accuracy for track in tracks]
-    named = ((text, _values(found, name), unit, "") for name, (text, unit) in MEASURED.items())
+    measured = [track.accuracy for track in tracks]
+    named = ((text, _values(measured, name), unit, "") for name, (text, unit) in MEASURED.items())
     rows = tuple(row for row in named if row[1])
     title = "accuracy between points and in open loop"
-    return FigureTable(title=title, rows=rows) if any(found) else None
+    return FigureTable(title=title, rows=rows) if any(measured) else None
 
 
-def _values(found: Sequence[object | None], name: str) -> tuple[str, ...]:
+def _values(figures: Sequence[object | None], name: str) -> tuple[str, ...]:
     """A figure of each solution as text, empty if unknown; no row if unknown for all."""
-    values = [getattr(one, name, None) for one in found]
+    values = [getattr(one, name, None) for one in figures]
     known = any(value is not None for value in values)
     return tuple("" if value is None else f"{value:.3g}" for value in values) if known else ()

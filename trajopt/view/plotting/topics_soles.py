@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,25 +9,14 @@ import numpy as np
 
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.motion import MotionQuantities
-from trajopt.view.plotting.page import (
-    BETWEEN,
-    LEFT,
-    RIGHT,
-    UNIT,
-    PlotPage,
-    PlotPanel,
-    PlotRow,
-    Tracks,
-    batches,
-    page_of,
-)
+from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
 from trajopt.view.plotting.topics_contacts import CONTACTS_A_ROW, contact_curves, contacts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Range shown around a sole, over its size; the largest height of its panel in inches.
-AROUND, TALLEST = 1.3, 2.6
+# Range shown around a sole, over its size.
+AROUND = 1.3
 
 
 def sole_pages(tracks: Tracks) -> list[PlotPage]:
@@ -40,35 +28,20 @@ def sole_pages(tracks: Tracks) -> list[PlotPage]:
     if not any(np.isfinite(track.dense.pressure_centre[:, soles]).any() for track in tracks):
         return []
     frames = tracks[0].solution.contact_frames
-    rows = []
-    for part in batches(soles, CONTACTS_A_ROW):
-        panels = tuple(
-            PlotPanel(
-                name=f"sole:{frames[i]}",
-                ylabel="y [m]",
-                draw=partial(_sole, contact=i),
-                timed=False,
-                title=frames[i],
-            )
-            for i in part
-        )
-        rows.append(PlotRow(title="", panels=panels, height=_height(sizes[part[0]]), rigid=True))
+    panels = [
+        PlotPanel(name=f"sole:{frames[i]}", ylabel="y [m]", draw=partial(_sole, contact=i), title=frames[i])
+        for i in soles
+    ]
+    above = batches(panels, CONTACTS_A_ROW)
+    rows = [PlotRow(panels=part, timed=False, legend=False, height=1.3, rigid=True) for part in above]
     for axis, word in enumerate(("along (x)", "across (y)")):
         half = np.array([size[axis] if size else np.nan for size in sizes])
         drawn = contact_curves(tracks, partial(_pressure_share, axis=axis, half=half))
         drawn = [curve for curve, i in zip(drawn, contacts(tracks), strict=True) if i in soles]
         title = f"centre of pressure {word}, over the sole's half size"
-        ylabel = "offset / half size [1]"
-        rows.append(draw.curve_row(f"pressure:{axis}", title, ylabel, drawn, _fit_sole))
+        rows.append(draw.curve_row(f"pressure:{axis}", title, "offset / half size [1]", drawn, _fit_sole))
     note = "Centre of pressure in the sole's own axes; the frame is its edge. Dots darken with time."
     return page_of("soles", "centres of pressure", rows, note=note)
-
-
-def _height(size: Sequence[float]) -> float:
-    """Height of a sole's panel, in units of a row's, with equal scales on its two axes."""
-    length, width = size
-    inches = (style.WIDTH - LEFT - RIGHT - BETWEEN) / CONTACTS_A_ROW * width / length
-    return min(inches, TALLEST) / UNIT
 
 
 def _pressure_share(motion: MotionQuantities, axis: int, half: np.ndarray) -> np.ndarray:
@@ -94,8 +67,7 @@ def _sole(axes: Axes, tracks: Tracks, contact: int) -> None:
     along, across = (draw.column(lambda motion: motion.pressure_centre[:, contact], i) for i in (0, 1))
     for number, track in enumerate(tracks):
         look = {"color": style.GREY, "linewidth": 0.6, "linestyle": style.line_style(number)}
-        axes.plot(*track.pair(along, across), label=f"pressure/{track.label}", **look)
-    axes.set_aspect("equal", adjustable="box", anchor="NW")
-    axes.set_xlim(-AROUND * length, AROUND * length)
-    axes.set_ylim(-AROUND * width, AROUND * width)
-    axes.set_xlabel("x [m]", labelpad=1.0)
+        axes.plot(*track.pair(along, across), label="pressure", **look)
+    axes.set(xlim=(-AROUND * length, AROUND * length), ylim=(-AROUND * width, AROUND * width))
+    axes.set_aspect("equal", anchor="NW")
+    axes.set_xlabel("x [m]")

@@ -81,6 +81,12 @@ class Track:
         """The phases in time order."""
         return tuple(replace(span, name=short(span.name)) for span in phase_spans(self.solution))
 
+    @property
+    def impact_times(self) -> list[float]:
+        """Times of the impacts, s."""
+        index = self.solution.impact_index
+        return [] if index is None else [float(self.solution.t[row]) for row in index]
+
     @cached_property
     def report(self) -> CheckReport | None:
         """The check of the solution, None if it is inconsistent or not finite."""
@@ -97,8 +103,8 @@ class Track:
         measured = self.__dict__.get("accuracy")  # if already known: it takes a second
         if measured is not None:
             return np.asarray(measured.interval_errors)
-        found = tried(lambda: interval_drifts(self.points.solution))
-        return np.full(self.solution.n_intervals, np.nan) if found is None else found
+        drifts = tried(lambda: interval_drifts(self.points.solution))
+        return np.full(self.solution.n_intervals, np.nan) if drifts is None else drifts
 
     def curve(self, values: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:
         """Times and values of the interpolated motion, with NaN between where it jumps.
@@ -159,9 +165,9 @@ def _interval(plan: Solution, number: int, fractions: np.ndarray) -> MotionSampl
             pass
     start, end = plan.interval_t[number]
     times = start + fractions * (end - start)
-    found = {name: _straight(times, plan.t[inside], getattr(plan, name)[inside]) for name in names}
-    found["q"] = np.array([pin.normalize(plan.model, row) for row in found["q"]])
-    return MotionSample(**found)
+    columns = {name: _straight(times, plan.t[inside], getattr(plan, name)[inside]) for name in names}
+    columns["q"] = np.array([pin.normalize(plan.model, row) for row in columns["q"]])
+    return MotionSample(**columns)
 
 
 def _straight(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
