@@ -193,8 +193,9 @@ def _that(text: str, holds: Callable[[Any], bool], hint: Callable[[Any], str] = 
     """Values for which something holds, handed on as they are."""
 
     def accept(value: Any, place: str) -> Any:
-        _require(holds(value))
-        return value
+        if holds(value):
+            return value
+        raise ValueError
 
     return Kind(text, accept, hint)
 

@@ -22,8 +22,8 @@ from typing_extensions import override
 from trajopt import __version__
 from trajopt.cli.bench import COMMANDS as BENCH
 from trajopt.cli.groups import LazyGroup
+from trajopt.cli.interruption import CANCELLED, INTERRUPTION
 from trajopt.errors import TrajoptError
-from trajopt.solving.interruption import CANCELLED, interruptible
 
 BAD_INPUT = 2
 # Commands by name, each as ``module:function``.
@@ -54,7 +54,7 @@ class CommandLine(LazyGroup):
         self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any
     ) -> None:
         extra["standalone_mode"] = False
-        with warnings.catch_warnings(), interruptible() as interruption:
+        with warnings.catch_warnings(), INTERRUPTION.handling():
             warnings.simplefilter("ignore")  # deprecations inside libraries
             warnings.simplefilter("always", UserWarning)
             warnings.showwarning = _show_warning
@@ -63,7 +63,7 @@ class CommandLine(LazyGroup):
             except (KeyboardInterrupt, click.Abort):
                 status = _cancelled()
             except Exception:
-                if not interruption.pressed:  # else the error was caused by Ctrl-C
+                if not INTERRUPTION.pressed:  # else the error was caused by Ctrl-C
                     raise
                 status = _cancelled()
         sys.exit(status)
@@ -90,9 +90,8 @@ class CommandLine(LazyGroup):
 
 
 def _cancelled() -> int:
-    with interruptible() as interruption:
-        interruption.record()
-        interruption.answer()
+    INTERRUPTION.deferred = True
+    INTERRUPTION.answer()
     click.echo("trajopt: cancelled", err=True)
     return CANCELLED
 

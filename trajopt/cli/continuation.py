@@ -76,7 +76,7 @@ def continue_command(
     from trajopt.problem.family import choose
     from trajopt.solution.input import solution_of
     from trajopt.solving.continuation import continuation
-    from trajopt.solving.interruption import BESIDE
+    from trajopt.solving.time_limits import BESIDE
 
     family, fixed = choose(families(), problem), parse_settings(settings, "--set")
     name, values = parse_vary(family, vary, fixed)

@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from trajopt.cli.input import default_option, layout_options
+from trajopt.cli.interruption import INTERRUPTION
 from trajopt.solution.output import check_apart, check_output, require_ending
-from trajopt.solving.interruption import interruptible
 
 
 @click.command("replay")
@@ -47,7 +47,7 @@ def replay_command(
         click.echo(f"{shown.html}: {shown.duration:.2f} s, {shown.size / 1e6:.1f} MB")
         return
     sys.stdout.flush()  # the address is printed before waiting
-    with interruptible() as interruption, interruption.recording():
+    with INTERRUPTION.deferring():
         click.echo("Ctrl-C stops the server", err=True)
-        serve(shown, lambda: interruption.pressed)
-        interruption.answer()
+        serve(shown, lambda: INTERRUPTION.pressed)
+        INTERRUPTION.answer()

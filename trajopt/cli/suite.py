@@ -19,11 +19,11 @@ from trajopt.cli.input import (
     json_option,
     solver_option,
 )
+from trajopt.cli.interruption import CANCELLED
 from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, to_json
 from trajopt.errors import InputError
 from trajopt.solution.output import check_output
-from trajopt.solving.interruption import CANCELLED
 
 if TYPE_CHECKING:
     from trajopt.study.suite.cases import Case

@@ -19,9 +19,9 @@ from trajopt.cli.input import (
     json_option,
     parse_settings,
 )
+from trajopt.cli.interruption import CANCELLED
 from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, to_json
-from trajopt.solving.interruption import CANCELLED
 
 if TYPE_CHECKING:
     from trajopt.study.sweep.plan import SweepPlan

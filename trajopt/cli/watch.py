@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 import click
 
 from trajopt.cli.input import option_group
-from trajopt.solving.interruption import LOOK, interruptible
+from trajopt.cli.interruption import INTERRUPTION
 
 if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
     from trajopt.view.watching.viewer import Viewer
 
+# Seconds between two checks for Ctrl-C.
+LOOK = 0.1
 # Time limit for drawing the solution, s.
 DRAWN = 60.0
 
@@ -50,11 +52,11 @@ def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
         return
     from trajopt.solving.rounds import INTERRUPTED
 
-    with interruptible() as interruption, interruption.recording():
-        late = interruption.stops and solution.meta["status"] != INTERRUPTED
+    with INTERRUPTION.deferring():
+        late = INTERRUPTION.stops and solution.meta["status"] != INTERRUPTED
 
         def leaving() -> bool:
-            return late or interruption.pressed
+            return late or INTERRUPTION.pressed
 
         viewer.show(solution)
         end = time.monotonic() + DRAWN
@@ -64,7 +66,7 @@ def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
             click.echo(f"shown at {viewer.url}, Ctrl-C stops the server", err=True)
             while not (leaving() or viewer.wait(LOOK)):
                 pass
-        interruption.answer()
+        INTERRUPTION.answer()
         viewer.close()
 
 
