@@ -20,7 +20,6 @@ import click
 from typing_extensions import override
 
 from trajopt import __version__
-from trajopt.cli.bench import COMMANDS as BENCH
 from trajopt.cli.groups import LazyGroup
 from trajopt.cli.interruption import CANCELLED, INTERRUPTION
 from trajopt.errors import TrajoptError
@@ -110,11 +109,9 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     click.echo(f"trajopt: warning: {' '.join(str(message).split())}", err=True)
 
 
-# The commands of `trajopt bench` stood beside the others in earlier versions.
 @click.group(
     cls=CommandLine,
-    modules={**COMMANDS, **BENCH},
-    earlier=BENCH,
+    modules=COMMANDS,
     no_args_is_help=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

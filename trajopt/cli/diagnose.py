@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import chosen_problem, compile_option, json_option
+from trajopt.cli.input import chosen_problem, json_option
 from trajopt.cli.progress import busy
 from trajopt.cli.report import to_json
 from trajopt.errors import InputError, TrajoptError
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 @click.argument("file", type=Path)
 @click.option("--problem", metavar="NAME", help="The problem of FILE.  [default: as named in FILE]")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter of --problem.")
-@compile_option
 @json_option
 def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...], as_json: bool) -> None:
     """Explain why FILE failed or is hard, and what to try.
