@@ -14,7 +14,7 @@ import pytest
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.processes import TRAJOPT, run
 from trajopt import Solution
-from trajopt.cli.report import to_json
+from trajopt.cli.report import console, plain_table, say, to_json
 from trajopt.problem import catalogue
 
 # A small hop on a coarse grid: solved within a second, its foot drift is beyond a check's tolerance.
@@ -234,8 +234,9 @@ def test_bad_input_is_one_line_and_two(
 
 
 def test_output_is_refused_before_anything_else_of_the_solve(tmp_path: Path) -> None:
-    file = tmp_path / "file"
+    file, locked = tmp_path / "file", tmp_path / "locked.npz"
     file.write_text("mine")
+    locked.touch(0o444)
     places = {
         tmp_path / "none" / "x.npz": "does not exist",
         file / "x.npz": "is not a folder",
@@ -244,11 +245,27 @@ def test_output_is_refused_before_anything_else_of_the_solve(tmp_path: Path) -> 
         Path("/dev/null"): "not a regular file",
         tmp_path / ("n" * 250): "too long",
         file: "it is there and is no solution file; allowed: another name",
+        locked: "it is write-protected; allowed: a file in an existing folder",
     }
     for place, words in places.items():
         assert_refused(invoke(*HOP, "--solver", "unknown", "--output", place), words)
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert {path.name for path in tmp_path.iterdir()} == {"file", "locked.npz"}
     assert file.read_text() == "mine"
+
+
+STEERING = "\x1b[2Jgo\u202e\x07"
+ESCAPED = r"\x1b[2Jgo\u202e\x07"
+
+
+def test_what_could_steer_a_terminal_is_escaped(capsys: pytest.CaptureFixture[str]) -> None:
+    assert_refused(invoke("solve", STEERING), f"problem '{ESCAPED}' is unknown")
+    say(f"robot {STEERING}\n\tü")
+    console().print(plain_table(("name",), [(STEERING,)]))
+    console().print(STEERING)
+    shown = capsys.readouterr().out
+    assert [line.rstrip() for line in shown.splitlines()] == [
+        f"robot {ESCAPED}", "\tü", "name", ESCAPED, ESCAPED,
+    ]  # fmt: skip
 
 
 def test_cache_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,6 +22,7 @@ from typing_extensions import override
 from trajopt import __version__
 from trajopt.cli.groups import LazyGroup
 from trajopt.cli.interruption import CANCELLED, INTERRUPTION
+from trajopt.cli.report import say
 from trajopt.errors import TrajoptError
 
 BAD_INPUT = 2
@@ -91,12 +92,12 @@ class CommandLine(LazyGroup):
 def _cancelled() -> int:
     INTERRUPTION.deferred = True
     INTERRUPTION.answer()
-    click.echo("trajopt: cancelled", err=True)
+    say("trajopt: cancelled", err=True)
     return CANCELLED
 
 
 def _refuse(message: str) -> int:
-    click.echo(f"trajopt: {' '.join(message.split())}", err=True)
+    say(f"trajopt: {' '.join(message.split())}", err=True)
     return BAD_INPUT
 
 
@@ -106,7 +107,7 @@ def _usage(error: click.UsageError) -> str:
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    click.echo(f"trajopt: warning: {' '.join(str(message).split())}", err=True)
+    say(f"trajopt: warning: {' '.join(str(message).split())}", err=True)
 
 
 @click.group(

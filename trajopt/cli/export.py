@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from trajopt.cli.input import COUNT, default_option, is_given
+from trajopt.cli.report import say
 from trajopt.errors import InputError
 from trajopt.export.formats import FORMATS, OPTIONS, keyword_arguments, require_count, require_options
 from trajopt.solution.output import check_apart, check_folder, check_output, require_ending
@@ -136,7 +137,7 @@ def _export_motions(
     plans = [_load_plan(file) for file in files]
     written = export_motion(plans, form, target, rate, cycles, **given)
     count = "1 motion" if len(plans) == 1 else f"{len(plans)} motions"
-    click.echo(f"{written}: {count} at {rate:g} Hz, {form}")
+    say(f"{written}: {count} at {rate:g} Hz, {form}")
 
 
 def _export_one(file: Path, form: str, output: Path | None, rate: float, conventions: dict[str, Any]) -> None:
@@ -147,12 +148,12 @@ def _export_one(file: Path, form: str, output: Path | None, rate: float, convent
     _refuse_solution_file(check_output(target))
     if samples:
         motion = _load_plan(file).sample(rate, **conventions)
-        click.echo(f"{motion.save(target)}: {len(motion.t)} samples at {rate:g} Hz")
+        say(f"{motion.save(target)}: {len(motion.t)} samples at {rate:g} Hz")
     else:
         from trajopt.simulation.mjcf import write_mjcf
 
         _refuse_options(form, ("rate", *OF_SAMPLES))
-        click.echo(write_mjcf(file, target))
+        say(write_mjcf(file, target))
 
 
 def _load_plan(file: Path) -> Solution:

@@ -9,7 +9,7 @@ import click
 
 from trajopt.cli.input import COUNT, default_option, json_option
 from trajopt.cli.progress import busy
-from trajopt.cli.report import to_json
+from trajopt.cli.report import say, to_json
 from trajopt.solution.output import check_apart
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def push_command(
         check_push_plot(output)
     plan = Solution.load(file)
     if not plan.success:
-        click.echo(f"trajopt: warning: {file} is no success: {plan.meta['status']}", err=True)
+        say(f"trajopt: warning: {file} is no success: {plan.meta['status']}", err=True)
     chosen = CONTROLLERS if controller is None else (controller,)
     with busy(f"pushing {file} in MuJoCo"):
         report = largest_pushes(
@@ -81,5 +81,5 @@ def push_command(
         )
         if output is not None:
             write_push_plot(report, output)
-    click.echo(to_json(report.to_dict()) if as_json else report.table())
+    say(to_json(report.to_dict()) if as_json else report.table())
     return 0

@@ -15,7 +15,7 @@ from trajopt.cli.input import (
     json_option,
     threads_option,
 )
-from trajopt.cli.report import to_json
+from trajopt.cli.report import say, to_json
 from trajopt.solution.output import check_solution_output
 
 if TYPE_CHECKING:
@@ -61,14 +61,14 @@ def reference_command(
     bounds = Agreement(objective=objective, distance=distance)
 
     def show(rung: MeshSolve) -> None:
-        click.echo(str(rung), err=True)
+        say(str(rung), err=True)
 
     try:
         converged = converged_reference(loaded, agreement=bounds, progress=show, **arguments)
     except NoReferenceError as error:
-        click.echo(f"trajopt: {error}", err=True)
+        say(f"trajopt: {error}", err=True)
         return NOT_REACHED
     converged.solution.save(target)
     shown = {**converged.to_dict(), "file": str(target)}
-    click.echo(to_json(shown) if as_json else f"{converged}\n{target}")
+    say(to_json(shown) if as_json else f"{converged}\n{target}")
     return 0

@@ -17,7 +17,7 @@ from trajopt.cli.input import (
     parse_settings,
 )
 from trajopt.cli.progress import busy
-from trajopt.cli.report import to_json
+from trajopt.cli.report import say, to_json
 from trajopt.errors import InputError
 from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
 
@@ -89,7 +89,7 @@ def simulate_command(
         require_ending(page, ".html")
     plan = Solution.load(file)
     if not plan.success:
-        click.echo(f"trajopt: warning: {file} is no success: {plan.meta['status']}", err=True)
+        say(f"trajopt: warning: {file} is no success: {plan.meta['status']}", err=True)
     with busy(f"simulating {plan.t[-1]:.3g} s of {file} in MuJoCo"):
         simulated = simulate(plan, **settings)
     if motion is not None:
@@ -99,7 +99,7 @@ def simulate_command(
 
         replay([plan, simulated.as_solution()], html=page, labels=["plan", "simulation"])
     report = simulated.report
-    click.echo(to_json(report.to_dict()) if as_json else report.table())
+    say(to_json(report.to_dict()) if as_json else report.table())
     return 0 if report.passed else NOT_REACHED
 
 

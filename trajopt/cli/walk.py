@@ -9,7 +9,7 @@ import click
 
 from trajopt.cli.input import COUNT, NOT_REACHED, default_option, json_option
 from trajopt.cli.progress import busy
-from trajopt.cli.report import to_json
+from trajopt.cli.report import say, to_json
 from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
 
 
@@ -73,7 +73,7 @@ def walk_command(
     if planned is not None:
         made.save(planned)
     if not made.success:
-        click.echo(f"trajopt: warning: the walk of the pendulum is {made.meta['status']}", err=True)
+        say(f"trajopt: warning: the walk of the pendulum is {made.meta['status']}", err=True)
     with busy(f"simulating {made.t[-1]:.3g} s in MuJoCo"):
         simulated = simulate(made, controller="whole-body")
     if motion is not None:
@@ -83,5 +83,5 @@ def walk_command(
 
         replay([made, simulated.as_solution()], html=page, labels=["plan", "simulation"])
     report = simulated.report
-    click.echo(to_json(report.to_dict()) if as_json else report.table())
+    say(to_json(report.to_dict()) if as_json else report.table())
     return 0 if report.passed else NOT_REACHED

@@ -10,6 +10,7 @@ import click
 
 from trajopt.cli.input import option_group
 from trajopt.cli.interruption import INTERRUPTION
+from trajopt.cli.report import say
 
 if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
@@ -39,7 +40,7 @@ def open_viewer(watch: bool) -> Viewer | None:
 
     viewer = Viewer(open_browser=_at_terminal())
     click.get_current_context().call_on_close(viewer.close)
-    click.echo(server_address_text(viewer.url), err=True)
+    say(server_address_text(viewer.url), err=True)
     return viewer
 
 
@@ -63,7 +64,7 @@ def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
         while not (leaving() or viewer.flush(LOOK) or time.monotonic() > end):
             pass
         if viewer.alive and _at_terminal() and not leaving():
-            click.echo(f"shown at {viewer.url}, Ctrl-C stops the server", err=True)
+            say(f"shown at {viewer.url}, Ctrl-C stops the server", err=True)
             while not (leaving() or viewer.wait(LOOK)):
                 pass
         INTERRUPTION.answer()
