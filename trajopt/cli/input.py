@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -12,7 +13,10 @@ from typing_extensions import override
 from trajopt.errors import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from trajopt.problem.problem import Problem
+    from trajopt.solution.solution import Solution
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
@@ -139,6 +143,16 @@ def chosen_problem(name: str, settings: Sequence[str]) -> Problem:
     from trajopt.problem.family import choose
 
     return choose(families(), name).load(parse_settings(settings, "--set"))
+
+
+def load_plan(file: Path) -> Solution:
+    """The solution in a file; warns where it is not a success."""
+    from trajopt.solution.solution import Solution
+
+    plan = Solution.load(file)
+    if not plan.success:
+        warnings.warn(f"{file} is not a success: {plan.meta['status']}", UserWarning, stacklevel=2)
+    return plan
 
 
 def parse_settings(settings: Sequence[str], option: str) -> dict[str, str]:

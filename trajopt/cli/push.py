@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from trajopt.cli.input import COUNT, default_option, json_option
+from trajopt.cli.input import COUNT, default_option, json_option, load_plan
 from trajopt.cli.progress import busy
 from trajopt.cli.report import say, to_json
 from trajopt.solution.output import check_apart
@@ -60,15 +60,12 @@ def push_command(
     the robot does not fall. Directions are degrees from the base's front, counter-clockwise.
     """
     from trajopt.simulation.push import CONTROLLERS, largest_pushes
-    from trajopt.solution.solution import Solution
     from trajopt.view.plotting.pushes import check_push_plot, write_push_plot
 
     check_apart([output], [file])
     if output is not None:
         check_push_plot(output)
-    plan = Solution.load(file)
-    if not plan.success:
-        say(f"trajopt: warning: {file} is no success: {plan.meta['status']}", err=True)
+    plan = load_plan(file)
     chosen = CONTROLLERS if controller is None else (controller,)
     with busy(f"pushing {file} in MuJoCo"):
         report = largest_pushes(
