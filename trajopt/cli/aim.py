@@ -71,7 +71,7 @@ def solve_aimed(
     problem: Problem, *, title: str, log: str | None = None, viewer: Watch | None = None, **arguments: Any
 ) -> SolveReport:
     """Choose, solve, measure and refine, with progress."""
-    from trajopt.solving.interruption import BESIDE
+    from trajopt.solving.time_limits import BESIDE
     from trajopt.study.choosing.solve_to import solve_to_accuracy, solve_within
 
     accuracy, budget, front = (arguments.pop(name) for name in ("accuracy", "budget", "front"))

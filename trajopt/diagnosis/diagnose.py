@@ -25,7 +25,6 @@ from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.solving.verdicts import STILL_FEASIBLE, finite_or_none
@@ -39,7 +38,6 @@ WORST = 5
 SAME = 1e-4
 
 
-@accepts_compile
 @checked
 def diagnose(
     what: Solution | PreparedProblem | str | Path,

@@ -16,7 +16,7 @@ from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import Base, base_of, position_limits
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
-from trajopt.errors import InputError, expanded, renamed
+from trajopt.errors import InputError, expanded
 from trajopt.kinds import ArrayShape
 from trajopt.robot import building
 from trajopt.robot.actuators.drive import Drive
@@ -28,7 +28,6 @@ from trajopt.robot.validation import require_contacts, require_inertias, require
 
 
 @checked
-@renamed(effort_limit="torque_limit")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
     """A robot as problems use it. Arrays are copied and read-only.

@@ -12,7 +12,6 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.graded import solve_graded
 from trajopt.solving.ladder import FROM_DEFAULT_GUESS, GridLevel, solve_figures, total_effort
 from trajopt.solving.rounds import Graded
@@ -84,7 +83,6 @@ class Continuation:
         return found
 
 
-@accepts_compile
 @checked
 def continuation(
     load: Callable[[float], Problem],

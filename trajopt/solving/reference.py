@@ -20,7 +20,6 @@ from trajopt.motion.natural_units import NaturalUnits
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.solving import DEFAULT_SOLVER, solve
 
 # Degree three: order six where controls are smooth; where a limit becomes active or inactive within an
@@ -140,7 +139,6 @@ def _in_words(apart: Comparison) -> str:
     return f"{gap}, {apart.farthest:.1e} m{when}"
 
 
-@accepts_compile
 def converged_reference(
     problem: Problem,
     *,

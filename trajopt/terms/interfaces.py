@@ -25,7 +25,7 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import NonNegative, checked
-from trajopt.errors import InputError, numbers_of, renamed, require_not_negative
+from trajopt.errors import InputError, numbers_of, require_not_negative
 from trajopt.kinds import ArrayShape, shown
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -35,7 +35,6 @@ from trajopt.terms.context import Context
 
 
 @checked
-@renamed(phase="at during", phases="during at", fraction="at")
 @dataclass(frozen=True, kw_only=True)
 class Term:
     """Common interface of costs and constraints.

@@ -21,7 +21,7 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError, not_among, renamed
+from trajopt.errors import InputError, not_among
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.moment import Moment, middle_of
@@ -63,7 +63,6 @@ def effort_costs(
     )
 
 
-@renamed(phase="at")
 @checked
 def goal_terms(
     goal: str,

@@ -12,7 +12,6 @@ from trajopt.problem import Problem
 from trajopt.solution.meta import jsonable
 from trajopt.solution.solution import Solution
 from trajopt.solvers.result import LEAST_TIME
-from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.graded import MOST_ROUNDS, USUAL_TOLERANCE, solve_graded
 from trajopt.solving.rounds import INTERRUPTED, Round, largest_error
 from trajopt.solving.solving import solve
@@ -72,7 +71,6 @@ class TargetSolve:
         }
 
 
-@accepts_compile
 @checked
 def solve_to_accuracy(
     problem: Problem,
@@ -99,7 +97,6 @@ def solve_to_accuracy(
     )
 
 
-@accepts_compile
 @checked
 def solve_within(
     problem: Problem,
