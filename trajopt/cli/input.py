@@ -151,7 +151,7 @@ def load_plan(file: Path) -> Solution:
 
     plan = Solution.load(file)
     if not plan.success:
-        warnings.warn(f"{file} is not a success: {plan.meta['status']}", UserWarning, stacklevel=2)
+        warnings.warn(f"{file} is not a success: {plan.statistics.status}", UserWarning, stacklevel=2)
     return plan
 
 

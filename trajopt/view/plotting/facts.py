@@ -39,19 +39,19 @@ class FigureTable:
 
 def title_of(tracks: Sequence[Track]) -> str:
     """Return problem and robot; of several problems their names."""
-    names = dict.fromkeys(str(track.meta["problem"]) for track in tracks)
-    return f"{', '.join(names)} on {tracks[0].meta['robot']}"
+    names = dict.fromkeys(track.solution.description.problem for track in tracks)
+    return f"{', '.join(names)} on {tracks[0].solution.description.robot}"
 
 
 def state_of(track: Track) -> str:
     """Describe a solution in a line: status, solver and grid."""
-    meta, plan = track.meta, track.solution
-    objective = meta.get("objective")
+    plan, statistics = track.solution, track.solution.statistics
+    objective = statistics.objective
     parts = [
-        "solved" if meta["success"] else f"not solved, {_status(track)}",
-        f"{meta['solver']}, {meta['iterations']} iterations",
-        f"objective {objective:.6g}" if isinstance(objective, float) else "",
-        f"{meta['transcription']}, {plan.n_intervals} interval{'s' * (plan.n_intervals > 1)}",
+        "solved" if statistics.success else f"not solved, {_status(track)}",
+        f"{statistics.solver}, {statistics.iterations} iterations",
+        "" if objective is None else f"objective {objective:.6g}",
+        f"{statistics.transcription}, {plan.n_intervals} interval{'s' * (plan.n_intervals > 1)}",
         f"{plan.t[-1] - plan.t[0]:.3g} s",
     ]
     return "  \u00b7  ".join(part for part in parts if part)
@@ -59,7 +59,7 @@ def state_of(track: Track) -> str:
 
 def failure_of(track: Track) -> str:
     """Say how a solution failed; empty if it did not."""
-    failed = not track.meta["success"] and not track.is_simulated
+    failed = not track.solution.success and not track.is_simulated
     parts = [
         f"NOT SOLVED ({_status(track)}): the last iterate" if failed else "",
         "" if track.is_finite else "NOT FINITE: what is finite is shown",
@@ -68,7 +68,7 @@ def failure_of(track: Track) -> str:
 
 
 def _status(track: Track) -> str:
-    return str(track.meta["status"]).replace("_", " ")
+    return track.solution.statistics.status.replace("_", " ")
 
 
 def sections(tracks: Sequence[Track]) -> tuple[FigureTable, ...]:
@@ -85,28 +85,30 @@ def _facts(tracks: Sequence[Track]) -> FigureTable:
 
 
 def _facts_of(track: Track) -> dict[str, str]:
-    meta, plan = track.meta, track.solution
+    plan, description, statistics = track.solution, track.solution.description, track.solution.statistics
     drawn = tried(lambda: float(energy(plan))) if track.is_finite else None
     transport = tried(lambda: float(cost_of_transport(plan))) if track.is_finite else None
-    solved = "solved" if meta["success"] else "NOT SOLVED"
+    solved = "solved" if statistics.success else "NOT SOLVED"
     return {
-        "problem": str(meta["problem"]),
-        "robot": str(meta["robot"]),
-        "parameters": ", ".join(f"{key} {_value(entry)}" for key, entry in meta["parameters"].items()),
+        "problem": description.problem,
+        "robot": description.robot,
+        "parameters": ", ".join(f"{key} {_value(entry)}" for key, entry in description.parameters.items()),
         "status": f"{solved}: {_status(track)}",
-        "advice": "" if meta["success"] else str(meta.get("advice", "")),
-        "solver": f"{meta['solver']}, tolerance {meta['tolerance']:g}",
-        "iterations": str(meta["iterations"]),
-        "objective": _value(meta["objective"]),
-        "largest violation": _value(meta.get("max_violation")),
-        "variables, constraints": f"{meta.get('variables', '')}, {meta.get('constraints', '')}".strip(", "),
-        "transcription": f"{meta['transcription']}, {plan.n_intervals} intervals",
+        "advice": "" if statistics.success else statistics.advice,
+        "solver": f"{statistics.solver}, tolerance {statistics.tolerance:g}",
+        "iterations": str(statistics.iterations),
+        "objective": _value(statistics.objective),
+        "largest violation": _value(statistics.max_violation),
+        "variables, constraints": f"{statistics.variables}, {statistics.constraints}"
+        if statistics.variables
+        else "",
+        "transcription": f"{statistics.transcription}, {plan.n_intervals} intervals",
         "phases": ", ".join(f"{phase.name} {phase.end - phase.start:.3g}" for phase in track.phases),
         "duration": f"{plan.t[-1] - plan.t[0]:.4g}",
-        "time of the solver": _value(meta["wall_time_s"]),
+        "time of the solver": _value(statistics.wall_time_s),
         "energy drawn by joints": _value(drawn),
         "cost of transport": _value(transport if transport is not None and np.isfinite(transport) else None),
-        "versions": ", ".join(f"{key} {entry}" for key, entry in meta["versions"].items()),
+        "versions": ", ".join(f"{key} {entry}" for key, entry in statistics.versions.items()),
     }
 
 

@@ -68,10 +68,10 @@ class Limb:
 
 def axes_of(solution: Solution) -> tuple[JointAxis, ...]:
     """All rows of v behind the base joint, in their order."""
-    model, meta = solution.model, solution.meta
+    model, description = solution.model, solution.description
     lower, upper = position_limits(model)
-    speed = _limits(meta.get("velocity_limit"), model.nv)
-    effort = _limits(meta.get("effort_limit"), solution.tau.shape[1])
+    speed = _limits(description.velocity_limit, model.nv)
+    effort = _limits(description.effort_limit, solution.tau.shape[1])
     axes = []
     for joint in list(model.joints)[BASE_JOINT[base_of(model)] + 1 :]:
         for i in range(joint.nv):
@@ -96,9 +96,8 @@ def axes_of(solution: Solution) -> tuple[JointAxis, ...]:
     return tuple(axes)
 
 
-def _limits(given: Sequence[float | None] | None, size: int) -> np.ndarray:
-    values = [np.inf if entry is None or entry > UNLIMITED else entry for entry in given or ()]
-    return np.array(values, dtype=float) if values else np.full(size, np.inf)
+def _limits(given: np.ndarray | None, size: int) -> np.ndarray:
+    return np.full(size, np.inf) if given is None else np.where(given > UNLIMITED, np.inf, given)
 
 
 def _slides(joint: pin.JointModel, row: int) -> bool:

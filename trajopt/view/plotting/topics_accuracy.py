@@ -37,8 +37,8 @@ def dynamics_residual(motion: MotionQuantities, part: str) -> np.ndarray:
 def contact_residual(motion: MotionQuantities) -> np.ndarray:
     """Largest acceleration of active contacts (K,) over g; with velocity sources, velocity over sqrt(g l)."""
     units, turning = motion.units, np.array([1.0] * 3 + [1.0 / motion.units.length] * 3)
-    is_velocity = motion.solution.meta.get("actuation") == "velocity"
-    scale = math.sqrt(units.gravity * units.length) if is_velocity else units.gravity
+    is_statics = motion.solution.description.velocity_input
+    scale = math.sqrt(units.gravity * units.length) if is_statics else units.gravity
     rows = motion.residual_rows.contact / (scale * turning)
     return _largest(rows.reshape(len(rows), -1))
 

@@ -193,7 +193,7 @@ def _impulses(axes: Axes, tracks: Tracks) -> None:
 
 
 def _load_row(tracks: Tracks) -> PlotRow | None:
-    if not tracks[0].meta.get("payloads"):
+    if not tracks[0].solution.description.payloads:
         return None
     load = Curve(label="magnitude", values=lambda motion: motion.load)
     title, scale = "force of carried bodies on the robot", partial(draw.fit, zero=True)

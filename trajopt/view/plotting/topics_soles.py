@@ -21,22 +21,20 @@ AROUND = 1.3
 
 def sole_pages(tracks: Tracks) -> list[PlotPage]:
     """Centres of pressure in the soles, seen from above and over time."""
-    sizes = tracks[0].meta.get("contact_sizes") or []
-    soles = [
-        i for i in contacts(tracks) if i < len(sizes) and sizes[i] and tracks[0].solution.description.soles[i]
-    ]
-    if not any(np.isfinite(track.dense.pressure_centre[:, soles]).any() for track in tracks):
+    described = tracks[0].solution.description.contacts
+    sizes = {i: described[i].half_size for i in contacts(tracks) if described[i].is_sole}
+    soles = {i: size for i, size in sizes.items() if size is not None}
+    if not any(np.isfinite(track.dense.pressure_centre[:, list(soles)]).any() for track in tracks):
         return []
-    frames = tracks[0].solution.contact_frames
-    panels = [
-        PlotPanel(name=f"sole:{frames[i]}", ylabel="y [m]", draw=partial(_sole, contact=i), title=frames[i])
-        for i in soles
-    ]
+    panels = []
+    for i, half in soles.items():
+        drawing, frame = partial(_sole, contact=i, half=half), described[i].frame
+        panels.append(PlotPanel(name=f"sole:{frame}", ylabel="y [m]", draw=drawing, title=frame))
     above = batches(panels, CONTACTS_A_ROW)
     rows = [PlotRow(panels=part, timed=False, legend=False, height=1.3, rigid=True) for part in above]
     for axis, word in enumerate(("along (x)", "across (y)")):
-        half = np.array([size[axis] if size else np.nan for size in sizes])
-        drawn = contact_curves(tracks, partial(_pressure_share, axis=axis, half=half))
+        half_sizes = np.array([soles[i][axis] if i in soles else np.nan for i in range(len(described))])
+        drawn = contact_curves(tracks, partial(_pressure_share, axis=axis, half=half_sizes))
         drawn = [curve for curve, i in zip(drawn, contacts(tracks), strict=True) if i in soles]
         title = f"centre of pressure {word}, over the sole's half size"
         rows.append(draw.curve_row(f"pressure:{axis}", title, "offset / half size [1]", drawn, _fit_sole))
@@ -55,10 +53,10 @@ def _fit_sole(axes: Axes) -> None:
         axes.axhline(edge, **draw.LIMIT)
 
 
-def _sole(axes: Axes, tracks: Tracks, contact: int) -> None:
+def _sole(axes: Axes, tracks: Tracks, contact: int, half: tuple[float, float]) -> None:
     from matplotlib.patches import Rectangle
 
-    length, width = tracks[0].meta["contact_sizes"][contact]
+    length, width = half
     axes.add_patch(Rectangle((-length, -width), 2 * length, 2 * width, fill=False, linewidth=1.0))
     motion = tracks[0].dense
     x, y = motion.pressure_centre[:, contact].T

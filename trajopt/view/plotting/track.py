@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -51,14 +51,9 @@ class Track:
         object.__setattr__(self, "dense", MotionQuantities(between_points(plan)))
 
     @property
-    def meta(self) -> dict[str, Any]:
-        """Facts of the solution."""
-        return self.solution.meta
-
-    @property
     def is_simulated(self) -> bool:
         """Whether it is a simulated motion instead of a plan."""
-        return bool(self.meta.get("simulated"))
+        return self.solution.statistics.simulated
 
     @cached_property
     def is_finite(self) -> bool:
@@ -187,8 +182,9 @@ def tracks_of(solutions: Sequence[Solution], labels: Sequence[str] | None = None
         )
     for other in solutions[1:]:
         if _robot_of(other) != _robot_of(solutions[0]):
+            robots = f"'{solutions[0].description.robot}' and '{other.description.robot}'"
             raise InputError(
-                f"'{solutions[0].meta['robot']}' and '{other.meta['robot']}' have other joints or contacts",
+                f"{robots} have other joints or contacts",
                 "allowed: solutions of one robot",
             )
     names = [str(label) for label in labels] if labels else _labels(solutions)
@@ -205,10 +201,10 @@ def _robot_of(solution: Solution) -> tuple[object, ...]:
 def _labels(solutions: Sequence[Solution]) -> list[str]:
     """Labels that distinguish solutions: simulation or plan, grid and scheme, else numbers."""
     if len(solutions) == 1:
-        return [str(solutions[0].meta["problem"])]
-    kinds = ["simulation" if one.meta.get("simulated") else "plan" for one in solutions]
-    grids = [f"{one.n_intervals} x {one.meta['transcription']}" for one in solutions]
-    problems = [str(one.meta["problem"]) for one in solutions]
+        return [solutions[0].description.problem]
+    kinds = ["simulation" if one.statistics.simulated else "plan" for one in solutions]
+    grids = [f"{one.n_intervals} x {one.statistics.transcription}" for one in solutions]
+    problems = [one.description.problem for one in solutions]
     for names in (kinds, grids, problems, [f"{a}, {b}" for a, b in zip(problems, grids, strict=True)]):
         if len(set(names)) == len(names):
             return names
