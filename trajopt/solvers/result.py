@@ -17,8 +17,7 @@ Option = str | int | float
 # solver does not give them), to be called before the callback returns. False stops at the iterate.
 Callback = Callable[[dict[str, float], Callable[[], np.ndarray]], bool]
 
-# IPOPT gets a tighter tolerance on rows than on optimality, so that a solution passes a check at its
-# tolerance. FATROP stalls at that, which is at the limit of its linear algebra's accuracy.
+# Solvers get a tighter tolerance on rows than on optimality, so that a solution passes a check at its tolerance.
 FEASIBILITY_SHARE = 0.1
 
 
