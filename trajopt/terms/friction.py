@@ -14,8 +14,8 @@ from typing_extensions import override
 from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.contact import Contact
+from trajopt.robot.friction import friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.robot import Robot
-from trajopt.robot.sole import friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
@@ -244,9 +244,9 @@ class SoleLimits(ContactConstraint):
 class SoleCone(ContactConstraint):
     """Wrench of each sole inside the exact contact wrench cone, 16 rows.
 
-    Friction, centre of pressure and yaw moment together, see `sole.yaw_rows` (Caron, Pham, Nakamura, ICRA
-    2015), for a pyramid along the sole's axes that is inscribed in the Coulomb cone, coefficient mu / sqrt 2.
-    Soles need no other friction term; point contacts have no rows.
+    Friction, centre of pressure and yaw moment together, see `trajopt.robot.friction` (Caron, Pham, Nakamura,
+    ICRA 2015), for a pyramid along the sole's axes that is inscribed in the Coulomb cone, coefficient mu /
+    sqrt 2. Soles need no other friction term; point contacts have no rows.
     """
 
     @override
