@@ -10,6 +10,7 @@ import click
 from typing_extensions import override
 
 from trajopt.errors import InputError
+from trajopt.solvers.drivers import SOLVERS
 
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
@@ -110,7 +111,7 @@ def _note_no_compiler(context: click.Context, option: click.Parameter, levels: s
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-solver_option = default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp.")
+solver_option = default_option("--solver", "ipopt", "NAME", f"One of {', '.join(SOLVERS)}.")
 compile_option = click.option("--compile", callback=_note_no_compiler, hidden=True, expose_value=False)
 _threads_option = default_option(
     "--threads", 1, "N", "Threads for functions and linear systems.", kind=THREADS

@@ -14,16 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajopt.solvers.drivers import run_solver
+from trajopt.solvers.drivers import check_solver, run_solver
 from trajopt.solvers.elastic import ElasticPoint, counted_from, least_violation
 from trajopt.solvers.progress import VIOLATED, is_stalled
 from trajopt.solvers.result import Callback, Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
-from trajopt.transcription.compilation import DEFAULT_HESSIAN
 from trajopt.transcription.nlp import Nlp
 
-# The test is measured on IPOPT's figures, and the elastic problem needs the exact Hessian.
-TESTED = "ipopt", DEFAULT_HESSIAN
 CERTIFIED = "Certified_Infeasible"
 # IPOPT's name for the limit that iterations of elastic problems have used up.
 LIMITED = "Maximum_Iterations_Exceeded"
@@ -101,7 +98,7 @@ def solve_or_certify(
     warm: WarmMultipliers | None = None,
 ) -> tuple[Result, ElasticPoint | None]:
     """As `run_solver`, with the test of progress where that is measured; the certificate if infeasible."""
-    if (solver, nlp.hessian) != TESTED:
+    if nlp.hessian not in check_solver(solver, nlp.hessian).certifies_with:
         return run_solver(nlp, start, solver, stop, options, callback, warm), None
     begun = time.perf_counter()
     test = StallTest(nlp, callback, stop)

@@ -10,7 +10,8 @@ import numpy as np
 
 from trajopt import _engine
 from trajopt.errors import InputError
-from trajopt.transcription.compilation import DEFAULT_HESSIAN, CompiledPoint
+from trajopt.transcription.compilation import CompiledPoint
+from trajopt.transcription.hessians import DEFAULT_HESSIAN
 from trajopt.transcription.sparse_maps import DerivativeMap, hessian_map, jacobian_map
 from trajopt.transcription.transcription import FunctionGroup, Transcription
 

@@ -355,7 +355,7 @@ def transcribe(
         if problem.actuation == "velocity" and problem.robot.n_unactuated and 0.0 in method.c:
             raise InputError(
                 f"transcription '{method.name}' states the balance of a velocity source twice at every node",
-                "allowed: legendre or radau for a free base",
+                "allowed for a free base: schemes without a point at the start, such as legendre or radau",
             )
     return Transcriber(problem, chosen).build()
 
