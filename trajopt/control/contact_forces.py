@@ -75,11 +75,12 @@ class ActiveContact:
 
         J a = -dJ v - damping J v; of what slides along the normal alone. ``damping`` in 1/s.
         """
-        own = state.frame(self.frame)
-        jacobian = own.jacobian[: self.dimension]
-        value = -own.drift[: self.dimension] - damping * own.velocity[: self.dimension]
+        frame = state.frame(self.frame)
+        jacobian = frame.jacobian[: self.dimension]
+        value = -frame.drift[: self.dimension] - damping * frame.velocity[: self.dimension]
         if self.sliding is not None:
-            rows = self.normal[None] if self.dimension == 3 else _without_sliding(self.normal)
+            rows = np.eye(self.dimension)[2:]  # of a sole with all its rotations
+            rows[0, :3] = self.normal
             return rows @ jacobian, rows @ value
         return jacobian, value
 
@@ -135,8 +136,3 @@ def _sole_rows(friction: float, half_size: tuple[float, float]) -> np.ndarray:
     turning = [most - moment[2], most + moment[2]]
     pressure = pressure_rows(force, moment, half_size)
     return np.array([*pressure, *turning, *yaw_rows(force, moment, half_size, friction)])
-
-
-def _without_sliding(normal: np.ndarray) -> np.ndarray:
-    """Rows (4, 6) of a sole that slides: along the normal, and all rotations."""
-    return np.block([[normal[None], np.zeros((1, 3))], [np.zeros((3, 3)), np.eye(3)]])

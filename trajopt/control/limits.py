@@ -25,8 +25,8 @@ def limits_with_drives(
     low, high = low.copy(), high.copy()
     for row, drive in enumerate(drives):
         if drive is not None:
-            own = drive.torque_range(float(rate[row]))
-            low[row], high[row] = float(own[0]), float(max(own[0], own[1]))
+            torques = drive.torque_range(float(rate[row]))
+            low[row], high[row] = float(torques[0]), float(max(torques[0], torques[1]))
     return low, high
 
 
@@ -67,5 +67,5 @@ class JointRange:
 
 def _numbers(given: list[float | None]) -> np.ndarray:
     """Limits of a file, infinite where there is none."""
-    own = np.array([np.inf if entry is None else entry for entry in given], dtype=float)
-    return np.where(own > UNLIMITED, np.inf, own)
+    limits = np.array([np.inf if entry is None else entry for entry in given], dtype=float)
+    return np.where(limits > UNLIMITED, np.inf, limits)

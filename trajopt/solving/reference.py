@@ -210,22 +210,22 @@ class _Climb:
         last = self._solved(start)
         self._record(last)
         while True:
-            found = self._solved(last)
-            apart = compare(found, last)
-            agreed = len(self.rungs) > 1 and agreement.holds(apart, NaturalUnits.of(found.model))
-            self._record(found, apart, other=not agreed and self._is_other(last, found, apart))
+            solution = self._solved(last)
+            apart = compare(solution, last)
+            agreed = len(self.rungs) > 1 and agreement.holds(apart, NaturalUnits.of(solution.model))
+            self._record(solution, apart, other=not agreed and self._is_other(last, solution, apart))
             if agreed:
-                made = ConvergedReference(solution=found, agreement=apart, rungs=tuple(self.rungs))
+                made = ConvergedReference(solution=solution, agreement=apart, rungs=tuple(self.rungs))
                 return replace(
-                    made, solution=replace(found, meta={**found.meta, "reference": made.to_dict()})
+                    made, solution=replace(solution, meta={**solution.meta, "reference": made.to_dict()})
                 )
-            last = found
+            last = solution
 
-    def _record(self, found: Solution, apart: Comparison | None = None, *, other: bool = False) -> None:
-        meta = found.meta
+    def _record(self, solution: Solution, apart: Comparison | None = None, *, other: bool = False) -> None:
+        meta = solution.meta
         rung = MeshSolve(
             scheme=meta["transcription"],
-            intervals=found.n_intervals,
+            intervals=solution.n_intervals,
             unknowns=meta["variables"],
             iterations=meta["iterations"],
             status=meta["status"],
@@ -243,7 +243,7 @@ class _Climb:
         scheme, intervals = self._mesh()
         self.begun = time.monotonic()
         for origin in (start, None) if start is not None else (None,):
-            found = solve(
+            solution = solve(
                 self.problem,
                 transcription=scheme,
                 intervals=intervals,
@@ -251,12 +251,12 @@ class _Climb:
                 max_time=max(self.left, LEAST_TIME),
                 **self.settings,
             )
-            if found.converged:
-                return found
+            if solution.converged:
+                return solution
             if self.left <= 0:
                 break
-        mesh = f"{found.meta['transcription']} with {found.n_intervals} intervals"
-        raise self._failure(f"{mesh} is not solved ({found.meta['status'].replace('_', ' ')})")
+        mesh = f"{solution.meta['transcription']} with {solution.n_intervals} intervals"
+        raise self._failure(f"{mesh} is not solved ({solution.meta['status'].replace('_', ' ')})")
 
     def _mesh(self) -> tuple[str | None, int | None]:
         """Scheme and intervals of the next mesh, None for the problem's; raises where the budget is spent."""

@@ -58,11 +58,11 @@ def remeshed(
     """
     phases, ends = [], np.cumsum(mesh.counts)
     parts = np.where(broken > 1, np.clip(np.ceil(np.sqrt(broken)), 2, MOST_PARTS), 1).astype(int)
-    for phase, own, split in zip(mesh.phases, errors, np.split(parts, ends[:-1]), strict=True):
-        if own.phase <= 1:
+    for phase, error, split in zip(mesh.phases, errors, np.split(parts, ends[:-1]), strict=True):
+        if error.phase <= 1:
             phases.append(phase.split(split.tolist()) if split.max() > 1 else phase)
         else:
-            phases.append(_remeshed_phase(phase, own, split, length, raise_degree))
+            phases.append(_remeshed_phase(phase, error, split, length, raise_degree))
     return Mesh(phases=tuple(phases))
 
 
