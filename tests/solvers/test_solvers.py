@@ -12,7 +12,8 @@ from numpy.testing import assert_array_equal
 from tests.support.problems import hop, lean, reach
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.solvers.drivers import IPOPT_OPTIONS, SOLVERS, run_solver
+from trajopt.solvers.drivers import SOLVERS, run_solver
+from trajopt.solvers.ipopt import IPOPT_OPTIONS
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import PreparedProblem, prepare, solve

@@ -7,7 +7,8 @@ import statistics
 import numpy as np
 import pytest
 
-from trajopt.solvers.drivers import mesh_weight, run_solver
+from trajopt.solvers.drivers import run_solver
+from trajopt.solvers.fatrop import mesh_weight
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import PreparedProblem, prepare

@@ -11,6 +11,7 @@ import click
 from typing_extensions import override
 
 from trajopt.errors import InputError
+from trajopt.solvers.drivers import SOLVERS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -91,7 +92,7 @@ def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-solver_option = default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp.")
+solver_option = default_option("--solver", "ipopt", "NAME", f"One of {', '.join(SOLVERS)}.")
 threads_option = default_option(
     "--threads", 1, "N", "Threads for functions and linear systems.", kind=THREADS
 )

@@ -41,8 +41,8 @@ class ContinuationStep:
     def to_dict(self) -> dict[str, Any]:
         """The step's figures."""
         cold = None if self.cold is None else solve_figures(self.cold)
-        own = {"value": self.value, "origin": self.origin, "asked": self.asked}
-        return {**own, **solve_figures(self.solution), "warm_start": self.warm, "cold": cold}
+        step = {"value": self.value, "origin": self.origin, "asked": self.asked}
+        return {**step, **solve_figures(self.solution), "warm_start": self.warm, "cold": cold}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class Continuation:
     def to_dict(self) -> dict[str, Any]:
         """Steps, their totals (all solves), and the totals from default guesses where compared."""
         cold = [step.cold for step in self.steps if step.cold is not None]
-        found: dict[str, Any] = {
+        record: dict[str, Any] = {
             "values": list(self.values),
             "success": self.success,
             "steps": [step.to_dict() for step in self.steps],
@@ -78,9 +78,9 @@ class Continuation:
             "cold": total_effort(cold) if cold else None,
         }
         if cold:
-            found["cold_solved"] = sum(solution.converged for solution in cold)
-            found["saved"] = {key: found["cold"][key] - value for key, value in found["total"].items()}
-        return found
+            record["cold_solved"] = sum(solution.converged for solution in cold)
+            record["saved"] = {key: record["cold"][key] - value for key, value in record["total"].items()}
+        return record
 
 
 @checked

@@ -15,7 +15,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
-from trajopt.solvers.drivers import SOLVERS, check_hessian
+from trajopt.solvers.drivers import check_solver
 from trajopt.solvers.result import Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
 from trajopt.solving.conflict import why_infeasible
@@ -33,13 +33,9 @@ from trajopt.solving.verdicts import (
     status_by_violation,
 )
 from trajopt.solving.warm_start import warm_start
-from trajopt.transcription.compilation import (
-    DEFAULT_HESSIAN,
-    CompilationReport,
-    compile_points,
-    entry_key,
-)
+from trajopt.transcription.compilation import CompilationReport, compile_points, entry_key
 from trajopt.transcription.guess import initial_guess, perturbed
+from trajopt.transcription.hessians import DEFAULT_HESSIAN
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.nlp import Nlp, assemble
 from trajopt.transcription.transcription import Transcription, transcribe
@@ -234,9 +230,7 @@ def check_settings(
     hessian: str = DEFAULT_HESSIAN,
 ) -> None:
     """Raise `InputError` for arguments of `solve` that are not allowed."""
-    if solver not in SOLVERS:
-        raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
-    check_hessian(solver, hessian)
+    check_solver(solver, hessian)
     if not (math.isfinite(tolerance) and 0 < tolerance < 1):
         raise InputError(f"tolerance is {tolerance:g}", "allowed: between 0 and 1")
     if max_iterations < 0:

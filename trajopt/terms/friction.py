@@ -14,8 +14,8 @@ from typing_extensions import override
 from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.contact import Contact
+from trajopt.robot.friction import friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.robot import Robot
-from trajopt.robot.sole import friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context

@@ -12,7 +12,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.study.sweep.setting import STARTS, WORDS, Setting
 from trajopt.study.sweep.variants import cone_of, with_cone
-from trajopt.transcription.compilation import HESSIANS
+from trajopt.transcription.hessians import HESSIANS
 
 # Multiples of the problem's own number of intervals that are tried.
 SHARES = (0.2, 0.5, 1.0, 2.0)
