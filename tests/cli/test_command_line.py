@@ -142,14 +142,14 @@ def test_solve_leaves_the_handler_of_ctrl_c_as_it_was(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_chatter_of_the_solver_is_not_on_stdout(tmp_path: Path) -> None:
     done = trajopt_process(
-        *HOP, "--solver", "fatrop", "--solver-option", "print_level=10", "--json", folder=tmp_path
+        *HOP, "--solver", "sqp", "--solver-option", "print_level=10", "--json", folder=tmp_path
     )
-    assert strict(done.stdout)["solver"] == "fatrop"
+    assert strict(done.stdout)["solver"] == "sqp"
     assert "objective" in done.stderr
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_iteration_limit_ends_with_one_and_names_the_worst_rows(solver: str, tmp_path: Path) -> None:
     target = tmp_path / "x.npz"
     result = invoke(*HOP, "--solver", solver, "--max-iterations", 2, "--output", target, "--json")
@@ -199,7 +199,7 @@ BAD = {
     "negative intervals": ((*HOP[:-2], "--intervals", "-5"), ["-5 intervals"]),
     "intervals no number": ((*HOP[:-2], "--intervals", "many"), ["'--intervals'", "whole number"]),
     "intervals beyond memory": ((*HOP[:-2], "--intervals", "10000000"), ["'--intervals'", "100000"]),
-    "unknown solver": ((*HOP, "--solver", "snopt"), ["snopt", "allowed: ipopt, fatrop"]),
+    "unknown solver": ((*HOP, "--solver", "snopt"), ["snopt", "allowed: ipopt, sqp"]),
     "tolerance": ((*HOP, "--tolerance", "nan"), ["tolerance of solve is nan", "allowed: a finite number"]),
     "perturbation": ((*HOP, "--perturb", "-1"), ["perturb is -1"]),
     "seed": ((*HOP, "--seed", "-1"), ["'--seed'", "-1"]),
@@ -218,8 +218,8 @@ BAD = {
     "ipopt option": ((*HOP, "--solver-option", "mu_strateg=x"), ["ipopt", "mu_strateg"]),
     "ipopt value": ((*HOP, "--solver-option", "mu_strategy=x"), ["ipopt", "mu_strategy"]),
     "ipopt option not here": ((*HOP, "--solver-option", "linear_solver=ma27"), ["ipopt", "linear_solver"]),
-    "fatrop option": ((*HOP, "--solver", "fatrop", "--solver-option", "foo=1"), ["fatrop", "'foo'"]),
-    "fatrop value": ((*HOP, "--solver", "fatrop", "--solver-option", "mu_init=x"), ["fatrop", "'mu_init'"]),
+    "sqp option": ((*HOP, "--solver", "sqp", "--solver-option", "foo=1"), ["sqp", "'foo'"]),
+    "sqp value": ((*HOP, "--solver", "sqp", "--solver-option", "early=x"), ["sqp", "'early'"]),
 }
 
 

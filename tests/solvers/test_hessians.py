@@ -193,7 +193,6 @@ def test_costs_without_squares_have_no_curvature():
     [
         ("ipopt", "gauss-newton"),
         ("ipopt", "limited-memory"),
-        ("fatrop", "gauss-newton"),
         ("sqp", "gauss-newton"),
     ],
 )
@@ -210,7 +209,7 @@ def test_exact_is_the_default():
     assert solve(reach()).statistics.hessian == "exact"
 
 
-@pytest.mark.parametrize("solver", ["fatrop", "sqp"])
+@pytest.mark.parametrize("solver", ["sqp"])
 def test_only_ipopt_makes_up_a_hessian(solver):
     with pytest.raises(
         InputError, match=f"{solver} does not take the Hessian 'limited-memory'; allowed: exact, gauss-newton"

@@ -118,7 +118,7 @@ def test_derivatives_equal_differences(scheme):
     assert_derivatives(prepare(problem, transcription=scheme, intervals=6).nlp, seed=2)
 
 
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop", "sqp"])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_a_bound_holds_at_the_moment_with_every_solver(solver):
     free = reach()
     limit = 0.5 * float(solve(free).v[:, 0].max())

@@ -28,8 +28,8 @@ class SolveControl:
 
     From the first iteration on, Ctrl-C raises nothing but stops the solver at its iterate. If a solver has
     not returned ``GRACE`` seconds after its time limit, the program ends and nothing is written. That is the
-    last resort: solvers test their time limit between steps, FATROP within steps too, and one factorisation
-    of a large problem may take long. A solver in another thread cannot be stopped from outside.
+    last resort: solvers test their time limit between steps, and one factorisation of a large problem may
+    take long. A solver in another thread cannot be stopped from outside.
     """
 
     def __init__(self, max_time: float) -> None:

@@ -56,7 +56,6 @@ class Solver:
         driver: ``module:function`` of its `Driver`, loaded when it is used.
         hessians: Those that it takes.
         feasibility_share: Its tolerance on rows as a fraction of that on optimality.
-        takes_periodic: Whether rows may join the first and the last stage.
         certifies_with: Hessians with which its figures show that it gets nowhere, so that the problem is then
             tested for being infeasible.
     """
@@ -64,7 +63,6 @@ class Solver:
     driver: str
     hessians: tuple[str, ...] = (EXACT, GAUSS_NEWTON)
     feasibility_share: float = 1.0
-    takes_periodic: bool = True
     certifies_with: tuple[str, ...] = ()
 
     def load_driver(self) -> Driver:
@@ -114,11 +112,6 @@ def run_solver(
     Raises InputError for a solver or option that is unknown, and for what the solver does not take.
     """
     chosen = check_solver(solver, nlp.hessian)
-    if nlp.transcription.problem.periodicity is not None and not chosen.takes_periodic:
-        others = ", ".join(name for name, other in SOLVERS.items() if other.takes_periodic)
-        raise InputError(
-            f"{solver}: rows that join the first and the last stage have no place in it", f"allowed: {others}"
-        )
     stop = replace(stop, feasibility_share=chosen.feasibility_share)
     try:
         return chosen.load_driver()(nlp, x0, stop, options, callback, warm)

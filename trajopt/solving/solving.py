@@ -122,7 +122,7 @@ def solve(
             default: the problem's.
         intervals: Number over the whole schedule; default: the problem's.
         mesh: Schemes and widths of intervals by phase, instead of both.
-        solver: ``ipopt``, ``fatrop`` or ``sqp``.
+        solver: ``ipopt`` or ``sqp``.
         tolerance: On feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
         max_iterations: Limit of the solver's iterations.
         max_time: Limit of the solver's wall time, s.

@@ -15,7 +15,6 @@ from typing import Any
 
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
-from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.rounds import unknowns_on_mesh
 from trajopt.study.sweep.calibration import Load
 from trajopt.study.sweep.front import Front, Measured, SettingFilter, load_front, packaged_fronts
@@ -112,11 +111,10 @@ def _allowed(problem: Problem, front: Front, where: SettingFilter | None) -> Set
     """Settings that the problem can take: its own terms, the whole model, a cold start."""
     own = front.default.setting
     plain = (own.cone, "full", "cold")
-    periodic = problem.periodicity is not None
 
     def allowed(setting: Setting) -> bool:
         usual = (setting.cone, setting.model, setting.start) == plain
-        takes = SOLVERS[setting.solver].takes_periodic or not periodic
+        takes = True
         return usual and takes and (where is None or where(setting))
 
     return allowed
