@@ -144,8 +144,8 @@ def test_accuracy_is_reached_as_measured_anew(front, tmp_path, target):
     found = solve_to_accuracy(hop(), target, front=front)
     assert found.reached
     assert max(phase_errors(measure(found.solution.save(tmp_path / "hop.npz")))) <= target
-    assert found.solution.meta["aimed"]["wanted"] == target
-    assert found.solution.meta["aimed"]["reached"] is True
+    assert found.solution.statistics.more["aimed"]["wanted"] == target
+    assert found.solution.statistics.more["aimed"]["reached"] is True
 
 
 def test_choice_that_falls_short_is_refined_from_its_solution(front):
@@ -168,7 +168,7 @@ def test_budget_too_small_for_any_solve_says_so(front):
     found = solve_within(hop(), 1e-6, front=front)
     assert not found.reached
     assert found.why == "nothing was solved in that time"
-    assert found.solution.meta["status"] == "time_limit"
+    assert found.solution.statistics.status == "time_limit"
 
 
 def test_accuracy_and_budget_must_be_positive_numbers(front):

@@ -9,7 +9,7 @@ from typing import Any
 from trajopt.arguments import Positive, checked
 from trajopt.certify.accuracy.measures import Accuracy, measure
 from trajopt.problem import Problem
-from trajopt.solution.descriptions import jsonable
+from trajopt.solution.meta import jsonable
 from trajopt.solution.solution import Solution
 from trajopt.solvers.result import LEAST_TIME
 from trajopt.solving.deprecation import accepts_compile
@@ -68,7 +68,7 @@ class TargetSolve:
             "spent_s": self.spent,
             "why": self.why,
             "choices": [choice.to_dict() for choice in self.choices],
-            "rounds": [solve.to_dict() for solve in self.rounds],
+            "rounds": [jsonable(vars(solve.statistics)) for solve in self.rounds],
         }
 
 
@@ -158,5 +158,5 @@ def solve_within(
 
 def _recorded(found: TargetSolve) -> TargetSolve:
     """The goal and what was reached, also in the solution's meta."""
-    meta = {name: value for name, value in found.solution.meta.items() if name != "graded"}
-    return replace(found, solution=replace(found.solution, meta={**meta, "aimed": found.to_dict()}))
+    more = {**found.solution.statistics.more, "aimed": found.to_dict()}
+    return replace(found, solution=found.solution.with_statistics(graded=None, more=more))
