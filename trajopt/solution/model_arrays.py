@@ -2,27 +2,18 @@
 
 Loaded in a process of its own for the text of older files (see `model_text`): it imports little.
 
-One row a joint, the universe first as in Pinocchio (n joints), one a frame (F), one a reference configuration:
+`_FORMS` has the arrays, which are named ``model_KEY``; rows are in Pinocchio's order, the universe first:
 
-| key | shape | content |
-|---|---|---|
-| `model_name`, `model_bodies` | () | the latter counts bodies, as `pin.Model.nbodies` |
-| `model_joint_name`, `model_joint_kind` | (n,) | kind without "JointModel", empty for the universe |
-| `model_joint_parent` | (n,) | index of the parent, below the joint's own |
-| `model_joint_axis` | (n, 3) | unit axis of kinds that have one of their own, else 0 |
-| `model_joint_placement` | (n, 3, 4) | rotation and translation (m) in the parent's axes |
-| `model_joint_inertia` | (n, 10) | mass, centre of mass, xx, xy, xz, yy, yz, zz about it |
-| `model_` + one of `_PER_VELOCITY` | (nv,) | limits, friction, damping, armature, rotors |
-| `model_` + one of `_PER_POSITION` | (nq,) | limits of positions, and their margin |
-| `model_gravity` | (6,) | linear and angular |
-| `model_frame_name`, `model_frame_type` | (F,) | name and type together are unique |
-| `model_frame_joint`, `model_frame_parent` | (F,) | index of the joint, and of the frame before it |
-| `model_frame_placement`, `model_frame_inertia` | (F, 3, 4), (F, 10) | in the joint's axes |
-| `model_reference_name`, `model_reference` | (r,), (r, nq) | reference configurations |
+- joint_kind: without "JointModel", empty for the universe. joint_axis: of kinds that leave it open, else 0.
+- placement: rotation (3, 3) and translation (m) beside it, in the axes of the parent or the frame's joint.
+- inertia: mass, centre of mass, and xx, xy, xz, yy, yz, zz about it.
+- frame_joint, frame_parent: indices of the frame's joint, and of the frame before it.
+- bodies: `pin.Model.nbodies`, a count.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -46,48 +37,55 @@ JOINT_SIZES: dict[str, tuple[int, int]] = {
 FRAME_TYPES = ("OP_FRAME", "JOINT", "FIXED_JOINT", "BODY", "SENSOR")
 UNIVERSE = "universe"
 # More than any robot has: memory and time of Pinocchio's algorithms grow with their squares.
-MOST_JOINTS, MOST_FRAMES, MOST_REFERENCES = 1000, 10_000, 1000
+MOST_JOINTS, MOST_FRAMES = 1000, 10_000
 LONGEST_NAME = 500
-# Largest length (m), mass (kg), inertia (kg m^2), friction, damping or gravity: squares and cubes stay finite.
+# Largest length (m), mass (kg), inertia (kg m^2), friction, damping or gravity: their products stay finite.
 LARGEST = 1e9
 # Rounding of a rotation's numbers written as decimals, and of the length of an axis.
 ROTATION_ERROR = 1e-6
 # Control characters and halves of surrogate pairs, which are no text that could be shown.
 UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
-# Key without "model_" -> field of `pin.Model`, and whether it may be infinite.
-_PER_VELOCITY: dict[str, tuple[str, bool]] = {
-    "effort_lower": ("lowerEffortLimit", True),
-    "effort_upper": ("upperEffortLimit", True),
-    "velocity_lower": ("lowerVelocityLimit", True),
-    "velocity_upper": ("upperVelocityLimit", True),
-    "friction_lower": ("lowerDryFrictionLimit", False),
-    "friction_upper": ("upperDryFrictionLimit", False),
-    "damping": ("damping", False),
-    "armature": ("armature", False),
-    "rotor_inertia": ("rotorInertia", False),
-    "rotor_gear_ratio": ("rotorGearRatio", False),
+# Key without "model_" -> field of `pin.Model`, its size, and the largest number in it.
+_FIELDS: dict[str, tuple[str, str, float]] = {
+    "effort_lower": ("lowerEffortLimit", "nv", math.inf),
+    "effort_upper": ("upperEffortLimit", "nv", math.inf),
+    "velocity_lower": ("lowerVelocityLimit", "nv", math.inf),
+    "velocity_upper": ("upperVelocityLimit", "nv", math.inf),
+    "friction_lower": ("lowerDryFrictionLimit", "nv", LARGEST),
+    "friction_upper": ("upperDryFrictionLimit", "nv", LARGEST),
+    "damping": ("damping", "nv", LARGEST),
+    "armature": ("armature", "nv", LARGEST),
+    "rotor_inertia": ("rotorInertia", "nv", LARGEST),
+    "rotor_gear_ratio": ("rotorGearRatio", "nv", LARGEST),
+    "position_lower": ("lowerPositionLimit", "nq", math.inf),
+    "position_upper": ("upperPositionLimit", "nq", math.inf),
+    "position_margin": ("positionLimitMargin", "nq", LARGEST),
 }
-_PER_POSITION: dict[str, tuple[str, bool]] = {
-    "position_lower": ("lowerPositionLimit", True),
-    "position_upper": ("upperPositionLimit", True),
-    "position_margin": ("positionLimitMargin", False),
+# Key without "model_" -> kinds of its numbers, as `numpy.dtype.kind` has them, and its shape.
+_FORMS: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "name": ("U", ()),
+    "bodies": ("iu", ()),
+    "gravity": ("f", (6,)),
+    "joint_name": ("U", ("joints",)),
+    "joint_kind": ("U", ("joints",)),
+    "joint_parent": ("iu", ("joints",)),
+    "joint_axis": ("f", ("joints", 3)),
+    "joint_placement": ("f", ("joints", 3, 4)),
+    "joint_inertia": ("f", ("joints", 10)),
+    "frame_name": ("U", ("frames",)),
+    "frame_type": ("U", ("frames",)),
+    "frame_joint": ("iu", ("frames",)),
+    "frame_parent": ("iu", ("frames",)),
+    "frame_placement": ("f", ("frames", 3, 4)),
+    "frame_inertia": ("f", ("frames", 10)),
+    "reference_name": ("U", ("references",)),
+    "reference": ("f", ("references", "nq")),
+    **{key: ("f", (size,)) for key, (_, size, _) in _FIELDS.items()},
 }
-_LIMITS = _PER_VELOCITY | _PER_POSITION
-# Key -> kind of its numbers, as `numpy.dtype.kind` has them.
-MODEL_KINDS: dict[str, str] = {
-    **dict.fromkeys(("model_name", "model_joint_name", "model_joint_kind", "model_frame_name"), "U"),
-    **dict.fromkeys(("model_frame_type", "model_reference_name"), "U"),
-    **dict.fromkeys(("model_bodies", "model_joint_parent", "model_frame_joint", "model_frame_parent"), "iu"),
-    **dict.fromkeys(("model_joint_axis", "model_joint_placement", "model_joint_inertia"), "f"),
-    **dict.fromkeys(("model_frame_placement", "model_frame_inertia", "model_gravity", "model_reference"), "f"),
-    **dict.fromkeys((f"model_{key}" for key in _LIMITS), "f"),
-}
+MODEL_KINDS: dict[str, str] = {f"model_{key}": kinds for key, (kinds, _) in _FORMS.items()}
 _WITH_AXIS = ("RevoluteUnaligned", "RevoluteUnboundedUnaligned", "PrismaticUnaligned")
 _UPPER = np.triu_indices(3)
-# An axis whose numbers are found again in a model's text, see `_continuous`.
-_KNOWN_AXIS = (0.48, 0.6, 0.64)
-
 _Arrays = Mapping[str, np.ndarray]
 
 
@@ -112,7 +110,7 @@ def model_to_arrays(model: pin.Model) -> dict[str, np.ndarray]:
         "model_frame_inertia": _inertias([frame.inertia for frame in frames]),
         "model_reference_name": _texts(list(references)),
         "model_reference": np.array(list(references.values())).reshape(len(references), model.nq),
-        **{f"model_{key}": np.array(getattr(model, field)) for key, (field, _) in _LIMITS.items()},
+        **{f"model_{key}": np.array(getattr(model, field)) for key, (field, _, _) in _FIELDS.items()},
     }
     _require_valid(arrays)
     return arrays
@@ -143,7 +141,7 @@ def _built(given: _Arrays) -> pin.Model:
     for index, entry in enumerate(given["joint_inertia"]):
         model.inertias[index] = _inertia(entry)
     model.gravity = pin.Motion(np.array(given["gravity"], dtype=float))
-    for key, (field, _) in _LIMITS.items():
+    for key, (field, _, _) in _FIELDS.items():
         setattr(model, field, np.array(given[key], dtype=float))
     for index, name in enumerate(given["frame_name"].tolist()):
         frame = pin.Frame(
@@ -168,123 +166,107 @@ def _require_valid(arrays: _Arrays) -> None:
     missing = [key for key in MODEL_KINDS if key not in arrays]
     if missing:
         raise InputError(f"the model lacks {', '.join(missing)}")
-    for key, kind in MODEL_KINDS.items():
-        if arrays[key].dtype.kind not in kind:
-            raise InputError(f"'{key}' is of type {arrays[key].dtype}", {"U": "texts", "f": "floats"}.get(kind, "ints"))
-    _require_sizes(arrays)
-    _require_names(arrays)
-    _require_tree(arrays)
-    for key in ("model_joint_placement", "model_frame_placement"):
-        _require_placements(key, arrays[key])
-    for key in ("model_joint_inertia", "model_frame_inertia", "model_reference", "model_gravity"):
-        _require_bounded(key, arrays[key])
-    for key, (_, infinite) in _LIMITS.items():
-        values = arrays[f"model_{key}"]
-        if infinite and np.isnan(values).any():
-            raise InputError(f"'model_{key}' holds NaN", "allowed: numbers, inf where there is no limit")
-        if not infinite:
-            _require_bounded(f"model_{key}", values)
+    given = {key: arrays[f"model_{key}"] for key in _FORMS}
+    _require_forms(given)
+    _require_names(given)
+    _require_tree(given)
+    _require_rotations(given)
+    if not 1 <= int(given["bodies"]) <= MOST_FRAMES:
+        raise InputError(f"the model has {given['bodies']} bodies", f"allowed: 1 to {MOST_FRAMES}")
+    for key, (kinds, _) in _FORMS.items():
+        if kinds == "f":
+            largest = _FIELDS[key][2] if key in _FIELDS else LARGEST
+            wrong = given[key][~(np.abs(given[key]) <= largest)]
+            if len(wrong):
+                raise InputError(f"'model_{key}' holds {wrong[0]:g}", f"allowed: up to {largest:g}, not NaN")
 
 
-def _require_sizes(arrays: _Arrays) -> None:
-    counts = {}
-    for key, most in (("joint_name", MOST_JOINTS), ("frame_name", MOST_FRAMES), ("reference_name", MOST_REFERENCES)):
-        shape, least = arrays[f"model_{key}"].shape, 0 if key == "reference_name" else 1
+def _require_forms(given: _Arrays) -> None:
+    """Numbers and shapes of all arrays; kinds of joints, from which the sizes of others follow."""
+    sizes = {}
+    for what, least, most in (
+        ("joint", 1, MOST_JOINTS),
+        ("frame", 1, MOST_FRAMES),
+        ("reference", 0, MOST_JOINTS),
+    ):
+        shape = given[f"{what}_name"].shape
         if len(shape) != 1 or not least <= shape[0] <= most:
-            raise InputError(f"'model_{key}' has shape {shape}", f"allowed: ({least} to {most},)")
-        counts[key] = shape[0]
-    n, frames = counts["joint_name"], counts["frame_name"]
-    _require_shape(arrays, "model_joint_kind", (n,))
-    kinds = arrays["model_joint_kind"].tolist()
-    for name, kind in zip(arrays["model_joint_name"].tolist()[1:], kinds[1:], strict=True):
+            raise InputError(f"'model_{what}_name' has shape {shape}", f"allowed: ({least} to {most},)")
+        sizes[f"{what}s"] = shape[0]
+    kinds = given["joint_kind"].ravel().tolist()[1:]
+    for kind in kinds:
         if kind not in JOINT_SIZES:
-            raise InputError(f"joint {name!r:.60} is of kind {kind!r:.60}", f"allowed: {', '.join(JOINT_SIZES)}")
-    nq, nv = (sum(JOINT_SIZES[kind][part] for kind in kinds[1:]) for part in (0, 1))
-    for key in ("model_joint_parent", "model_joint_inertia", "model_joint_placement", "model_joint_axis"):
-        _require_shape(arrays, key, (n, *_ENTRY.get(key.removeprefix("model_joint_"), ())))
-    for key in ("type", "joint", "parent", "inertia", "placement"):
-        _require_shape(arrays, f"model_frame_{key}", (frames, *_ENTRY.get(key, ())))
-    for key in _PER_VELOCITY:
-        _require_shape(arrays, f"model_{key}", (nv,))
-    for key in _PER_POSITION:
-        _require_shape(arrays, f"model_{key}", (nq,))
-    _require_shape(arrays, "model_reference", (counts["reference_name"], nq))
-    _require_shape(arrays, "model_gravity", (6,))
-    for key in ("model_name", "model_bodies"):
-        _require_shape(arrays, key, ())
-    if not 1 <= int(arrays["model_bodies"]) <= MOST_FRAMES:
-        raise InputError(f"the model has {arrays['model_bodies']} bodies", f"allowed: 1 to {MOST_FRAMES}")
+            raise InputError(f"a joint is of kind {kind!r:.60}", f"allowed: {', '.join(JOINT_SIZES)}")
+    sizes |= {name: sum(JOINT_SIZES[kind][part] for kind in kinds) for part, name in enumerate(("nq", "nv"))}
+    for key, (allowed, form) in _FORMS.items():
+        if given[key].dtype.kind not in allowed:
+            raise InputError(
+                f"'model_{key}' is of type {given[key].dtype}", f"allowed: kinds {', '.join(allowed)}"
+            )
+        expected = tuple(sizes[size] if isinstance(size, str) else size for size in form)
+        if given[key].shape != expected:
+            raise InputError(f"'model_{key}' has shape {given[key].shape}", f"expected {expected}")
 
 
-_ENTRY: dict[str, tuple[int, ...]] = {"inertia": (10,), "placement": (3, 4), "axis": (3,)}
-
-
-def _require_shape(arrays: _Arrays, key: str, shape: tuple[int, ...]) -> None:
-    if arrays[key].shape != shape:
-        raise InputError(f"'{key}' has shape {arrays[key].shape}", f"expected {shape}")
-
-
-def _require_names(arrays: _Arrays) -> None:
-    for key in ("model_name", "model_joint_name", "model_frame_name", "model_reference_name"):
-        for name in arrays[key].ravel().tolist():
+def _require_names(given: _Arrays) -> None:
+    for key in ("name", "joint_name", "frame_name", "reference_name"):
+        for name in given[key].ravel().tolist():
             if len(name) > LONGEST_NAME or UNPRINTABLE.search(name):
                 raise InputError(
-                    f"'{key}' holds {name!r:.60}",
+                    f"'model_{key}' holds {name!r:.60}",
                     f"allowed: up to {LONGEST_NAME} characters, none of them a control character",
                 )
-    types = arrays["model_frame_type"].tolist()
-    if not set(types) <= set(FRAME_TYPES):
-        unknown = next(each for each in types if each not in FRAME_TYPES)
-        raise InputError(f"a frame is of type {unknown!r:.60}", f"allowed: {', '.join(FRAME_TYPES)}")
-    joints, references = arrays["model_joint_name"].tolist(), arrays["model_reference_name"].tolist()
-    frames = [f"{name} ({kind})" for name, kind in zip(arrays["model_frame_name"].tolist(), types, strict=True)]
-    for what, names in (("joints", joints), ("frames", frames), ("reference configurations", references)):
+    types, joints = given["frame_type"].tolist(), given["joint_name"].tolist()
+    unknown = sorted(set(types) - set(FRAME_TYPES))
+    if unknown:
+        raise InputError(f"a frame is of type {unknown[0]!r:.60}", f"allowed: {', '.join(FRAME_TYPES)}")
+    frames = list(zip(given["frame_name"].tolist(), types, strict=True))
+    for what, names in (
+        ("joints", joints),
+        ("frames", frames),
+        ("references", given["reference_name"].tolist()),
+    ):
         if len(set(names)) != len(names):
-            double = next(name for name in names if names.count(name) > 1)
-            raise InputError(f"two {what} of the model are named '{double}'", "allowed: different names")
+            raise InputError(f"two {what} of the model have one name", "allowed: different names")
     if joints[0] != UNIVERSE:
-        raise InputError(f"the first joint of the model is '{joints[0]}'", f"allowed: {UNIVERSE}")
+        raise InputError(f"the first joint of the model is {joints[0]!r:.60}", f"allowed: {UNIVERSE}")
 
 
-def _require_tree(arrays: _Arrays) -> None:
-    """Joints come after their parents, depth first; axes are unit vectors; frames are on joints that exist."""
-    parents = arrays["model_joint_parent"].tolist()
-    branch = [0]
+def _require_tree(given: _Arrays) -> None:
+    """Joints come after their parents, depth first; frames are on joints and behind frames that exist."""
+    parents, branch = given["joint_parent"].tolist(), [0]
     for index, parent in enumerate(parents):
         if not 0 <= parent < max(index, 1):
-            raise InputError(f"the parent of joint {index} is joint {parent}", "allowed: one of those before it")
-        while index and branch[-1] != parent:
+            raise InputError(f"the parent of joint {index} is joint {parent}", "allowed: one before it")
+        while branch[-1] != parent:
+            if len(branch) == 1:
+                raise InputError(f"joint {index} comes after another branch", "allowed: depth first")
             branch.pop()
-            if not branch:
-                raise InputError(f"joint {index} comes after another branch of its parent", "allowed: depth first")
         if index:
             branch.append(index)
-    for kind, axis in zip(arrays["model_joint_kind"].tolist(), arrays["model_joint_axis"], strict=True):
-        if not np.isfinite(axis).all():
-            raise InputError("'model_joint_axis' holds NaN or infinity", "allowed: unit vectors")
-        if kind in _WITH_AXIS and not abs(float(np.linalg.norm(axis)) - 1.0) <= ROTATION_ERROR:
-            raise InputError(f"an axis of the model is {axis.tolist()}", "allowed: unit vectors")
-    for key, count in (("model_frame_joint", len(parents)), ("model_frame_parent", len(arrays["model_frame_name"]))):
-        wrong = [each for each in arrays[key].tolist() if not 0 <= each < count]
+    for key, count in (("frame_joint", len(parents)), ("frame_parent", len(given["frame_name"]))):
+        wrong = [each for each in given[key].tolist() if not 0 <= each < count]
         if wrong:
-            raise InputError(f"'{key}' holds {wrong[0]}", f"allowed: 0 to {count - 1}")
+            raise InputError(f"'model_{key}' holds {wrong[0]}", f"allowed: 0 to {count - 1}")
 
 
-def _require_placements(key: str, values: np.ndarray) -> None:
-    _require_bounded(key, values)
-    rotations = values[:, :, :3].astype(float)
-    errors = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)).max(axis=(1, 2))
-    wrong = np.flatnonzero(~(errors <= ROTATION_ERROR) | ~(np.linalg.det(rotations) > 0))
-    if len(wrong):
+def _require_rotations(given: _Arrays) -> None:
+    """Axes are unit vectors, placements have rotations."""
+    with_axis = np.isin(given["joint_kind"], _WITH_AXIS)
+    lengths = np.linalg.norm(given["joint_axis"][with_axis], axis=1)
+    if not (np.abs(lengths - 1.0) <= ROTATION_ERROR).all():
         raise InputError(
-            f"'{key}' is no rotation at {wrong[0]}", f"allowed: orthonormal to {ROTATION_ERROR:g}, right-handed"
+            "an axis of the model is no unit vector", f"allowed: of length 1 to {ROTATION_ERROR:g}"
         )
-
-
-def _require_bounded(key: str, values: np.ndarray) -> None:
-    if not (np.abs(values) <= LARGEST).all():
-        worst = values.ravel()[np.flatnonzero(~(np.abs(values.ravel()) <= LARGEST))[0]]
-        raise InputError(f"'{key}' holds {worst:g}", f"allowed: finite, at most {LARGEST:g}")
+    for key in ("joint_placement", "frame_placement"):
+        rotations = given[key][:, :, :3].astype(float)
+        with np.errstate(all="ignore"):  # numbers that are not finite are no rotations
+            errors = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)).max(axis=(1, 2))
+            wrong = np.flatnonzero(~(errors <= ROTATION_ERROR) | ~(np.linalg.det(rotations) > 0))
+        if len(wrong):
+            raise InputError(
+                f"'model_{key}' has no rotation at {wrong[0]}", "allowed: orthonormal, right-handed"
+            )
 
 
 def _texts(names: Sequence[str]) -> np.ndarray:
@@ -311,41 +293,29 @@ def _axis(model: pin.Model, index: int) -> list[float]:
 
 
 def _joint(kind: str, axis: np.ndarray) -> pin.JointModel:
-    if kind == "RevoluteUnboundedUnaligned":
-        return _continuous(*axis.tolist())
+    if kind == "RevoluteUnboundedUnaligned":  # the bindings cannot make one: from a text of our own making
+        text, known = _continuous()
+        model = pin.Model()
+        model.loadFromString(text.replace(known, _words(axis)))
+        return model.joints[1].extract()
     joint = getattr(pin, f"JointModel{kind}")()
     if kind in _WITH_AXIS:
         joint.axis = np.array(axis, dtype=float)
     return joint
 
 
-def _continuous(x: float, y: float, z: float) -> pin.JointModel:
-    """A continuous joint about any axis, which the bindings cannot make: from a text of our own making."""
-    tokens, start = _continuous_text()
-    model = pin.Model()
-    model.loadFromString(" ".join([*tokens[:start], repr(x), repr(y), repr(z), *tokens[start + 3 :]]))
-    return model.joints[1].extract()
-
-
 @lru_cache(maxsize=1)
-def _continuous_text() -> tuple[tuple[str, ...], int]:
-    """The words of the text of a model with one continuous joint, and where the axis is among them."""
-    axis = " ".join(map(repr, _KNOWN_AXIS))
+def _continuous() -> tuple[str, str]:
+    """The text of a model with one continuous joint, and the part of it that is the axis."""
     model = pin.buildModelFromXML(
         '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous">'
-        f'<parent link="a"/><child link="b"/><axis xyz="{axis}"/></joint></robot>'
+        '<parent link="a"/><child link="b"/><axis xyz="0.48 0.6 0.64"/></joint></robot>'
     )
-    words = model.saveToString().split(" ")
-    values = np.array([_number(word) for word in words])
-    start = next(i for i in range(len(words)) if np.allclose(values[i : i + 3], _KNOWN_AXIS, rtol=0, atol=1e-12))
-    return tuple(words), start
+    return model.saveToString(), _words(_axis(model, 1))
 
 
-def _number(word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        return np.nan
+def _words(axis: Sequence[float] | np.ndarray) -> str:
+    return " ".join(f"{entry:.17e}" for entry in axis)
 
 
 def _placements(values: Sequence[pin.SE3]) -> np.ndarray:
