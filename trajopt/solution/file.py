@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,13 +20,21 @@ from trajopt.solution.arrays import OTHERS, SAMPLED, read_only, runs
 from trajopt.solution.consistency import inconsistency
 from trajopt.solution.description import PlanDescription
 from trajopt.solution.meta import description_of, meta_of, require_keys, statistics_of
-from trajopt.solution.model_arrays import MODEL_KINDS, model_from_arrays, model_to_arrays
+from trajopt.solution.model_arrays import LARGEST, MODEL_KINDS, model_from_arrays, model_to_arrays
 from trajopt.solution.model_text import model_from_untrusted_text
 from trajopt.solution.output import replacing
 from trajopt.solution.statistics import SolveStatistics
 
 FORMAT = "trajopt-solution"
 VERSION = 1
+# Values in its meta, and how many of them within each other.
+MOST_VALUES, DEEPEST = 2_000_000, 50
+LARGEST_FLOAT = sys.float_info.max
+# Entries of a meta whose numbers reach code that trusts them.
+BOUNDED = (
+    *("gravity", "contact_sizes", "contact_radius", "terrain", "surfaces", "patches", "goals", "payloads"),
+    *("periodicity", "bodies", "collision"),
+)
 # Members of a file, with the kinds of their numbers.
 _KINDS = {float: "fiu", int: "iu", bool: "b"}
 KNOWN = {
@@ -159,4 +168,32 @@ def _meta(source: Path, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
         raise SolutionFileError(f"{source} is not a {FORMAT} file")
     if meta.get("version") != VERSION or isinstance(meta.get("version"), bool):
         raise SolutionFileError(f"{source} is of version {meta.get('version')!r}", f"version {VERSION}")
+    _require_bounded(source, meta)
     return meta
+
+
+def _require_bounded(source: Path, meta: dict[str, Any]) -> None:
+    """Raise `SolutionFileError` for numbers that no scene has, lists within lists, or too many values.
+
+    Limits and statistics may hold any number that a float can be.
+    """
+    level, counted, depth = list(meta.items()), 0, 0
+    while level:
+        counted, depth = counted + len(level), depth + 1
+        if counted > MOST_VALUES or depth > DEEPEST:
+            raise SolutionFileError(
+                f"{source}: 'meta' has too many values", f"up to {MOST_VALUES}, {DEEPEST} within each other"
+            )
+        following: list[tuple[str, Any]] = []
+        for key, value in level:
+            if isinstance(value, dict | list):
+                entries = value.values() if isinstance(value, dict) else value
+                following += [(key, entry) for entry in entries]
+            elif isinstance(value, float | int):
+                largest = LARGEST if key in BOUNDED else LARGEST_FLOAT
+                if not abs(value) <= largest and (key in BOUNDED or isinstance(value, int)):
+                    raise SolutionFileError(
+                        f"{source}: {key} of meta holds {value!s:.20}",
+                        f"allowed: up to {largest:g}, not NaN",
+                    )
+        level = following
