@@ -154,7 +154,7 @@ def _corners(value: Any, name: str) -> np.ndarray:
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not 3 <= len(vertices) <= MOST_CORNERS:
         raise InputError(
             f"vertices of patch '{name}' have shape {vertices.shape}",
-            f"allowed: (n, 3), n from 3 to {MOST_CORNERS}",
+            f"allowed: (n, 3), n >= 3, at most {MOST_CORNERS}",
         )
     if not (np.abs(vertices) <= FARTHEST).all():
         raise InputError(

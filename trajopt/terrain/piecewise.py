@@ -38,7 +38,8 @@ class PiecewiseTerrain:
     def __post_init__(self) -> None:
         if not 1 <= len(self.faces) <= MOST_SHAPES:
             raise InputError(
-                f"a piecewise terrain has {len(self.faces)} faces", f"allowed: patches, 1 to {MOST_SHAPES}"
+                f"a piecewise terrain has {len(self.faces)} faces",
+                f"allowed: patches, at least one, at most {MOST_SHAPES}",
             )
         names = self.names
         if len(set(names)) != len(names):

@@ -31,7 +31,8 @@ class SmoothTerrain:
     def __post_init__(self) -> None:
         if not 1 <= len(self.shapes) <= MOST_SHAPES:
             raise InputError(
-                f"a smooth terrain has {len(self.shapes)} shapes", f"allowed: shapes, 1 to {MOST_SHAPES}"
+                f"a smooth terrain has {len(self.shapes)} shapes",
+                f"allowed: shapes, at least one, at most {MOST_SHAPES}",
             )
 
     @property
