@@ -177,7 +177,7 @@ def test_damaged_bytes_are_refused(saved):
         (lambda path: path.write_text("hello"), "not a trajopt-solution file"),
         (lambda path: np.save(path.open("wb"), np.zeros(3)), "not a trajopt-solution file"),
         (lambda path: np.savez(path, x=np.zeros(3)), "no text 'meta'"),
-        (lambda path: np.savez(path, meta=np.array({"format": 1}, dtype=object)), "cannot be read"),
+        (lambda path: np.savez(path, meta=np.array({"format": 1}, dtype=object)), "'meta' is of type object"),
         (lambda path: np.savez(path, meta=np.array("no json")), "not JSON"),
         (lambda path: np.savez(path, meta=np.array('{"format": "other"}')), "not a trajopt-solution file"),
         (lambda path: path.unlink(), "does not exist"),
@@ -244,8 +244,8 @@ def test_inconsistent_meta_is_refused(saved, changes, message):
         ("collocation", lambda x: np.zeros(16, bool), "no collocation points"),
         ("collocation", lambda x: x.astype(float), "'collocation' is of type float64; bool"),
         ("q", lambda x: x.astype(str), "'q' is of type <U32; float"),
-        ("model", lambda x: np.array("22 serialization::archive"), "model in the solution is damaged"),
-        ("model", lambda x: np.zeros(3), "'model' is not a text"),
+        ("model", lambda x: np.zeros(3), "'model' is of type float64; text"),
+        ("model", lambda x: np.array(["a", "b"]), "'model' is not a text"),
     ],
 )
 def test_inconsistent_arrays_are_refused(saved, name, change, message):

@@ -20,9 +20,12 @@ if TYPE_CHECKING:
 @click.command("diagnose")
 @click.argument("file", type=Path)
 @click.option("--problem", metavar="NAME", help="The problem of FILE.  [default: as named in FILE]")
+@click.option("--robot", metavar="NAME", help="Its robot, or a .py file.  [default: the robot named in FILE]")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter of --problem.")
 @json_option
-def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...], as_json: bool) -> None:
+def diagnose_command(
+    file: Path, problem: str | None, robot: str | None, settings: tuple[str, ...], as_json: bool
+) -> None:
     """Explain why FILE failed or is hard, and what to try.
 
     Reports rank and condition of the constraints by phase, linearly dependent constraints, curvature,
@@ -33,9 +36,11 @@ def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...],
 
     if settings and problem is None:
         raise InputError("--set is given without a problem", "allowed: with --problem NAME")
+    if robot is not None and problem is not None:
+        raise InputError("--robot is given with --problem", "allowed: --problem NAME --set robot=NAME")
     given = None if problem is None else chosen_problem(problem, settings)
     with busy(f"diagnosing {file}: ranks, curvature, conflicts"):
-        diagnosis = diagnose(file, given)
+        diagnosis = diagnose(file, given, robot=robot)
     say(to_json(diagnosis.to_dict()) if as_json else str(diagnosis))
 
 

@@ -21,6 +21,7 @@ from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.surface import MOST_SHAPES
 from trajopt.terrain.terrain import Terrain
 
 # Postures within the limits in which pairs are tested, and the part of them in which a pair that always
@@ -81,6 +82,10 @@ class RobotShapes:
         keys = ("shapes", "pairs", "left_out", "missing")
         if not isinstance(described, dict) or not all(isinstance(described.get(k), list) for k in keys):
             raise InputError("bodies are not an object of lists", f"keys: {', '.join(keys)}")
+        if len(described["shapes"]) > MOST_SHAPES:
+            raise InputError(
+                f"bodies have {len(described['shapes'])} shapes", f"allowed: up to {MOST_SHAPES}"
+            )
         for key, size in (("pairs", 2), ("left_out", 3)):
             if not all(isinstance(entry, list) and len(entry) == size for entry in described[key]):
                 raise InputError(f"{key} of bodies are not lists of {size} words", "names, and a reason")

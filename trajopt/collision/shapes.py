@@ -13,6 +13,7 @@ import numpy as np
 from trajopt.arguments import Positive, checked
 from trajopt.errors import InputError, finite_array, numbers_of, require_not_negative, require_positive
 from trajopt.kinds import ArrayShape
+from trajopt.terrain.surface import FARTHEST, MOST_CORNERS
 
 # Tolerance of a rotation matrix: rounding of numbers written as decimals.
 ROTATION_ERROR = 1e-6
@@ -40,13 +41,14 @@ class LinkShape:
     def __post_init__(self) -> None:
         label = f"shape '{self.name}'"
         points = np.atleast_2d(numbers_of(self.points))
-        if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not np.isfinite(points).all():
+        if points.ndim != 2 or points.shape[1] != 3 or not 1 <= len(points) <= MOST_CORNERS:
             raise InputError(
-                f"points of {label} have shape {points.shape}", "allowed: (n, 3), n >= 1, finite, m"
+                f"points of {label} have shape {points.shape}", f"allowed: (n, 3), n from 1 to {MOST_CORNERS}"
             )
         require_not_negative(f"radius of {label}", self.radius, "m")
         if len(points) <= 2:
             require_positive(f"radius of {label}", self.radius, "m")
+        _require_near(label, points, self.radius)
         points.setflags(write=False)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "radius", float(self.radius))
@@ -145,6 +147,9 @@ class SphereObstacle:
     centre: Annotated[np.ndarray, ArrayShape((3,))]
     radius: Positive
 
+    def __post_init__(self) -> None:
+        _require_near(f"obstacle '{self.name}'", self.centre, self.radius)
+
     @property
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
         """Ends (3,) m of the segment within ``radius`` of which the obstacle lies: one point."""
@@ -169,6 +174,9 @@ class CapsuleObstacle:
     start: Annotated[np.ndarray, ArrayShape((3,))]
     end: Annotated[np.ndarray, ArrayShape((3,))]
     radius: Positive
+
+    def __post_init__(self) -> None:
+        _require_near(f"obstacle '{self.name}'", self.start, self.end, self.radius)
 
     @property
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
@@ -202,6 +210,7 @@ class BoxObstacle:
         label = f"obstacle '{self.name}'"
         if not (self.sides > 0).all():
             raise InputError(f"sides of {label} are {self.sides} m", "allowed: > 0")
+        _require_near(label, self.sides, self.position)
         rotation = np.eye(3) if self.rotation is None else self.rotation
         orthogonal = np.abs(rotation.T @ rotation - np.eye(3)).max() < ROTATION_ERROR
         if not orthogonal or np.linalg.det(rotation) < 0:
@@ -253,6 +262,12 @@ def require_different_names(what: str, names: Sequence[str]) -> None:
     double = sorted({name for name in names if names.count(name) > 1})
     if double:
         raise InputError(f"two {what} are named {', '.join(double)}", "allowed: different names")
+
+
+def _require_near(label: str, *lengths: Any) -> None:
+    """Raise InputError for lengths that are not finite, or so large that Coal fails on them."""
+    if not all((np.abs(length) <= FARTHEST).all() for length in lengths):
+        raise InputError(f"{label} reaches beyond {FARTHEST:g} m", "allowed: nearer, and finite")
 
 
 def _described(shape: Any, names: Sequence[str] | None = None) -> dict[str, Any]:

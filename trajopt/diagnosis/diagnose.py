@@ -42,12 +42,16 @@ SAME = 1e-4
 def diagnose(
     what: Solution | PreparedProblem | str | Path,
     problem: Problem | None = None,
+    *,
+    robot: str | None = None,
 ) -> Diagnosis:
     """Diagnose an NLP at an iterate.
 
     Args:
         what: A solution or its file, solved or not; or a prepared problem, which is diagnosed at its guess.
         problem: Of the solution; default: the one in the catalogue that the file names, with its parameters.
+        robot: Name or ``.py`` file of that problem's robot; default: the one of the catalogue that the file
+            names. A file that a solution names is not run.
 
     Raises:
         InputError: Where the problem is unknown, on another robot, or has other phases than the solution.
@@ -58,18 +62,18 @@ def diagnose(
         )
     solution = solution_of(what)
     source = str(what) if isinstance(what, str | Path) else "solution"
-    rebuilt = _problem_of(solution) if problem is None else problem
-    robot = str(solution.description.robot)
-    if robot != rebuilt.robot.name:
+    rebuilt = _problem_of(solution, robot) if problem is None else problem
+    planned = solution.description.robot
+    if planned != rebuilt.robot.name:
         raise InputError(
-            f"problem '{rebuilt.name}' is on robot '{rebuilt.robot.name}', and {source} on '{robot}'",
-            f"allowed: a problem on robot {robot}",
+            f"problem '{rebuilt.name}' is on robot '{rebuilt.robot.name}', and {source} on '{planned}'",
+            f"allowed: a problem on robot {planned}",
         )
     prepared = prepare(rebuilt, mesh=mesh_of(solution))
     return _diagnosed(at_solution(prepared, solution), solution, source)
 
 
-def _problem_of(solution: Solution) -> Problem:
+def _problem_of(solution: Solution, robot: str | None) -> Problem:
     """The problem of the catalogue that a solution names, with its parameters. Raises InputError."""
     name, known = str(solution.description.problem), families()
     if name not in known:
@@ -79,7 +83,10 @@ def _problem_of(solution: Solution) -> Problem:
         )
     family = known[name]
     parameters = {parameter.name: parameter for parameter in family.parameters}
-    values = family.of_file(solution.description.parameters or {})
+    stated = dict(solution.description.parameters)
+    if robot is not None:
+        stated.pop("robot", None)
+    values = family.of_file(stated) | ({} if robot is None else {"robot": robot})
     try:
         return family.load(values)
     except InputError:  # a derived value may be outside the parameter's range

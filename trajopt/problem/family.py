@@ -15,6 +15,8 @@ from trajopt.kinds import shown
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
 
+# A name of a robot that is looked up: no file.
+PLAIN_NAME = re.compile(r"[\w+-]+")
 # Parameters as solution files of earlier versions name them, and their names of today.
 RENAMED = {"effort": "torque_limit", "effort_share": "torque_share", "minimise": "goal"}
 
@@ -166,7 +168,16 @@ class Family:
         return any(isinstance(parameter, RobotName) for parameter in self.parameters)
 
     def of_file(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Values of a solution, of any version, of parameters that the family has."""
+        """Values of a solution, of any version, of parameters that the family has.
+
+        Raises `InputError` where the robot is a file: what a solution names is looked up, never run.
+        """
+        robot = given.get("robot")
+        if robot is not None and not PLAIN_NAME.fullmatch(str(robot)):
+            raise InputError(
+                f"the solution names the robot {robot!r:.200}, and files that solutions name are not run",
+                "allowed: a robot by name; of a file that you trust, --robot FILE.py",
+            )
         known = {parameter.name for parameter in self.parameters}
         named = {name if name in known else RENAMED.get(name, name): value for name, value in given.items()}
         return {name: value for name, value in named.items() if name in known and value is not None}

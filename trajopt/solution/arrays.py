@@ -1,4 +1,4 @@
-"""The arrays of a solution: their names and types, ranges of equal indices, the text of the model."""
+"""The arrays of a solution: their names and types, ranges of equal indices."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import numpy as np
-import pinocchio as pin
 
 from trajopt.errors import InputError
 
@@ -73,13 +72,3 @@ def runs(index: np.ndarray) -> tuple[range, ...]:
     """Ranges of equal consecutive values."""
     edges = [0, *(np.flatnonzero(np.diff(index)) + 1).tolist(), len(index)]
     return tuple(range(start, stop) for start, stop in itertools.pairwise(edges) if stop > start)
-
-
-def model_from_text(text: str) -> pin.Model:
-    """Return the model of a ``pin.Model.saveToString()``; raises `InputError` if the text is damaged."""
-    model = pin.Model()
-    try:
-        model.loadFromString(text)
-    except (RuntimeError, ValueError, MemoryError):
-        raise InputError("the model in the solution is damaged or of another Pinocchio version") from None
-    return model

@@ -71,6 +71,7 @@ def _wrong_shape(
     contacts, samples = len(plan.contacts), len(arrays["t"])
     actuated = arrays["tau"].shape[-1] if arrays["tau"].ndim == 2 else 0
     expected = {
+        **dict.fromkeys(("phase", "interval", "collocation"), (samples,)),
         "q": (samples, model.nq),
         "v": (samples, model.nv),
         "a": (samples, model.nv),

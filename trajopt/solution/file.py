@@ -5,8 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
-import zipfile
-import zlib
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,16 +14,35 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError, SolutionFileError, expanded
-from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, read_only, runs
+from trajopt.errors import InputError, SolutionFileError, expanded, first_line
+from trajopt.solution.archive import read_members
+from trajopt.solution.arrays import OTHERS, SAMPLED, read_only, runs
 from trajopt.solution.consistency import inconsistency
 from trajopt.solution.description import PlanDescription
 from trajopt.solution.meta import description_of, meta_of, require_keys, statistics_of
+from trajopt.solution.model_arrays import LARGEST, MODEL_KINDS, model_from_arrays, model_to_arrays
+from trajopt.solution.model_text import model_from_untrusted_text
 from trajopt.solution.output import replacing
 from trajopt.solution.statistics import SolveStatistics
 
 FORMAT = "trajopt-solution"
 VERSION = 1
+# Values in its meta, and how many of them within each other.
+MOST_VALUES, DEEPEST = 2_000_000, 50
+LARGEST_FLOAT = sys.float_info.max
+# Entries of a meta whose numbers reach code that trusts them.
+BOUNDED = (
+    *("gravity", "contact_sizes", "contact_radius", "terrain", "surfaces", "patches", "goals", "payloads"),
+    *("periodicity", "bodies", "collision"),
+)
+# Members of a file, with the kinds of their numbers.
+_KINDS = {float: "fiu", int: "iu", bool: "b"}
+KNOWN = {
+    "meta": "U",
+    "model": "U",
+    **{name: _KINDS[kind] for name, kind in {**SAMPLED, **OTHERS}.items()},
+    **MODEL_KINDS,
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,7 +83,7 @@ class FileContent:
             raise InputError(f"meta of the solution cannot be written as JSON: {error}") from None
         texts = {"meta": np.array(meta), "model": np.array(self.model.saveToString())}
         file = io.BytesIO()
-        np.savez_compressed(file, allow_pickle=False, **texts, **self.arrays)
+        np.savez_compressed(file, allow_pickle=False, **texts, **model_to_arrays(self.model), **self.arrays)
         return file.getvalue()
 
 
@@ -85,16 +103,12 @@ def read_solution_file(path: str | Path) -> FileContent:
 
 def parse_solution(content: bytes, source: Path) -> FileContent:
     """As `read_solution_file`, of the content of a file that messages call ``source``."""
-    arrays = _arrays(content, source)
+    arrays = read_members(content, source, KNOWN)
     meta = _meta(source, arrays)
     missing = [name for name in (*SAMPLED, "interval_t", "model") if name not in arrays]
     if missing:
         raise SolutionFileError(f"{source}: missing key {', '.join(repr(name) for name in missing)}")
-    for name, kind in {**SAMPLED, **OTHERS}.items():
-        allowed = {float: "fiu", int: "iu", bool: "b"}[kind]
-        if name in arrays and arrays[name].dtype.kind not in allowed:
-            raise SolutionFileError(f"{source}: '{name}' is of type {arrays[name].dtype}", kind.__name__)
-    if arrays["model"].dtype.kind != "U" or arrays["model"].ndim != 0:
+    if arrays["model"].ndim != 0:
         raise SolutionFileError(f"{source}: 'model' is not a text")
     try:
         require_keys(meta)
@@ -103,7 +117,7 @@ def parse_solution(content: bytes, source: Path) -> FileContent:
         parts = FileContent(
             description=description_of(meta, n_phases),
             statistics=statistics_of(meta),
-            model=model_from_text(str(arrays["model"])),
+            model=_model(arrays),
             arrays=values,
         )
     except InputError as error:
@@ -136,27 +150,50 @@ def _content(source: Path) -> bytes:
         raise SolutionFileError(f"{source} cannot be read: {error.strerror or error}") from None
 
 
-def _arrays(content: bytes, source: Path) -> dict[str, np.ndarray]:
-    if not content.startswith(b"PK\x03\x04"):
-        raise SolutionFileError(f"{source} is not a {FORMAT} file", "an .npz archive")
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError):
-        raise SolutionFileError(f"{source} is truncated or damaged") from None
-    except (ValueError, NotImplementedError, RuntimeError) as error:
-        raise SolutionFileError(f"{source} cannot be read: {str(error).splitlines()[0]}") from None
+def _model(arrays: Mapping[str, np.ndarray]) -> pin.Model:
+    """The model of the arrays that files have beside its text; older files have the text alone."""
+    if MODEL_KINDS.keys() & arrays.keys():
+        return model_from_arrays(arrays)
+    return model_from_untrusted_text(str(arrays["model"]))
 
 
 def _meta(source: Path, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
-    if "meta" not in arrays or arrays["meta"].dtype.kind != "U" or arrays["meta"].ndim != 0:
+    if "meta" not in arrays or arrays["meta"].ndim != 0:
         raise SolutionFileError(f"{source} is not a {FORMAT} file: it has no text 'meta'")
     try:
         meta = json.loads(str(arrays["meta"]))
-    except json.JSONDecodeError as error:
-        raise SolutionFileError(f"{source}: 'meta' is not JSON: {error.msg}") from None
+    except (ValueError, RecursionError) as error:  # also of digits without end, and lists in lists in lists
+        raise SolutionFileError(f"{source}: 'meta' is not JSON: {first_line(error)}") from None
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise SolutionFileError(f"{source} is not a {FORMAT} file")
     if meta.get("version") != VERSION or isinstance(meta.get("version"), bool):
         raise SolutionFileError(f"{source} is of version {meta.get('version')!r}", f"version {VERSION}")
+    _require_bounded(source, meta)
     return meta
+
+
+def _require_bounded(source: Path, meta: dict[str, Any]) -> None:
+    """Raise `SolutionFileError` for numbers that no scene has, lists within lists, or too many values.
+
+    Limits and statistics may hold any number that a float can be.
+    """
+    level, counted, depth = list(meta.items()), 0, 0
+    while level:
+        counted, depth = counted + len(level), depth + 1
+        if counted > MOST_VALUES or depth > DEEPEST:
+            raise SolutionFileError(
+                f"{source}: 'meta' has too many values", f"up to {MOST_VALUES}, {DEEPEST} within each other"
+            )
+        following: list[tuple[str, Any]] = []
+        for key, value in level:
+            if isinstance(value, dict | list):
+                entries = value.values() if isinstance(value, dict) else value
+                following += [(key, entry) for entry in entries]
+            elif isinstance(value, float | int):
+                largest = LARGEST if key in BOUNDED else LARGEST_FLOAT
+                if not abs(value) <= largest and (key in BOUNDED or isinstance(value, int)):
+                    raise SolutionFileError(
+                        f"{source}: {key} of meta holds {value!s:.20}",
+                        f"allowed: up to {largest:g}, not NaN",
+                    )
+        level = following

@@ -11,7 +11,7 @@ import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.errors import InputError, finite_array, numbers_of
-from trajopt.terrain.surface import SAME_PLANE, UP, Surface
+from trajopt.terrain.surface import FARTHEST, MOST_CORNERS, SAME_PLANE, UP, Surface
 
 # Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
 # computed corners, far below any intended turn.
@@ -161,9 +161,14 @@ class Patch:
 
 def _corners(value: Any, name: str) -> np.ndarray:
     vertices = numbers_of(value)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 3 or not np.isfinite(vertices).all():
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not 3 <= len(vertices) <= MOST_CORNERS:
         raise InputError(
-            f"vertices of patch '{name}' have shape {vertices.shape}", "allowed: (n, 3), n >= 3, finite"
+            f"vertices of patch '{name}' have shape {vertices.shape}",
+            f"allowed: (n, 3), n >= 3, at most {MOST_CORNERS}",
+        )
+    if not (np.abs(vertices) <= FARTHEST).all():
+        raise InputError(
+            f"a vertex of patch '{name}' is beyond {FARTHEST:g} m", "allowed: nearer, and finite"
         )
     return vertices
 

@@ -13,7 +13,7 @@ from trajopt.arguments import checked
 from trajopt.errors import InputError, require_finite
 from trajopt.terrain.obstacle import ObstacleAxes, PlanePoint, require_lengths
 from trajopt.terrain.patch import Patch
-from trajopt.terrain.surface import UP, Surface
+from trajopt.terrain.surface import MOST_SHAPES, UP, Surface
 
 # Extent of the flats before and beyond an obstacle, m: farther than the motion of any plan.
 REACH = 20.0
@@ -44,8 +44,11 @@ class PiecewiseTerrain:
     """Distance in m of these faces from the ground, where they are parallel to it (see `offset`)."""
 
     def __post_init__(self) -> None:
-        if not self.faces:
-            raise InputError("a piecewise terrain has no faces", "allowed: patches, at least one")
+        if not 1 <= len(self.faces) <= MOST_SHAPES:
+            raise InputError(
+                f"a piecewise terrain has {len(self.faces)} faces",
+                f"allowed: patches, at least one, at most {MOST_SHAPES}",
+            )
         names = self.names
         if len(set(names)) != len(names):
             raise InputError(f"two faces of a terrain have the same name: {', '.join(names)}")

@@ -11,7 +11,7 @@ import numpy as np
 from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError
 from trajopt.terrain.shapes import ParameterOf, Shape, shape_from_description
-from trajopt.terrain.surface import Surface
+from trajopt.terrain.surface import MOST_SHAPES, Surface
 
 # Fixed-point steps to the point under a position on a parallel surface. Each reduces the error by the
 # distance times the curvature, about 0.1 for feet on the library's waves; the height's error is its square.
@@ -29,8 +29,11 @@ class SmoothTerrain:
     """Distance in m of this surface from the ground with these shapes, to which it is parallel."""
 
     def __post_init__(self) -> None:
-        if not self.shapes:
-            raise InputError("a smooth terrain has no shapes", "allowed: shapes, at least one")
+        if not 1 <= len(self.shapes) <= MOST_SHAPES:
+            raise InputError(
+                f"a smooth terrain has {len(self.shapes)} shapes",
+                f"allowed: shapes, at least one, at most {MOST_SHAPES}",
+            )
 
     @property
     def surface(self) -> CurvedSurface:

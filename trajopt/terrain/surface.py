@@ -17,6 +17,10 @@ UP = (0.0, 0.0, 1.0)
 # Two surfaces are one plane within this distance, m, and this error of the normal: rounding of forward
 # kinematics, far below the positioning accuracy of a leg.
 SAME_PLANE = 1e-6
+# Largest length of shapes and of the ground, m: the libraries of geometry end the process at 1e30.
+FARTHEST = 1e4
+# Corners of one shape or face, and shapes of one robot or faces of one terrain.
+MOST_CORNERS, MOST_SHAPES = 10_000, 1000
 
 
 def frame_of_normal(normal: Sequence[float] | np.ndarray) -> np.ndarray:

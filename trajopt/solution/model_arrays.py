@@ -1,0 +1,339 @@
+"""A Pinocchio model as plain arrays: tested before Pinocchio sees them, and built again through its API.
+
+Loaded in a process of its own for the text of older files (see `model_text`): it imports little.
+
+`_FORMS` has the arrays, which are named ``model_KEY``; rows are in Pinocchio's order, the universe first:
+
+- joint_kind: without "JointModel", empty for the universe. joint_axis: of kinds that leave it open, else 0.
+- placement: rotation (3, 3) and translation (m) beside it, in the axes of the parent or the frame's joint.
+- inertia: mass, centre of mass, and xx, xy, xz, yy, yz, zz about it.
+- frame_joint, frame_parent: indices of the frame's joint, and of the frame before it.
+- bodies: `pin.Model.nbodies`, a count.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.errors import InputError, first_line
+
+# Joints by kind, with the sizes of their positions and velocities: those that trajopt.dynamics supports.
+JOINT_SIZES: dict[str, tuple[int, int]] = {
+    "FreeFlyer": (7, 6),
+    "Planar": (4, 3),
+    **dict.fromkeys(("RX", "RY", "RZ", "RevoluteUnaligned"), (1, 1)),
+    **dict.fromkeys(("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnaligned"), (2, 1)),
+    **dict.fromkeys(("PX", "PY", "PZ", "PrismaticUnaligned"), (1, 1)),
+    "Spherical": (4, 3),
+    "SphericalZYX": (3, 3),
+    "Translation": (3, 3),
+}
+FRAME_TYPES = ("OP_FRAME", "JOINT", "FIXED_JOINT", "BODY", "SENSOR")
+UNIVERSE = "universe"
+# More than any robot has: memory and time of Pinocchio's algorithms grow with their squares.
+MOST_JOINTS, MOST_FRAMES = 1000, 10_000
+LONGEST_NAME = 500
+# Largest length (m), mass (kg), inertia (kg m^2), friction, damping or gravity: their products stay finite.
+LARGEST = 1e9
+# Rounding of a rotation's numbers written as decimals, and of the length of an axis.
+ROTATION_ERROR = 1e-6
+# Control characters and halves of surrogate pairs, which are no text that could be shown.
+UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
+
+# Key without "model_" -> field of `pin.Model`, its size, and the largest number in it.
+_FIELDS: dict[str, tuple[str, str, float]] = {
+    "effort_lower": ("lowerEffortLimit", "nv", math.inf),
+    "effort_upper": ("upperEffortLimit", "nv", math.inf),
+    "velocity_lower": ("lowerVelocityLimit", "nv", math.inf),
+    "velocity_upper": ("upperVelocityLimit", "nv", math.inf),
+    "friction_lower": ("lowerDryFrictionLimit", "nv", LARGEST),
+    "friction_upper": ("upperDryFrictionLimit", "nv", LARGEST),
+    "damping": ("damping", "nv", LARGEST),
+    "armature": ("armature", "nv", LARGEST),
+    "rotor_inertia": ("rotorInertia", "nv", LARGEST),
+    "rotor_gear_ratio": ("rotorGearRatio", "nv", LARGEST),
+    "position_lower": ("lowerPositionLimit", "nq", math.inf),
+    "position_upper": ("upperPositionLimit", "nq", math.inf),
+    "position_margin": ("positionLimitMargin", "nq", LARGEST),
+}
+# Key without "model_" -> kinds of its numbers, as `numpy.dtype.kind` has them, and its shape.
+_FORMS: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "name": ("U", ()),
+    "bodies": ("iu", ()),
+    "gravity": ("f", (6,)),
+    "joint_name": ("U", ("joints",)),
+    "joint_kind": ("U", ("joints",)),
+    "joint_parent": ("iu", ("joints",)),
+    "joint_axis": ("f", ("joints", 3)),
+    "joint_placement": ("f", ("joints", 3, 4)),
+    "joint_inertia": ("f", ("joints", 10)),
+    "frame_name": ("U", ("frames",)),
+    "frame_type": ("U", ("frames",)),
+    "frame_joint": ("iu", ("frames",)),
+    "frame_parent": ("iu", ("frames",)),
+    "frame_placement": ("f", ("frames", 3, 4)),
+    "frame_inertia": ("f", ("frames", 10)),
+    "reference_name": ("U", ("references",)),
+    "reference": ("f", ("references", "nq")),
+    **{key: ("f", (size,)) for key, (_, size, _) in _FIELDS.items()},
+}
+MODEL_KINDS: dict[str, str] = {f"model_{key}": kinds for key, (kinds, _) in _FORMS.items()}
+_WITH_AXIS = ("RevoluteUnaligned", "RevoluteUnboundedUnaligned", "PrismaticUnaligned")
+_UPPER = np.triu_indices(3)
+_Arrays = Mapping[str, np.ndarray]
+
+
+def model_to_arrays(model: pin.Model) -> dict[str, np.ndarray]:
+    """The arrays of a model, which `model_from_arrays` takes. Raises `InputError` for one that it refuses."""
+    frames, references = list(model.frames), dict(_references(model))
+    arrays = {
+        "model_name": np.array(model.name),
+        "model_bodies": np.array(model.nbodies, dtype=np.int64),
+        "model_joint_name": _texts(model.names),
+        "model_joint_kind": _texts(["", *(_kind(joint) for joint in list(model.joints)[1:])]),
+        "model_joint_parent": np.array(list(model.parents), dtype=np.int64),
+        "model_joint_axis": np.array([_axis(model, index) for index in range(model.njoints)]),
+        "model_joint_placement": _placements(model.jointPlacements),
+        "model_joint_inertia": _inertias(model.inertias),
+        "model_gravity": np.array(model.gravity.vector),
+        "model_frame_name": _texts([frame.name for frame in frames]),
+        "model_frame_type": _texts([frame.type.name for frame in frames]),
+        "model_frame_joint": np.array([frame.parentJoint for frame in frames], dtype=np.int64),
+        "model_frame_parent": np.array([frame.parentFrame for frame in frames], dtype=np.int64),
+        "model_frame_placement": _placements([frame.placement for frame in frames]),
+        "model_frame_inertia": _inertias([frame.inertia for frame in frames]),
+        "model_reference_name": _texts(list(references)),
+        "model_reference": np.array(list(references.values())).reshape(len(references), model.nq),
+        **{f"model_{key}": np.array(getattr(model, field)) for key, (field, _, _) in _FIELDS.items()},
+    }
+    _require_valid(arrays)
+    return arrays
+
+
+def model_from_arrays(arrays: _Arrays) -> pin.Model:
+    """The model of `model_to_arrays`, equal in every field.
+
+    Every count, index, name and number is tested first: Pinocchio trusts its input. Raises `InputError`.
+    """
+    _require_valid(arrays)
+    try:
+        return _built({key.removeprefix("model_"): arrays[key] for key in MODEL_KINDS})
+    except (ValueError, RuntimeError) as error:  # what Pinocchio itself refuses
+        raise InputError(f"the model cannot be built: {first_line(error)}") from None
+
+
+def _built(given: _Arrays) -> pin.Model:
+    model = pin.Model()
+    model.name = str(given["name"])
+    kinds, names = given["joint_kind"].tolist(), given["joint_name"].tolist()
+    placements = [_se3(entry) for entry in given["joint_placement"]]
+    for index in range(1, len(names)):
+        joint = _joint(kinds[index], given["joint_axis"][index])
+        model.addJoint(int(given["joint_parent"][index]), joint, placements[index], names[index])
+    for _ in range(int(given["bodies"]) - model.nbodies):  # counts; the inertias themselves come next
+        model.appendBodyToJoint(0, pin.Inertia.Zero(), pin.SE3.Identity())
+    for index, entry in enumerate(given["joint_inertia"]):
+        model.inertias[index] = _inertia(entry)
+    model.gravity = pin.Motion(np.array(given["gravity"], dtype=float))
+    for key, (field, _, _) in _FIELDS.items():
+        setattr(model, field, np.array(given[key], dtype=float))
+    for index, name in enumerate(given["frame_name"].tolist()):
+        frame = pin.Frame(
+            name,
+            int(given["frame_joint"][index]),
+            int(given["frame_parent"][index]),
+            _se3(given["frame_placement"][index]),
+            pin.FrameType.names[str(given["frame_type"][index])],
+            _inertia(given["frame_inertia"][index]),
+        )
+        if index == 0:
+            model.frames[0] = frame
+        else:
+            model.addFrame(frame, False)
+    for name, row in zip(given["reference_name"].tolist(), given["reference"], strict=True):
+        model.referenceConfigurations[name] = np.array(row, dtype=float)
+    return model
+
+
+def _require_valid(arrays: _Arrays) -> None:
+    """Raise `InputError` for the first thing that Pinocchio must not see."""
+    missing = [key for key in MODEL_KINDS if key not in arrays]
+    if missing:
+        raise InputError(f"the model lacks {', '.join(missing)}")
+    given = {key: arrays[f"model_{key}"] for key in _FORMS}
+    _require_forms(given)
+    _require_names(given)
+    _require_tree(given)
+    _require_rotations(given)
+    if not 1 <= int(given["bodies"]) <= MOST_FRAMES:
+        raise InputError(f"the model has {given['bodies']} bodies", f"allowed: 1 to {MOST_FRAMES}")
+    for key, (kinds, _) in _FORMS.items():
+        if kinds == "f":
+            largest = _FIELDS[key][2] if key in _FIELDS else LARGEST
+            wrong = given[key][~(np.abs(given[key]) <= largest)]
+            if len(wrong):
+                raise InputError(f"'model_{key}' holds {wrong[0]:g}", f"allowed: up to {largest:g}, not NaN")
+
+
+def _require_forms(given: _Arrays) -> None:
+    """Numbers and shapes of all arrays; kinds of joints, from which the sizes of others follow."""
+    sizes = {}
+    for what, least, most in (
+        ("joint", 1, MOST_JOINTS),
+        ("frame", 1, MOST_FRAMES),
+        ("reference", 0, MOST_JOINTS),
+    ):
+        shape = given[f"{what}_name"].shape
+        if len(shape) != 1 or not least <= shape[0] <= most:
+            raise InputError(f"'model_{what}_name' has shape {shape}", f"allowed: ({least} to {most},)")
+        sizes[f"{what}s"] = shape[0]
+    kinds = given["joint_kind"].ravel().tolist()[1:]
+    for kind in kinds:
+        if kind not in JOINT_SIZES:
+            raise InputError(f"a joint is of kind {kind!r:.60}", f"allowed: {', '.join(JOINT_SIZES)}")
+    sizes |= {name: sum(JOINT_SIZES[kind][part] for kind in kinds) for part, name in enumerate(("nq", "nv"))}
+    for key, (allowed, form) in _FORMS.items():
+        if given[key].dtype.kind not in allowed:
+            raise InputError(
+                f"'model_{key}' is of type {given[key].dtype}", f"allowed: kinds {', '.join(allowed)}"
+            )
+        expected = tuple(sizes[size] if isinstance(size, str) else size for size in form)
+        if given[key].shape != expected:
+            raise InputError(f"'model_{key}' has shape {given[key].shape}", f"expected {expected}")
+
+
+def _require_names(given: _Arrays) -> None:
+    for key in ("name", "joint_name", "frame_name", "reference_name"):
+        for name in given[key].ravel().tolist():
+            if len(name) > LONGEST_NAME or UNPRINTABLE.search(name):
+                raise InputError(
+                    f"'model_{key}' holds {name!r:.60}",
+                    f"allowed: up to {LONGEST_NAME} characters, none of them a control character",
+                )
+    types, joints = given["frame_type"].tolist(), given["joint_name"].tolist()
+    unknown = sorted(set(types) - set(FRAME_TYPES))
+    if unknown:
+        raise InputError(f"a frame is of type {unknown[0]!r:.60}", f"allowed: {', '.join(FRAME_TYPES)}")
+    frames = list(zip(given["frame_name"].tolist(), types, strict=True))
+    for what, names in (
+        ("joints", joints),
+        ("frames", frames),
+        ("references", given["reference_name"].tolist()),
+    ):
+        if len(set(names)) != len(names):
+            raise InputError(f"two {what} of the model have one name", "allowed: different names")
+    if joints[0] != UNIVERSE:
+        raise InputError(f"the first joint of the model is {joints[0]!r:.60}", f"allowed: {UNIVERSE}")
+
+
+def _require_tree(given: _Arrays) -> None:
+    """Joints come after their parents, depth first; frames are on joints and behind frames that exist."""
+    parents, branch = given["joint_parent"].tolist(), [0]
+    for index, parent in enumerate(parents):
+        if not 0 <= parent < max(index, 1):
+            raise InputError(f"the parent of joint {index} is joint {parent}", "allowed: one before it")
+        while branch[-1] != parent:
+            if len(branch) == 1:
+                raise InputError(f"joint {index} comes after another branch", "allowed: depth first")
+            branch.pop()
+        if index:
+            branch.append(index)
+    for key, count in (("frame_joint", len(parents)), ("frame_parent", len(given["frame_name"]))):
+        wrong = [each for each in given[key].tolist() if not 0 <= each < count]
+        if wrong:
+            raise InputError(f"'model_{key}' holds {wrong[0]}", f"allowed: 0 to {count - 1}")
+
+
+def _require_rotations(given: _Arrays) -> None:
+    """Axes are unit vectors, placements have rotations."""
+    with_axis = np.isin(given["joint_kind"], _WITH_AXIS)
+    lengths = np.linalg.norm(given["joint_axis"][with_axis], axis=1)
+    if not (np.abs(lengths - 1.0) <= ROTATION_ERROR).all():
+        raise InputError(
+            "an axis of the model is no unit vector", f"allowed: of length 1 to {ROTATION_ERROR:g}"
+        )
+    for key in ("joint_placement", "frame_placement"):
+        rotations = given[key][:, :, :3].astype(float)
+        with np.errstate(all="ignore"):  # numbers that are not finite are no rotations
+            errors = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)).max(axis=(1, 2))
+            wrong = np.flatnonzero(~(errors <= ROTATION_ERROR) | ~(np.linalg.det(rotations) > 0))
+        if len(wrong):
+            raise InputError(
+                f"'model_{key}' has no rotation at {wrong[0]}", "allowed: orthonormal, right-handed"
+            )
+
+
+def _texts(names: Sequence[str]) -> np.ndarray:
+    return np.array(list(names), dtype=str)
+
+
+def _references(model: pin.Model) -> list[tuple[str, np.ndarray]]:
+    return [(entry.key(), np.array(entry.data())) for entry in model.referenceConfigurations]
+
+
+def _kind(joint: pin.JointModel) -> str:
+    return str(joint.shortname().removeprefix("JointModel"))
+
+
+def _axis(model: pin.Model, index: int) -> list[float]:
+    """Axis of a joint whose kind leaves it open; of the others zero."""
+    joint = model.joints[index]
+    if not index or _kind(joint) not in _WITH_AXIS:
+        return [0.0, 0.0, 0.0]
+    data = joint.createData()
+    joint.calc(data, pin.neutral(model))
+    subspace = np.ravel(data.S)  # the bindings do not show the axis of every kind
+    return (subspace[:3] + subspace[3:]).tolist()
+
+
+def _joint(kind: str, axis: np.ndarray) -> pin.JointModel:
+    if kind == "RevoluteUnboundedUnaligned":  # the bindings cannot make one: from a text of our own making
+        text, known = _continuous()
+        model = pin.Model()
+        model.loadFromString(text.replace(known, _words(axis)))
+        return model.joints[1].extract()
+    joint = getattr(pin, f"JointModel{kind}")()
+    if kind in _WITH_AXIS:
+        joint.axis = np.array(axis, dtype=float)
+    return joint
+
+
+@lru_cache(maxsize=1)
+def _continuous() -> tuple[str, str]:
+    """The text of a model with one continuous joint, and the part of it that is the axis."""
+    model = pin.buildModelFromXML(
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous">'
+        '<parent link="a"/><child link="b"/><axis xyz="0.48 0.6 0.64"/></joint></robot>'
+    )
+    return model.saveToString(), _words(_axis(model, 1))
+
+
+def _words(axis: Sequence[float] | np.ndarray) -> str:
+    return " ".join(f"{entry:.17e}" for entry in axis)
+
+
+def _placements(values: Sequence[pin.SE3]) -> np.ndarray:
+    return np.array([np.column_stack([each.rotation, each.translation]) for each in values])
+
+
+def _se3(entry: np.ndarray) -> pin.SE3:
+    return pin.SE3(np.array(entry[:, :3], dtype=float), np.array(entry[:, 3], dtype=float))
+
+
+def _inertias(values: Sequence[pin.Inertia]) -> np.ndarray:
+    return np.array([[each.mass, *each.lever, *each.inertia[_UPPER]] for each in values])
+
+
+def _inertia(entry: np.ndarray) -> pin.Inertia:
+    """An inertia by its fields: the constructor refuses some that descriptions of robots have."""
+    matrix = np.zeros((3, 3))
+    matrix[_UPPER] = matrix.T[_UPPER] = entry[4:]
+    inertia = pin.Inertia.Zero()
+    inertia.mass, inertia.lever, inertia.inertia = float(entry[0]), np.array(entry[1:4], dtype=float), matrix
+    return inertia
