@@ -11,9 +11,8 @@ from trajopt.errors import InputError, not_among
 from trajopt.robot.robot import Robot
 from trajopt.schedule.moment import Moment
 from trajopt.schedule.schedule import Schedule
-from trajopt.terms.interfaces import DuringPhases, Term
-from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace, nodes_of
+from trajopt.terms.costs import NodeCost
+from trajopt.terms.interfaces import DuringPhases, NodeConstraint, NodePlace, Term, nodes_of
 
 # Fields of terms that hold names, and what they name.
 NAMES = {

@@ -29,8 +29,7 @@ from trajopt.robot.mirror import TWIST, find_mirror, mirrored_rows, paired_conta
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Rows
-from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
+from trajopt.terms.interfaces import AtMoment, NodeConstraint, NodePlace, Rows
 
 if TYPE_CHECKING:
     from trajopt.schedule.schedule import Schedule

@@ -36,13 +36,18 @@ from trajopt.schedule.moment import start_of
 from trajopt.schedule.placing import footholds_at, require_standing
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms.context_symbols import Actuation
-from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity
-from trajopt.terms.interfaces import Cost, PointConstraint, Term
+from trajopt.terms.costs import NodeCost
+from trajopt.terms.dynamics import (
+    BaseDynamics,
+    ContactAcceleration,
+    ContactVelocity,
+    SlidingFriction,
+    require_sliding,
+    sliding_surfaces,
+)
+from trajopt.terms.interfaces import Cost, NodeConstraint, PointConstraint, Term
 from trajopt.terms.landing import ContactLanding
 from trajopt.terms.moments import MomentConstraint
-from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint
-from trajopt.terms.sliding import SlidingFriction, require_sliding, sliding_surfaces
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.terrain import Ground, Terrain
 

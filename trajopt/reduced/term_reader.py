@@ -19,9 +19,8 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import Place
-from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term
-from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace, nodes_of
+from trajopt.terms.costs import NodeCost
+from trajopt.terms.interfaces import Cost, NodeConstraint, NodePlace, PointConstraint, Rows, Term, nodes_of
 from trajopt.transcription.mesh import equal_fractions
 from trajopt.transcription.robot_layers import robot_layers
 

@@ -19,12 +19,10 @@ from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.term_reader import TermReader
-from trajopt.scenes.facts import modelled, remarks
-from trajopt.scenes.lift import lift_solution
 from trajopt.scenes.needs import KEPT_AS_ASKED, cleared_contacts, needed_joints, require_lockable
 from trajopt.scenes.plane import halve_robot, in_plane
-from trajopt.scenes.reduction import Reduction, behind_base, lock_joints
-from trajopt.scenes.report import CHOICE, EXACT, KEPT, Decision, ProblemSize, SceneReport
+from trajopt.scenes.reduction import Reduction, behind_base, lift_solution, lock_joints
+from trajopt.scenes.report import CHOICE, EXACT, KEPT, Decision, ProblemSize, SceneReport, modelled, remarks
 from trajopt.scenes.soles import Soles, with_soles
 from trajopt.scenes.terms import reduced_problem
 from trajopt.solution.solution import Solution

@@ -29,9 +29,8 @@ from trajopt.robot.units import Units
 from trajopt.scenes.reduction import Reduction, whole_place
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import FrameSymbols, Place
-from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term
-from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terms.costs import NodeCost
+from trajopt.terms.interfaces import Cost, NodeConstraint, NodePlace, PointConstraint, Rows, Term
 from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions, guessed_posture
 
 # Random points at which rows are compared, and the rounding difference of equal rows, natural units.

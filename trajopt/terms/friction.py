@@ -41,7 +41,7 @@ class ContactConstraint(PointConstraint):
     """A constraint on the wrenches of unilateral contacts, and at an impact on their impulses.
 
     Contacts on bilateral surfaces have no rows, because a grasp holds, nor have sliding contacts, whose force
-    follows a law (`trajopt.terms.sliding`).
+    follows a law (`trajopt.terms.dynamics`).
 
     Args:
         friction: coefficient in place of that of the surfaces.

@@ -12,8 +12,7 @@ from trajopt.arguments import checked
 from trajopt.robot.contact import Contact
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Rows
-from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
+from trajopt.terms.interfaces import AtMoment, NodeConstraint, NodePlace, Rows
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.smooth import CurvedSurface
 from trajopt.terrain.surface import Surface

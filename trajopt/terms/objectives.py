@@ -26,10 +26,19 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.moment import Moment, middle_of
 from trajopt.schedule.schedule import Motion, Schedule
-from trajopt.terms.costs import AccelerationCost, PostureCost, TimeCost, TorqueCost, VelocityCost, WrenchCost
+from trajopt.terms.costs import (
+    AccelerationCost,
+    DistanceCost,
+    FrameHeightCost,
+    NodeCost,
+    PostureCost,
+    TimeCost,
+    TorqueCost,
+    VelocityCost,
+    WrenchCost,
+)
+from trajopt.terms.drives import PowerCost
 from trajopt.terms.interfaces import Cost, Term
-from trajopt.terms.node_costs import DistanceCost, FrameHeightCost, NodeCost
-from trajopt.terms.power import PowerCost
 from trajopt.terms.tracking import TrackingCost
 
 Goal = Literal["effort", "time", "height", "distance", "transport", "smooth", "track"]

@@ -25,9 +25,8 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import DuringPhases, Rows
+from trajopt.terms.interfaces import DuringPhases, NodeConstraint, NodePlace, Rows
 from trajopt.terms.landing import along_normal, contact_points
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
 from trajopt.terrain.crossing import Crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain

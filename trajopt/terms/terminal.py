@@ -22,8 +22,7 @@ from trajopt.robot.validation import require_configuration
 from trajopt.schedule.schedule import Schedule
 from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Rows
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terms.interfaces import NodeConstraint, NodePlace, Rows
 
 # Singular values of a contact Jacobian below this fraction of the largest count as zero.
 RANK_TOLERANCE = 1e-6
