@@ -11,8 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
-from trajopt.collision.coal_distance import CoalBody, CoalPairs, Witness
-from trajopt.collision.coal_shapes import coal_link, coal_obstacle
+from trajopt.collision.coal_shapes import CoalBody, CoalPairs, Witness, coal_link, coal_obstacle
 from trajopt.collision.ground_distance import BodyDistance, SmoothDistance
 from trajopt.collision.planes import Approach, PlacedBody, nearest
 from trajopt.collision.shapes import LinkShape, Obstacle, ball_around, require_different_names

@@ -14,7 +14,7 @@ from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import require_finite
 from trajopt.guesses.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
-from trajopt.guesses.foot_motion import CACHED_POSTURES
+from trajopt.guesses.body_guess import CACHED_POSTURES
 from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kinematics
 from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
@@ -22,8 +22,13 @@ from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terrain.crossing import Crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface, frame_of_normal
-from trajopt.terrain.swing_paths import crossing_of, kept_outside
-from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
+from trajopt.terrain.swing_paths import (
+    crossing_of,
+    kept_outside,
+    require_clearance,
+    smooth_step,
+    swing_profile,
+)
 from trajopt.terrain.terrain import Terrain
 
 # Height of a swing over the straight line between its footholds, over the robot's length.

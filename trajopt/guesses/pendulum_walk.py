@@ -21,7 +21,7 @@ from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import ContactForceTask, PostureTask
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError, require_finite
-from trajopt.guesses.foot_motion import FootMotion, guess_from_lip
+from trajopt.guesses.body_guess import FootMotion, guess_from_lip
 from trajopt.motion.natural_units import NaturalUnits
 from trajopt.problem.problem import Problem
 from trajopt.reduced.com_program import CenterOfMassProgram

@@ -18,7 +18,7 @@ from trajopt.problem.places import CONTACT_GAP, PLACE_SLACK
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
-from trajopt.schedule.targets import Target
+from trajopt.schedule.moment import Target
 from trajopt.terms.clearance import Clearance
 from trajopt.terms.terminal import TerminalPosture
 from trajopt.terrain.flat import FlatGround

@@ -17,13 +17,12 @@ from trajopt.problem.periodicity import Periodicity
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses, frame_pose, inverse_kinematics
 from trajopt.robot.robot import Robot
-from trajopt.schedule.moment import Moment
+from trajopt.schedule.moment import Moment, Target
 from trajopt.schedule.placing import landing_place
 from trajopt.schedule.schedule import Motion, Schedule
-from trajopt.schedule.targets import Target
 from trajopt.terms.interfaces import Term
 from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.swing_profile import smooth_step, swing_profile
+from trajopt.terrain.swing_paths import smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
 
 # Height of swings over the robot's length, more than terms usually require.

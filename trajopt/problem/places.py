@@ -16,9 +16,8 @@ from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.reach import LinkPoint, longest_between
 from trajopt.robot.robot import Robot
 from trajopt.robot.validation import require_configuration
-from trajopt.schedule.moment import Moment
+from trajopt.schedule.moment import Moment, Target
 from trajopt.schedule.schedule import Schedule
-from trajopt.schedule.targets import Target
 from trajopt.terms.frames import FrameHeight
 from trajopt.terms.interfaces import PointConstraint, Term
 from trajopt.terms.terminal import TerminalState

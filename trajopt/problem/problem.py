@@ -11,13 +11,13 @@ import numpy as np
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError
-from trajopt.problem.acting_terms import require_acting
 from trajopt.problem.guessing import default_guess
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.problem.places import Stances, require_places
 from trajopt.problem.validation import (
     checked_duration_bounds,
     checked_vector,
+    require_acting,
     require_actuation,
     require_modes,
     require_no_impacts,
@@ -32,7 +32,7 @@ from trajopt.robot.payload import Payload, loaded
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
-from trajopt.schedule.moment import start_of
+from trajopt.schedule.moment import Target, start_of
 from trajopt.schedule.placing import footholds_at, require_standing
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms.context_symbols import Actuation
@@ -267,6 +267,17 @@ class Problem:
     def moment_constraints(self) -> tuple[MomentConstraint, ...]:
         """Constraints at chosen moments of phases."""
         return tuple(t for t in self.terms if isinstance(t, MomentConstraint) and len(t.fractions))
+
+    @property
+    def goals(self) -> list[Target]:
+        """Goals as solutions record them: the terms' targets, then footholds, places of contact frames."""
+        targets = [target for term in self.terms for target in term.targets()]
+        for phase in self.schedule.phases:
+            for name in phase.footholds:
+                contact = self.robot.contact(name)
+                place = phase.centre(contact, self.terrain)
+                targets.append(Target(frame=contact.frame, position=place, at=start_of(phase.name)))
+        return targets
 
     @property
     def free_directions(self) -> tuple[int, ...]:

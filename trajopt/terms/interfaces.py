@@ -29,9 +29,8 @@ from trajopt.errors import InputError, numbers_of, require_not_negative
 from trajopt.kinds import ArrayShape, shown
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
-from trajopt.schedule.moment import END, Moment, as_moment
+from trajopt.schedule.moment import END, Moment, Target, as_moment
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
 
 # Of two nodes equally far from a fraction, up to rounding, the earlier one is the nearest.

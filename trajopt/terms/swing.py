@@ -32,7 +32,7 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import CurvedSurface, SmoothTerrain
 from trajopt.terrain.surface import UP, Surface
-from trajopt.terrain.swing_profile import require_clearance, swing_profile
+from trajopt.terrain.swing_paths import require_clearance, swing_profile
 from trajopt.terrain.terrain import Ground, Terrain
 
 LEVEL = np.array(UP)

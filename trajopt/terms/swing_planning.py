@@ -20,8 +20,7 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_paths import crossing_of
-from trajopt.terrain.swing_profile import require_clearance
+from trajopt.terrain.swing_paths import crossing_of, require_clearance
 from trajopt.terrain.terrain import Terrain
 
 # Number of samples of the guess's swing in which to find where it passes an edge.

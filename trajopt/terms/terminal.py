@@ -19,8 +19,8 @@ from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.robot.validation import require_configuration
+from trajopt.schedule.moment import Target
 from trajopt.schedule.schedule import Schedule
-from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import NodeConstraint, NodePlace, Rows
 

@@ -11,11 +11,11 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.arguments import checked
+from trajopt.errors import require_not_negative
 from trajopt.terrain.crossing import Crossing, Edge, crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
 
 # Fractions of the swing time at which the foot has reached the top, and from which it descends.
@@ -27,11 +27,33 @@ OVER_CLEARANCE = 1.5
 # Number of swings whose ground is cached.
 KEPT = 1024
 
+SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
+
+
+def require_clearance(clearance: float) -> None:
+    """Raise `InputError` for a swing clearance, m, that is negative or not finite."""
+    require_not_negative("swing clearance", clearance, "m")
+
+
+def swing_profile(s: float) -> float:
+    """16 s^2 (1 - s)^2 at the fraction ``s`` of a swing: one in mid swing, zero and flat at its ends.
+
+    Flat, because a foot begins and ends its swing at rest: with a profile of finite slope there, such as
+    4 s (1 - s), the height at the first node after lift-off is proportional to the step, and the acceleration
+    needed is inversely proportional to it: the optimum would have no limit as the mesh is refined.
+    """
+    return 16.0 * s * s * (1.0 - s) ** 2
+
+
+def smooth_step(s: float) -> float:
+    """From 0 to 1 with rate and acceleration zero at both ends: 10 s^3 - 15 s^4 + 6 s^5, clipped."""
+    s = min(max(s, 0.0), 1.0)
+    return s**3 * (10 - 15 * s + 6 * s * s)
+
+
 # Inverse of the smooth step, as a table.
 TIMES = np.linspace(0.0, 1.0, 201)
 DONE = np.array([smooth_step(float(time)) for time in TIMES])
-
-SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
 
 @checked
