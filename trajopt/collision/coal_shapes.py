@@ -1,4 +1,4 @@
-"""Shapes as Coal has them."""
+"""Shapes as Coal has them: their signed distances and nearest points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Convex hulls of few points: a mesh's hull within a fraction of a millimetre, a cylinder's prism."""
+"""Shapes of a robot's links from its description, of few points: hulls of meshes, prisms of cylinders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Capsules of any robot: one around each piece of its collision or visual geometry, or of its inertias."""
+"""Capsules of any robot: one around each piece of its collision or visual geometry, or of its inertias.
+
+The capsule around points has the least volume found over the direction of its axis. For a given direction
+the least one is exact: its radius and place follow from the least circle around the points seen along the
+axis, its ends from how far each point reaches beyond the cap. The direction is searched by Nelder and Mead's
+method from the three principal axes. No step is random.
+"""
 
 from __future__ import annotations
 

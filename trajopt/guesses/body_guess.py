@@ -1,4 +1,4 @@
-"""A guess for the full problem from a solution on one rigid body: its base, legs by inverse kinematics."""
+"""Guesses from reduced models: their base or CoM, feet on footholds or swings, legs by inverse kinematics."""
 
 from __future__ import annotations
 

@@ -163,13 +163,10 @@ def _rotation_rows(origin: np.ndarray, periodicity: Periodicity) -> tuple[np.nda
     half = periodicity.turn / 2
     turn = np.array([0.0, 0.0, math.sin(half), math.cos(half)])
     image = origin * np.array([-1.0, 1.0, -1.0, 1.0]) if periodicity.mirror else origin
-    final = _left_product(_conjugate(_left_product(turn) @ image))[:3]
-    initial = _left_product(_conjugate(origin))[:3]
+    conjugate = np.array([-1.0, -1.0, -1.0, 1.0])
+    final = _left_product(conjugate * (_left_product(turn) @ image))[:3]
+    initial = _left_product(conjugate * origin)[:3]
     return final, TWIST[3:, None] * initial if periodicity.mirror else initial
-
-
-def _conjugate(quaternion: np.ndarray) -> np.ndarray:
-    return quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 def _left_product(quaternion: np.ndarray) -> np.ndarray:

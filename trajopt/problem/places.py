@@ -38,11 +38,8 @@ _Goal = tuple[str, Target]  # the name of its term, and the target
 class Stances:
     """Where the contacts of a schedule stand.
 
-    Args:
-        robot: the robot.
-        schedule: its contacts over time.
-        grounds: by phase, what each active contact touches; nothing for a model that holds no contacts.
-        places: by phase, the positions (3,) m of the contacts that are known before solving.
+    ``grounds`` by phase: what each active contact touches; nothing for a model that holds no contacts.
+    ``places`` by phase: the positions (3,) m of the contacts that are known before solving.
     """
 
     robot: Robot
@@ -67,13 +64,8 @@ def require_places(
 ) -> None:
     """Raise `InputError` for a start, a foothold or a goal that no motion can have.
 
+    ``start`` (nq,) is None where it is free; ``rows`` are constraints at collocation points, with the limits.
     `trajopt.problem.bodies` judges whether bodies are clear there.
-
-    Args:
-        stances: where contacts stand.
-        start: configuration (nq,); None where it is free.
-        terms: of the problem.
-        rows: constraints at collocation points, with the limits.
     """
     require_footholds(stances)
     require_apart(stances)

@@ -22,7 +22,6 @@ from trajopt.problem.validation import (
     require_modes,
     require_no_impacts,
     require_payloads,
-    require_periodic,
     require_phases,
     require_start,
     require_terms,
@@ -127,7 +126,9 @@ class Problem:
         require_sliding(robot, schedule, self.actuation, tuple(self.modes))
         require_standing(robot, schedule, self.terrain, self._starts)
         if self.periodicity is not None:
-            require_periodic(self.name, bool(self.modes), self.actuation)
+            if self.modes or self.actuation == "velocity":
+                what = "modes" if self.modes else "a velocity source"
+                raise InputError(f"the periodic problem '{self.name}' has {what}", "allowed: neither")
             closing_map(robot, self.periodicity, self.initial_q)
             landing_at_start(robot, schedule, self.periodicity)
         whole = () if self.dynamics is not None else schedule.names

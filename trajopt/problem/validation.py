@@ -1,4 +1,4 @@
-"""Validation of problems: parts that do not fit each other, and starts that are no state of the robot."""
+"""Validation of problems: parts that do not fit, starts that are no state, terms that cannot act."""
 
 from __future__ import annotations
 
@@ -112,13 +112,8 @@ def require_modes(
 ) -> None:
     """Raise `InputError` for a mode whose robot or place is not its phase's, or that the start contradicts.
 
-    Args:
-        problem: its name.
-        robot: of the problem.
-        schedule: of the problem.
-        modes: minimal coordinates, by the phase's name.
-        start: configuration (nq,) and velocity (nv,).
-        contact_place: contact and index of a phase -> where it stands in the world (3,), m, None if unknown.
+    ``modes`` by the phase's name; ``contact_place``: contact and index of a phase -> where it stands in the
+    world (3,), m, None if unknown.
     """
     for name, mode in modes.items():
         require_phase(schedule, name, "a mode is given for")
@@ -150,19 +145,10 @@ def require_modes(
 
 def require_no_impacts(schedule: Schedule) -> None:
     """Raise `InputError` for a phase that begins with an impact, if the dynamics hold no contacts."""
-    for phase in schedule.phases:
-        if phase.impact:
-            raise InputError(
-                f"phase '{phase.name}' begins with an impact, but the dynamics hold no contacts",
-                "allowed: impact=False for a reduced model",
-            )
-
-
-def require_periodic(problem: str, has_modes: bool, actuation: str) -> None:
-    """Raise `InputError` for a periodic problem in minimal coordinates or of a velocity source."""
-    if has_modes or actuation == "velocity":
-        what = "modes" if has_modes else "a velocity source"
-        raise InputError(f"the periodic problem '{problem}' has {what}", "allowed: neither")
+    impact = next((phase.name for phase in schedule.phases if phase.impact), None)
+    if impact is not None:
+        what = f"phase '{impact}' begins with an impact, but the dynamics hold no contacts"
+        raise InputError(what, "allowed: impact=False for a reduced model")
 
 
 def require_payloads(
@@ -209,12 +195,7 @@ def require_start(
 ) -> None:
     """Raise `InputError` for a start that is not a configuration, or beyond limits that the problem imposes.
 
-    Args:
-        problem: its name.
-        robot: of the problem.
-        q: configuration at the start (nq,).
-        v: velocity at the start (nv,).
-        rows: constraints of the first phase; none for a free start, whose limits are rows of the problem.
+    ``rows``: constraints of the first phase; none for a free start, whose limits are rows of the problem.
     """
     require_configuration(robot.model, q, f"initial_q of problem '{problem}'")
     margin = gimbal_margin(robot.model, q)

@@ -286,8 +286,7 @@ def analytic_motion(
         before = shared[i - 1] if i else None
         first = middles[i] if before is None else before
         if i < len(shared):
-            after = shared[i]
-            zmp.append([first, middles[i] if after is None else after])
+            zmp.append([first, middles[i] if shared[i] is None else shared[i]])
             times.append(times[-1] + support.duration)
         else:
             zmp += [[first, middles[i]], [middles[i], middles[i]]]

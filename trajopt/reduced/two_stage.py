@@ -40,10 +40,9 @@ ROUNDING = 1e-6
 
 def torque_terms(problem: Problem) -> list[Term]:
     """Return the terms that depend on joint torques at collocation points, in the problem's order."""
-    reader = TermReader(problem)
     users = {
         id(instance.term)
-        for instance in reader.every()
+        for instance in TermReader(problem).every()
         if instance.context.place is Place.POINT and instance.uses_torques
     }
     return [term for term in problem.terms if id(term) in users]
@@ -219,7 +218,8 @@ def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, T
     base = np.abs(forces[solution.collocation, : robot.n_unactuated])
     bounds = torque_bounds(problem, solution.v)
     excess = np.maximum(torque - bounds.upper, bounds.lower - torque) / bounds.scale
-    names = _row_names(robot)
+    moved = [joint for joint in list(robot.model.joints)[1:] if joint.idx_v >= robot.n_unactuated]
+    names = [robot.model.names[joint.id] for joint in moved for _ in range(joint.nv)]
     joints = tuple(_joint(solution, names[row], torque[:, row], excess[:, row]) for row in range(robot.nu))
     between = excess[~solution.collocation]
     return torque, TorqueReport(
@@ -240,9 +240,3 @@ def _joint(solution: Solution, name: str, torque: np.ndarray, excess: np.ndarray
         phase=str(solution.description.phase_names[solution.phase[at]]),
         share_beyond=float(np.mean(excess[points] > ROUNDING)),
     )
-
-
-def _row_names(robot: Robot) -> list[str]:
-    """Joint of every actuated row."""
-    joints = [joint for joint in list(robot.model.joints)[1:] if joint.idx_v >= robot.n_unactuated]
-    return [robot.model.names[joint.id] for joint in joints for _ in range(joint.nv)]

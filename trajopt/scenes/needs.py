@@ -55,7 +55,7 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     for instance in TermReader(problem).every():
         for frame in instance.frames:
             _chain(robot, frame, f"moves frame '{frame}' of {instance.term.name}", needs)
-        for name in _own_joints(problem, instance):
+        for name in _direct_joints(problem, instance):
             needs.setdefault(name, f"is in {instance.term.name}")
     for term in problem.terms:
         for name in _elsewhere(problem, term):
@@ -104,14 +104,13 @@ def _always(problem: Problem) -> Needs:
 
 
 def _chain(robot: Robot, frame: str, reason: str, needs: Needs) -> None:
-    """Joints between the root and a frame."""
     model = robot.model
     for joint in model.supports[model.frames[model.getFrameId(frame)].parentJoint]:
         if joint > 0:
             needs.setdefault(model.names[joint], reason)
 
 
-def _own_joints(problem: Problem, instance: TermInstance) -> list[str]:
+def _direct_joints(problem: Problem, instance: TermInstance) -> list[str]:
     """Joints whose coordinates a term of an unknown kind uses directly."""
     if (
         isinstance(instance.term, (*NO_NEED, PostureCost, TerminalState))

@@ -1,7 +1,8 @@
 """Symmetric tasks in the plane: the half of the robot, and its joints that leave the plane.
 
 A half is found where robot and task are their own mirror images. Where a limb of it moves in the plane
-without the joints that leave it (abduction, mostly), these are locked.
+without the joints that leave it (abduction, mostly), these are locked. Start, contacts and surfaces are
+compared with their images, and every term at random states.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.term_reader import TermInstance, TermReader
 from trajopt.robot.building import leaving_plane
-from trajopt.robot.contact import Contact
 from trajopt.robot.mirror import (
     REFLECTION,
     TWIST,
@@ -127,7 +127,6 @@ def in_plane(problem: Problem, keep: Sequence[str]) -> tuple[tuple[str, ...], tu
 
 
 def _across(problem: Problem) -> set[str]:
-    """Joints of limbs for which the task requires motion across the plane."""
     robot, model = problem.robot, problem.robot.model
     data = model.createData()
     pin.framesForwardKinematics(model, data, problem.initial_q)
@@ -148,7 +147,6 @@ def _across(problem: Problem) -> set[str]:
 
 
 def _goals(problem: Problem) -> set[str]:
-    """Joints whose goal differs from their start."""
     joints: set[str] = set()
     for term in problem.terms:
         if isinstance(term, HalfEnd) and isinstance(term.term, TerminalState):
@@ -287,17 +285,17 @@ def _mirrored_inputs(
     if context.place is not Place.NODE:
         _as_local(coordinates.additive_index, coordinates.n_rotations, robot.nv, parts)
         _as_local(coordinates.additive_index, coordinates.n_rotations, robot.nv, mirrored)
-    orders = 1 if context.place is Place.NODE or problem.actuation == "velocity" else 2
-    if context.place is Place.NODE and problem.actuation == "velocity":
-        orders = 0
-    for _ in range(orders):
+    for _ in range(2 - (context.place is Place.NODE) - (problem.actuation == "velocity")):
         rate = generator.uniform(-1, 1, robot.nv)
         parts.append(rate)
         mirrored.append(sign * rate[index])
     if context.place is not Place.NODE:
         wrenches = {c.name: generator.uniform(-1, 1, c.dimension) for c in context.contacts}
         parts += [wrenches[c.name] * robot.weight for c in context.contacts]
-        mirrored += [_image_of(c, problem, images, wrenches) * robot.weight for c in context.contacts]
+        names = [contact.name for contact in robot.contacts]
+        for contact in context.contacts:
+            partner = wrenches[names[images[names.index(contact.name)]]]
+            mirrored.append(TWIST[: len(partner)] * partner * robot.weight)
     n_time_scales = context.z.numel() - sum(len(part) for part in parts)
     return np.concatenate([*parts, np.ones(n_time_scales)]), np.concatenate(
         [*mirrored, np.ones(n_time_scales)]
@@ -305,17 +303,7 @@ def _mirrored_inputs(
 
 
 def _as_local(additive: np.ndarray, n_rotations: int, nv: int, parts: list[np.ndarray]) -> None:
-    """Rotations and additive positions as rotations and local coordinates, in place."""
     node = parts.pop()
     xi = np.zeros(nv)
     xi[additive] = node[4 * n_rotations :]
     parts += [node[: 4 * n_rotations], xi]
-
-
-def _image_of(
-    contact: Contact, problem: Problem, images: Sequence[int], wrenches: dict[str, np.ndarray]
-) -> np.ndarray:
-    """The wrench that a contact has in the mirror image: that of its partner, mirrored."""
-    names = [entry.name for entry in problem.robot.contacts]
-    wrench = wrenches[names[images[names.index(contact.name)]]]
-    return np.asarray(TWIST[: len(wrench)] * wrench)

@@ -1,4 +1,4 @@
-"""The map between a whole robot and a smaller one that moves as a part of it; those that lock joints.
+"""The map between a whole robot and a smaller one that moves as a part of it, also of its solutions.
 
 Every joint of the whole robot is locked at its start, or follows a joint of the small one: itself, or its
 mirror image with a sign. Rates, accelerations and the local coordinates' derivatives follow linearly,
@@ -30,7 +30,6 @@ from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import contact_activity, described_robot
 from trajopt.terms.interfaces import NodePlace
-from trajopt.terrain.surface import Surface
 
 # Rows of a free-flyer's twist that a planar base has, and their signs: forward, up, pitch about -y.
 PLANAR_ROWS = ((0, 1.0), (2, 1.0), (4, -1.0))
@@ -163,13 +162,9 @@ class Reduction:
 
     def drop_torques(self, limit: np.ndarray) -> np.ndarray:
         """Effort limit (nu of the small) from one of the whole robot: n times the least of n images'."""
-        shares = np.abs(self.shares)
-        return np.array(
-            [
-                np.min(np.asarray(limit, dtype=float)[column > 0] / column[column > 0], initial=np.inf)
-                for column in shares.T
-            ]
-        )
+        given, columns = np.asarray(limit, dtype=float), np.abs(self.shares).T
+        limits = [np.min(given[share > 0] / share[share > 0], initial=np.inf) for share in columns]
+        return np.array(limits)
 
     def lift_forces(self, f: np.ndarray) -> np.ndarray:
         """Wrenches (K, nc, 6) of the whole robot's contacts from the small one's (K, nc, 6)."""
@@ -207,18 +202,14 @@ def whole_phase(phase: Phase, reduction: Reduction) -> Phase:
             footholds[name] = reduction.reflected_point(place) if follower.mirrored else place
         if follower.name in phase.surfaces:
             surface = phase.surfaces[follower.name]
-            surfaces[name] = _reflected(surface, reduction) if follower.mirrored else surface
+            if follower.mirrored:
+                point = reduction.reflected_point(surface.point)
+                normal = reduction.reflected_point(surface.normal) - reduction.reflected_point(np.zeros(3))
+                surface = replace(surface, point=point, normal=normal)
+            surfaces[name] = surface
         if follower.name in phase.patches and not follower.mirrored:  # tasks with patches are not halved
             patches[name] = phase.patches[follower.name]
     return replace(phase, contacts=tuple(active), footholds=footholds, surfaces=surfaces, patches=patches)
-
-
-def _reflected(surface: Surface, reduction: Reduction) -> Surface:
-    return replace(
-        surface,
-        point=reduction.reflected_point(surface.point),
-        normal=reduction.reflected_point(surface.normal) - reduction.reflected_point(np.zeros(3)),
-    )
 
 
 def lock_joints(

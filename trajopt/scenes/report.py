@@ -19,7 +19,6 @@ from trajopt.terms.swing import SwingClearance
 from trajopt.transcription.mesh import Mesh
 
 EXACT, CHOICE, KEPT, OFFER = "exact", "choice", "kept", "offer"
-_Grid = tuple[str | None, int | None]
 _Remark = tuple[str, str]
 
 
@@ -29,10 +28,6 @@ class ProblemSize:
 
     variables: int
     rows: int
-
-    def less(self, other: ProblemSize) -> ProblemSize:
-        """What the other has less than this one."""
-        return ProblemSize(variables=self.variables - other.variables, rows=self.rows - other.rows)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,25 +79,17 @@ class SceneReport:
         lines += [f"  {'' if i else 'modelled':10} {line}" for i, line in enumerate(self.modelled)]
         for kind, title in ((EXACT, "left out, exactly"), (CHOICE, "left out, a choice"), (OFFER, "offered")):
             for decision in self.of_kind(kind):
-                lines += [f"  {title}: {decision.what}{_saving(decision.saved)}", f"      {decision.why}"]
+                less = decision.saved
+                saving = f" (-{less.variables} variables, -{less.rows} rows)"
+                if not (less.variables or less.rows):
+                    saving = ""
+                lines += [f"  {title}: {decision.what}{saving}", f"      {decision.why}"]
         for decision in self.of_kind(KEPT):
             lines += [f"  kept: {decision.what}", f"      {decision.why}"]
-        lines.append(f"  size       {_change(self.before, self.after)}")
-        return "\n".join(lines)
-
-
-def _saving(saved: ProblemSize) -> str:
-    if not (saved.variables or saved.rows):
-        return ""
-    return f" (-{saved.variables} variables, -{saved.rows} rows)"
-
-
-def _change(before: ProblemSize, after: ProblemSize) -> str:
-    return (
-        f"{before.variables} -> {after.variables} variables, {before.rows} -> {after.rows} rows"
-        if before != after
-        else f"{after.variables} variables, {after.rows} rows"
-    )
+        variables, rows = str(self.after.variables), str(self.after.rows)
+        if self.before != self.after:
+            variables, rows = f"{self.before.variables} -> {variables}", f"{self.before.rows} -> {rows}"
+        return "\n".join([*lines, f"  size       {variables} variables, {rows} rows"])
 
 
 def modelled(problem: Problem, whole: Problem, needs: Mapping[str, str]) -> tuple[str, ...]:
@@ -122,7 +109,7 @@ def modelled(problem: Problem, whole: Problem, needs: Mapping[str, str]) -> tupl
     return tuple(lines)
 
 
-def remarks(problem: Problem, whole: Problem, grid: _Grid) -> Iterator[Decision]:
+def remarks(problem: Problem, whole: Problem, grid: tuple[str | None, int | None]) -> Iterator[Decision]:
     """Rows and variables that are never built, with the reason, and what could be left out on request.
 
     Numbers are for a ``grid`` (transcription, intervals) that defaults to the problem's.

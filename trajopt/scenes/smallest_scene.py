@@ -88,8 +88,8 @@ def smallest(
         InputError: For an unknown joint, and with ``plane=True`` where robot or task is not symmetric; the
             message says what is not.
     """
-    made = _Smallest(problem, tuple(keep), plane, (transcription, intervals))
-    return made.build(tuple(lock), soles, torques)
+    search = _Smallest(problem, tuple(keep), plane, (transcription, intervals))
+    return search.build(tuple(lock), soles, torques)
 
 
 @checked
@@ -137,7 +137,9 @@ class _Smallest:
     def note(self, kind: str, what: str, why: str) -> None:
         """Record a decision with what it saved."""
         size = size_of(self.problem, *self.grid)
-        self.decisions.append(Decision(kind=kind, what=what, why=why, saved=self.size.less(size)))
+        variables, rows = self.size.variables - size.variables, self.size.rows - size.rows
+        saved = ProblemSize(variables=variables, rows=rows)
+        self.decisions.append(Decision(kind=kind, what=what, why=why, saved=saved))
         self.size = size
 
     def refuses(self) -> str:

@@ -249,7 +249,9 @@ def binding_rows(rows: Rows, context: Context) -> Rows:
     Found from values and gradients at random points: rows that agree at all of them, up to rounding, agree
     everywhere, since the functions are analytic.
     """
-    function = _values_and_gradients(ca.SX(rows.expression) / ca.DM(rows.unit), context)
+    scaled = ca.SX(rows.expression) / ca.DM(rows.unit)
+    z, (values,) = on_inputs(context, scaled, [context.parameter_values])
+    function = ca.Function("rows", [z], [ca.densify(ca.horzcat(values, ca.jacobian(values, z)))])
     generator = np.random.default_rng(0)
     sampled = [np.array(function(_random_inputs(context, generator))) for _ in range(SAMPLES)]
     lower, upper = rows.lower / rows.unit, rows.upper / rows.unit
@@ -265,12 +267,6 @@ def binding_rows(rows: Rows, context: Context) -> Rows:
         if not (fixed or repeated):
             chosen.append(i)
     return Rows(rows.expression[chosen], rows.lower[chosen], rows.upper[chosen], rows.unit[chosen])
-
-
-def _values_and_gradients(expression: ca.SX, context: Context) -> ca.Function:
-    """Function z -> (n, 1 + n_z) of values and gradients of rows at the parameters' present values."""
-    z, (values,) = on_inputs(context, expression, [context.parameter_values])
-    return ca.Function("rows", [z], [ca.densify(ca.horzcat(values, ca.jacobian(values, z)))])
 
 
 def _random_inputs(context: Context, generator: np.random.Generator) -> np.ndarray:

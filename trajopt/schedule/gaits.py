@@ -4,6 +4,11 @@ A gait is periodic. A foot's *duty factor* is the fraction of the period in whic
 time of its touchdown as a fraction of the period (Alexander, "The gaits of bipedal and quadrupedal animals",
 Int. J. Robotics Research 3, 1984; Hildebrand, "The quadrupedal gaits of vertebrates", BioScience 39, 1989).
 Simultaneous events of two feet are one event; between events lie the phases of a schedule.
+
+Offsets of the named gaits are their definitions: Hildebrand, "Symmetrical gaits of horses", Science 150
+(1965), and "Analysis of asymmetrical gaits", J. Mammalogy 58 (1977). Animals vary their duty factors with
+speed, above 1/2 in walks and below in runs; those here are round values in the middle of their ranges,
+`Gait.with_duty` changes them.
 """
 
 from __future__ import annotations
@@ -224,15 +229,9 @@ class Gait:
 def phases_of(
     supports: Iterable[SupportPhase], period: float, bounds: tuple[float, float] | None
 ) -> tuple[Phase, ...]:
-    """Phases that follow each other as given.
+    """Phases that follow each other as given; with ``bounds``, fractions of durations, these are free.
 
-    Args:
-        supports: the feet on the ground and the fraction of the period of each.
-        period: s.
-        bounds: free durations as fractions of the nominal ones (lower, upper), None for fixed ones.
-
-    Raises:
-        InputError: for a period that is not positive, or bounds without 1 between them.
+    Raises `InputError` for a period, s, that is not positive, or bounds without 1 between them.
     """
     require_positive("period of a gait", period, "s")
     lower, upper = (1.0, 1.0) if bounds is None else bounds
@@ -261,16 +260,8 @@ def phases_of(
 
 def _quadruped(name: str, duty: float, hind: tuple[float, float], front: tuple[float, float]) -> Gait:
     """Offsets are those of the left and the right foot."""
-    return Gait(
-        name=name,
-        duty=duty,
-        offsets={
-            "front_left": front[0],
-            "front_right": front[1],
-            "hind_left": hind[0],
-            "hind_right": hind[1],
-        },
-    )
+    feet = ("front_left", "front_right", "hind_left", "hind_right")
+    return Gait(name=name, duty=duty, offsets=dict(zip(feet, (*front, *hind), strict=True)))
 
 
 def _by_name(*gaits: Gait) -> Mapping[str, Gait]:
@@ -307,16 +298,12 @@ def gait_of(robot: Robot, name: str) -> Gait:
     Raises `InputError` for another number of feet, or a name that is not a gait for that number of feet.
     """
     feet = feet_in_base(robot)
-    if len(feet) == 4:
-        return _choose(QUADRUPED, name).on(quadruped_legs(robot).by_role)
-    if len(feet) == 2:
-        return _choose(BIPED, name).on(dict(zip(("left", "right"), biped_legs(robot), strict=True)))
-    if len(feet) == 1:
-        return _choose(HOPPER, name).on({"foot": next(iter(feet))})
-    raise InputError(f"robot '{robot.name}' has {len(feet)} feet", "allowed: 1, 2 or 4 for a named gait")
-
-
-def _choose(gaits: Mapping[str, Gait], name: str) -> Gait:
-    if name not in gaits:
-        raise not_among(gaits, name, f"gait '{name}' is unknown")
-    return gaits[name]
+    known = {4: QUADRUPED, 2: BIPED, 1: HOPPER}.get(len(feet))
+    if known is None:
+        raise InputError(f"robot '{robot.name}' has {len(feet)} feet", "allowed: 1, 2 or 4 for a named gait")
+    if name not in known:
+        raise not_among(known, name, f"gait '{name}' is unknown")
+    if known is QUADRUPED:
+        return known[name].on(quadruped_legs(robot).by_role)
+    names = biped_legs(robot) if known is BIPED else tuple(feet)
+    return known[name].on(dict(zip(known[name].feet, names, strict=True)))

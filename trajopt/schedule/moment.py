@@ -1,4 +1,9 @@
-"""Moments of a motion, in words: where a phase begins, its middle, its end, the motion's end."""
+"""Moments of a motion (a phase's start, middle or end, the motion's end), and targets to reach at them.
+
+Terms give their targets by `Term.targets`; footholds of the schedule are targets too. In files they are a
+list of {frame, position, rotation, q, phase}, each null where there is none; the moment is the start of the
+phase, or, with a key more, another ``fraction`` of it. Without a phase it is the end of the motion.
+"""
 
 from __future__ import annotations
 

@@ -75,8 +75,7 @@ class Phase:
             for name, point in self.footholds.items()
         }
         for name, point in points.items():
-            self._require_on_surface(name, point)
-            self._require_on_patch(name, point)
+            self._require_on_ground(name, point)
         object.__setattr__(self, "contacts", tuple(self.contacts))
         object.__setattr__(self, "footholds", MappingProxyType(points))
         object.__setattr__(self, "surfaces", MappingProxyType(dict(self.surfaces)))
@@ -90,8 +89,8 @@ class Phase:
                 "allowed: contacts that are active in the phase",
             )
 
-    def _require_on_surface(self, name: str, foothold: np.ndarray) -> None:
-        surface = self.surfaces.get(name)
+    def _require_on_ground(self, name: str, foothold: np.ndarray) -> None:
+        surface, patch = self.surfaces.get(name), self.patches.get(name)
         if surface is not None and abs(float(surface.distance(foothold))) > SAME_PLANE:
             raise InputError(
                 f"foothold of '{name}' in phase '{self.name}' lies {surface.distance(foothold):g} m off its"
@@ -99,8 +98,6 @@ class Phase:
                 f"allowed: within {SAME_PLANE:g} m",
             )
 
-    def _require_on_patch(self, name: str, foothold: np.ndarray) -> None:
-        patch = self.patches.get(name)
         if patch is None:
             return
         off, inside = abs(float(patch.surface.distance(foothold))), float(patch.inside(foothold))

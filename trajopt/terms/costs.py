@@ -1,4 +1,8 @@
-"""Running costs at collocation points, and the cost of impulses at impacts."""
+"""Running costs at collocation points, the cost of impulses at impacts, and costs at single nodes.
+
+Costs at nodes are linear in a quantity over its natural unit, negative for a quantity to maximise: with a
+weight of one, a rise by the robot's length is worth as much as torques of weight times length for sqrt(l/g).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,14 @@
-"""Constraints and costs on the motor's side of drives: voltage, current, copper losses."""
+"""Constraints and costs on drives: voltage, current and copper losses of the motor, and the power drawn.
+
+The mechanical power of a joint is p = tau rate, where tau is what its drive delivers (with joint friction). A
+fraction ``recovered`` of the power that flows back counts: 1 all of it (a lossless battery), 0 none, and -1
+means that braking costs as much as driving, |p|, as in most figures of cost of transport:
+
+    drawn(p) = (1 + recovered) / 2 p + (1 - recovered) / 2 |p|
+
+Windings heat by R i^2 (three phases in amplitudes: 3/2 R i^2). In terms of a drive's voltage line, with stall
+torque k_t V / R and no-load speed V / k_e, this is tau_m^2 no_load_speed / stall_torque.
+"""
 
 from __future__ import annotations
 
@@ -105,24 +115,21 @@ class MotorTorqueCost(Cost):
     def residual(self, context: Context, units: Units) -> ca.SX:
         driven = _driven_rows(context.robot)
         torque = ca.vertcat(*[context.torque[row] for row, _ in driven])
-        factors = [drive.motor_torque(1.0) / _largest_motor_torque(drive, units) for _, drive in driven]
+        factors = []
+        for _, drive in driven:
+            limit = min(drive.torque_limit, drive.stall_torque)
+            largest = limit if math.isfinite(limit) else float(np.abs(units.torque / drive.gear_ratio))
+            factors.append(drive.motor_torque(1.0) / largest)
         return context.parameter(np.array(factors)) * torque
-
-
-def _largest_motor_torque(drive: Drive, units: Units) -> float:
-    limit = min(drive.torque_limit, drive.stall_torque)
-    return limit if math.isfinite(limit) else float(np.abs(units.torque / drive.gear_ratio))
 
 
 def heat_coefficients(drives: Sequence[Drive | None] | None, nu: int) -> np.ndarray:
     """Heat per squared torque (nu,), W / (N m)^2, joint side; zero without a voltage line."""
-    return np.array([0.0 if drive is None else _heat(drive) for drive in drives or (None,) * nu])
-
-
-def _heat(drive: Drive) -> float:
-    if not math.isfinite(drive.stall_torque):
-        return 0.0
-    return drive.no_load_speed / drive.stall_torque / drive.gear_ratio**2
+    heat = np.zeros(nu)
+    for row, drive in enumerate(drives or ()):
+        if drive is not None and math.isfinite(drive.stall_torque):
+            heat[row] = drive.no_load_speed / drive.stall_torque / drive.gear_ratio**2
+    return heat
 
 
 def require_recovered(recovered: float) -> None:

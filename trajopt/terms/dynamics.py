@@ -1,4 +1,14 @@
-"""The dynamics as constraints: balance of the base, contacts that stay in place, and impacts."""
+"""The dynamics as constraints: balance of the base, contacts that stay in place or slide, and impacts.
+
+A contact on a `Surface` with a ``slip_speed`` v_s may move within the surface. The force f of the surface on
+it follows from its normal part f_n >= 0 and its velocity v_t within the surface,
+
+    f = f_n (n - mu v_t / sqrt(|v_t|^2 + v_s^2))
+
+which is Coulomb's law for speeds far above v_s, and smooth where the contact stops or reverses: at v_s the
+friction is 1 / sqrt 2 of what it is at high speed (the regularisation of Andersson, Soederberg and
+Bjoerklund, Tribology International 40, 2007, without their static peak). A contact without slip speed sticks.
+"""
 
 from __future__ import annotations
 

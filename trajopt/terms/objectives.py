@@ -122,7 +122,6 @@ def _main_term(
     travel: float | None,
     reference: Motion | None,
 ) -> Term:
-    """The term of the goal itself, of weight one."""
     if goal == "smooth":
         return AccelerationCost(weight=1.0)
     if goal == "time":
@@ -151,7 +150,6 @@ def _missing(goal: str, what: str) -> InputError:
 
 
 def _apex(schedule: Schedule) -> Moment:
-    """The middle of the longest phase without contacts."""
     flights = [phase for phase in schedule.phases if not phase.contacts]
     if not flights:
         raise _missing("height", "a moment, or a schedule with one without contacts")

@@ -1,4 +1,4 @@
-"""A face of the ground: a plane bounded by a convex polygon, on which a contact may land anywhere."""
+"""A face of the ground, a plane bounded by a convex polygon on which contacts land; faces of obstacles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Guess of a swing over ground with edges: up before the first edge, over the top, down behind the last."""
+"""Profiles of a swing, and its guess over edges: up before the first, over the top, down behind the last."""
 
 from __future__ import annotations
 
