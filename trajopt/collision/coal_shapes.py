@@ -129,17 +129,17 @@ class CoalPairs:
         neighbours in time have almost the same normal, and how far apart the bodies are along it is a bound.
         """
         count = len(first[0])
-        found, leaders = np.empty(count), np.arange(0, count, STRIDE)
-        found[leaders], normals = self._measured(pair, first, second, leaders)
+        distances, leaders = np.empty(count), np.arange(0, count, STRIDE)
+        distances[leaders], normals = self._measured(pair, first, second, leaders)
         rest = np.flatnonzero(np.arange(count) % STRIDE)
         hint = np.minimum((rest + STRIDE // 2) // STRIDE, len(leaders) - 1)
         held = np.einsum("kji,kj->ki", first[0][leaders], normals)[hint]
-        found[rest] = self._apart(
+        distances[rest] = self._apart(
             pair, (first[0][rest], first[1][rest]), (second[0][rest], second[1][rest]), held
         )
-        near = rest[~(found[rest] > within)]
-        found[near], _ = self._measured(pair, first, second, near)
-        return found
+        near = rest[~(distances[rest] > within)]
+        distances[near], _ = self._measured(pair, first, second, near)
+        return distances
 
     def _apart(
         self, pair: tuple[int, int], first: Placements, second: Placements, normals: np.ndarray
@@ -163,14 +163,14 @@ class CoalPairs:
             self._placed(index, (frame[0][rows], frame[1][rows]))
             for index, frame in zip(pair, (first, second), strict=True)
         ]
-        found, normals = np.empty(len(rows)), np.empty((len(rows), 3))
+        distances, normals = np.empty(len(rows)), np.empty((len(rows), 3))
         for k, (a, b, c, d) in enumerate(zip(*places[0], *places[1], strict=True)):
             one.setTransform(a, b)
             other.setTransform(c, d)
             result.clear()
-            found[k] = measure(one, other, request, result)
+            distances[k] = measure(one, other, request, result)
             normals[k] = result.normal
-        return found, -normals
+        return distances, -normals
 
     def witness(self, pair: tuple[int, int], first: Placements, second: Placements) -> Witness:
         """Nearest points of a pair whose frames are at one placement (1, 3, 3), (1, 3) each."""
@@ -194,6 +194,5 @@ class CoalPairs:
         return self._functions[pair]
 
     def _placed(self, index: int, frame: Placements) -> Placements:
-        """Placements of a body whose frame is at ``frame``."""
         place = self.bodies[index].place
         return frame[0] @ place.rotation, frame[1] + frame[0] @ place.translation

@@ -36,11 +36,11 @@ class BodyDistance:
         rotation, origin = places
         centre, reach = self._shape.ball
         away = (origin + rotation @ centre) @ self._normals.T
-        found = np.asarray((away - self._offsets).max(axis=1) - reach)
-        rows = np.flatnonzero(found <= within)
+        distances = np.asarray((away - self._offsets).max(axis=1) - reach)
+        rows = np.flatnonzero(distances <= within)
         if len(rows):
-            found[rows] = self._beyond_planes((rotation[rows], origin[rows]), within)
-        return found
+            distances[rows] = self._beyond_planes((rotation[rows], origin[rows]), within)
+        return distances
 
     def _beyond_planes(self, places: Placements, within: float) -> np.ndarray:
         """By the plane that lies farthest from the shape: exact where its nearest point is over that face."""
@@ -48,10 +48,10 @@ class BodyDistance:
         along = np.ascontiguousarray(np.moveaxis(self._normals @ rotation, 1, 0))
         heights = along @ np.ascontiguousarray(self._shape.points.T)
         lowest = heights.min(axis=2) + (self._normals @ origin.T - self._offsets[:, None])
-        found = np.asarray(lowest.max(axis=0) - self._shape.radius)
+        distances = np.asarray(lowest.max(axis=0) - self._shape.radius)
         if isinstance(self._body, HalfSpace):
-            return found
-        rows = np.flatnonzero(found <= within)
+            return distances
+        rows = np.flatnonzero(distances <= within)
         face = lowest[:, rows].argmax(axis=0)
         vertex = heights[face, rows].argmin(axis=1)
         point = origin[rows] + np.einsum("kij,kj->ki", rotation[rows], self._shape.points[vertex])
@@ -60,8 +60,8 @@ class BodyDistance:
         over = (gap > 0) & (foot @ self._normals.T <= self._offsets + ON_FACE).all(axis=1)
         rest = rows[~over]
         if len(rest):
-            found[rest] = self._coal.distances((0, 1), *self._both((rotation[rest], origin[rest])))
-        return found
+            distances[rest] = self._coal.distances((0, 1), *self._both((rotation[rest], origin[rest])))
+        return distances
 
     def witness(self, place: Placements) -> Witness:
         """Nearest points at one placement (1, 3, 3), (1, 3); the normal points out of the ground."""
@@ -108,13 +108,13 @@ class SmoothDistance:
         centre, reach = self._shape.ball
         centres = origin + rotation @ centre
         over = centres[:, 2] - self._terrain.height(centres[:, 0], centres[:, 1])
-        found = np.asarray(over / STEEPEST - reach)
-        rows = np.flatnonzero(found <= within)
+        distances = np.asarray(over / STEEPEST - reach)
+        rows = np.flatnonzero(distances <= within)
         if len(rows):
             points = self._points @ np.swapaxes(rotation[rows], 1, 2) + origin[rows, None]
             apart = self._terrain.surface.distance(points)
-            found[rows] = apart.min(axis=1) - self._shape.radius
-        return found
+            distances[rows] = apart.min(axis=1) - self._shape.radius
+        return distances
 
     def witness(self, place: Placements) -> Witness:
         """Nearest points at one placement (1, 3, 3), (1, 3), on the tangent plane under the shape's."""
@@ -153,8 +153,8 @@ def surface_points(points: np.ndarray) -> np.ndarray:
     from scipy.spatial import ConvexHull  # takes a while to load
 
     solid = thick(points)
-    found = [_on_triangle(solid[corners]) for corners in ConvexHull(solid).simplices]
-    return np.unique(np.round(np.concatenate(found), 9), axis=0)
+    parts = [_on_triangle(solid[corners]) for corners in ConvexHull(solid).simplices]
+    return np.unique(np.round(np.concatenate(parts), 9), axis=0)
 
 
 def _on_triangle(corners: np.ndarray) -> np.ndarray:

@@ -122,18 +122,22 @@ def _distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     hull, ball = coal_hull(corners), coal.Sphere(ROUNDING)
     measure = coal.ComputeDistance(hull, ball)
     request, result = coal.DistanceRequest(), coal.DistanceResult()
-    still, place, found = coal.Transform3s(), coal.Transform3s(), np.empty(len(points))
+    still, place, distances = coal.Transform3s(), coal.Transform3s(), np.empty(len(points))
     for index, point in enumerate(points):
         place.setTranslation(point)
         result.clear()
-        found[index] = measure(still, place, request, result) + ROUNDING
-    return np.maximum(found, 0.0)
+        distances[index] = measure(still, place, request, result) + ROUNDING
+    return np.maximum(distances, 0.0)
 
 
 def prism(radius: float, height: float) -> np.ndarray:
     """Corners (2 k, 3) m of the prism around a cylinder about z, its faces tangent to the cylinder."""
     excess = max(ROUND_EXCESS, LEAST_ROUND_EXCESS / radius)
-    count = max(math.ceil(math.pi / math.acos(1 / (1 + excess))), 6)
+    return prism_corners(radius, height, max(math.ceil(math.pi / math.acos(1 / (1 + excess))), 6))
+
+
+def prism_corners(radius: float, height: float, count: int) -> np.ndarray:
+    """Corners (2 count, 3) m of a prism around a cylinder about z."""
     angle = 2 * np.pi * np.arange(count) / count
     ring = radius / math.cos(math.pi / count) * np.column_stack([np.cos(angle), np.sin(angle)])
     half = np.full(count, height / 2)
@@ -166,27 +170,23 @@ def _bodies(
     source: VisualSource, model: pin.Model, purpose: Purpose, missing: list[str]
 ) -> Iterator[tuple[str, int, _Body]]:
     """Link, joint and body, in the joint's axes, of every element; adds to ``missing``."""
-    found = described_geometry(source, model, purpose)
-    missing += [f"{name}: no file {file}" for name, file in found.missing.items()]
+    described = described_geometry(source, model, purpose)
+    missing += [f"{name}: no file {file}" for name, file in described.missing.items()]
     carrying = set(model.parents)
-    for entry in found.geometry.geometryObjects:
+    for entry in described.geometry.geometryObjects:
         try:
-            points, radius = (
-                _hull_of(entry, fine=entry.parentJoint not in carrying)
-                if entry.name in found.meshes
-                else _body_of(entry.geometry)
-            )
+            if entry.name in described.meshes:
+                path, fine = str(entry.meshPath), entry.parentJoint not in carrying
+                changed, scale = Path(path).stat().st_mtime_ns, tuple(np.ravel(entry.meshScale))
+                points, radius = _simplified_once(path, changed, scale, fine)
+            else:
+                points, radius = _body_of(entry.geometry)
         except InputError as error:
             missing.append(f"{entry.name}: {error.what}")
             continue
         placed = points @ entry.placement.rotation.T + entry.placement.translation
         link = str(model.frames[entry.parentFrame].name)
         yield link, int(entry.parentJoint), (placed, radius)
-
-
-def _hull_of(entry: pin.GeometryObject, fine: bool) -> _Body:
-    path = str(entry.meshPath)
-    return _simplified_once(path, Path(path).stat().st_mtime_ns, tuple(np.ravel(entry.meshScale)), fine)
 
 
 @lru_cache(maxsize=MOST_HULLS)
@@ -237,8 +237,8 @@ def joint_frame(model: pin.Model, joint: int) -> str:
     The joint's own, if it can be.
     """
     counts = Counter(str(frame.name) for frame in model.frames)
-    own = [str(frame.name) for frame in model.frames if frame.parentJoint == joint]
-    known = sorted((name for name in own if counts[name] == 1), key=lambda name: name != model.names[joint])
+    names = [str(frame.name) for frame in model.frames if frame.parentJoint == joint]
+    known = sorted((name for name in names if counts[name] == 1), key=lambda name: name != model.names[joint])
     if not known:
         raise InputError(f"joint '{model.names[joint]}' has no frame with a name of its own", "allowed: one")
     return known[0]

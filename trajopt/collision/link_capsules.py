@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
-from trajopt.collision.hulls import joint_frame
+from trajopt.collision.hulls import joint_frame, prism_corners
 from trajopt.collision.shapes import LinkShape, box_corners, require_different_names
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
@@ -66,22 +66,22 @@ def robot_capsules(
     if source is not None and source not in SOURCES:
         raise InputError(f"capsules from {source!r}", f"allowed: {', '.join(SOURCES)}")
     tried = (source,) if source is not None else SOURCES
-    found = next((pieces for pieces in (_pieces(robot, name) for name in tried) if pieces), None)
-    if not found:
+    geometry = next((pieces for pieces in (_pieces(robot, name) for name in tried) if pieces), None)
+    if not geometry:
         raise InputError(
             f"robot '{robot.name}' has no {' or '.join(tried)} geometry on its moving links",
             "allowed: another source, or capsules given by hand",
         )
     given = dict(override or {})
-    links = {link for link, _, _ in found}
+    links = {link for link, _, _ in geometry}
     unknown = sorted(set(given) - links)
     if unknown:
         raise InputError(f"capsules are given for {', '.join(unknown)}", f"links: {', '.join(sorted(links))}")
     capsules = []
-    for link in dict.fromkeys(link for link, _, _ in found):
-        own = given.get(link)
-        pieces = [(joint, spanned) for name, joint, spanned in found if name == link]
-        capsules += list(own) if own is not None else _of_link(robot.model, link, pieces)
+    for link in dict.fromkeys(link for link, _, _ in geometry):
+        by_hand = given.get(link)
+        pieces = [(joint, spanned) for name, joint, spanned in geometry if name == link]
+        capsules += list(by_hand) if by_hand is not None else _of_link(robot.model, link, pieces)
     require_different_names("capsules", [capsule.name for capsule in capsules])
     return tuple(capsules)
 
@@ -128,16 +128,13 @@ def _pieces(robot: Robot, source: Source) -> list[Piece]:
     pieces = []
     for entry in robot.visual.geometry(robot.model, kind).geometryObjects:
         frame = robot.model.frames[entry.parentFrame]
-        if entry.parentJoint == 0 or not _solid(entry.geometry):
+        shape = entry.geometry
+        if entry.parentJoint == 0 or (isinstance(shape, coal.BVHModelBase) and not shape.num_vertices):
             continue
-        points, radius = spanning_points(entry.geometry)
+        points, radius = spanning_points(shape)
         moved = points @ entry.placement.rotation.T + entry.placement.translation
         pieces.append((str(frame.name), int(entry.parentJoint), (moved, radius)))
     return pieces
-
-
-def _solid(geometry: Any) -> bool:
-    return not isinstance(geometry, coal.BVHModelBase) or geometry.num_vertices > 0
 
 
 def spanning_points(geometry: Any) -> tuple[np.ndarray, float]:
@@ -152,7 +149,7 @@ def spanning_points(geometry: Any) -> tuple[np.ndarray, float]:
         end = np.array([0.0, 0.0, geometry.halfLength])
         return np.array([-end, end]), float(geometry.radius)
     if isinstance(geometry, coal.Cylinder):
-        return round_corners(float(geometry.radius), 2 * float(geometry.halfLength)), 0.0
+        return prism_corners(float(geometry.radius), 2 * float(geometry.halfLength), ROUND_CORNERS), 0.0
     geometry.computeLocalAABB()
     return box_corners(geometry.aabb_local.min_, geometry.aabb_local.max_), 0.0
 
@@ -206,8 +203,8 @@ def enclosing_capsule(points: np.ndarray) -> Segment:
     points = np.asarray(points, dtype=float)
     corners = _corners(points)
     _, axes = np.linalg.eigh(np.cov((corners - corners.mean(axis=0)).T) if len(corners) > 1 else np.eye(3))
-    found = [_best_near(corners, axes[:, i]) for i in range(3)]
-    best = min(found, key=lambda segment: segment.volume)
+    candidates = [_best_near(corners, axes[:, i]) for i in range(3)]
+    best = min(candidates, key=lambda segment: segment.volume)
     outside = max(0.0, -float(best.depth(points).min()))
     return Segment(best.start, best.end, best.radius + outside)
 
@@ -302,11 +299,3 @@ def _through(points: np.ndarray) -> tuple[np.ndarray, float] | None:
         return None
     offset = np.linalg.solve(2 * edges, np.sum(edges**2, axis=1))
     return points[0] + offset, float(np.linalg.norm(offset))
-
-
-def round_corners(radius: float, height: float) -> np.ndarray:
-    """Corners (k, 3) of a prism around a cylinder about z, m."""
-    angle = 2 * np.pi * np.arange(ROUND_CORNERS) / ROUND_CORNERS
-    ring = radius / math.cos(math.pi / ROUND_CORNERS) * np.column_stack([np.cos(angle), np.sin(angle)])
-    half = np.full(ROUND_CORNERS, height / 2)
-    return np.concatenate([np.column_stack([ring, -half]), np.column_stack([ring, half])])

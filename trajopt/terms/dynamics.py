@@ -110,14 +110,7 @@ def sliding_surfaces(phase: Phase) -> dict[str, Surface]:
 
 
 def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tuple[str, ...]) -> None:
-    """Raise `InputError` for a sliding contact where sliding is not supported.
-
-    Args:
-        robot: the robot.
-        schedule: its contacts over time.
-        actuation: of the problem.
-        modes: names of the phases in minimal coordinates.
-    """
+    """Raise `InputError` for a contact that slides where that is not supported; ``modes`` names phases."""
     for phase, after in zip(schedule.phases, (*schedule.phases[1:], None), strict=True):
         for name in sliding_surfaces(phase):
             contact, allowed = robot.contact(name), ""

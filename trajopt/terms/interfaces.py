@@ -277,12 +277,9 @@ class NodePlace:
 
 
 def nodes_of(phases: Sequence[Phase], index: int, fractions: tuple[float, ...]) -> Iterator[NodePlace]:
-    """Nodes of a phase that are its own: its last one belongs to the next phase, unless that has an impact.
+    """Nodes of a phase, without its last one, which belongs to the next phase, unless that has an impact.
 
-    Args:
-        phases: of the schedule.
-        index: of the phase among them.
-        fractions: of the duration of each phase, of all its nodes.
+    ``fractions`` of its duration are those of all nodes of a phase.
     """
     phase, count = phases[index], len(fractions) - 1
     ends = index == len(phases) - 1

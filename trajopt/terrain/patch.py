@@ -44,7 +44,11 @@ class Patch:
     """Unit normals (n, 3) of the edges, in the plane, pointing inward; edge i starts at corner i."""
 
     def __post_init__(self) -> None:
-        vertices = _corners(self.vertices, self.name)
+        vertices = numbers_of(self.vertices)
+        shape = vertices.shape
+        if len(shape) != 2 or shape[1] != 3 or shape[0] < 3 or not np.isfinite(vertices).all():
+            what = f"vertices of patch '{self.name}' have shape {shape}"
+            raise InputError(what, "allowed: (n, 3), n >= 3, finite")
         off = float(np.abs(self.surface.distance(vertices)).max())
         if not off <= SAME_PLANE:
             raise InputError(
@@ -158,15 +162,6 @@ class Patch:
         if not isinstance(described, dict) or set(described) != set(DESCRIBED):
             raise InputError(f"a patch is described by {described!r}", f"allowed: {', '.join(DESCRIBED)}")
         return cls(**(described | {"surface": Surface.from_description(described["surface"])}))
-
-
-def _corners(value: Any, name: str) -> np.ndarray:
-    vertices = numbers_of(value)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 3 or not np.isfinite(vertices).all():
-        raise InputError(
-            f"vertices of patch '{name}' have shape {vertices.shape}", "allowed: (n, 3), n >= 3, finite"
-        )
-    return vertices
 
 
 def _require_convex(directions: np.ndarray, normal: np.ndarray, name: str) -> None:

@@ -127,17 +127,21 @@ def kept_outside(
     """
     if ground.top is None:
         return position
-    begin, end = ends
-    low, high = min(begin[2], ground.top), min(end[2], ground.top)
-    up, down = smooth_step(s / RISEN), smooth_step((s - SINKING) / (1 - SINKING))
     arc = OVER_CLEARANCE * clearance * swing_profile(s)
     fade = smooth_step((s - RISEN) / (SINKING - RISEN))
     moved = position.copy()
-    moved[2] = max(moved[2], low + up * (ground.top - low) + down * (high - ground.top) + arc)
+    moved[2] = max(moved[2], _over_top(ground.top, ends, s) + arc)
     for edge, part in ((ground.rise, 1 - fade), (ground.fall, fade)):
         if edge is not None:
             moved += part * max(-float(edge.distance(position)), 0.0) * edge.normal
     return moved
+
+
+def _over_top(top: float, ends: tuple[np.ndarray, np.ndarray], s: float) -> float:
+    """Height, m, of a path that is at the ``top`` between `RISEN` and `SINKING`."""
+    up, down = smooth_step(s / RISEN), smooth_step((s - SINKING) / (1 - SINKING))
+    low, high = min(ends[0][2], top), min(ends[1][2], top)
+    return float(low + up * (top - low) + down * (high - top))
 
 
 def _over(
@@ -147,9 +151,7 @@ def _over(
     part = smooth_step(_warped(ground, s))
     position = (1 - part) * start + part * end
     if ground.top is not None:
-        up, down = smooth_step(s / RISEN), smooth_step((s - SINKING) / (1 - SINKING))
-        low, high = min(start[2], ground.top), min(end[2], ground.top)
-        position[2] = low + up * (ground.top - low) + down * (high - ground.top)
+        position[2] = _over_top(ground.top, ends, s)
     elif not isinstance(terrain, FlatGround):
         # A valley, or smooth ground: never below what is under the foot.
         position[2] = max(position[2], float(terrain.height(position[0], position[1])))
