@@ -93,7 +93,13 @@ Piece = tuple[str, int, Spanned]
 def _of_link(model: pin.Model, link: str, pieces: list[tuple[int, Spanned]]) -> list[LinkShape]:
     """One capsule around each piece of a link, or around all where that adds little."""
     joint = pieces[0][0]
-    fitted = [_fitted(spanned) for _, spanned in pieces]
+    fitted = [
+        # A ball or a capsule is its own.
+        Segment(points[0], points[-1], radius)
+        if len(points) == 1 or (len(points) == 2 and radius > 0)
+        else enclosing_capsule(points)
+        for _, (points, radius) in pieces
+    ]
     if len(pieces) > 1 and all(radius == 0 for _, (_, radius) in pieces):
         whole = enclosing_capsule(np.concatenate([points for _, (points, _) in pieces]))
         if whole.volume <= MERGED * sum(segment.volume for segment in fitted):
@@ -107,15 +113,6 @@ def _of_link(model: pin.Model, link: str, pieces: list[tuple[int, Spanned]]) -> 
         )
         for name, segment in zip(names, fitted, strict=True)
     ]
-
-
-def _fitted(spanned: Spanned) -> Segment:
-    points, radius = spanned
-    if len(points) == 1:
-        return Segment(points[0], points[0], radius)
-    if len(points) == 2 and radius > 0:
-        return Segment(points[0], points[1], radius)
-    return enclosing_capsule(points)
 
 
 def _pieces(robot: Robot, source: Source) -> list[Piece]:

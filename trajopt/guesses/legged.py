@@ -114,15 +114,13 @@ class LeggedPosture:
             return pin.SE3(
                 carried.rotation, kept_outside(ground, carried.translation, s, ends, self.clearance)
             )
-        return self._swung(name, lifted, after.place, s)
-
-    def _swung(self, name: str, start: pin.SE3, end: pin.SE3, s: float) -> pin.SE3:
+        start, end, part = lifted.translation, after.place.translation, smooth_step(s)
         if self.swing is not None:
-            position = np.asarray(self.swing(name, start.translation, end.translation, s), dtype=float)
+            position = np.asarray(self.swing(name, start, end, s), dtype=float)
         else:
-            position = start.translation + smooth_step(s) * (end.translation - start.translation)
+            position = start + part * (end - start)
             position = position + np.array([0.0, 0.0, self.clearance * swing_profile(s)])
-        return pin.SE3(_between(start.rotation, end.rotation, smooth_step(s)), position)
+        return pin.SE3(_between(lifted.rotation, after.place.rotation, part), position)
 
     def _carried(
         self, placement: pin.SE3, times: tuple[float, float], places: tuple[pin.SE3, pin.SE3], s: float

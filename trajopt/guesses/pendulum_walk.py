@@ -305,15 +305,13 @@ class _Samples:
         for name, pose in contact_poses(self.robot, q).items():
             away = float(np.linalg.norm(pose.translation - self.feet.foothold(name, t).position))
             if away > REACHED * self.units.length:
-                off = f"foot '{name}' of '{self.robot.name}' is {1e3 * away:.3g} mm off its path"
-                raise _OutOfReachError(f"at {t:.2f} s {off}{self._at_limits(q)}", SHORTER)
-
-    def _at_limits(self, q: np.ndarray) -> str:
-        """Joints at the ends of their ranges, in words."""
-        robot, model = self.robot, self.robot.model
-        ends = np.isclose(q, robot.position_lower) | np.isclose(q, robot.position_upper)
-        names = [model.names[j] for j in range(2, model.njoints) if ends[model.idx_qs[j]]]
-        return f", with {', '.join(names)} at the end of its range" if names else ""
+                robot, model = self.robot, self.robot.model
+                off = f"at {t:.2f} s foot '{name}' of '{robot.name}' is {1e3 * away:.3g} mm off its path"
+                ends = np.isclose(q, robot.position_lower) | np.isclose(q, robot.position_upper)
+                names = [model.names[j] for j in range(2, model.njoints) if ends[model.idx_qs[j]]]
+                if names:
+                    off += f", with {', '.join(names)} at the end of its range"
+                raise _OutOfReachError(off, SHORTER)
 
     def _require_slow(self, t: float, v: np.ndarray) -> None:
         first, model, most = self.robot.n_unactuated, self.robot.model, self.robot.velocity_limit

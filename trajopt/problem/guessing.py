@@ -166,7 +166,6 @@ class _Guess:
         return min(int(np.searchsorted(self.ends, t, side="right")), len(self.ends) - 1)
 
     def _hop(self, t: float) -> float:
-        """Height of the parabola of a phase without contacts, m."""
         index = self._phase_at(t)
         phase = self.schedule.phases[index]
         if phase.contacts or self.robot.base == "fixed":

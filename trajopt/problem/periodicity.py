@@ -122,7 +122,11 @@ def closing_map(robot: Robot, periodicity: Periodicity, initial_q: np.ndarray) -
     origin = coordinates.node_from_pinocchio(initial_q, np.zeros(robot.nv))
     n4 = 4 * coordinates.n_rotations
     fixed = np.zeros(len(additive))
-    moved = _translated(robot, len(additive))
+    moved = np.zeros((len(additive), 3))  # change of the additive positions per translation
+    if robot.base == "planar":
+        moved[[0, 1], [0, 2]] = 1.0
+    elif robot.base != "fixed":
+        moved[:3] = np.eye(3)
     if robot.base == "freeflyer":
         fixed[:3] = (np.eye(3) - positions[:3, :3]) @ origin[n4 : n4 + 3]
     left_rotation, right_rotation = _rotation_rows(origin[:n4], periodicity)
@@ -144,16 +148,6 @@ def _require_base(robot: Robot, rotations: int, periodicity: Periodicity) -> Non
         raise InputError(
             f"robot '{robot.name}' has a {robot.base} base", "allowed with turn or mirror: a free-flyer"
         )
-
-
-def _translated(robot: Robot, n: int) -> np.ndarray:
-    """Change of the additive positions (n, 3) per world translation (3,)."""
-    moved = np.zeros((n, 3))
-    if robot.base == "planar":
-        moved[[0, 1], [0, 2]] = 1.0
-    elif robot.base != "fixed":
-        moved[:3] = np.eye(3)
-    return moved
 
 
 def _rotation_rows(origin: np.ndarray, periodicity: Periodicity) -> tuple[np.ndarray, np.ndarray]:

@@ -218,7 +218,13 @@ def require_limits(
     for term in rows:
         what = where, term.name
         if isinstance(term, PositionLimits):
-            _require_joint_range(robot, what, q)
+            # All limits of the robot, including those so wide that no rows impose them.
+            given = np.array([q, robot.position_lower, robot.position_upper])
+            every = np.full((3, robot.nv), np.nan)
+            for joint in coordinates.joints:
+                if joint.kind == "plain" and joint.v.start >= robot.n_unactuated:
+                    every[:, joint.v] = given[:, joint.q]
+            _require_within(robot, (*what, "is at"), every[0], (every[1], every[2]))
         bounds = term.node_bounds(robot)
         if bounds is not None:
             _require_within(robot, (*what, "is at"), positions, bounds[:2])
@@ -237,16 +243,6 @@ def _require_within(
             f"{where} joint '{joint.name}' {how} {values[row]:.9g}, beyond its {term}",
             f"allowed: {lower[row]:.9g} to {upper[row]:.9g}",
         )
-
-
-def _require_joint_range(robot: Robot, what: tuple[str, str], q: np.ndarray) -> None:
-    """All limits of the robot, including those so wide that no rows impose them."""
-    rows = np.full((3, robot.nv), np.nan)
-    for joint in Coordinates(robot.model).joints:
-        if joint.kind == "plain" and joint.v.start >= robot.n_unactuated:
-            for row, values in zip(rows, (q, robot.position_lower, robot.position_upper), strict=True):
-                row[joint.v] = values[joint.q]
-    _require_within(robot, (*what, "is at"), rows[0], (rows[1], rows[2]))
 
 
 def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> None:

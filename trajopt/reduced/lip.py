@@ -29,7 +29,7 @@ import numpy as np
 
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError, finite_array, require_positive
-from trajopt.reduced.footsteps import FootstepPlan, StepPhase, support_vertices
+from trajopt.reduced.footsteps import FootstepPlan, support_vertices
 from trajopt.robot.robot import Robot
 
 # Least-squares residual below which a point is in a polygon, m: rounding of foot positions.
@@ -281,7 +281,11 @@ def analytic_motion(
     """
     times, zmp = [0.0], []
     middles = [support_vertices(robot, support).mean(axis=0) for support in plan.supports]
-    shared = [_shared_middle(robot, *pair) for pair in pairwise(plan.supports)]
+    shared: list[np.ndarray | None] = []  # middle (2,) of the feet that two consecutive supports share
+    for support, other in pairwise(plan.supports):
+        feet = {name: foot for name, foot in support.feet.items() if name in other.feet}
+        vertices = support_vertices(robot, replace(support, feet=feet)) if feet else None
+        shared.append(None if vertices is None else vertices.mean(axis=0))
     for i, support in enumerate(plan.supports):
         before = shared[i - 1] if i else None
         first = middles[i] if before is None else before
@@ -302,12 +306,6 @@ def analytic_motion(
     return PendulumMotion(
         pendulum=pendulum, times=np.array(times), zmp=pieces, com_start=com_start, dcm_end=pieces[-1, 1]
     )
-
-
-def _shared_middle(robot: Robot, support: StepPhase, other: StepPhase) -> np.ndarray | None:
-    """Middle (2,) of the feet that both supports have, or None without any."""
-    feet = {name: foot for name, foot in support.feet.items() if name in other.feet}
-    return support_vertices(robot, replace(support, feet=feet)).mean(axis=0) if feet else None
 
 
 def distance_outside(point: np.ndarray, vertices: np.ndarray) -> float:

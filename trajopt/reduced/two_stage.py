@@ -66,18 +66,13 @@ def base_rows_problem(problem: Problem, *, replacement: tuple[Cost, ...] | None 
     dropped = torque_terms(problem)
     kept = tuple(term for term in problem.terms if not any(term is other for other in dropped))
     if replacement is None:
-        replacement = _replacement(problem.robot, kept, dropped)
+        share = standing_share(problem.robot)
+        torques = [term for term in dropped if isinstance(term, TorqueCost)] if share > 0 else []
+        replacement = tuple(WrenchCost(weight=share * term.weight, during=term.during) for term in torques)
+        if dropped and not any(isinstance(term, AccelerationCost) for term in kept):
+            weight = max((term.weight for term in dropped if isinstance(term, Cost)), default=1.0)
+            replacement += (AccelerationCost(weight=LEAST_ACCELERATION_SHARE * weight),)
     return replace(problem, name=f"{problem.name}-base", terms=(*kept, *replacement))
-
-
-def _replacement(robot: Robot, kept: tuple[Term, ...], dropped: list[Term]) -> tuple[Cost, ...]:
-    share = standing_share(robot)
-    torques = [term for term in dropped if isinstance(term, TorqueCost)] if share > 0 else []
-    costs: list[Cost] = [WrenchCost(weight=share * term.weight, during=term.during) for term in torques]
-    if dropped and not any(isinstance(term, AccelerationCost) for term in kept):
-        weight = max((term.weight for term in dropped if isinstance(term, Cost)), default=1.0)
-        costs.append(AccelerationCost(weight=LEAST_ACCELERATION_SHARE * weight))
-    return tuple(costs)
 
 
 def standing_share(robot: Robot) -> float:

@@ -88,6 +88,10 @@ def scene(
     goal_terms, posture = _goals(robot, goals)
     if posture is not None:
         schedule = _landing_on(robot, schedule, ground, posture)
+    if costs is None:
+        forces = [WrenchCost(weight=1e-2)] if any(phase.contacts for phase in schedule.phases) else []
+        smooth = [AccelerationCost(weight=1e-2), VelocityCost(weight=1e-2), PostureCost(weight=1e-1, q=first)]
+        costs = (TorqueCost(weight=1.0), *forces, *smooth)
     problem = Problem(
         name=name,
         robot=robot,
@@ -96,7 +100,7 @@ def scene(
         initial_q=first,
         initial_v=rates,
         terms=(
-            *(_costs(schedule, first) if costs is None else costs),
+            *costs,
             *_limits(robot, schedule, ground),
             *goal_terms,
             *([TerminalRest()] if rest else []),
@@ -143,12 +147,6 @@ def _landing_on(robot: Robot, schedule: Schedule, ground: FlatGround, posture: n
         if abs(float(phase.surface(name, ground).distance(place))) <= SAME_PLANE:
             phases[began[-1]] = replace(phase, footholds={**phase.footholds, name: place})
     return Schedule(tuple(phases))
-
-
-def _costs(schedule: Schedule, start: np.ndarray) -> tuple[Term, ...]:
-    forces = [WrenchCost(weight=1e-2)] if any(phase.contacts for phase in schedule.phases) else []
-    smooth = [AccelerationCost(weight=1e-2), VelocityCost(weight=1e-2), PostureCost(weight=1e-1, q=start)]
-    return (TorqueCost(weight=1.0), *forces, *smooth)
 
 
 def _limits(robot: Robot, schedule: Schedule, ground: FlatGround) -> tuple[Term, ...]:

@@ -23,7 +23,6 @@ from trajopt.terms.costs import (
     WrenchCost,
 )
 from trajopt.terms.drives import DriveLimits, MotorTorqueCost
-from trajopt.terms.interfaces import Term
 from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
@@ -58,8 +57,12 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
         for name in _direct_joints(problem, instance):
             needs.setdefault(name, f"is in {instance.term.name}")
     for term in problem.terms:
-        for name in _elsewhere(problem, term):
-            needs.setdefault(name, f"{term.name} wants it elsewhere")
+        if isinstance(term, PostureCost | TerminalState):  # is a joint's posture or goal its start?
+            target = robot.reference if term.q is None else np.asarray(term.q, dtype=float)
+            apart = np.abs(target - problem.initial_q)
+            apart[: BASE_COORDINATES[robot.base]] = 0.0
+            for name in joints_with(robot.model, apart > SAME_PLACE):
+                needs.setdefault(name, f"{term.name} wants it elsewhere")
     for name in keep:
         needs.setdefault(name, KEPT_AS_ASKED)
     return needs
@@ -118,14 +121,3 @@ def _direct_joints(problem: Problem, instance: TermInstance) -> list[str]:
     ):
         return []
     return joints_with(problem.robot.model, instance.rates())
-
-
-def _elsewhere(problem: Problem, term: Term) -> list[str]:
-    """Joints behind the base whose posture or goal is not their start."""
-    if not isinstance(term, PostureCost | TerminalState):
-        return []
-    robot = problem.robot
-    target = robot.reference if term.q is None else np.asarray(term.q, dtype=float)
-    apart = np.abs(target - problem.initial_q)
-    apart[: BASE_COORDINATES[robot.base]] = 0.0
-    return joints_with(robot.model, apart > SAME_PLACE)

@@ -231,16 +231,13 @@ class HalfEnd(WholeNodeRows):
         if self.term.q is None:
             q = self.reduction.lift_q(guessed_posture(context))
             return replace(self, term=replace(self.term, q=q)).rows(context, units, place)
-        combined = context.parameter(self._combinations(place, self.term.q)).T
-        return Rows.create(ca.mtimes(combined, self._whole_rows(context, place).expression), 0, 0, 1.0)
-
-    def _combinations(self, place: NodePlace, goal: np.ndarray) -> np.ndarray:
-        reduction, q = self.reduction, np.asarray(goal, dtype=float)
+        reduction, q = self.reduction, np.asarray(self.term.q, dtype=float)
         position = Units(reduction.whole).position
         free = free_directions(reduction.whole, q, whole_place(place, reduction).phase.contacts)
         small = free_directions(reduction.small, reduction.drop_q(q), place.phase.contacts)
         left = np.linalg.svd(free.T @ (reduction.rates / position[:, None]))[0]
-        return np.asarray(left[:, : small.shape[1]])
+        combined = context.parameter(left[:, : small.shape[1]]).T
+        return Rows.create(ca.mtimes(combined, self._whole_rows(context, place).expression), 0, 0, 1.0)
 
 
 def binding_rows(rows: Rows, context: Context) -> Rows:
@@ -253,7 +250,12 @@ def binding_rows(rows: Rows, context: Context) -> Rows:
     z, (values,) = on_inputs(context, scaled, [context.parameter_values])
     function = ca.Function("rows", [z], [ca.densify(ca.horzcat(values, ca.jacobian(values, z)))])
     generator = np.random.default_rng(0)
-    sampled = [np.array(function(_random_inputs(context, generator))) for _ in range(SAMPLES)]
+    sampled = []
+    for _ in range(SAMPLES):  # unit rotations, positive time scales
+        inputs = generator.uniform(0.1, 1.0, context.z.numel())
+        for i in range(context.coordinates.n_rotations):
+            inputs[4 * i : 4 * i + 4] /= np.linalg.norm(inputs[4 * i : 4 * i + 4])
+        sampled.append(np.array(function(inputs)))
     lower, upper = rows.lower / rows.unit, rows.upper / rows.unit
     chosen: list[int] = []
     for i in range(len(lower)):
@@ -267,11 +269,3 @@ def binding_rows(rows: Rows, context: Context) -> Rows:
         if not (fixed or repeated):
             chosen.append(i)
     return Rows(rows.expression[chosen], rows.lower[chosen], rows.upper[chosen], rows.unit[chosen])
-
-
-def _random_inputs(context: Context, generator: np.random.Generator) -> np.ndarray:
-    """Inputs of a point with unit rotations and positive time scales."""
-    z = generator.uniform(0.1, 1.0, context.z.numel())
-    for i in range(context.coordinates.n_rotations):
-        z[4 * i : 4 * i + 4] /= np.linalg.norm(z[4 * i : 4 * i + 4])
-    return z

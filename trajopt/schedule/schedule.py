@@ -57,7 +57,13 @@ class Phase:
 
     def __post_init__(self) -> None:
         if self.duration_bounds is not None:
-            self._require_bounds(self.duration_bounds)
+            lower, upper = self.duration_bounds
+            if not 0 < lower <= self.duration <= upper < math.inf:
+                raise InputError(
+                    f"duration_bounds of phase '{self.name}' are {self.duration_bounds} s",
+                    f"allowed: (lower, upper), finite, 0 < lower <= duration = {self.duration:g} <= upper",
+                )
+            object.__setattr__(self, "duration_bounds", (lower, upper))
         if len(set(self.contacts)) != len(self.contacts):
             raise InputError(
                 f"phase '{self.name}' names a contact twice: {', '.join(self.contacts)}",
@@ -134,15 +140,6 @@ class Phase:
             return place
         normal = self.surface(contact.name, terrain).plane_at(place).normal
         return np.asarray(place + contact.radius * normal)
-
-    def _require_bounds(self, bounds: tuple[float, float]) -> None:
-        lower, upper = bounds
-        if not 0 < lower <= self.duration <= upper < math.inf:
-            raise InputError(
-                f"duration_bounds of phase '{self.name}' are {bounds} s",
-                f"allowed: (lower, upper), finite, 0 < lower <= duration = {self.duration:g} <= upper",
-            )
-        object.__setattr__(self, "duration_bounds", (lower, upper))
 
 
 @checked

@@ -118,7 +118,11 @@ def goal_terms(
             raise _missing(goal, "a frame's name")
         main = DistanceCost(weight=1.0, frame=frame, direction=direction)
         if goal == "height":
-            main = FrameHeightCost(weight=1.0, frame=frame, at=at or _apex(schedule))
+            flights = [phase for phase in schedule.phases if not phase.contacts]
+            if at is None and not flights:
+                raise _missing("height", "a moment, or a schedule with one without contacts")
+            apex = at or middle_of(max(flights, key=lambda phase: phase.duration).name)
+            main = FrameHeightCost(weight=1.0, frame=frame, at=apex)
     elif goal == "transport":
         if travel is None or not 0 < travel < math.inf:
             raise _missing(goal, "travel > 0, the way of the motion in m")
@@ -136,10 +140,3 @@ def goal_terms(
 
 def _missing(goal: str, what: str) -> InputError:
     return InputError(f"goal '{goal}' lacks what it is about", f"allowed: {what}")
-
-
-def _apex(schedule: Schedule) -> Moment:
-    flights = [phase for phase in schedule.phases if not phase.contacts]
-    if not flights:
-        raise _missing("height", "a moment, or a schedule with one without contacts")
-    return middle_of(max(flights, key=lambda phase: phase.duration).name)
