@@ -16,9 +16,8 @@ from typing_extensions import override
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Motion
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Cost, Rows
-from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terms.costs import NodeCost
+from trajopt.terms.interfaces import Cost, NodeConstraint, NodePlace, Rows
 from trajopt.terms.terminal import configuration_difference
 
 JOINTS = 12

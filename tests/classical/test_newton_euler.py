@@ -154,7 +154,7 @@ def test_bad_input_is_refused():
     q, v, a = random_state(model, 0)
     with pytest.raises(InputError, match=r"q has shape \(3,\)"):
         joint_forces(model, q[:3], v, a)
-    with pytest.raises(InputError, match=r"wrenches has shape"):
+    with pytest.raises(InputError, match=r"wrenches have shape"):
         joint_forces(model, q, v, a, frames=FEET, wrenches=np.zeros((1, 6)))
     with pytest.raises(InputError, match="no frame 'hoof'"):
         joint_forces(model, q, v, a, frames=["hoof"])

@@ -7,8 +7,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from trajopt.collision.fitting import enclosing_capsule, least_circle
-from trajopt.collision.link_capsules import inflated, robot_capsules, spanning_points
+from trajopt.collision.link_capsules import (
+    enclosing_capsule,
+    inflated,
+    least_circle,
+    robot_capsules,
+    spanning_points,
+)
 from trajopt.collision.shapes import LinkShape
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot

@@ -13,7 +13,7 @@ from typing_extensions import override
 import trajopt.terms
 from tests.support.problems import hop, reach
 from trajopt import InputError
-from trajopt.problem.acting_terms import NAMES
+from trajopt.problem.validation import NAMES
 from trajopt.robot.units import Units
 from trajopt.schedule import middle_of, start_of
 from trajopt.terms import (

@@ -15,8 +15,8 @@ from trajopt.certify.report import SOLE_TILT as CHECKED_TILT
 from trajopt.problem.places import CONTACT_GAP, SOLE_TILT
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.schedule import middle_of, start_of
+from trajopt.schedule.moment import Target
 from trajopt.schedule.schedule import Schedule
-from trajopt.schedule.targets import Target
 from trajopt.terms import FrameHeight, FramePose, PositionLimits, Term, TerminalState
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface

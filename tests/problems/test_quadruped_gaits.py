@@ -18,7 +18,7 @@ from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import quadruped_legs
 from trajopt.robot.mirror import find_mirror, mirrored_configuration
 from trajopt.schedule.gait_transitions import transition
-from trajopt.schedule.named_gaits import QUADRUPED
+from trajopt.schedule.gaits import QUADRUPED
 from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms import TerminalVelocity

@@ -20,12 +20,12 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import quadruped_legs
 from trajopt.schedule.gait_transitions import transition
-from trajopt.schedule.named_gaits import gait_of
+from trajopt.schedule.gaits import gait_of
 from trajopt.schedule.schedule import Schedule
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
-from trajopt.terrain.swing_profile import swing_profile
+from trajopt.terrain.swing_paths import swing_profile
 from trajopt_library import problems, robots
 from trajopt_library.problems.gait_common import STYLES
 

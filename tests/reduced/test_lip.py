@@ -12,11 +12,10 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 from trajopt.errors import InputError
-from trajopt.guesses.foot_motion import FootMotion, FootSwing, guess_from_lip
-from trajopt.reduced.com_planning import analytic_motion, distance_outside
+from trajopt.guesses.body_guess import FootMotion, FootSwing, guess_from_lip
 from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, StepPhase, Walk, feet_of, support_vertices
-from trajopt.reduced.lip import Pendulum, PendulumMotion, dcm_at_steps
+from trajopt.reduced.lip import Pendulum, PendulumMotion, analytic_motion, dcm_at_steps, distance_outside
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot

@@ -12,8 +12,7 @@ from numpy.testing import assert_allclose
 from tests.support.models import random_state
 from trajopt.errors import InputError
 from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
-from trajopt.schedule.gaits import SHORTEST, Gait
-from trajopt.schedule.named_gaits import BIPED, HOPPER, QUADRUPED, gait_of
+from trajopt.schedule.gaits import BIPED, HOPPER, QUADRUPED, SHORTEST, Gait, gait_of
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import swing_arcs
 from trajopt.terrain.flat import FlatGround

@@ -8,7 +8,7 @@ import pytest
 
 from trajopt import InputError
 from trajopt.schedule import END, Moment, end_of, middle_of, start_of
-from trajopt.schedule.targets import Target
+from trajopt.schedule.moment import Target
 
 
 def test_functions_name_fractions_of_a_phase():

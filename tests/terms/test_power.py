@@ -18,7 +18,7 @@ from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
 from trajopt.solving.solving import solve
 from trajopt.terms import PowerCost
-from trajopt.terms.power import heat_coefficients
+from trajopt.terms.drives import heat_coefficients
 
 # Sums of the same numbers in another order.
 ROUNDING = 1e-11

@@ -16,7 +16,7 @@ from trajopt.certify.report import AT_POINTS
 from trajopt.certify.sliding import SlidingDynamics
 from trajopt.errors import InputError
 from trajopt.terms import AccelerationCost
-from trajopt.terms.sliding import require_sliding
+from trajopt.terms.dynamics import require_sliding
 from trajopt.terrain.surface import Surface
 
 MASS, FRICTION, SPEED, GRAVITY = 2.0, 0.3, 1.5, 9.81

@@ -22,7 +22,7 @@ from trajopt.solving.solving import prepare, solve
 from trajopt.terms import TorqueCost, TrackingCost
 from trajopt.terms.tracking import key_frames
 from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain.swing_paths import smooth_step
 from trajopt_library import robots
 
 # Sums of the same numbers in another order.

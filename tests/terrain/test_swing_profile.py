@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import trajopt
-from trajopt.terrain.swing_profile import swing_profile
+from trajopt.terrain.swing_paths import swing_profile
 from trajopt_library import problems
 
 # Relative change of the objective between 50 and 100 intervals; with a profile that rises at once it is 6e-2.

@@ -13,7 +13,7 @@ from trajopt.solution.grid import interpolated, mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import NodePlace
-from trajopt.terms.node_interfaces import nodes_of
+from trajopt.terms.interfaces import nodes_of
 from trajopt.transcription.mesh import Mesh, PhaseMesh, equal_fractions
 from trajopt.transcription.transcription import transcribe
 

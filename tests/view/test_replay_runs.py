@@ -15,7 +15,7 @@ from tests.support.synthetic_motions import arm_motion, sampled, with_meta
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.motion.configurations import geodesic_configurations
 from trajopt.schedule import start_of
-from trajopt.schedule.targets import Target
+from trajopt.schedule.moment import Target
 from trajopt.solution.solution import Solution
 from trajopt.terms import FramePose, TerminalState
 from trajopt.view.replay.copies import MOST_GHOSTS, ghost_frames

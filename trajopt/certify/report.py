@@ -148,7 +148,7 @@ class CheckReport:
     friction_margin: least mu f_n - |f_t| at collocation points, ``..._between`` at other samples.
     unilateral_margin: least f_n. sole_margin: least distance of moments from the sole's limits. Each on
         the contact's own surface; none of them on a bilateral one. sliding_friction: largest difference
-        between the force of a sliding contact and the law of `trajopt.terms.sliding` at its points. Of
+        between the force of a sliding contact and the law of `trajopt.terms.dynamics` at its points. Of
         such contacts contact_acceleration, contact_velocity and foot_drift are those along the normal.
     effort_excess, velocity_excess: largest |x| / limit - 1; negative is reserve.
     drive_torque_excess: largest |tau_m| / torque_limit - 1 of the drives, with joint friction.

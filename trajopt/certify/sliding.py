@@ -16,7 +16,7 @@ from trajopt.terrain.surface import Surface
 def sliding_error(plan: Solution, velocity: np.ndarray, surfaces: TouchedSurfaces) -> Trace:
     """Largest difference between forces of sliding contacts and Coulomb's law, over the weight.
 
-    The law is that of `trajopt.terms.sliding`: mu f_n against the velocity (K, nc, 3) within the surface,
+    The law is that of `trajopt.terms.dynamics`: mu f_n against the velocity (K, nc, 3) within the surface,
     over the root of its square and the square of the slip speed.
     """
     rows = plan.active & surfaces.slides

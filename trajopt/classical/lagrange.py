@@ -81,7 +81,6 @@ def _armature_energy(model: pin.Model, motion: _Motion) -> ca.SX:
 
 
 def _at_configuration(name: str, motion: _Motion, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
-    """The function of ``inputs`` at ``x = 0``."""
     around = ca.Function(name, [motion.x, *inputs], outputs)
     return ca.Function(name, inputs, around.call([ca.SX.zeros(motion.x.shape), *inputs]))
 

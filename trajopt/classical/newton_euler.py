@@ -29,6 +29,7 @@ import pinocchio as pin
 
 from trajopt.dynamics import rigid_body
 from trajopt.dynamics.model_content import once_per_content
+from trajopt.dynamics.model_quantities import require_shapes
 from trajopt.errors import InputError
 
 _LINK = "link"
@@ -76,15 +77,8 @@ def joint_forces(
         InputError: for wrong shapes or names.
         UnsupportedJointError: for an unknown kind of joint.
     """
-    outer = np.zeros((len(frames), 6)) if wrenches is None else np.asarray(wrenches, dtype=float)
-    for name, value, shape in (
-        ("q", q, (model.nq,)),
-        ("v", v, (model.nv,)),
-        ("a", a, (model.nv,)),
-        ("wrenches", outer, (len(frames), 6)),
-    ):
-        if np.shape(value) != shape:
-            raise InputError(f"{name} has shape {np.shape(value)}", f"shape {shape}")
+    require_shapes(model, q=q, v=v, a=a)
+    outer = outer_wrenches(frames, wrenches)
     function = recursive_newton_euler(model, frames, [6] * len(frames))
     tau, *columns = (value.full() for value in function.call([ca.DM(x) for x in (q, v, a, outer.ravel())]))
     force, moment, constraint_force, constraint_moment = (value.T for value in columns)
@@ -96,6 +90,14 @@ def joint_forces(
         constraint_force=constraint_force,
         constraint_moment=constraint_moment,
     )
+
+
+def outer_wrenches(frames: Sequence[str], wrenches: np.ndarray | None) -> np.ndarray:
+    """The wrenches (n, 6) on n frames, zero by default. Raises `InputError` for another shape."""
+    outer = np.zeros((len(frames), 6)) if wrenches is None else np.asarray(wrenches, dtype=float)
+    if outer.shape != (len(frames), 6):
+        raise InputError(f"wrenches have shape {outer.shape}", f"shape {(len(frames), 6)}")
+    return outer
 
 
 def recursive_newton_euler(

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.classical.newton_euler import outer_wrenches
 from trajopt.classical.structure import MomentumMaps, base_joint_and_rows, composite_inertia, momentum_maps
 from trajopt.dynamics.model_content import frame_content
 from trajopt.dynamics.model_quantities import generalized_force, require_shapes
-from trajopt.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,10 +65,8 @@ def whole_body_balance(
         InputError: for a wrong frame, base or shape.
     """
     q, v, a = motion
-    outer = np.zeros((len(frames), 6)) if wrenches is None else np.asarray(wrenches, dtype=float)
     require_shapes(model, q=q, v=v, a=a)
-    if outer.shape != (len(frames), 6):
-        raise InputError(f"wrenches have shape {outer.shape}", f"shape {(len(frames), 6)}")
+    outer = outer_wrenches(frames, wrenches)
     for name in frames:
         frame_content(model, name)
     indices, rows = [model.getFrameId(name) for name in frames], base_joint_and_rows(model, base_joint)[1]

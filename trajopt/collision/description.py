@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
+from trajopt.collision.hulls import read_shapes
 from trajopt.collision.near import CollisionScene, ShapePair
-from trajopt.collision.reading import read_shapes
 from trajopt.collision.shapes import LinkShape, Obstacle
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError

@@ -1,4 +1,4 @@
-"""Convex hulls of few points: a mesh's hull within a fraction of a millimetre, a cylinder's prism."""
+"""Shapes of a robot's links from its description, of few points: hulls of meshes, prisms of cylinders."""
 
 from __future__ import annotations
 
@@ -6,15 +6,22 @@ import contextlib
 import hashlib
 import importlib.metadata
 import math
+from collections import Counter
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import coal
 import numpy as np
+import pinocchio as pin
 
 from trajopt.cache import read_entry, write_entry
 from trajopt.collision.coal_shapes import coal_hull, thick
+from trajopt.collision.shapes import LinkShape, box_corners
 from trajopt.errors import InputError
+from trajopt.robot.data import VisualSource
+from trajopt.robot.geometry import Purpose, described_geometry, mesh_vertices
 
 # A simplified hull is larger than the mesh's by at most this, over the mesh's extent and in m.
 EXCESS = 0.005
@@ -31,6 +38,14 @@ ROUNDING = 1e-6
 DIRECTIONS = np.array(
     [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)]
 )
+PURPOSES: tuple[Purpose, ...] = ("collision", "visual")
+# Shapes' numbers are rounded to this many decimals of a metre: files stay small.
+DECIMALS = 6
+# Meshes whose simplified hulls are kept.
+MOST_HULLS = 256
+
+# A body in the axes of its geometry: points (n, 3) and radius, m.
+_Body = tuple[np.ndarray, float]
 
 
 def simplified(points: np.ndarray, fine: bool = False) -> tuple[np.ndarray, float]:
@@ -107,19 +122,123 @@ def _distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     hull, ball = coal_hull(corners), coal.Sphere(ROUNDING)
     measure = coal.ComputeDistance(hull, ball)
     request, result = coal.DistanceRequest(), coal.DistanceResult()
-    still, place, found = coal.Transform3s(), coal.Transform3s(), np.empty(len(points))
+    still, place, distances = coal.Transform3s(), coal.Transform3s(), np.empty(len(points))
     for index, point in enumerate(points):
         place.setTranslation(point)
         result.clear()
-        found[index] = measure(still, place, request, result) + ROUNDING
-    return np.maximum(found, 0.0)
+        distances[index] = measure(still, place, request, result) + ROUNDING
+    return np.maximum(distances, 0.0)
 
 
 def prism(radius: float, height: float) -> np.ndarray:
     """Corners (2 k, 3) m of the prism around a cylinder about z, its faces tangent to the cylinder."""
     excess = max(ROUND_EXCESS, LEAST_ROUND_EXCESS / radius)
-    count = max(math.ceil(math.pi / math.acos(1 / (1 + excess))), 6)
+    return prism_corners(radius, height, max(math.ceil(math.pi / math.acos(1 / (1 + excess))), 6))
+
+
+def prism_corners(radius: float, height: float, count: int) -> np.ndarray:
+    """Corners (2 count, 3) m of a prism around a cylinder about z."""
     angle = 2 * np.pi * np.arange(count) / count
     ring = radius / math.cos(math.pi / count) * np.column_stack([np.cos(angle), np.sin(angle)])
     half = np.full(count, height / 2)
     return np.concatenate([np.column_stack([ring, -half]), np.column_stack([ring, half])])
+
+
+def read_shapes(
+    source: VisualSource, model: pin.Model
+) -> tuple[tuple[LinkShape, ...], dict[str, str], tuple[str, ...]]:
+    """Shapes of all links, also of those fixed to the world; the link of each shape; what could not be read.
+
+    Spheres, capsules and boxes are themselves; a cylinder is a `prism` around it, a mesh its `simplified`
+    convex hull, a finer one behind the last joints, since feet and hands touch. Each shape is on the frame
+    of the joint that moves it, and has the name of its link, with a number where the link has several.
+    """
+    missing: list[str] = []
+    for purpose in PURPOSES:
+        try:
+            bodies = list(_bodies(source, model, purpose, missing))
+        except InputError as error:
+            missing.append(str(error))
+            continue
+        if bodies:
+            shapes, links = _named(model, bodies, missing)
+            return shapes, links, tuple(dict.fromkeys(missing))
+    return (), {}, tuple(dict.fromkeys(missing))
+
+
+def _bodies(
+    source: VisualSource, model: pin.Model, purpose: Purpose, missing: list[str]
+) -> Iterator[tuple[str, int, _Body]]:
+    """Link, joint and body, in the joint's axes, of every element; adds to ``missing``."""
+    described = described_geometry(source, model, purpose)
+    missing += [f"{name}: no file {file}" for name, file in described.missing.items()]
+    carrying = set(model.parents)
+    for entry in described.geometry.geometryObjects:
+        try:
+            if entry.name in described.meshes:
+                path, fine = str(entry.meshPath), entry.parentJoint not in carrying
+                changed, scale = Path(path).stat().st_mtime_ns, tuple(np.ravel(entry.meshScale))
+                points, radius = _simplified_once(path, changed, scale, fine)
+            else:
+                points, radius = _body_of(entry.geometry)
+        except InputError as error:
+            missing.append(f"{entry.name}: {error.what}")
+            continue
+        placed = points @ entry.placement.rotation.T + entry.placement.translation
+        link = str(model.frames[entry.parentFrame].name)
+        yield link, int(entry.parentJoint), (placed, radius)
+
+
+@lru_cache(maxsize=MOST_HULLS)
+def _simplified_once(path: str, _changed: int, scale: tuple[float, ...], fine: bool) -> _Body:
+    return simplified(mesh_vertices(path, scale), fine)
+
+
+def _body_of(geometry: Any) -> _Body:
+    if isinstance(geometry, coal.Sphere):
+        return np.zeros((1, 3)), float(geometry.radius)
+    if isinstance(geometry, coal.Capsule):
+        end = np.array([0.0, 0.0, geometry.halfLength])
+        return np.array([-end, end]), float(geometry.radius)
+    if isinstance(geometry, coal.Box):
+        return box_corners(-geometry.halfSide, geometry.halfSide), 0.0
+    if isinstance(geometry, coal.Cylinder):
+        return prism(float(geometry.radius), 2 * float(geometry.halfLength)), 0.0
+    if isinstance(geometry, coal.BVHModelBase) and geometry.num_vertices:
+        return simplified(np.array(geometry.vertices()))
+    if isinstance(geometry, coal.ConvexBase):
+        return simplified(np.array(geometry.points()))
+    raise InputError(f"a shape of kind {type(geometry).__name__} is not known")
+
+
+def _named(
+    model: pin.Model, bodies: list[tuple[str, int, _Body]], missing: list[str]
+) -> tuple[tuple[LinkShape, ...], dict[str, str]]:
+    counts, seen = Counter(link for link, _, _ in bodies), Counter[str]()
+    shapes, links = [], {}
+    for link, joint, (points, radius) in bodies:
+        name = link if counts[link] == 1 and link != "ground" else f"{link}_{seen[link]}"
+        seen[link] += 1
+        try:
+            frame = joint_frame(model, joint)
+        except InputError as error:
+            missing.append(f"{name}: {error.what}")
+            continue
+        within = model.frames[model.getFrameId(frame)].placement.inverse()
+        placed = np.round(points @ within.rotation.T + within.translation, DECIMALS)
+        shapes.append(LinkShape(name=name, frame=frame, points=placed, radius=radius))
+        links[name] = link
+    return tuple(shapes), links
+
+
+def joint_frame(model: pin.Model, joint: int) -> str:
+    """Name of a frame that moves with a joint and shares its name with no other frame. Raises InputError.
+
+    The joint's own, if it can be.
+    """
+    counts = Counter(str(frame.name) for frame in model.frames)
+    names = [str(frame.name) for frame in model.frames if frame.parentJoint == joint]
+    known = sorted((name for name in names if counts[name] == 1), key=lambda name: name != model.names[joint])
+    if not known:
+        raise InputError(f"joint '{model.names[joint]}' has no frame with a name of its own", "allowed: one")
+    return known[0]

@@ -11,8 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
-from trajopt.collision.coal_distance import CoalBody, CoalPairs, Witness
-from trajopt.collision.coal_shapes import coal_link, coal_obstacle
+from trajopt.collision.coal_shapes import CoalBody, CoalPairs, Witness, coal_link, coal_obstacle
 from trajopt.collision.ground_distance import BodyDistance, SmoothDistance
 from trajopt.collision.planes import Approach, PlacedBody, nearest
 from trajopt.collision.shapes import LinkShape, Obstacle, ball_around, require_different_names
@@ -88,11 +87,11 @@ class CollisionScene:
         q = np.atleast_2d(np.asarray(configurations, dtype=float))
         limits = np.broadcast_to(np.asarray(within, dtype=float), len(self.pairs))
         rotation, origin = self._placements(q)
-        found = np.empty((len(q), len(self.pairs)))
+        distances = np.empty((len(q), len(self.pairs)))
         for column, (index, bodies) in enumerate(self._grounds):
             places = rotation[index], origin[index]
             limit = float(limits[column])
-            found[:, column] = np.min([body.distances(places, limit) for body in bodies], axis=0)
+            distances[:, column] = np.min([body.distances(places, limit) for body in bodies], axis=0)
         if len(self.pairs) > self.n_ground:
             apart, limits = self._apart(rotation, origin), limits[self.n_ground :]
             near = apart <= limits
@@ -101,8 +100,8 @@ class CollisionScene:
                 first, second = (int(part[pair]) for part in self._indices)
                 one, other = ((rotation[i][rows], origin[i][rows]) for i in (first, second))
                 apart[rows, pair] = self._coal.distances((first, second), one, other, float(limits[pair]))
-            found[:, self.n_ground :] = apart
-        return found
+            distances[:, self.n_ground :] = apart
+        return distances
 
     def witness(self, q: np.ndarray, pair: ShapePair) -> Witness:
         """Distance, normal and nearest points of a pair at ``q`` (nq,), also where they touch or penetrate.
@@ -115,8 +114,8 @@ class CollisionScene:
         rotation, origin = self._placements(np.atleast_2d(q))
         if index < self.n_ground:
             shape, bodies = self._grounds[index]
-            found = [body.witness((rotation[shape], origin[shape])) for body in bodies]
-            return min(found, key=lambda witness: witness.distance)
+            witnesses = [body.witness((rotation[shape], origin[shape])) for body in bodies]
+            return min(witnesses, key=lambda witness: witness.distance)
         first, second = (int(part[index - self.n_ground]) for part in self._indices)
         places = ((rotation[i], origin[i]) for i in (first, second))
         return self._coal.witness((first, second), *places)
@@ -131,14 +130,14 @@ class CollisionScene:
         """
         rotation, origin = self._placements(np.atleast_2d(configurations))
         numbers = {pair: number for number, pair in enumerate(self.pairs)}
-        found = []
+        by_pair = []
         for row, pair in wanted:
             here = slice(row, row + 1)
             places = [(turn[here], at[here]) for turn, at in zip(rotation, origin, strict=True)]
-            own = self._approaches(numbers[pair], places)
-            reach = max(within, min(approach.distance for approach in own))
-            found.append([approach for approach in own if approach.distance <= reach])
-        return found
+            approaches = self._approaches(numbers[pair], places)
+            reach = max(within, min(approach.distance for approach in approaches))
+            by_pair.append([approach for approach in approaches if approach.distance <= reach])
+        return by_pair
 
     def _approaches(self, number: int, places: Sequence[Placements]) -> list[Approach]:
         def placed(index: int) -> PlacedBody:
@@ -200,11 +199,11 @@ class CollisionScene:
     @cached_property
     def _balls(self) -> np.ndarray:
         """Centre and radius (n, 4) m of a ball around each shape in its frame, and each obstacle."""
-        found = []
+        balls = []
         for body in (*self.shapes, *self.obstacles):
             centre, reach = ball_around(body.points)
-            found.append([*centre, reach + body.radius])
-        return np.array(found).reshape(-1, 4)
+            balls.append([*centre, reach + body.radius])
+        return np.array(balls).reshape(-1, 4)
 
     @cached_property
     def _indices(self) -> tuple[np.ndarray, np.ndarray]:

@@ -111,14 +111,14 @@ def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approa
         )
     way = first.placed.mean(axis=0) - second.placed.mean(axis=0)
     length = float(np.linalg.norm(way))
-    found = [normal, -normal] if abs(np.linalg.norm(normal) - 1) < UNIT else []
-    directions = [*found, way / length if length > 0 else np.array(UP), *second.sides]
+    searched = [normal, -normal] if abs(np.linalg.norm(normal) - 1) < UNIT else []
+    directions = [*searched, way / length if length > 0 else np.array(UP), *second.sides]
     distances = [_apart(first, second, direction) for direction in directions]
     best = int(np.argmax(distances))
     return Approach(first=first, second=second, normal=directions[best], distance=distances[best])
 
 
-def beyond_foot(found: Approach, foot: PlacedBody, margin: float) -> Approach:
+def beyond_foot(approach: Approach, foot: PlacedBody, margin: float) -> Approach:
     """The approach along the direction nearest to its own with a foot beyond its plane by ``margin`` m.
 
     A shank may be deep in an edge in front of which its foot stands, or will stand: no motion would satisfy a
@@ -126,19 +126,19 @@ def beyond_foot(found: Approach, foot: PlacedBody, margin: float) -> Approach:
     """
 
     def beyond(normal: np.ndarray) -> bool:
-        return _apart(foot, found.second, normal) >= margin - NEARER
+        return _apart(foot, approach.second, normal) >= margin - NEARER
 
-    if found.second.normal is not None or beyond(found.normal):
-        return found
-    free = nearest(foot, found.second, found.normal).normal
+    if approach.second.normal is not None or beyond(approach.normal):
+        return approach
+    free = nearest(foot, approach.second, approach.normal).normal
     if not beyond(free):
-        return found
+        return approach
     near, far = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = (near + far) / 2
-        near, far = (near, middle) if beyond(_between(found.normal, free, middle)) else (middle, far)
-    normal = _between(found.normal, free, far)
-    return replace(found, normal=normal, distance=_apart(found.first, found.second, normal))
+        near, far = (near, middle) if beyond(_between(approach.normal, free, middle)) else (middle, far)
+    normal = _between(approach.normal, free, far)
+    return replace(approach, normal=normal, distance=_apart(approach.first, approach.second, normal))
 
 
 def _between(one: np.ndarray, other: np.ndarray, part: float) -> np.ndarray:
@@ -155,12 +155,12 @@ def _apart(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> float:
     return float((first.placed @ normal).min()) - first.radius - top
 
 
-def separating_plane(found: Approach, margin: float) -> SeparatingPlane:
+def separating_plane(approach: Approach, margin: float) -> SeparatingPlane:
     """A plane that keeps two bodies ``margin`` m apart: it supports one, corners of the other are beyond it.
 
     Of two bodies the one with the larger face there carries it.
     """
-    first, second, normal = found.first, found.second, found.normal
+    first, second, normal = approach.first, approach.second, approach.normal
     reach = first.radius + second.radius + margin
     if second.normal is not None:
         return _plane(first, second, second.normal, second.height + reach)

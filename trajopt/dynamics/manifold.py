@@ -42,17 +42,9 @@ from trajopt.dynamics.rotations import (
 from trajopt.errors import UnsupportedJointError
 
 _PLAIN = (
-    "RX",
-    "RY",
-    "RZ",
-    "RevoluteUnaligned",
-    "PX",
-    "PY",
-    "PZ",
-    "PrismaticUnaligned",
-    "Translation",
+    "RX", "RY", "RZ", "RevoluteUnaligned", "PX", "PY", "PZ", "PrismaticUnaligned", "Translation",
     "SphericalZYX",
-)
+)  # fmt: skip
 CONTINUOUS_JOINTS = ("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnalignedTpl", "RevoluteUnboundedUnaligned")
 SUPPORTED_JOINTS = (
     "free-flyer, planar, spherical, revolute, continuous, prismatic, translation, spherical ZYX"

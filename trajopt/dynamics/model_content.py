@@ -21,7 +21,6 @@ SUPPORTED_JOINTS = (
     "Translation",
 )  # fmt: skip
 
-_NO_AXIS = (0.0, 0.0, 0.0)
 _CLOSE_NAMES = 5
 _CLOSE_CUTOFF = 0.4  # of difflib's similarity, below its default 0.6: frame names are long
 _CACHED_FUNCTIONS = 64  # per decorated function
@@ -84,24 +83,21 @@ def frame_content(model: pin.Model, name: str, wrench_size: int = 0) -> tuple:
 
 
 def _joint_content(model: pin.Model, index: int) -> tuple:
-    kind = joint_kind(model, index)
+    kind, axis = joint_kind(model, index), (0.0, 0.0, 0.0)
+    if kind.endswith("Unaligned"):  # Pinocchio's bindings do not show the axis of every kind
+        motion = joint_motion(model.joints[index])
+        axis = tuple((motion.linear + motion.angular).tolist())
     inertia = model.inertias[index]
     return (
         model.names[index],
         kind,
         int(model.parents[index]),
         *_placement(model.jointPlacements[index]),
-        _axis(model.joints[index]) if kind.endswith("Unaligned") else _NO_AXIS,
+        axis,
         float(inertia.mass),
         tuple(inertia.lever.tolist()),
         tuple(np.ravel(inertia.inertia).tolist()),
     )
-
-
-def _axis(joint: pin.JointModel) -> tuple:
-    """Axis of a joint of one degree of freedom; Pinocchio's bindings do not show that of every kind."""
-    motion = joint_motion(joint)
-    return tuple((motion.linear + motion.angular).tolist())
 
 
 def _placement(placement: pin.SE3) -> tuple[tuple, tuple]:

@@ -1,8 +1,8 @@
 from .base_path import BaseWaypoint as BaseWaypoint
 from .base_path import WaypointPath as WaypointPath
 from .base_path import hermite as hermite
+from .body_guess import guess_from_lip as guess_from_lip
 from .body_guess import guess_from_srb as guess_from_srb
-from .foot_motion import guess_from_lip as guess_from_lip
 from .gaits import GaitPlan as GaitPlan
 from .gaits import Pace as Pace
 from .gaits import commanded_motion as commanded_motion

@@ -104,9 +104,14 @@ class WaypointPath:
                 f"the base's waypoints are at {self._times} s", "allowed: rising times that begin with 0"
             )
         self._flying = self._flights(schedule, tolerance)
-        self._require_turns()
         self._rotations = [pin.exp3(self._points[0].turn)]
-        for point in self._points[1:]:
+        for point, flying in zip(self._points[1:], self._flying, strict=True):
+            turned = float(np.linalg.norm(point.turn))
+            if not flying and turned > MOST_SUPPORTED_TURN:
+                raise InputError(
+                    f"the base turns by {turned:g} rad up to {point.time:g} s while feet stand",
+                    f"allowed: at most {MOST_SUPPORTED_TURN:.3g} rad from one waypoint to the next",
+                )
             self._rotations.append(pin.exp3(point.turn) @ self._rotations[-1])
         self._velocities = self._rates_of("position")
         self._spins = self._rates_of("turn")
@@ -125,24 +130,12 @@ class WaypointPath:
             flying[first] = True
         return flying
 
-    def _require_turns(self) -> None:
-        for point, flying in zip(self._points[1:], self._flying, strict=True):
-            turned = float(np.linalg.norm(point.turn))
-            if not flying and turned > MOST_SUPPORTED_TURN:
-                raise InputError(
-                    f"the base turns by {turned:g} rad up to {point.time:g} s while feet stand",
-                    f"allowed: at most {MOST_SUPPORTED_TURN:.3g} rad from one waypoint to the next",
-                )
-
-    def _steps(self, what: str) -> np.ndarray:
-        """Mean rates (n - 1, 3) from each waypoint to the next."""
-        values = np.array([getattr(point, what) for point in self._points])
-        steps = values[1:] if what == "turn" else np.diff(values, axis=0)
-        return np.asarray(steps / np.diff(self._times)[:, None])
-
     def _rates_of(self, what: str) -> list[np.ndarray]:
         """Velocity or angular velocity (3,) at every waypoint; see `BaseWaypoint`."""
-        mean, given = self._steps(what), "rate" if what == "turn" else "velocity"
+        values = np.array([getattr(point, what) for point in self._points])
+        steps = values[1:] if what == "turn" else np.diff(values, axis=0)
+        mean = steps / np.diff(self._times)[:, None]  # rates (n - 1, 3) from each waypoint to the next
+        given = "rate" if what == "turn" else "velocity"
         rates = []
         for i, point in enumerate(self._points):
             stated = getattr(point, given)
@@ -155,7 +148,11 @@ class WaypointPath:
             elif i in (0, len(mean)):
                 rates.append(np.zeros(3))
             else:
-                rates.append(_gentle_slope(mean[i - 1], mean[i]))
+                # No new extremum between two mean slopes: their harmonic mean, or 0 (F. N. Fritsch,
+                # J. Butland, SIAM J. Sci. Stat. Comput. 5, 1984, for equal steps).
+                product = mean[i - 1] * mean[i]
+                total = np.where(product > 0, mean[i - 1] + mean[i], 1.0)
+                rates.append(np.where(product > 0, 2 * product / total, 0.0))
         return rates
 
     def _pull(self, what: str, stretch: int) -> np.ndarray:
@@ -193,16 +190,6 @@ class WaypointPath:
             end_rate = np.linalg.solve(pin.Jexp3(turn).T, self._spins[i + 1])
             turned = hermite(s, duration, np.zeros(3), self._spins[i], turn, end_rate)
         return pin.SE3(pin.exp3(turned) @ self._rotations[i], position)
-
-
-def _gentle_slope(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Slope (3,) between two mean slopes that creates no new extremum: their harmonic mean, or 0.
-
-    F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984), for equal steps.
-    """
-    product = before * after
-    total = np.where(product > 0, before + after, 1.0)
-    return np.asarray(np.where(product > 0, 2 * product / total, 0.0))
 
 
 def heading_of(rotation: np.ndarray) -> float:

@@ -1,10 +1,12 @@
-"""A guess for the full problem from a solution on one rigid body: its base, legs by inverse kinematics."""
+"""Guesses from reduced models: their base or CoM, feet on footholds or swings, legs by inverse kinematics."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from itertools import accumulate
 
 import numpy as np
 import pinocchio as pin
@@ -12,20 +14,24 @@ from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError
-from trajopt.guesses.foot_motion import (
-    CACHED_POSTURES,
-    DEFAULT_CLEARANCE,
-    FootMotion,
-    FootSwing,
-    foot_targets,
-)
 from trajopt.problem.problem import Problem
-from trajopt.reduced.footsteps import Foothold, feet_of
+from trajopt.reduced.footsteps import Foothold, FootstepPlan, feet_of
+from trajopt.reduced.lip import ComMotion
 from trajopt.reduced.single_rigid_body import footholds_of
-from trajopt.robot.kinematics import inverse_kinematics
+from trajopt.robot.kinematics import contact_targets, inverse_kinematics
+from trajopt.robot.legs import require_free_flyer
+from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
 from trajopt.solution.solution import Solution
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain.swing_paths import require_clearance, smooth_step, swing_profile
+
+# Height in m of a swing over the straight line between its footholds, unless the caller says otherwise.
+DEFAULT_CLEARANCE = 0.05
+# Fixed-point steps that bring the CoM to its target: each leaves the share of mass that does not follow the
+# base. A fixed number from one start keeps the posture a smooth function of time, for finite differences.
+COM_STEPS = 4
+# Cached configurations: a guess is evaluated three times at every point.
+CACHED_POSTURES = 4096
 
 
 class BasePath:
@@ -130,4 +136,141 @@ def guess_from_srb(problem: Problem, solution: Solution, *, clearance: float = D
         )
     durations = [phase.duration for phase in problem.schedule.phases]
     posture = _LegPosture(problem=problem, base=BasePath(solution, durations), clearance=clearance)
+    return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)
+
+
+@dataclass(frozen=True)
+class FootSwing:
+    """A foot in the air from ``start`` to ``end``, between two ``times`` in s, now at a ``fraction`` of them.
+
+    ``airborne``: no other foot is on the ground for part of the swing.
+    """
+
+    start: Foothold
+    end: Foothold
+    times: tuple[float, float]
+    fraction: float
+    airborne: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FootMotion:
+    """Where each foot of a plan is at a time: on its foothold, or on its way to the next.
+
+    ``initial``: the feet at the start by contact name, where a foot is before its first support. A foot that
+    does not land again stays where it was lifted. ``clearance`` m.
+    """
+
+    plan: FootstepPlan
+    initial: Mapping[str, Foothold]
+    clearance: float = DEFAULT_CLEARANCE
+
+    def __post_init__(self) -> None:
+        require_clearance(self.clearance)
+
+    @cached_property
+    def times(self) -> list[float]:
+        """Times between supports, s, with the start and the end."""
+        return [0.0, *accumulate(support.duration for support in self.plan.supports)]
+
+    def at(self, name: str, t: float) -> Foothold | FootSwing:
+        """The foothold on which the foot ``name`` stands at ``t``, or its swing; times are clipped."""
+        supports = self.plan.supports
+        now = int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(supports) - 1))
+        if name in supports[now].feet:
+            return supports[now].feet[name]
+        before = next((i for i in range(now, -1, -1) if name in supports[i].feet), -1)
+        after = next((i for i in range(now, len(supports)) if name in supports[i].feet), len(supports))
+        start = supports[before].feet[name] if before >= 0 else self.initial[name]
+        end = supports[after].feet[name] if after < len(supports) else start
+        begin, over = self.times[before + 1], self.times[after]
+        fraction = min(max((t - begin) / (over - begin), 0.0), 1.0)
+        airborne = any(not support.feet for support in supports[before + 1 : after])
+        return FootSwing(start, end, (begin, over), fraction, airborne)
+
+    def foothold(self, name: str, t: float) -> Foothold:
+        """Position of the foot in the world; a swing is lifted by ``clearance`` at its middle."""
+        swing = self.at(name, t)
+        if isinstance(swing, Foothold):
+            return swing
+        part = smooth_step(swing.fraction)
+        position = (1 - part) * swing.start.position + part * swing.end.position
+        lift = np.array([0.0, 0.0, self.clearance * swing_profile(swing.fraction)])
+        turn = math.remainder(swing.end.yaw - swing.start.yaw, math.tau)
+        return Foothold(position=position + lift, yaw=swing.start.yaw + part * turn)
+
+    def heading(self, t: float) -> float:
+        """Mean turn of the feet since the start, rad."""
+        turns = [self.foothold(name, t).yaw - foot.yaw for name, foot in self.initial.items()]
+        return float(np.mean(turns))
+
+
+def foot_targets(robot: Robot, feet: Callable[[str], Foothold]) -> dict[str, pin.SE3 | np.ndarray]:
+    """Targets of inverse kinematics by frame: positions of point feet, level poses of soles."""
+    poses = {}
+    for contact in robot.contacts:
+        foot = feet(contact.name)
+        poses[contact.name] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, foot.yaw), foot.position)
+    return contact_targets(robot, poses)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WalkPosture:
+    """Postures of a walk: base level with the feet's heading, feet and CoM on their paths.
+
+    The CoM keeps the height of ``q`` (nq,), the posture at the start.
+    """
+
+    robot: Robot
+    feet: FootMotion
+    motion: ComMotion
+    q: np.ndarray
+    data: pin.Data = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "data", self.robot.model.createData())
+
+    @cached_property
+    def _start(self) -> np.ndarray:
+        return np.array(pin.centerOfMass(self.robot.model, self.data, self.q))
+
+    def __call__(self, t: float) -> np.ndarray:
+        """Configuration (nq,) at time ``t`` in s."""
+        targets = foot_targets(self.robot, lambda name: self.feet.foothold(name, t))
+        goal = np.append(self.motion.com(t), self._start[2])
+        q = self.q.copy()
+        turn = pin.Quaternion(pin.rpy.rpyToMatrix(0.0, 0.0, self.feet.heading(t)))
+        q[3:7] = (turn * pin.Quaternion(*q[[6, 3, 4, 5]])).coeffs()
+        q[:3] += goal - self._start
+        for _ in range(COM_STEPS):
+            q = inverse_kinematics(self.robot, q, targets).q
+            q[:3] += goal - pin.centerOfMass(self.robot.model, self.data, q)
+        return inverse_kinematics(self.robot, q, targets).q
+
+
+@checked
+def guess_from_lip(
+    robot: Robot,
+    plan: FootstepPlan,
+    motion: ComMotion,
+    *,
+    q: np.ndarray | None = None,
+    clearance: float = DEFAULT_CLEARANCE,
+) -> Motion:
+    """Return a guess ``t -> q`` (nq,) for the full robot, its base level.
+
+    Args:
+        robot: A robot on a free-flyer in world axes.
+        plan: Where the feet stand, and when.
+        motion: Horizontal motion of the centre of mass.
+        q: Posture at the start (nq,), default the reference; its height of the centre of mass is kept.
+        clearance: Height of the swings, m.
+
+    Raises:
+        InputError: For a robot on another base.
+    """
+    require_free_flyer(robot)
+    start = np.array(robot.reference if q is None else q, dtype=float)
+    feet = FootMotion(plan=plan, initial=feet_of(robot, start), clearance=clearance)
+    posture = WalkPosture(robot=robot, feet=feet, motion=motion, q=start)
     return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)

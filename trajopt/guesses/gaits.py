@@ -28,7 +28,7 @@ from trajopt.guesses.legged import LeggedPosture, legged_guess
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terrain.surface import UP
-from trajopt.terrain.swing_profile import smooth_step
+from trajopt.terrain.swing_paths import smooth_step
 
 # Step of the finite differences for a state's rates, s; contacts are brought to rest exactly afterwards.
 DIFFERENCE_STEP = 1e-4

@@ -14,7 +14,7 @@ from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import require_finite
 from trajopt.guesses.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
-from trajopt.guesses.foot_motion import CACHED_POSTURES
+from trajopt.guesses.body_guess import CACHED_POSTURES
 from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kinematics
 from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
@@ -22,8 +22,13 @@ from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terrain.crossing import Crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface, frame_of_normal
-from trajopt.terrain.swing_paths import crossing_of, kept_outside
-from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
+from trajopt.terrain.swing_paths import (
+    crossing_of,
+    kept_outside,
+    require_clearance,
+    smooth_step,
+    swing_profile,
+)
 from trajopt.terrain.terrain import Terrain
 
 # Height of a swing over the straight line between its footholds, over the robot's length.
@@ -101,27 +106,21 @@ class LeggedPosture:
         if after is None:  # it does not land: carried as at lift-off
             return placement * self.base(begin).inverse() * lifted
         s = min(max((t - begin) / (after.begin - begin), 0.0), 1.0)
-        if self._flies(begin, after.begin):
+        shared = (min(after.begin, last) - max(begin, first) for first, last in self._flights)
+        if any(overlap > self._rounding for overlap in shared):  # the robot is in flight for a while
             carried = self._carried(placement, (begin, after.begin), (lifted, after.place), s)
             ends = lifted.translation, after.place.translation
             ground = self._crossing(name, tuple(map(float, ends[0])), tuple(map(float, ends[1])))
             return pin.SE3(
                 carried.rotation, kept_outside(ground, carried.translation, s, ends, self.clearance)
             )
-        return self._swung(name, lifted, after.place, s)
-
-    def _flies(self, begin: float, end: float) -> bool:
-        """Whether the robot is in flight at some time from ``begin`` to ``end``."""
-        shared = (min(end, last) - max(begin, first) for first, last in self._flights)
-        return any(overlap > self._rounding for overlap in shared)
-
-    def _swung(self, name: str, start: pin.SE3, end: pin.SE3, s: float) -> pin.SE3:
+        start, end, part = lifted.translation, after.place.translation, smooth_step(s)
         if self.swing is not None:
-            position = np.asarray(self.swing(name, start.translation, end.translation, s), dtype=float)
+            position = np.asarray(self.swing(name, start, end, s), dtype=float)
         else:
-            position = start.translation + smooth_step(s) * (end.translation - start.translation)
+            position = start + part * (end - start)
             position = position + np.array([0.0, 0.0, self.clearance * swing_profile(s)])
-        return pin.SE3(_between(start.rotation, end.rotation, smooth_step(s)), position)
+        return pin.SE3(_between(lifted.rotation, after.place.rotation, part), position)
 
     def _carried(
         self, placement: pin.SE3, times: tuple[float, float], places: tuple[pin.SE3, pin.SE3], s: float
@@ -194,7 +193,8 @@ class LeggedPosture:
         centre, patch = phase.centre(contact, self.terrain), phase.patches.get(name)
         position = dropped_onto(nominal.translation, surface) if centre is None else centre
         position = position if patch is None else patch.offset(contact.radius).nearest(position)
-        return pin.SE3(_leaning(surface) @ nominal.rotation, np.array(position))
+        leaning = np.eye(3) if surface.is_level else frame_of_normal(surface.normal)
+        return pin.SE3(leaning @ nominal.rotation, np.array(position))
 
     def _nominal(self, name: str, placement: pin.SE3) -> pin.SE3:
         """Pose of the contact under an upright base at ``placement``, as in the reference posture."""
@@ -262,7 +262,6 @@ def legged_guess(
 
 
 def _between(start: np.ndarray, end: np.ndarray, part: float) -> np.ndarray:
-    """Rotation (3, 3) on the shortest way from one to another."""
     between: np.ndarray = start @ pin.exp3(part * pin.log3(start.T @ end))
     return between
 
@@ -279,8 +278,3 @@ def dropped_onto(position: np.ndarray, surface: Surface) -> np.ndarray:
     if abs(upward) < 1e-6:
         return np.asarray(position - distance * surface.normal)
     return np.asarray(position - np.array([0.0, 0.0, distance / upward]))
-
-
-def _leaning(surface: Surface) -> np.ndarray:
-    """Rotation (3, 3) that lays a level sole onto a surface."""
-    return np.eye(3) if surface.is_level else frame_of_normal(surface.normal)

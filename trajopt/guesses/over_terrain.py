@@ -69,8 +69,10 @@ def plan_over_terrain(
     level_path = gait_path(robot, schedule, pace)
     level = with_footholds(robot, schedule, level_path)
     held = replace(level.phases[0], footholds={})  # these contacts are where the start has them
-    over_ground = Schedule((held, *(_over_ground(phase, terrain) for phase in level.phases[1:])))
-    placed = placed_on(over_ground, terrain)
+    later = level.phases[1:]
+    if isinstance(terrain, PiecewiseTerrain):
+        later = tuple(_over_faces(phase, terrain) for phase in later)
+    placed = placed_on(Schedule((held, *later)), terrain)
     start = standing_on(robot, terrain)
     posture = LeggedPosture(
         robot=robot,
@@ -119,20 +121,16 @@ def standing_on(robot: Robot, terrain: Terrain) -> np.ndarray:
     return posture.q
 
 
-def _over_ground(phase: Phase, terrain: Terrain) -> Phase:
+def _over_faces(phase: Phase, terrain: PiecewiseTerrain) -> Phase:
     """The phase with every foothold over a face; one over a hole is moved to the nearest face."""
-    if not isinstance(terrain, PiecewiseTerrain):
-        return phase
-    return replace(
-        phase, footholds={name: _over_face(place, terrain) for name, place in phase.footholds.items()}
-    )
-
-
-def _over_face(place: np.ndarray, terrain: PiecewiseTerrain) -> np.ndarray:
-    if terrain.face_at(float(place[0]), float(place[1])) is not None:
-        return place
-    candidates = [face.nearest(place) for face in terrain.faces]
-    return min(candidates, key=lambda candidate: float(np.linalg.norm((candidate - place)[:2])))
+    footholds = {}
+    for name, place in phase.footholds.items():
+        candidates = [face.nearest(place) for face in terrain.faces]
+        if terrain.face_at(float(place[0]), float(place[1])) is not None:
+            candidates = [place]
+        apart = [float(np.linalg.norm((candidate - place)[:2])) for candidate in candidates]
+        footholds[name] = candidates[int(np.argmin(apart))]
+    return replace(phase, footholds=footholds)
 
 
 def _path_over(
@@ -141,21 +139,16 @@ def _path_over(
     """The base at every change of supports: at the pace seen from above, over the ground under the feet."""
     waypoints, before = [], np.eye(3)
     for time in np.cumsum([0.0, *(phase.duration for phase in schedule.phases)]):
-        under = {name: _ground_under(of_foot, float(time)) for name, of_foot in stances.items()}
+        under = {}
+        for name, held in stances.items():  # in a swing along the straight line between its ends
+            times = np.ravel([(stance.begin, stance.end) for stance in held])
+            places = np.repeat([stance.place.translation for stance in held], 2, axis=0)
+            under[name] = np.array([np.interp(time, times, axis) for axis in places.T])
         pose = _pose_over(robot, base_pose(robot, pace, float(time)), under)
         turn = pin.log3(pose.rotation @ before.T)
         waypoints.append(BaseWaypoint(time=float(time), position=pose.translation, turn=turn))
         before = pose.rotation
     return WaypointPath(schedule, waypoints, gravity_of(robot.model))
-
-
-def _ground_under(stances: list[FootStance], time: float) -> np.ndarray:
-    """Position (3,) of a foot at a time; in a swing along the straight line between its ends."""
-    times, places = [], []
-    for stance in stances:
-        times += [stance.begin, stance.end]
-        places += [stance.place.translation, stance.place.translation]
-    return np.array([np.interp(time, times, axis) for axis in np.array(places).T])
 
 
 def _pose_over(robot: Robot, level: pin.SE3, feet: Mapping[str, np.ndarray]) -> pin.SE3:

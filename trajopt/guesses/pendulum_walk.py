@@ -20,8 +20,8 @@ from trajopt.control.inverse_dynamics import TaskSpaceInverseDynamics, TickLimit
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import ContactForceTask, PostureTask
 from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.errors import InputError, require_finite
-from trajopt.guesses.foot_motion import FootMotion, guess_from_lip
+from trajopt.errors import InputError
+from trajopt.guesses.body_guess import FootMotion, guess_from_lip
 from trajopt.motion.natural_units import NaturalUnits
 from trajopt.problem.problem import Problem
 from trajopt.reduced.com_program import CenterOfMassProgram
@@ -84,12 +84,6 @@ def commanded_walk(
     """
     require_soles(robot)
     left, right = biped_legs(robot)
-    for name, value, unit in (
-        ("speed", speed, "m/s"),
-        ("side_speed", side_speed, "m/s"),
-        ("turn_rate", turn_rate, "rad/s"),
-    ):
-        require_finite(f"{name} of a walk", value, unit)
     time = NaturalUnits.of(robot.model).time
     single = STEP_TIME * time if step_time is None else step_time
     double = DOUBLE_SUPPORT * time if double_support is None else double_support
@@ -308,22 +302,18 @@ class _Samples:
         )
 
     def _require_reached(self, t: float, q: np.ndarray) -> None:
-        """Raise `_OutOfReachError` if a foot is not where it should be."""
         for name, pose in contact_poses(self.robot, q).items():
             away = float(np.linalg.norm(pose.translation - self.feet.foothold(name, t).position))
             if away > REACHED * self.units.length:
-                off = f"foot '{name}' of '{self.robot.name}' is {1e3 * away:.3g} mm off its path"
-                raise _OutOfReachError(f"at {t:.2f} s {off}{self._at_limits(q)}", SHORTER)
-
-    def _at_limits(self, q: np.ndarray) -> str:
-        """Joints at the ends of their ranges, in words."""
-        robot, model = self.robot, self.robot.model
-        ends = np.isclose(q, robot.position_lower) | np.isclose(q, robot.position_upper)
-        names = [model.names[j] for j in range(2, model.njoints) if ends[model.idx_qs[j]]]
-        return f", with {', '.join(names)} at the end of its range" if names else ""
+                robot, model = self.robot, self.robot.model
+                off = f"at {t:.2f} s foot '{name}' of '{robot.name}' is {1e3 * away:.3g} mm off its path"
+                ends = np.isclose(q, robot.position_lower) | np.isclose(q, robot.position_upper)
+                names = [model.names[j] for j in range(2, model.njoints) if ends[model.idx_qs[j]]]
+                if names:
+                    off += f", with {', '.join(names)} at the end of its range"
+                raise _OutOfReachError(off, SHORTER)
 
     def _require_slow(self, t: float, v: np.ndarray) -> None:
-        """Raise `_OutOfReachError` if a joint is beyond its limit of velocity."""
         first, model, most = self.robot.n_unactuated, self.robot.model, self.robot.velocity_limit
         row = first + int(np.argmax(np.abs(v[first:]) - most[first:]))
         if abs(v[row]) > most[row]:

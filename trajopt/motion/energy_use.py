@@ -11,7 +11,7 @@ from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.solution.grid import interval_schemes
 from trajopt.solution.solution import Solution
-from trajopt.terms.power import heat_coefficients, require_recovered
+from trajopt.terms.drives import heat_coefficients, require_recovered
 
 
 @checked

@@ -18,7 +18,7 @@ from trajopt.problem.places import CONTACT_GAP, PLACE_SLACK
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
-from trajopt.schedule.targets import Target
+from trajopt.schedule.moment import Target
 from trajopt.terms.clearance import Clearance
 from trajopt.terms.terminal import TerminalPosture
 from trajopt.terrain.flat import FlatGround
@@ -186,12 +186,8 @@ def _require_clear(
 ) -> None:
     """Raise `InputError` where bodies are nearer to each other, by more than ``slack`` m, than they may be.
 
-    Args:
-        bodies: of the problem.
-        what: where the first of a pair is this near.
-        pairs: some of those of ``bodies``.
-        distances: of the pairs (n,), m.
-        slack: m.
+    ``what`` says where the first of a pair is this near; ``pairs``, some of the bodies', have ``distances``
+    (n,) in m.
     """
     margins = dict(zip(bodies.pairs, bodies.margins.tolist(), strict=True))
     short = [float(distance) - margins[pair] for pair, distance in zip(pairs, distances, strict=True)]
@@ -237,10 +233,6 @@ def placed_link(scene: CollisionScene, target: Target) -> dict[ShapePair, float]
     body, the shape has a point within ``d`` of the target, or all points within ``-d``: so its distance from
     the body is at most ``d + e``. Smooth ground, whose distances are those from tangent planes, is left out
     then.
-
-    Args:
-        scene: of a problem.
-        target: position of a frame, or its pose.
     """
     if target.frame is None or target.position is None:
         return {}

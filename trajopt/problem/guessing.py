@@ -17,13 +17,12 @@ from trajopt.problem.periodicity import Periodicity
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses, frame_pose, inverse_kinematics
 from trajopt.robot.robot import Robot
-from trajopt.schedule.moment import Moment
+from trajopt.schedule.moment import Target
 from trajopt.schedule.placing import landing_place
 from trajopt.schedule.schedule import Motion, Schedule
-from trajopt.schedule.targets import Target
 from trajopt.terms.interfaces import Term
 from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.swing_profile import smooth_step, swing_profile
+from trajopt.terrain.swing_paths import smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
 
 # Height of swings over the robot's length, more than terms usually require.
@@ -73,20 +72,15 @@ def default_guess(
 
 
 def _goals(schedule: Schedule, ends: Sequence[float], terms: Sequence[Term]) -> dict[float, list[Target]]:
-    """Goals of the terms by their nominal times, s."""
     goals: dict[float, list[Target]] = {}
     for target in (target for term in terms for target in term.targets()):
-        time = _nominal(schedule, ends, target.at)
+        time = ends[-1]
+        if target.at.phase is not None:
+            index = schedule.names.index(target.at.phase)
+            time = ends[index] - (1.0 - target.at.fraction) * schedule.phases[index].duration
         same = next((known for known in goals if abs(known - time) <= SAME_TIME * ends[-1]), time)
         goals.setdefault(same, []).append(target)
     return goals
-
-
-def _nominal(schedule: Schedule, ends: Sequence[float], moment: Moment) -> float:
-    if moment.phase is None:
-        return ends[-1]
-    index = schedule.names.index(moment.phase)
-    return ends[index] - (1.0 - moment.fraction) * schedule.phases[index].duration
 
 
 @dataclass(frozen=True)
@@ -113,8 +107,7 @@ class _Guess:
         q = next((np.array(target.q) for target in targets if target.q is not None), None)
         if q is None:
             q = self._reaching(time, targets)
-        knots = self.knots if time > 0 else ()
-        return replace(self, knots=(*knots, (time, q)))
+        return replace(self, knots=(*(self.knots if time > 0 else ()), (time, q)))
 
     def _reaching(self, time: float, targets: Sequence[Target]) -> np.ndarray:
         """Posture (nq,) with frames at their goals, and contacts of that time where they stand.
@@ -173,7 +166,6 @@ class _Guess:
         return min(int(np.searchsorted(self.ends, t, side="right")), len(self.ends) - 1)
 
     def _hop(self, t: float) -> float:
-        """Height of the parabola of a phase without contacts, m."""
         index = self._phase_at(t)
         phase = self.schedule.phases[index]
         if phase.contacts or self.robot.base == "fixed":

@@ -29,8 +29,7 @@ from trajopt.robot.mirror import TWIST, find_mirror, mirrored_rows, paired_conta
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Rows
-from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
+from trajopt.terms.interfaces import AtMoment, NodeConstraint, NodePlace, Rows
 
 if TYPE_CHECKING:
     from trajopt.schedule.schedule import Schedule
@@ -123,7 +122,11 @@ def closing_map(robot: Robot, periodicity: Periodicity, initial_q: np.ndarray) -
     origin = coordinates.node_from_pinocchio(initial_q, np.zeros(robot.nv))
     n4 = 4 * coordinates.n_rotations
     fixed = np.zeros(len(additive))
-    moved = _translated(robot, len(additive))
+    moved = np.zeros((len(additive), 3))  # change of the additive positions per translation
+    if robot.base == "planar":
+        moved[[0, 1], [0, 2]] = 1.0
+    elif robot.base != "fixed":
+        moved[:3] = np.eye(3)
     if robot.base == "freeflyer":
         fixed[:3] = (np.eye(3) - positions[:3, :3]) @ origin[n4 : n4 + 3]
     left_rotation, right_rotation = _rotation_rows(origin[:n4], periodicity)
@@ -147,16 +150,6 @@ def _require_base(robot: Robot, rotations: int, periodicity: Periodicity) -> Non
         )
 
 
-def _translated(robot: Robot, n: int) -> np.ndarray:
-    """Change of the additive positions (n, 3) per world translation (3,)."""
-    moved = np.zeros((n, 3))
-    if robot.base == "planar":
-        moved[[0, 1], [0, 2]] = 1.0
-    elif robot.base != "fixed":
-        moved[:3] = np.eye(3)
-    return moved
-
-
 def _rotation_rows(origin: np.ndarray, periodicity: Periodicity) -> tuple[np.ndarray, np.ndarray]:
     """Rows (3 each, 4 each) on final and initial quaternions: vector parts relative to the start's."""
     if not len(origin):
@@ -164,13 +157,10 @@ def _rotation_rows(origin: np.ndarray, periodicity: Periodicity) -> tuple[np.nda
     half = periodicity.turn / 2
     turn = np.array([0.0, 0.0, math.sin(half), math.cos(half)])
     image = origin * np.array([-1.0, 1.0, -1.0, 1.0]) if periodicity.mirror else origin
-    final = _left_product(_conjugate(_left_product(turn) @ image))[:3]
-    initial = _left_product(_conjugate(origin))[:3]
+    conjugate = np.array([-1.0, -1.0, -1.0, 1.0])
+    final = _left_product(conjugate * (_left_product(turn) @ image))[:3]
+    initial = _left_product(conjugate * origin)[:3]
     return final, TWIST[3:, None] * initial if periodicity.mirror else initial
-
-
-def _conjugate(quaternion: np.ndarray) -> np.ndarray:
-    return quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 def _left_product(quaternion: np.ndarray) -> np.ndarray:

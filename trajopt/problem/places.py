@@ -16,9 +16,8 @@ from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.reach import LinkPoint, longest_between
 from trajopt.robot.robot import Robot
 from trajopt.robot.validation import require_configuration
-from trajopt.schedule.moment import Moment
+from trajopt.schedule.moment import Moment, Target
 from trajopt.schedule.schedule import Schedule
-from trajopt.schedule.targets import Target
 from trajopt.terms.frames import FrameHeight
 from trajopt.terms.interfaces import PointConstraint, Term
 from trajopt.terms.terminal import TerminalState
@@ -39,11 +38,8 @@ _Goal = tuple[str, Target]  # the name of its term, and the target
 class Stances:
     """Where the contacts of a schedule stand.
 
-    Args:
-        robot: the robot.
-        schedule: its contacts over time.
-        grounds: by phase, what each active contact touches; nothing for a model that holds no contacts.
-        places: by phase, the positions (3,) m of the contacts that are known before solving.
+    ``grounds`` by phase: what each active contact touches; nothing for a model that holds no contacts.
+    ``places`` by phase: the positions (3,) m of the contacts that are known before solving.
     """
 
     robot: Robot
@@ -68,13 +64,8 @@ def require_places(
 ) -> None:
     """Raise `InputError` for a start, a foothold or a goal that no motion can have.
 
+    ``start`` (nq,) is None where it is free; ``rows`` are constraints at collocation points, with the limits.
     `trajopt.problem.bodies` judges whether bodies are clear there.
-
-    Args:
-        stances: where contacts stand.
-        start: configuration (nq,); None where it is free.
-        terms: of the problem.
-        rows: constraints at collocation points, with the limits.
     """
     require_footholds(stances)
     require_apart(stances)

@@ -11,18 +11,17 @@ import numpy as np
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError
-from trajopt.problem.acting_terms import require_acting
 from trajopt.problem.guessing import default_guess
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.problem.places import Stances, require_places
 from trajopt.problem.validation import (
     checked_duration_bounds,
     checked_vector,
+    require_acting,
     require_actuation,
     require_modes,
     require_no_impacts,
     require_payloads,
-    require_periodic,
     require_phases,
     require_start,
     require_terms,
@@ -32,17 +31,22 @@ from trajopt.robot.payload import Payload, loaded
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
-from trajopt.schedule.moment import start_of
+from trajopt.schedule.moment import Target, start_of
 from trajopt.schedule.placing import footholds_at, require_standing
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms.context_symbols import Actuation
-from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity
-from trajopt.terms.interfaces import Cost, PointConstraint, Term
+from trajopt.terms.costs import NodeCost
+from trajopt.terms.dynamics import (
+    BaseDynamics,
+    ContactAcceleration,
+    ContactVelocity,
+    SlidingFriction,
+    require_sliding,
+    sliding_surfaces,
+)
+from trajopt.terms.interfaces import Cost, NodeConstraint, PointConstraint, Term
 from trajopt.terms.landing import ContactLanding
 from trajopt.terms.moments import MomentConstraint
-from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint
-from trajopt.terms.sliding import SlidingFriction, require_sliding, sliding_surfaces
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.terrain import Ground, Terrain
 
@@ -122,7 +126,9 @@ class Problem:
         require_sliding(robot, schedule, self.actuation, tuple(self.modes))
         require_standing(robot, schedule, self.terrain, self._starts)
         if self.periodicity is not None:
-            require_periodic(self.name, bool(self.modes), self.actuation)
+            if self.modes or self.actuation == "velocity":
+                what = "modes" if self.modes else "a velocity source"
+                raise InputError(f"the periodic problem '{self.name}' has {what}", "allowed: neither")
             closing_map(robot, self.periodicity, self.initial_q)
             landing_at_start(robot, schedule, self.periodicity)
         whole = () if self.dynamics is not None else schedule.names
@@ -262,6 +268,17 @@ class Problem:
     def moment_constraints(self) -> tuple[MomentConstraint, ...]:
         """Constraints at chosen moments of phases."""
         return tuple(t for t in self.terms if isinstance(t, MomentConstraint) and len(t.fractions))
+
+    @property
+    def goals(self) -> list[Target]:
+        """Goals as solutions record them: the terms' targets, then footholds, places of contact frames."""
+        targets = [target for term in self.terms for target in term.targets()]
+        for phase in self.schedule.phases:
+            for name in phase.footholds:
+                contact = self.robot.contact(name)
+                place = phase.centre(contact, self.terrain)
+                targets.append(Target(frame=contact.frame, position=place, at=start_of(phase.name)))
+        return targets
 
     @property
     def free_directions(self) -> tuple[int, ...]:

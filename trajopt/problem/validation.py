@@ -1,9 +1,12 @@
-"""Validation of problems: parts that do not fit each other, and starts that are no state of the robot."""
+"""Validation of problems: parts that do not fit, starts that are no state, terms that cannot act."""
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +18,11 @@ from trajopt.robot.payload import Payload
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
+from trajopt.schedule.moment import Moment
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context_symbols import ACTUATIONS
-from trajopt.terms.interfaces import PointConstraint, Term
+from trajopt.terms.costs import NodeCost
+from trajopt.terms.interfaces import DuringPhases, NodeConstraint, NodePlace, PointConstraint, Term, nodes_of
 from trajopt.terms.limits import PositionLimits
 
 # A start may exceed a limit by what a check allows: this fraction of it, at least this much, rad, m, rad/s,
@@ -25,6 +30,21 @@ from trajopt.terms.limits import PositionLimits
 LIMIT_SLACK = 1e-6
 # The foothold of a phase and the anchor of its mode agree to rounding, m.
 SAME_PLACE = 1e-9
+# Fields of terms that hold names, and what they name.
+NAMES = {
+    "phase": "phase",
+    "at": "phase",
+    "during": "phase",
+    "contact": "contact",
+    "contacts": "contact",
+    "over": "contact",
+    "frame": "frame",
+    "frames": "frame",
+}
+# Intervals of a phase in which a term at nodes is looked for: more than any mesh that is of use.
+INTERVALS = 200
+# A name that no phase has.
+NO_PHASE = "\0"
 
 
 def checked_vector(what: str, values: np.ndarray, size: int) -> np.ndarray:
@@ -92,13 +112,8 @@ def require_modes(
 ) -> None:
     """Raise `InputError` for a mode whose robot or place is not its phase's, or that the start contradicts.
 
-    Args:
-        problem: its name.
-        robot: of the problem.
-        schedule: of the problem.
-        modes: minimal coordinates, by the phase's name.
-        start: configuration (nq,) and velocity (nv,).
-        contact_place: contact and index of a phase -> where it stands in the world (3,), m, None if unknown.
+    ``modes`` by the phase's name; ``contact_place``: contact and index of a phase -> where it stands in the
+    world (3,), m, None if unknown.
     """
     for name, mode in modes.items():
         require_phase(schedule, name, "a mode is given for")
@@ -130,19 +145,10 @@ def require_modes(
 
 def require_no_impacts(schedule: Schedule) -> None:
     """Raise `InputError` for a phase that begins with an impact, if the dynamics hold no contacts."""
-    for phase in schedule.phases:
-        if phase.impact:
-            raise InputError(
-                f"phase '{phase.name}' begins with an impact, but the dynamics hold no contacts",
-                "allowed: impact=False for a reduced model",
-            )
-
-
-def require_periodic(problem: str, has_modes: bool, actuation: str) -> None:
-    """Raise `InputError` for a periodic problem in minimal coordinates or of a velocity source."""
-    if has_modes or actuation == "velocity":
-        what = "modes" if has_modes else "a velocity source"
-        raise InputError(f"the periodic problem '{problem}' has {what}", "allowed: neither")
+    impact = next((phase.name for phase in schedule.phases if phase.impact), None)
+    if impact is not None:
+        what = f"phase '{impact}' begins with an impact, but the dynamics hold no contacts"
+        raise InputError(what, "allowed: impact=False for a reduced model")
 
 
 def require_payloads(
@@ -189,12 +195,7 @@ def require_start(
 ) -> None:
     """Raise `InputError` for a start that is not a configuration, or beyond limits that the problem imposes.
 
-    Args:
-        problem: its name.
-        robot: of the problem.
-        q: configuration at the start (nq,).
-        v: velocity at the start (nv,).
-        rows: constraints of the first phase; none for a free start, whose limits are rows of the problem.
+    ``rows``: constraints of the first phase; none for a free start, whose limits are rows of the problem.
     """
     require_configuration(robot.model, q, f"initial_q of problem '{problem}'")
     margin = gimbal_margin(robot.model, q)
@@ -217,7 +218,13 @@ def require_limits(
     for term in rows:
         what = where, term.name
         if isinstance(term, PositionLimits):
-            _require_joint_range(robot, what, q)
+            # All limits of the robot, including those so wide that no rows impose them.
+            given = np.array([q, robot.position_lower, robot.position_upper])
+            every = np.full((3, robot.nv), np.nan)
+            for joint in coordinates.joints:
+                if joint.kind == "plain" and joint.v.start >= robot.n_unactuated:
+                    every[:, joint.v] = given[:, joint.q]
+            _require_within(robot, (*what, "is at"), every[0], (every[1], every[2]))
         bounds = term.node_bounds(robot)
         if bounds is not None:
             _require_within(robot, (*what, "is at"), positions, bounds[:2])
@@ -238,11 +245,83 @@ def _require_within(
         )
 
 
-def _require_joint_range(robot: Robot, what: tuple[str, str], q: np.ndarray) -> None:
-    """All limits of the robot, including those so wide that no rows impose them."""
-    rows = np.full((3, robot.nv), np.nan)
-    for joint in Coordinates(robot.model).joints:
-        if joint.kind == "plain" and joint.v.start >= robot.n_unactuated:
-            for row, values in zip(rows, (q, robot.position_lower, robot.position_upper), strict=True):
-                row[joint.v] = values[joint.q]
-    _require_within(robot, (*what, "is at"), rows[0], (rows[1], rows[2]))
+def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> None:
+    """Raise `InputError` for a term that cannot act, or that has an argument it does not use.
+
+    The check needs only fields (``at``, ``during``, ``contacts`` ...), ``acts_at`` and `Term.idle`, so it
+    applies to terms of users too.
+    """
+    known = {
+        "phase": schedule.names,
+        "contact": tuple(contact.name for contact in robot.contacts),
+        "frame": tuple(str(frame.name) for frame in robot.model.frames),
+    }
+    for term in terms:
+        _require_names(term, known, schedule)
+        if isinstance(term, NodeConstraint | NodeCost):
+            _require_nodes(term, schedule)
+        reason = term.idle(robot, schedule)
+        if reason:
+            raise InputError(f"{term.name} cannot act: {reason}", "allowed: terms that act")
+
+
+def _require_names(term: Term, known: Mapping[str, tuple[str, ...]], schedule: Schedule) -> None:
+    """Names in the fields of a term are among those ``known`` of their kind."""
+    during = getattr(term, "during", None)
+    if during is not None and not during:
+        what = f"during of {term.name}: {during!r}"
+        raise InputError(what, "allowed: the name of a phase, names of several, or None for all")
+    for field in fields(term):
+        kind = NAMES.get(field.name, "")
+        for name in _names(getattr(term, field.name)) if kind else ():
+            if name not in known[kind]:
+                what = f"{term.name} names {kind} '{name}', which does not exist"
+                raise not_among(known[kind], name, what)
+            if kind == "contact":
+                _require_active(term, name, schedule)
+
+
+def _names(value: object) -> tuple[str, ...]:
+    if isinstance(value, Moment):
+        value = value.phase
+    if isinstance(value, str):
+        return (value,)
+    return tuple(value) if isinstance(value, list | tuple) else ()
+
+
+def _require_active(term: Term, contact: str, schedule: Schedule) -> None:
+    """A contact of a term is active in some phase; of a term on forces, in a phase in which the term acts."""
+    where = [phase.name for phase in schedule.phases if contact in phase.contacts]
+    if not any(term.acts_in(name) or not term.acts_on_forces for name in where):
+        phases = "no phase" if term.phases is None else f"none of the phases {', '.join(term.phases)}"
+        active = f"it is active in {', '.join(where)}" if where else "allowed: contacts of the schedule"
+        raise InputError(f"{term.name} is about contact '{contact}', which is active in {phases}", active)
+
+
+def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
+    """A term at nodes acts at one at least, in each phase that it names, and ``during`` has an effect."""
+    if not isinstance(term, DuringPhases) or term.phases is None:
+        if not term.made_for_schedule and not any(term.acts_at(place) for place in _places(schedule)):
+            raise InputError(f"{term.name} acts at no node of any phase", "allowed: terms that act")
+        return
+    anywhere: Any = copy.copy(term)
+    object.__setattr__(anywhere, "during", None)
+    places = (*_places(schedule), *_places(schedule, name=NO_PHASE))
+    if all(term.acts_at(place) == anywhere.acts_at(place) for place in places):
+        what = f"during of {term.name}: {term.during!r}, which this term does not use"
+        raise InputError(what, "allowed: leave it out")
+    for name in term.phases:
+        if not any(term.acts_at(place) for place in _places(schedule) if place.phase.name == name):
+            raise InputError(
+                f"{term.name} acts at no node of phase '{name}'", "allowed: phases where it acts"
+            )
+
+
+def _places(schedule: Schedule, name: str = "") -> Iterator[NodePlace]:
+    """Nodes of a fine mesh, in phases renamed to ``name``."""
+    fractions = tuple(k / INTERVALS for k in range(INTERVALS + 1))
+    phases = [copy.copy(phase) for phase in schedule.phases]
+    for phase in phases:
+        object.__setattr__(phase, "name", name or phase.name)
+    for index in range(len(phases)):
+        yield from nodes_of(phases, index, fractions)

@@ -28,9 +28,8 @@ from scipy import sparse
 from scipy.linalg import expm
 
 from trajopt.errors import InputError, require_positive
-from trajopt.reduced.com_planning import ComMotion, CubicMotion
 from trajopt.reduced.footsteps import FootstepPlan, support_vertices
-from trajopt.reduced.lip import Pendulum, PendulumMotion
+from trajopt.reduced.lip import ComMotion, CubicMotion, Pendulum, PendulumMotion
 from trajopt.robot.robot import Robot
 
 PendulumInput = Literal["zmp_rate", "jerk"]

@@ -82,7 +82,11 @@ def rigid_body(robot: Robot) -> RigidBody:
         if chain:
             hip = data.oMi[chain[0]].translation.copy()
             hips[contact.name] = base.actInv(hip)
-            legs[contact.name] = _reach(robot, contact.frame, hip)
+            foot = frame_pose(robot, robot.reference, contact.frame).translation
+            towards = {contact.frame: hip + BEYOND * (foot - hip)}
+            straight = inverse_kinematics(robot, robot.reference, towards).q
+            reach = frame_pose(robot, straight, contact.frame).translation - hip
+            legs[contact.name] = float(np.linalg.norm(reach))
     return RigidBody(
         mass=float(data.Ig.mass),
         lever=base.actInv(data.com[0]),
@@ -90,13 +94,6 @@ def rigid_body(robot: Robot) -> RigidBody:
         hips=hips,
         legs=legs,
     )
-
-
-def _reach(robot: Robot, frame: str, hip: np.ndarray) -> float:
-    """Distance (m) from the hip to the frame of the leg straightened towards where the frame is."""
-    far = hip + BEYOND * (frame_pose(robot, robot.reference, frame).translation - hip)
-    straight = inverse_kinematics(robot, robot.reference, {frame: far}).q
-    return float(np.linalg.norm(frame_pose(robot, straight, frame).translation - hip))
 
 
 def body_robot(robot: Robot) -> Robot:
@@ -253,7 +250,6 @@ def body_problem(
 
 
 def _kept(problem: Problem, robot: Robot) -> list[Term]:
-    """The terms that apply to one body."""
     terms: list[Term] = []
     for term in problem.terms:
         if isinstance(term, KEPT) or (isinstance(term, FrameHeight) and robot.model.existFrame(term.frame)):

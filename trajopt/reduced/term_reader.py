@@ -19,9 +19,8 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import Place
-from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term
-from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace, nodes_of
+from trajopt.terms.costs import NodeCost
+from trajopt.terms.interfaces import Cost, NodeConstraint, NodePlace, PointConstraint, Rows, Term, nodes_of
 from trajopt.transcription.mesh import equal_fractions
 from trajopt.transcription.robot_layers import robot_layers
 
@@ -61,14 +60,10 @@ class TermInstance:
     def rates(self) -> np.ndarray:
         """Which coordinates, rates or accelerations (nv,) the term uses directly."""
         context, nv = self.context, self.context.coordinates.nv
-        second = self._second()
-        return np.array(
-            [self.uses(ca.vertcat(context.xi[i], context.rates[i], second[i])) for i in range(nv)]
-        )
-
-    def _second(self) -> ca.SX:
-        order = self.context.actuation != "velocity" and self.context.place is Place.POINT
-        return self.context.ddxi if order else ca.SX.zeros(self.context.coordinates.nv)
+        accelerates = context.actuation != "velocity" and context.place is Place.POINT
+        second = context.ddxi if accelerates else ca.SX.zeros(nv)
+        used = [self.uses(ca.vertcat(context.xi[i], context.rates[i], second[i])) for i in range(nv)]
+        return np.array(used)
 
     @property
     def uses_dynamics(self) -> bool:
@@ -108,23 +103,11 @@ class TermReader:
         self.time_scales = problem.schedule.time_scales
         self.n_time_scales = sum(index is not None for index in self.time_scales)
 
-    def _context(self, phase: int, place: Place) -> Context:
-        """A fresh context of the whole robot in a phase."""
-        robot, where = self.problem.robot, self.problem.schedule.phases[phase]
-        active = () if place is Place.NODE else tuple(robot.contact(name) for name in where.contacts)
-        return Context(
-            robot,
-            self.coordinates,
-            active,
-            place=place,
-            time_scales=(self.n_time_scales, self.time_scales[phase]),
-            actuation=self.problem.actuation,
-            surfaces=self.problem.surfaces_of(phase),
-        )
-
     def every(self) -> Iterator[TermInstance]:
         """Every term where it acts, without the rows of the motion itself."""
         terms = [term for term in self.problem.terms if isinstance(term, Cost | PointConstraint)]
+        at_nodes: list[NodeConstraint | NodeCost] = list(self.problem.node_constraints)
+        at_nodes += self.problem.node_costs
         for phase, where in enumerate(self.problem.schedule.phases):
             for term in terms:
                 if not term.acts_in(where.name):
@@ -133,32 +116,30 @@ class TermReader:
                     yield self._instance(term, phase, Place.POINT)
                 if term.acts_at_impacts and where.impact:
                     yield self._instance(term, phase, Place.IMPACT)
-            yield from self._at_nodes(phase)
-
-    def _at_nodes(self, phase: int) -> Iterator[TermInstance]:
-        """Node constraints and costs in a phase, at those of some nodes where they act."""
-        terms: tuple[NodeConstraint | NodeCost, ...] = (
-            *self.problem.node_constraints,
-            *self.problem.node_costs,
-        )
-        for node in nodes_of(self.problem.schedule.phases, phase, equal_fractions(NODE_INTERVALS)):
-            for term in terms:
-                if term.acts_at(node):
-                    yield self._instance(term, phase, Place.NODE, node)
+            for node in nodes_of(self.problem.schedule.phases, phase, equal_fractions(NODE_INTERVALS)):
+                for acting in at_nodes:
+                    if acting.acts_at(node):
+                        yield self._instance(acting, phase, Place.NODE, node)
 
     def _instance(self, term: Any, phase: int, place: Place, node: NodePlace | None = None) -> TermInstance:
-        context = self._context(phase, place)
+        robot, where = self.problem.robot, self.problem.schedule.phases[phase]
+        context = Context(
+            robot,
+            self.coordinates,
+            () if place is Place.NODE else tuple(robot.contact(name) for name in where.contacts),
+            place=place,
+            time_scales=(self.n_time_scales, self.time_scales[phase]),
+            actuation=self.problem.actuation,
+            surfaces=self.problem.surfaces_of(phase),
+        )
         units = self.units.impulsive() if place is Place.IMPACT else self.units
         arguments = (context, units) if node is None else (context, units, node)
         if isinstance(term, Cost | NodeCost):
             value = term.value(*arguments)
-            return TermInstance(term, phase, context, node, value, times=self._times(phase))
+            durations = [each.duration for each in self.problem.schedule.phases]
+            parts = [i / NODE_INTERVALS * durations[phase] for i in range(NODE_INTERVALS + 1)]
+            times = tuple(sum(durations[:phase]) + part for part in parts)
+            return TermInstance(term, phase, context, node, value, times=times)
         rows = term.rows(*arguments)
         expression = ca.SX(0, 1) if rows is None else ca.SX(rows.expression) / ca.DM(rows.unit)
         return TermInstance(term, phase, context, node, expression, rows)
-
-    def _times(self, phase: int) -> tuple[float, ...]:
-        """Nominal times in a phase at which costs are read, s: its ends, and some between."""
-        durations = [where.duration for where in self.problem.schedule.phases]
-        start = sum(durations[:phase])
-        return tuple(start + i / NODE_INTERVALS * durations[phase] for i in range(NODE_INTERVALS + 1))

@@ -40,10 +40,9 @@ ROUNDING = 1e-6
 
 def torque_terms(problem: Problem) -> list[Term]:
     """Return the terms that depend on joint torques at collocation points, in the problem's order."""
-    reader = TermReader(problem)
     users = {
         id(instance.term)
-        for instance in reader.every()
+        for instance in TermReader(problem).every()
         if instance.context.place is Place.POINT and instance.uses_torques
     }
     return [term for term in problem.terms if id(term) in users]
@@ -67,18 +66,13 @@ def base_rows_problem(problem: Problem, *, replacement: tuple[Cost, ...] | None 
     dropped = torque_terms(problem)
     kept = tuple(term for term in problem.terms if not any(term is other for other in dropped))
     if replacement is None:
-        replacement = _replacement(problem.robot, kept, dropped)
+        share = standing_share(problem.robot)
+        torques = [term for term in dropped if isinstance(term, TorqueCost)] if share > 0 else []
+        replacement = tuple(WrenchCost(weight=share * term.weight, during=term.during) for term in torques)
+        if dropped and not any(isinstance(term, AccelerationCost) for term in kept):
+            weight = max((term.weight for term in dropped if isinstance(term, Cost)), default=1.0)
+            replacement += (AccelerationCost(weight=LEAST_ACCELERATION_SHARE * weight),)
     return replace(problem, name=f"{problem.name}-base", terms=(*kept, *replacement))
-
-
-def _replacement(robot: Robot, kept: tuple[Term, ...], dropped: list[Term]) -> tuple[Cost, ...]:
-    share = standing_share(robot)
-    torques = [term for term in dropped if isinstance(term, TorqueCost)] if share > 0 else []
-    costs: list[Cost] = [WrenchCost(weight=share * term.weight, during=term.during) for term in torques]
-    if dropped and not any(isinstance(term, AccelerationCost) for term in kept):
-        weight = max((term.weight for term in dropped if isinstance(term, Cost)), default=1.0)
-        costs.append(AccelerationCost(weight=LEAST_ACCELERATION_SHARE * weight))
-    return tuple(costs)
 
 
 def standing_share(robot: Robot) -> float:
@@ -219,7 +213,8 @@ def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, T
     base = np.abs(forces[solution.collocation, : robot.n_unactuated])
     bounds = torque_bounds(problem, solution.v)
     excess = np.maximum(torque - bounds.upper, bounds.lower - torque) / bounds.scale
-    names = _row_names(robot)
+    moved = [joint for joint in list(robot.model.joints)[1:] if joint.idx_v >= robot.n_unactuated]
+    names = [robot.model.names[joint.id] for joint in moved for _ in range(joint.nv)]
     joints = tuple(_joint(solution, names[row], torque[:, row], excess[:, row]) for row in range(robot.nu))
     between = excess[~solution.collocation]
     return torque, TorqueReport(
@@ -240,9 +235,3 @@ def _joint(solution: Solution, name: str, torque: np.ndarray, excess: np.ndarray
         phase=str(solution.description.phase_names[solution.phase[at]]),
         share_beyond=float(np.mean(excess[points] > ROUNDING)),
     )
-
-
-def _row_names(robot: Robot) -> list[str]:
-    """Joint of every actuated row."""
-    joints = [joint for joint in list(robot.model.joints)[1:] if joint.idx_v >= robot.n_unactuated]
-    return [robot.model.names[joint.id] for joint in joints for _ in range(joint.nv)]

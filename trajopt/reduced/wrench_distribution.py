@@ -120,12 +120,6 @@ class _Rows:
         return np.asarray(values).ravel(), np.asarray(ca.densify(jacobian))
 
 
-def _as_pyramid(term: PointConstraint) -> PointConstraint:
-    if isinstance(term, FrictionCone):
-        return FrictionPyramid(friction=term.friction, contacts=term.contacts, during=term.during)
-    return term
-
-
 class _Phase:
     """Contact terms of one phase, and the quadratic program of its points."""
 
@@ -144,7 +138,13 @@ class _Phase:
         coordinates, surfaces = Coordinates(self.robot.model), problem.surfaces_of(index)
         contexts = [Context(self.robot, coordinates, self.contacts, surfaces=surfaces) for _ in range(2)]
         self.exact = _Rows.of(terms, contexts[0], self.units)
-        self.affine = _Rows.of([_as_pyramid(term) for term in terms], contexts[1], self.units)
+        inscribed = [
+            FrictionPyramid(friction=term.friction, contacts=term.contacts, during=term.during)
+            if isinstance(term, FrictionCone)
+            else term
+            for term in terms
+        ]
+        self.affine = _Rows.of(inscribed, contexts[1], self.units)
         self.frames = [list(context.frames) for context in contexts]
 
     def share(

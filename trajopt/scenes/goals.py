@@ -85,10 +85,13 @@ def scene(
     for phase in schedule.phases:
         for contact in phase.contacts:
             robot.contact(contact)
-    targets = _targets(robot, goals)
-    posture = _posture(robot, goals)
+    goal_terms, posture = _goals(robot, goals)
     if posture is not None:
         schedule = _landing_on(robot, schedule, ground, posture)
+    if costs is None:
+        forces = [WrenchCost(weight=1e-2)] if any(phase.contacts for phase in schedule.phases) else []
+        smooth = [AccelerationCost(weight=1e-2), VelocityCost(weight=1e-2), PostureCost(weight=1e-1, q=first)]
+        costs = (TorqueCost(weight=1.0), *forces, *smooth)
     problem = Problem(
         name=name,
         robot=robot,
@@ -97,9 +100,9 @@ def scene(
         initial_q=first,
         initial_v=rates,
         terms=(
-            *(_costs(schedule, first) if costs is None else costs),
+            *costs,
             *_limits(robot, schedule, ground),
-            *_goals(targets, posture),
+            *goal_terms,
             *([TerminalRest()] if rest else []),
             *terms,
         ),
@@ -109,16 +112,25 @@ def scene(
     return smallest(problem, keep=keep, plane=plane)
 
 
-def _targets(robot: Robot, goals: Goals | None) -> dict[str, pin.SE3 | np.ndarray]:
-    """Poses and positions of frames, checked; empty for a configuration, or without goals."""
+def _goals(robot: Robot, goals: Goals | None) -> tuple[list[Term], np.ndarray | None]:
+    """Terms of the goals, and the configuration (nq,) if they are one."""
+    if goals is None:
+        return [], None
     if not isinstance(goals, Mapping):
-        return {}
-    targets: dict[str, pin.SE3 | np.ndarray] = {}
+        q = np.array(goals, dtype=float)
+        if q.shape != (robot.nq,) or not np.isfinite(q).all():
+            allowed = f"({robot.nq},), finite; or frames by name"
+            raise InputError(f"goal configuration has shape {q.shape}", allowed)
+        return [TerminalState(q=q)], q
+    terms: list[Term] = []
     for frame, goal in goals.items():
         require_frame(robot.model, frame, "a goal")
-        what, unit = f"goal of frame '{frame}'", "m, or a pin.SE3"
-        targets[frame] = goal if isinstance(goal, pin.SE3) else finite_array(what, goal, unit=unit)
-    return targets
+        if isinstance(goal, pin.SE3):
+            terms.append(FramePose(frame=frame, position=goal.translation, rotation=goal.rotation))
+        else:
+            position = finite_array(f"goal of frame '{frame}'", goal, unit="m, or a pin.SE3")
+            terms.append(FramePose(frame=frame, position=position))
+    return terms, None
 
 
 def _landing_on(robot: Robot, schedule: Schedule, ground: FlatGround, posture: np.ndarray) -> Schedule:
@@ -137,23 +149,6 @@ def _landing_on(robot: Robot, schedule: Schedule, ground: FlatGround, posture: n
     return Schedule(tuple(phases))
 
 
-def _posture(robot: Robot, goals: Goals | None) -> np.ndarray | None:
-    if goals is None or isinstance(goals, Mapping):
-        return None
-    q = np.array(goals, dtype=float)
-    if q.shape != (robot.nq,) or not np.isfinite(q).all():
-        raise InputError(
-            f"goal configuration has shape {q.shape}", f"({robot.nq},), finite; or frames by name"
-        )
-    return q
-
-
-def _costs(schedule: Schedule, start: np.ndarray) -> tuple[Term, ...]:
-    forces = [WrenchCost(weight=1e-2)] if any(phase.contacts for phase in schedule.phases) else []
-    smooth = [AccelerationCost(weight=1e-2), VelocityCost(weight=1e-2), PostureCost(weight=1e-1, q=start)]
-    return (TorqueCost(weight=1.0), *forces, *smooth)
-
-
 def _limits(robot: Robot, schedule: Schedule, ground: FlatGround) -> tuple[Term, ...]:
     torque: Term = DriveLimits() if any(drive is not None for drive in robot.drives or ()) else TorqueLimits()
     limits: list[Term] = [torque, PositionLimits(), VelocityLimits()]
@@ -166,14 +161,3 @@ def _limits(robot: Robot, schedule: Schedule, ground: FlatGround) -> tuple[Term,
     if any(not set(phase.contacts) >= {c.name for c in active} for phase in schedule.phases):
         limits.append(SwingClearance(height=CLEARANCE * robot.length, terrain=ground))
     return tuple(limits)
-
-
-def _goals(targets: Mapping[str, pin.SE3 | np.ndarray], posture: np.ndarray | None) -> tuple[Term, ...]:
-    if posture is not None:
-        return (TerminalState(q=posture),)
-    return tuple(
-        FramePose(frame=frame, position=goal.translation, rotation=goal.rotation)
-        if isinstance(goal, pin.SE3)
-        else FramePose(frame=frame, position=goal)
-        for frame, goal in targets.items()
-    )

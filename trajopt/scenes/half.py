@@ -38,7 +38,11 @@ def half_robot(robot: Robot, mirror: Mirror, images: Sequence[int], q: np.ndarra
     ``q`` (nq,) is the start: a mirror image of itself, heading along the world's x.
     """
     kept = keepers(robot, mirror, q)
-    joints = {robot.model.names[j]: _follower(robot, mirror, kept, j) for j in range(2, robot.model.njoints)}
+    names, joints = robot.model.names, {}
+    for joint, image in list(enumerate(mirror.partner))[2:]:
+        joints[names[joint]] = Follower(names[joint])
+        if joint not in kept:
+            joints[names[joint]] = Follower(names[image], mirror.sign[joint], True)
     contacts = {
         contact.name: _contact_follower(robot, kept, contact, robot.contacts[image])
         for contact, image in zip(robot.contacts, images, strict=True)
@@ -50,12 +54,6 @@ def half_robot(robot: Robot, mirror: Mirror, images: Sequence[int], q: np.ndarra
         whole=robot, small=small, start=q, joints=joints, contacts=contacts, mirrored_frames=mirrored
     )
     return replace(made, small=_finished(made))
-
-
-def _follower(robot: Robot, mirror: Mirror, kept: Sequence[int], joint: int) -> Follower:
-    if joint in kept:
-        return Follower(robot.model.names[joint])
-    return Follower(robot.model.names[mirror.partner[joint]], mirror.sign[joint], True)
 
 
 def _contact_follower(robot: Robot, kept: Sequence[int], contact: Contact, image: Contact) -> Follower:

@@ -23,7 +23,6 @@ from trajopt.terms.costs import (
     WrenchCost,
 )
 from trajopt.terms.drives import DriveLimits, MotorTorqueCost
-from trajopt.terms.interfaces import Term
 from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
@@ -55,11 +54,15 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     for instance in TermReader(problem).every():
         for frame in instance.frames:
             _chain(robot, frame, f"moves frame '{frame}' of {instance.term.name}", needs)
-        for name in _own_joints(problem, instance):
+        for name in _direct_joints(problem, instance):
             needs.setdefault(name, f"is in {instance.term.name}")
     for term in problem.terms:
-        for name in _elsewhere(problem, term):
-            needs.setdefault(name, f"{term.name} wants it elsewhere")
+        if isinstance(term, PostureCost | TerminalState):  # is a joint's posture or goal its start?
+            target = robot.reference if term.q is None else np.asarray(term.q, dtype=float)
+            apart = np.abs(target - problem.initial_q)
+            apart[: BASE_COORDINATES[robot.base]] = 0.0
+            for name in joints_with(robot.model, apart > SAME_PLACE):
+                needs.setdefault(name, f"{term.name} wants it elsewhere")
     for name in keep:
         needs.setdefault(name, KEPT_AS_ASKED)
     return needs
@@ -104,14 +107,13 @@ def _always(problem: Problem) -> Needs:
 
 
 def _chain(robot: Robot, frame: str, reason: str, needs: Needs) -> None:
-    """Joints between the root and a frame."""
     model = robot.model
     for joint in model.supports[model.frames[model.getFrameId(frame)].parentJoint]:
         if joint > 0:
             needs.setdefault(model.names[joint], reason)
 
 
-def _own_joints(problem: Problem, instance: TermInstance) -> list[str]:
+def _direct_joints(problem: Problem, instance: TermInstance) -> list[str]:
     """Joints whose coordinates a term of an unknown kind uses directly."""
     if (
         isinstance(instance.term, (*NO_NEED, PostureCost, TerminalState))
@@ -119,14 +121,3 @@ def _own_joints(problem: Problem, instance: TermInstance) -> list[str]:
     ):
         return []
     return joints_with(problem.robot.model, instance.rates())
-
-
-def _elsewhere(problem: Problem, term: Term) -> list[str]:
-    """Joints behind the base whose posture or goal is not their start."""
-    if not isinstance(term, PostureCost | TerminalState):
-        return []
-    robot = problem.robot
-    target = robot.reference if term.q is None else np.asarray(term.q, dtype=float)
-    apart = np.abs(target - problem.initial_q)
-    apart[: BASE_COORDINATES[robot.base]] = 0.0
-    return joints_with(robot.model, apart > SAME_PLACE)

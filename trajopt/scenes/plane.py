@@ -1,12 +1,14 @@
 """Symmetric tasks in the plane: the half of the robot, and its joints that leave the plane.
 
 A half is found where robot and task are their own mirror images. Where a limb of it moves in the plane
-without the joints that leave it (abduction, mostly), these are locked.
+without the joints that leave it (abduction, mostly), these are locked. Start, contacts and surfaces are
+compared with their images, and every term at random states.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -14,19 +16,31 @@ import pinocchio as pin
 from trajopt.dynamics.rerooting import joints_with
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.reduced.term_reader import TermReader
+from trajopt.reduced.term_reader import TermInstance, TermReader
 from trajopt.robot.building import leaving_plane
-from trajopt.robot.mirror import Mirror, find_mirror, limit_differences, paired_contacts, pairs
+from trajopt.robot.mirror import (
+    REFLECTION,
+    TWIST,
+    Mirror,
+    find_mirror,
+    limit_differences,
+    mirrored_configuration,
+    mirrored_rows,
+    paired_contacts,
+    pairs,
+)
 from trajopt.scenes.half import half_robot, turned_by_mirror
 from trajopt.scenes.reduction import Reduction, lock_joints
 from trajopt.scenes.report import CHOICE, EXACT, Decision
-from trajopt.scenes.task import TASK, Asymmetry, require_symmetric
 from trajopt.scenes.terms import reduced_problem
 from trajopt.scenes.whole_terms import HalfEnd
+from trajopt.schedule.schedule import Phase
+from trajopt.terms.context_symbols import Place
 from trajopt.terms.frames import FrameHeight
 from trajopt.terms.landing import ContactLanding
 from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalState
+from trajopt.terrain.flat import FlatGround
 
 # Largest difference of a robot from its mirror image, over its mass and length: errors of descriptions made
 # by hand from CAD (Solo12 8e-6, Talos 2e-3, A1 1.1e-2), less than masses are usually known to.
@@ -35,6 +49,16 @@ ASYMMETRY = 2e-2
 ROUNDING = 1e-9
 # Terms about frames that constrain nothing across the plane; footholds are checked separately.
 ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)
+# Start, goals and terms may differ from their mirror images by this, in natural units (rad, lengths of the
+# robot): below what joints are calibrated to. Above it a task is asymmetric.
+TASK = 1e-3
+# Torques of mirrored motions may differ by this multiple of the robot's own asymmetry: a mismatch of an
+# inertia enters several rows.
+PASSED_ON = 20.0
+# Rows and costs are compared at this many random states of order one in natural units.
+STATES = 2
+# Rounding error of the base's heading, rad, from the world's x axis.
+HEADING = 1e-6
 
 
 def halve_robot(problem: Problem, keep: Sequence[str]) -> tuple[Reduction, Decision]:
@@ -103,7 +127,6 @@ def in_plane(problem: Problem, keep: Sequence[str]) -> tuple[tuple[str, ...], tu
 
 
 def _across(problem: Problem) -> set[str]:
-    """Joints of limbs for which the task requires motion across the plane."""
     robot, model = problem.robot, problem.robot.model
     data = model.createData()
     pin.framesForwardKinematics(model, data, problem.initial_q)
@@ -124,7 +147,6 @@ def _across(problem: Problem) -> set[str]:
 
 
 def _goals(problem: Problem) -> set[str]:
-    """Joints whose goal differs from their start."""
     joints: set[str] = set()
     for term in problem.terms:
         if isinstance(term, HalfEnd) and isinstance(term.term, TerminalState):
@@ -132,3 +154,156 @@ def _goals(problem: Problem) -> set[str]:
             apart = np.abs(goal - problem.initial_q) > TASK
             joints.update(joints_with(problem.robot.model, apart))
     return joints
+
+
+@dataclass(frozen=True)
+class Asymmetry:
+    """The largest difference between a part of the task and its mirror image, and which part."""
+
+    difference: float
+    where: str
+
+
+def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -> Asymmetry:
+    """Return how far a task is from its mirror image; raises `InputError` that names what is asymmetric.
+
+    ``images`` are those of the contacts. The plane is y = initial_q[1], the heading the world's x.
+    """
+    asymmetries = [_start(problem, mirror)]
+    for phase in problem.schedule.phases:
+        asymmetries.append(_contacts(problem, phase, images))
+    groups: dict[tuple[object, ...], list[TermInstance]] = {}
+    for instance in TermReader(problem).every():
+        place = instance.node.index if instance.node is not None else instance.context.place
+        groups.setdefault((instance.term.name, instance.phase, place), []).append(instance)
+    asymmetries += [_terms(problem, group, mirror, images) for group in groups.values()]
+    return max(asymmetries, key=lambda entry: entry.difference)
+
+
+def _refuse(what: str, difference: float) -> InputError:
+    return InputError(f"{what} is not its own mirror image: off by {difference:.2g}", "a symmetric task")
+
+
+def _start(problem: Problem, mirror: Mirror) -> Asymmetry:
+    robot, q = problem.robot, problem.initial_q
+    rotation = pin.Quaternion(*q[[6, 3, 4, 5]]).toRotationMatrix()
+    if not rotation[1, 1] > 1 - HEADING**2:
+        raise InputError("the base does not head along the world's x axis, level", "roll and yaw zero")
+    image = mirrored_configuration(robot, mirror, q, float(q[1]))
+    apart = float(np.abs(pin.difference(robot.model, q, image)).max())
+    index, sign = mirrored_rows(robot, mirror)
+    moving = float(np.abs(problem.initial_v - sign * problem.initial_v[index]).max())
+    if not max(apart, moving) <= TASK:
+        raise _refuse("the start", max(apart, moving))
+    return Asymmetry(max(apart, moving), "the start")
+
+
+def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Asymmetry:
+    """Contacts of a phase in pairs, each on the mirror image of the other's surface."""
+    if phase.patches or not isinstance(problem.terrain, FlatGround):
+        raise InputError(
+            f"phase '{phase.name}' has patches, or its ground is not one plane",
+            "footholds and planes, whose mirror images are compared",
+        )
+    robot, y0, worst = problem.robot, float(problem.initial_q[1]), 0.0
+    names = [contact.name for contact in robot.contacts]
+    for name in phase.contacts:
+        image = names[images[names.index(name)]]
+        if image not in phase.contacts:
+            raise InputError(
+                f"contact '{name}' of phase '{phase.name}' has no mirror image '{image}' there",
+                "contacts in pairs",
+            )
+        surface, other = (
+            phase.surface(entry, problem.terrain).plane_at(problem.initial_q[:3]) for entry in (name, image)
+        )
+        point = REFLECTION * surface.point + np.array([0.0, 2 * y0, 0.0])
+        apart = [
+            float(np.abs(REFLECTION * surface.normal - other.normal).max()),
+            abs(surface.friction - other.friction),
+        ]
+        apart.append(abs(float(other.distance(point))) / robot.length)
+        if surface.bilateral != other.bilateral or not max(apart) <= TASK:
+            raise _refuse(f"the surface under '{name}' in phase '{phase.name}'", max(apart))
+        worst = max(worst, *apart)
+    return Asymmetry(worst, f"surfaces of phase '{phase.name}'")
+
+
+def _terms(problem: Problem, group: list[TermInstance], mirror: Mirror, images: Sequence[int]) -> Asymmetry:
+    """Compare terms of one kind at one place, together, at random inputs and at their mirror images."""
+    where = f"{group[0].term.name} of phase '{problem.schedule.phases[group[0].phase].name}'"
+    filled = [instance for instance in group if instance.expression.numel()]
+    if not filled:
+        return Asymmetry(0.0, where)
+    functions, generator = [instance.function() for instance in filled], np.random.default_rng(0)
+    worst = 0.0
+    for _ in range(STATES):
+        inputs = _mirrored_inputs(problem, filled[0], mirror, images, generator)
+        sides = [[np.array(function(z)).ravel() for function in functions] for z in inputs]
+        here, image = (_comparable(filled, values) for values in sides)
+        worst = max(worst, float((np.abs(here - image) / (1.0 + np.abs(here))).max()))
+    uses_dynamics = any(instance.uses_dynamics for instance in filled)
+    if not worst <= TASK + (PASSED_ON * mirror.asymmetry if uses_dynamics else 0.0):
+        raise _refuse(where, worst)
+    return Asymmetry(0.0 if uses_dynamics else worst, where)
+
+
+def _comparable(group: list[TermInstance], values: list[np.ndarray]) -> np.ndarray:
+    """Values independent of the order of rows: the cost; sorted slacks; the norm of equations."""
+    costs, slacks, equations = 0.0, [np.zeros(0)], [np.zeros(0)]
+    for instance, value in zip(group, values, strict=True):
+        if instance.rows is None:
+            costs += float(value.sum())
+            continue
+        lower, upper = (bound / instance.rows.unit for bound in (instance.rows.lower, instance.rows.upper))
+        equal = lower == upper
+        slacks += [(value - lower)[~equal], (upper - value)[~equal]]
+        equations.append((value - lower)[equal])
+    every = np.concatenate(slacks)
+    norm = np.linalg.norm(np.concatenate(equations))
+    return np.array([costs, norm, *np.sort(every[np.isfinite(every)])])
+
+
+def _mirrored_inputs(
+    problem: Problem,
+    instance: TermInstance,
+    mirror: Mirror,
+    images: Sequence[int],
+    generator: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Random inputs z of a place, near the start, and their mirror image."""
+    robot, context = problem.robot, instance.context
+    coordinates, y0 = context.coordinates, float(problem.initial_q[1])
+    index, sign = mirrored_rows(robot, mirror)
+    q = pin.integrate(robot.model, problem.initial_q, generator.uniform(-0.5, 0.5, robot.nv))
+    parts: list[np.ndarray] = []
+    mirrored: list[np.ndarray] = []
+    still = np.zeros(robot.nv)
+    for inputs, configuration in ((parts, q), (mirrored, mirrored_configuration(robot, mirror, q, y0))):
+        node = coordinates.node_from_pinocchio(configuration, still)
+        inputs.append(node[: len(node) - robot.nv])
+    if context.place is not Place.NODE:
+        _as_local(coordinates.additive_index, coordinates.n_rotations, robot.nv, parts)
+        _as_local(coordinates.additive_index, coordinates.n_rotations, robot.nv, mirrored)
+    for _ in range(2 - (context.place is Place.NODE) - (problem.actuation == "velocity")):
+        rate = generator.uniform(-1, 1, robot.nv)
+        parts.append(rate)
+        mirrored.append(sign * rate[index])
+    if context.place is not Place.NODE:
+        wrenches = {c.name: generator.uniform(-1, 1, c.dimension) for c in context.contacts}
+        parts += [wrenches[c.name] * robot.weight for c in context.contacts]
+        names = [contact.name for contact in robot.contacts]
+        for contact in context.contacts:
+            partner = wrenches[names[images[names.index(contact.name)]]]
+            mirrored.append(TWIST[: len(partner)] * partner * robot.weight)
+    n_time_scales = context.z.numel() - sum(len(part) for part in parts)
+    return np.concatenate([*parts, np.ones(n_time_scales)]), np.concatenate(
+        [*mirrored, np.ones(n_time_scales)]
+    )
+
+
+def _as_local(additive: np.ndarray, n_rotations: int, nv: int, parts: list[np.ndarray]) -> None:
+    node = parts.pop()
+    xi = np.zeros(nv)
+    xi[additive] = node[4 * n_rotations :]
+    parts += [node[: 4 * n_rotations], xi]

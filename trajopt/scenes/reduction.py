@@ -1,4 +1,4 @@
-"""The map between a whole robot and a smaller one that moves as a part of it; those that lock joints.
+"""The map between a whole robot and a smaller one that moves as a part of it, also of its solutions.
 
 Every joint of the whole robot is locked at its start, or follows a joint of the small one: itself, or its
 mirror image with a sign. Rates, accelerations and the local coordinates' derivatives follow linearly,
@@ -20,18 +20,23 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_COORDINATES, BASE_ROWS
+from trajopt.dynamics.model_quantities import contact_jacobian, generalized_force
 from trajopt.dynamics.rerooting import joint_slices
+from trajopt.problem.problem import Problem
 from trajopt.robot.mirror import REFLECTION, TWIST, signed
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase
-from trajopt.terms.node_interfaces import NodePlace
-from trajopt.terrain.surface import Surface
+from trajopt.solution.grid import interpolated
+from trajopt.solution.solution import Solution
+from trajopt.solving.extraction import contact_activity, described_robot
+from trajopt.terms.interfaces import NodePlace
 
 # Rows of a free-flyer's twist that a planar base has, and their signs: forward, up, pitch about -y.
 PLANAR_ROWS = ((0, 1.0), (2, 1.0), (4, -1.0))
 
 
 _Slices = tuple[slice, slice]
+_Trajectory = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -157,13 +162,9 @@ class Reduction:
 
     def drop_torques(self, limit: np.ndarray) -> np.ndarray:
         """Effort limit (nu of the small) from one of the whole robot: n times the least of n images'."""
-        shares = np.abs(self.shares)
-        return np.array(
-            [
-                np.min(np.asarray(limit, dtype=float)[column > 0] / column[column > 0], initial=np.inf)
-                for column in shares.T
-            ]
-        )
+        given, columns = np.asarray(limit, dtype=float), np.abs(self.shares).T
+        limits = [np.min(given[share > 0] / share[share > 0], initial=np.inf) for share in columns]
+        return np.array(limits)
 
     def lift_forces(self, f: np.ndarray) -> np.ndarray:
         """Wrenches (K, nc, 6) of the whole robot's contacts from the small one's (K, nc, 6)."""
@@ -201,18 +202,14 @@ def whole_phase(phase: Phase, reduction: Reduction) -> Phase:
             footholds[name] = reduction.reflected_point(place) if follower.mirrored else place
         if follower.name in phase.surfaces:
             surface = phase.surfaces[follower.name]
-            surfaces[name] = _reflected(surface, reduction) if follower.mirrored else surface
+            if follower.mirrored:
+                point = reduction.reflected_point(surface.point)
+                normal = reduction.reflected_point(surface.normal) - reduction.reflected_point(np.zeros(3))
+                surface = replace(surface, point=point, normal=normal)
+            surfaces[name] = surface
         if follower.name in phase.patches and not follower.mirrored:  # tasks with patches are not halved
             patches[name] = phase.patches[follower.name]
     return replace(phase, contacts=tuple(active), footholds=footholds, surfaces=surfaces, patches=patches)
-
-
-def _reflected(surface: Surface, reduction: Reduction) -> Surface:
-    return replace(
-        surface,
-        point=reduction.reflected_point(surface.point),
-        normal=reduction.reflected_point(surface.normal) - reduction.reflected_point(np.zeros(3)),
-    )
 
 
 def lock_joints(
@@ -240,3 +237,69 @@ def behind_base(robot: Robot) -> tuple[str, ...]:
     """Names of all joints that are not part of the base."""
     first = BASE_COORDINATES[robot.base]
     return tuple(robot.model.names[j.id] for j in list(robot.model.joints)[1:] if j.idx_q >= first)
+
+
+def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) -> Solution:
+    """Return the motion of the whole robot of ``problem`` that a small robot's ``solution`` stands for.
+
+    Configurations, rates and contact wrenches follow from the reduction. The halves of a real robot differ a
+    little: wrenches of active contacts get the least correction, in natural units, with which the whole
+    robot's base rows hold. What contacts cannot provide (all of it in flight) remains as a residual in the
+    check. Torques are the actuated rows of numeric RNEA - J^T f, locked joints' too.
+    """
+    whole = reduction.whole
+    q = np.array([reduction.lift_q(row) for row in solution.q])
+    motion = (q, solution.v @ reduction.rates.T, solution.a @ reduction.rates.T)
+    every = contact_activity(whole, problem.schedule)[solution.phase]
+    f = reduction.lift_forces(solution.f)
+    if reduction.is_half:
+        f = _carrying(solution, whole, motion, f, every)
+    return replace(
+        solution,
+        description=replace(solution.description, **described_robot(problem)),
+        model=whole.limited_model(),
+        q=q,
+        v=motion[1],
+        a=motion[2],
+        f=f,
+        tau=_torques(solution, whole, motion, f),
+        active=every,
+        impulse=None if solution.impulse is None else reduction.lift_forces(solution.impulse),
+        row_multiplier=None,  # those of the small problem do not apply
+        row_place=None,
+        bound_multiplier=None,
+    )
+
+
+def _carrying(
+    solution: Solution, robot: Robot, motion: _Trajectory, f: np.ndarray, active: np.ndarray
+) -> np.ndarray:
+    """Wrenches (K, nc, 6) nearest to ``f`` whose base rows carry the motion at collocation points."""
+    model, data, n = robot.model, robot.model.createData(), robot.n_unactuated
+    frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
+    units = np.array([1.0] * 3 + [robot.length] * 3)
+    corrected = f.copy()
+    for k in np.flatnonzero(solution.collocation & active.any(axis=1)):
+        state = (motion[0][k], motion[1][k], motion[2][k])
+        missing = generalized_force(model, data, state, frames, f[k])[:n]
+        chosen = [
+            (c, row) for c, row in zip(robot.contacts, range(len(frames)), strict=True) if active[k, row]
+        ]
+        jacobian = contact_jacobian(model, state[0], [(c.frame, c.rows) for c, _ in chosen])[:, :n]
+        scale = np.concatenate([units[list(c.rows)] for c, _ in chosen])
+        change = scale * np.linalg.lstsq((scale[:, None] * jacobian).T, missing, rcond=None)[0]
+        for contact, row in chosen:
+            corrected[k, row, list(contact.rows)] += change[: contact.dimension]
+            change = change[contact.dimension :]
+    return interpolated(solution, corrected)
+
+
+def _torques(solution: Solution, robot: Robot, motion: _Trajectory, f: np.ndarray) -> np.ndarray:
+    """Actuated rows (K, nu) of RNEA - J^T f at collocation points, interpolated elsewhere."""
+    model, data = robot.model, robot.model.createData()
+    frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
+    forces = np.zeros((solution.n_samples, robot.nv))
+    for k in np.flatnonzero(solution.collocation):
+        state = (motion[0][k], motion[1][k], motion[2][k])
+        forces[k] = generalized_force(model, data, state, frames, f[k])
+    return interpolated(solution, forces)[:, robot.n_unactuated :]

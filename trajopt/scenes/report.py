@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
+from trajopt.problem.problem import Problem
+from trajopt.reduced.term_reader import TermReader
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.terms.friction import ContactConstraint
+from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
+from trajopt.terms.swing import SwingClearance
+from trajopt.transcription.mesh import Mesh
+
 EXACT, CHOICE, KEPT, OFFER = "exact", "choice", "kept", "offer"
+_Remark = tuple[str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,10 +28,6 @@ class ProblemSize:
 
     variables: int
     rows: int
-
-    def less(self, other: ProblemSize) -> ProblemSize:
-        """What the other has less than this one."""
-        return ProblemSize(variables=self.variables - other.variables, rows=self.rows - other.rows)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,22 +79,122 @@ class SceneReport:
         lines += [f"  {'' if i else 'modelled':10} {line}" for i, line in enumerate(self.modelled)]
         for kind, title in ((EXACT, "left out, exactly"), (CHOICE, "left out, a choice"), (OFFER, "offered")):
             for decision in self.of_kind(kind):
-                lines += [f"  {title}: {decision.what}{_saving(decision.saved)}", f"      {decision.why}"]
+                less = decision.saved
+                saving = f" (-{less.variables} variables, -{less.rows} rows)"
+                if not (less.variables or less.rows):
+                    saving = ""
+                lines += [f"  {title}: {decision.what}{saving}", f"      {decision.why}"]
         for decision in self.of_kind(KEPT):
             lines += [f"  kept: {decision.what}", f"      {decision.why}"]
-        lines.append(f"  size       {_change(self.before, self.after)}")
-        return "\n".join(lines)
+        variables, rows = str(self.after.variables), str(self.after.rows)
+        if self.before != self.after:
+            variables, rows = f"{self.before.variables} -> {variables}", f"{self.before.rows} -> {rows}"
+        return "\n".join([*lines, f"  size       {variables} variables, {rows} rows"])
 
 
-def _saving(saved: ProblemSize) -> str:
-    if not (saved.variables or saved.rows):
-        return ""
-    return f" (-{saved.variables} variables, -{saved.rows} rows)"
+def modelled(problem: Problem, whole: Problem, needs: Mapping[str, str]) -> tuple[str, ...]:
+    """What is modelled: base, joints with why they are needed, contacts of every phase, inputs."""
+    robot = problem.robot
+    lines = [f"{robot.base} base, {robot.n_unactuated} rows without actuator, {robot.nu} joints with one"]
+    by_reason: dict[str, list[str]] = {}
+    joints = set(robot.model.names)
+    for name, reason in needs.items():
+        if name in joints and whole.robot.model.joints[whole.robot.model.getJointId(name)].nv == 1:
+            by_reason.setdefault(reason, []).append(name)
+    lines += [f"{', '.join(names)}: {reason}" for reason, names in by_reason.items()]
+    for phase in problem.schedule.phases:
+        sizes = [f"{name} ({robot.contact(name).dimension})" for name in phase.contacts]
+        lines.append(f"phase '{phase.name}': " + (f"forces of {', '.join(sizes)}" if sizes else "no forces"))
+    lines.append(f"inputs: {problem.actuation}")
+    return tuple(lines)
 
 
-def _change(before: ProblemSize, after: ProblemSize) -> str:
-    return (
-        f"{before.variables} -> {after.variables} variables, {before.rows} -> {after.rows} rows"
-        if before != after
-        else f"{after.variables} variables, {after.rows} rows"
+def remarks(problem: Problem, whole: Problem, grid: tuple[str | None, int | None]) -> Iterator[Decision]:
+    """Rows and variables that are never built, with the reason, and what could be left out on request.
+
+    Numbers are for a ``grid`` (transcription, intervals) that defaults to the problem's.
+    """
+    name, total = grid[0] or problem.default_transcription, grid[1] or problem.default_intervals
+    mesh = Mesh.uniform(name, problem.schedule.intervals(total))
+    points = [phase.count * phase.method.s for phase in mesh.phases]
+    for what, why in _never_modelled(problem, whole, points):
+        yield Decision(kind=EXACT, what=what, why=why)
+    for what, why in (*_offered_points(problem, points), *_offered_velocity(problem)):
+        yield Decision(kind=OFFER, what=what, why=why)
+
+
+def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iterator[_Remark]:
+    """Forces in the air, limits out of reach, friction of grasps, clearance of standing feet."""
+    robot, phases = problem.robot, problem.schedule.phases
+    count = sum(
+        number * sum(c.dimension for c in robot.contacts if c.name not in phase.contacts)
+        for number, phase in zip(points, phases, strict=True)
+    )
+    if count:
+        yield (
+            f"forces of contacts in the air, {count} variables and their complementarity rows",
+            "the schedule says who is in contact: a contact that is not has neither force nor row",
+        )
+    for term in problem.terms:
+        if isinstance(term, TorqueLimits | VelocityLimits | PositionLimits):
+            beyond, why = _beyond(term, robot)
+            if beyond:
+                yield f"rows of {beyond} {term.name.replace('_', ' ')}", f"{why}; the check verifies them"
+    held = [
+        f"'{name}' in '{phase.name}'"
+        for phase in whole.schedule.phases
+        for name in phase.contacts
+        if phase.surface(name, whole.terrain).bilateral
+    ]
+    if held and any(isinstance(term, ContactConstraint) for term in whole.terms):
+        yield f"friction rows of {', '.join(held)}", "the surface holds the contact in every direction"
+    always = [c.name for c in robot.contacts if all(c.name in phase.contacts for phase in phases)]
+    if always and any(isinstance(term, SwingClearance) for term in problem.terms):
+        yield f"clearance rows of {', '.join(always)}", "always on the ground"
+
+
+def _beyond(term: TorqueLimits | VelocityLimits | PositionLimits, robot: Robot) -> tuple[int, str]:
+    """Number of finite limits that a term leaves out, and the threshold."""
+    units, first = Units(robot), robot.n_unactuated
+    if isinstance(term, TorqueLimits):
+        limit = robot.torque_limit if term.limit is None else np.asarray(term.limit)
+        far = np.zeros(0) if limit is None else limit[np.isfinite(limit)] >= units.unreachable_torque
+        return int(np.sum(far)), f"beyond 30 m g l = {units.unreachable_torque:.3g} N m"
+    if isinstance(term, VelocityLimits):
+        speed = robot.velocity_limit[first:]
+        far = speed[np.isfinite(speed)] >= units.unreachable_velocity
+        return int(np.sum(far)), f"beyond 30 sqrt(g / l) = {units.unreachable_velocity:.3g} rad/s"
+    lower, upper = robot.position_lower, robot.position_upper
+    far = (lower <= robot.reference - 2 * math.pi) & (upper >= robot.reference + 2 * math.pi)
+    far &= np.isfinite(lower) & np.isfinite(upper)
+    return int(np.sum(far)), "more than a turn from the reference posture"
+
+
+def _offered_points(problem: Problem, points: list[int]) -> Iterator[_Remark]:
+    held = {n for phase in problem.schedule.phases for n, s in phase.surfaces.items() if s.bilateral}
+    soles = [c for c in problem.robot.contacts if c.kind == "surface" and c.name not in held]
+    fewer = sum(
+        number * sum(sum(row >= 3 for row in c.rows) for c in soles if c.name in phase.contacts)
+        for number, phase in zip(points, problem.schedule.phases, strict=True)
+    )
+    if fewer and len(soles) > 1:
+        yield (
+            f"soles {', '.join(c.name for c in soles)} as points: {fewer} fewer variables",
+            "only where a sole's moment does not matter, with two or more soles apart: a sole may tilt",
+        )
+
+
+def _offered_velocity(problem: Problem) -> Iterator[_Remark]:
+    """A velocity source, if no term uses accelerations or rates at nodes."""
+    if problem.actuation != "acceleration" or problem.robot.n_unactuated or problem.initial_v.any():
+        return
+    if any(phase.contacts for phase in problem.schedule.phases):
+        return
+    for instance in TermReader(problem).every():
+        context = instance.context
+        if instance.uses(context.ddxi if instance.node is None else context.rates):
+            return
+    yield (
+        "accelerations, with velocities as inputs",
+        "replace(problem, actuation='velocity'): configurations are the state, and rates may jump",
     )

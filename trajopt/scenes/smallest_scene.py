@@ -19,12 +19,10 @@ from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.reduced.term_reader import TermReader
-from trajopt.scenes.facts import modelled, remarks
-from trajopt.scenes.lift import lift_solution
 from trajopt.scenes.needs import KEPT_AS_ASKED, cleared_contacts, needed_joints, require_lockable
 from trajopt.scenes.plane import halve_robot, in_plane
-from trajopt.scenes.reduction import Reduction, behind_base, lock_joints
-from trajopt.scenes.report import CHOICE, EXACT, KEPT, Decision, ProblemSize, SceneReport
+from trajopt.scenes.reduction import Reduction, behind_base, lift_solution, lock_joints
+from trajopt.scenes.report import CHOICE, EXACT, KEPT, Decision, ProblemSize, SceneReport, modelled, remarks
 from trajopt.scenes.soles import Soles, with_soles
 from trajopt.scenes.terms import reduced_problem
 from trajopt.solution.solution import Solution
@@ -90,8 +88,8 @@ def smallest(
         InputError: For an unknown joint, and with ``plane=True`` where robot or task is not symmetric; the
             message says what is not.
     """
-    made = _Smallest(problem, tuple(keep), plane, (transcription, intervals))
-    return made.build(tuple(lock), soles, torques)
+    search = _Smallest(problem, tuple(keep), plane, (transcription, intervals))
+    return search.build(tuple(lock), soles, torques)
 
 
 @checked
@@ -139,7 +137,9 @@ class _Smallest:
     def note(self, kind: str, what: str, why: str) -> None:
         """Record a decision with what it saved."""
         size = size_of(self.problem, *self.grid)
-        self.decisions.append(Decision(kind=kind, what=what, why=why, saved=self.size.less(size)))
+        variables, rows = self.size.variables - size.variables, self.size.rows - size.rows
+        saved = ProblemSize(variables=variables, rows=rows)
+        self.decisions.append(Decision(kind=kind, what=what, why=why, saved=saved))
         self.size = size
 
     def refuses(self) -> str:

@@ -105,24 +105,22 @@ def with_soles(problem: Problem) -> Soles | None:
         )
     contacts = [c for c in robot.contacts if c.name not in merged] + [sole.contact for sole in soles]
     phases = tuple(_phase(phase, soles) for phase in problem.schedule.phases)
-    terms = tuple(new for term in problem.terms for new in _term(term))
+    terms: list[Term] = []
+    for term in problem.terms:
+        if isinstance(term, FrictionCone | FrictionPyramid):  # of the points that remain, and of the soles
+            cone = SoleCone(during=term.during, friction=term.friction)
+            terms += [replace(term, contacts=None), cone]
+        else:
+            terms.append(term)
     return Soles(
         problem=replace(
             problem,
             robot=replace(robot, model=model, contacts=tuple(contacts), given_length=robot.length),
             schedule=Schedule(phases),
-            terms=terms,
+            terms=tuple(terms),
         ),
         soles=tuple(soles),
     )
-
-
-def _term(term: Term) -> tuple[Term, ...]:
-    """Friction of points as it is for the points that remain, and the cone of soles beside it."""
-    if isinstance(term, FrictionCone | FrictionPyramid):
-        cone = SoleCone(during=term.during, friction=term.friction)
-        return (replace(term, contacts=None), cone)
-    return (term,)
 
 
 def _phase(phase: Phase, soles: list[Sole]) -> Phase:
@@ -148,7 +146,12 @@ def _soles(problem: Problem) -> list[Sole]:
     pin.framesForwardKinematics(model, data, problem.initial_q)
     soles = []
     for joint, corners in by_joint.items():
-        if joint > 0 and len(corners) == 4 and _together(problem, [c.name for c in corners]):
+        names, phases = [c.name for c in corners], problem.schedule.phases
+        # In contact in some phase; in each phase all four or none, and all or none with footholds.
+        counts = {sum(name in phase.contacts for name in names) for phase in phases}
+        places = {sum(name in phase.footholds for name in names) for phase in phases}
+        together = {4} <= counts <= {0, 4} and places <= {0, 4}
+        if joint > 0 and len(corners) == 4 and together:
             sole = _sole(problem, data.oMi[joint], joint, corners)
             if sole is not None:
                 soles.append(sole)
@@ -157,18 +160,11 @@ def _soles(problem: Problem) -> list[Sole]:
 
 def _named(problem: Problem, name: str) -> bool:
     """Whether a term names the contact, or a phase has a surface of its own for it."""
-    is_named = any(phase.own_surface(name) is not None for phase in problem.schedule.phases)
-    for term in problem.terms:
-        only = term.contacts if isinstance(term, ContactConstraint) else None
-        is_named = is_named or getattr(term, "contact", None) == name or (only is not None and name in only)
-    return is_named
-
-
-def _together(problem: Problem, names: list[str]) -> bool:
-    """In contact in some phase; in each phase all four or none, and all or none with footholds."""
-    counts = [sum(name in phase.contacts for name in names) for phase in problem.schedule.phases]
-    places = [sum(name in phase.footholds for name in names) for phase in problem.schedule.phases]
-    return set(counts) <= {0, 4} and 4 in counts and set(places) <= {0, 4}
+    if any(phase.own_surface(name) is not None for phase in problem.schedule.phases):
+        return True
+    of_contacts = [term for term in problem.terms if isinstance(term, ContactConstraint)]
+    named = any(getattr(term, "contact", None) == name for term in problem.terms)
+    return named or any(name in (term.contacts or ()) for term in of_contacts)
 
 
 def _sole(problem: Problem, body: pin.SE3, joint: int, corners: list[Contact]) -> Sole | None:

@@ -26,14 +26,13 @@ from trajopt.scenes.whole_terms import (
     WholePointRows,
 )
 from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms.costs import NodeCost
 from trajopt.terms.drives import DriveLimits
 from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity, ImpactDynamics
 from trajopt.terms.frames import FrameHeight, FramePose, FrameVelocity
 from trajopt.terms.friction import ContactConstraint, NormalForce
-from trajopt.terms.interfaces import Cost, PointConstraint, Term
+from trajopt.terms.interfaces import Cost, NodeConstraint, PointConstraint, Term
 from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
-from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint
 from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
 

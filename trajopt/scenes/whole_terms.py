@@ -29,9 +29,8 @@ from trajopt.robot.units import Units
 from trajopt.scenes.reduction import Reduction, whole_place
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import FrameSymbols, Place
-from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term
-from trajopt.terms.node_costs import NodeCost
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terms.costs import NodeCost
+from trajopt.terms.interfaces import Cost, NodeConstraint, NodePlace, PointConstraint, Rows, Term
 from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions, guessed_posture
 
 # Random points at which rows are compared, and the rounding difference of equal rows, natural units.
@@ -232,16 +231,13 @@ class HalfEnd(WholeNodeRows):
         if self.term.q is None:
             q = self.reduction.lift_q(guessed_posture(context))
             return replace(self, term=replace(self.term, q=q)).rows(context, units, place)
-        combined = context.parameter(self._combinations(place, self.term.q)).T
-        return Rows.create(ca.mtimes(combined, self._whole_rows(context, place).expression), 0, 0, 1.0)
-
-    def _combinations(self, place: NodePlace, goal: np.ndarray) -> np.ndarray:
-        reduction, q = self.reduction, np.asarray(goal, dtype=float)
+        reduction, q = self.reduction, np.asarray(self.term.q, dtype=float)
         position = Units(reduction.whole).position
         free = free_directions(reduction.whole, q, whole_place(place, reduction).phase.contacts)
         small = free_directions(reduction.small, reduction.drop_q(q), place.phase.contacts)
         left = np.linalg.svd(free.T @ (reduction.rates / position[:, None]))[0]
-        return np.asarray(left[:, : small.shape[1]])
+        combined = context.parameter(left[:, : small.shape[1]]).T
+        return Rows.create(ca.mtimes(combined, self._whole_rows(context, place).expression), 0, 0, 1.0)
 
 
 def binding_rows(rows: Rows, context: Context) -> Rows:
@@ -250,9 +246,16 @@ def binding_rows(rows: Rows, context: Context) -> Rows:
     Found from values and gradients at random points: rows that agree at all of them, up to rounding, agree
     everywhere, since the functions are analytic.
     """
-    function = _values_and_gradients(ca.SX(rows.expression) / ca.DM(rows.unit), context)
+    scaled = ca.SX(rows.expression) / ca.DM(rows.unit)
+    z, (values,) = on_inputs(context, scaled, [context.parameter_values])
+    function = ca.Function("rows", [z], [ca.densify(ca.horzcat(values, ca.jacobian(values, z)))])
     generator = np.random.default_rng(0)
-    sampled = [np.array(function(_random_inputs(context, generator))) for _ in range(SAMPLES)]
+    sampled = []
+    for _ in range(SAMPLES):  # unit rotations, positive time scales
+        inputs = generator.uniform(0.1, 1.0, context.z.numel())
+        for i in range(context.coordinates.n_rotations):
+            inputs[4 * i : 4 * i + 4] /= np.linalg.norm(inputs[4 * i : 4 * i + 4])
+        sampled.append(np.array(function(inputs)))
     lower, upper = rows.lower / rows.unit, rows.upper / rows.unit
     chosen: list[int] = []
     for i in range(len(lower)):
@@ -266,17 +269,3 @@ def binding_rows(rows: Rows, context: Context) -> Rows:
         if not (fixed or repeated):
             chosen.append(i)
     return Rows(rows.expression[chosen], rows.lower[chosen], rows.upper[chosen], rows.unit[chosen])
-
-
-def _values_and_gradients(expression: ca.SX, context: Context) -> ca.Function:
-    """Function z -> (n, 1 + n_z) of values and gradients of rows at the parameters' present values."""
-    z, (values,) = on_inputs(context, expression, [context.parameter_values])
-    return ca.Function("rows", [z], [ca.densify(ca.horzcat(values, ca.jacobian(values, z)))])
-
-
-def _random_inputs(context: Context, generator: np.random.Generator) -> np.ndarray:
-    """Inputs of a point with unit rotations and positive time scales."""
-    z = generator.uniform(0.1, 1.0, context.z.numel())
-    for i in range(context.coordinates.n_rotations):
-        z[4 * i : 4 * i + 4] /= np.linalg.norm(z[4 * i : 4 * i + 4])
-    return z

@@ -4,6 +4,11 @@ A gait is periodic. A foot's *duty factor* is the fraction of the period in whic
 time of its touchdown as a fraction of the period (Alexander, "The gaits of bipedal and quadrupedal animals",
 Int. J. Robotics Research 3, 1984; Hildebrand, "The quadrupedal gaits of vertebrates", BioScience 39, 1989).
 Simultaneous events of two feet are one event; between events lie the phases of a schedule.
+
+Offsets of the named gaits are their definitions: Hildebrand, "Symmetrical gaits of horses", Science 150
+(1965), and "Analysis of asymmetrical gaits", J. Mammalogy 58 (1977). Animals vary their duty factors with
+speed, above 1/2 in walks and below in runs; those here are round values in the middle of their ranges,
+`Gait.with_duty` changes them.
 """
 
 from __future__ import annotations
@@ -16,7 +21,9 @@ from itertools import pairwise
 from types import MappingProxyType
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError, require_positive
+from trajopt.errors import InputError, not_among, require_positive
+from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
+from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase
 
 # Events closer than this fraction of the period are one event: rounding of sums of decimal fractions.
@@ -222,15 +229,9 @@ class Gait:
 def phases_of(
     supports: Iterable[SupportPhase], period: float, bounds: tuple[float, float] | None
 ) -> tuple[Phase, ...]:
-    """Phases that follow each other as given.
+    """Phases that follow each other as given; with ``bounds``, fractions of durations, these are free.
 
-    Args:
-        supports: the feet on the ground and the fraction of the period of each.
-        period: s.
-        bounds: free durations as fractions of the nominal ones (lower, upper), None for fixed ones.
-
-    Raises:
-        InputError: for a period that is not positive, or bounds without 1 between them.
+    Raises `InputError` for a period, s, that is not positive, or bounds without 1 between them.
     """
     require_positive("period of a gait", period, "s")
     lower, upper = (1.0, 1.0) if bounds is None else bounds
@@ -255,3 +256,54 @@ def phases_of(
             )
         )
     return tuple(phases)
+
+
+def _quadruped(name: str, duty: float, hind: tuple[float, float], front: tuple[float, float]) -> Gait:
+    """Offsets are those of the left and the right foot."""
+    feet = ("front_left", "front_right", "hind_left", "hind_right")
+    return Gait(name=name, duty=duty, offsets=dict(zip(feet, (*front, *hind), strict=True)))
+
+
+def _by_name(*gaits: Gait) -> Mapping[str, Gait]:
+    return MappingProxyType({gait.name: gait for gait in gaits})
+
+
+QUADRUPED = _by_name(
+    # Symmetrical: left and right half a period apart, the fore foot lags the hind foot of its side.
+    _quadruped("walk", 0.65, hind=(0.0, 0.5), front=(0.25, 0.75)),  # lateral sequence, three or two feet
+    _quadruped("amble", 0.4, hind=(0.0, 0.5), front=(0.25, 0.75)),  # footfalls of the walk, as a run
+    _quadruped("trot", 0.5, hind=(0.0, 0.5), front=(0.5, 0.0)),  # diagonal pairs
+    _quadruped("flying-trot", 0.4, hind=(0.0, 0.5), front=(0.5, 0.0)),
+    _quadruped("pace", 0.5, hind=(0.0, 0.5), front=(0.0, 0.5)),  # lateral pairs
+    # Asymmetrical: both hind feet, then both fore feet.
+    _quadruped("bound", 0.4, hind=(0.0, 0.0), front=(0.5, 0.5)),
+    _quadruped("pronk", 0.6, hind=(0.0, 0.0), front=(0.0, 0.0)),
+    _quadruped("gallop", 0.3, hind=(0.0, 0.1), front=(0.5, 0.6)),  # transverse: fore feet as the hind feet
+    _quadruped("rotary-gallop", 0.3, hind=(0.0, 0.1), front=(0.6, 0.5)),  # footfalls go around the body
+    _quadruped("canter", 0.4, hind=(0.25, 0.0), front=(0.5, 0.25)),  # three beats, left lead
+)
+
+BIPED = _by_name(
+    Gait(name="walk", duty=0.6, offsets={"left": 0.0, "right": 0.5}),
+    Gait(name="run", duty=0.35, offsets={"left": 0.0, "right": 0.5}),
+)
+
+HOPPER = _by_name(Gait(name="hop", duty=0.5, offsets={"foot": 0.0}))
+
+
+@checked
+def gait_of(robot: Robot, name: str) -> Gait:
+    """The gait of that name on the feet of a robot: a quadruped, a biped or a hopper.
+
+    Raises `InputError` for another number of feet, or a name that is not a gait for that number of feet.
+    """
+    feet = feet_in_base(robot)
+    known = {4: QUADRUPED, 2: BIPED, 1: HOPPER}.get(len(feet))
+    if known is None:
+        raise InputError(f"robot '{robot.name}' has {len(feet)} feet", "allowed: 1, 2 or 4 for a named gait")
+    if name not in known:
+        raise not_among(known, name, f"gait '{name}' is unknown")
+    if known is QUADRUPED:
+        return known[name].on(quadruped_legs(robot).by_role)
+    names = biped_legs(robot) if known is BIPED else tuple(feet)
+    return known[name].on(dict(zip(known[name].feet, names, strict=True)))

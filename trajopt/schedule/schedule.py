@@ -57,7 +57,13 @@ class Phase:
 
     def __post_init__(self) -> None:
         if self.duration_bounds is not None:
-            self._require_bounds(self.duration_bounds)
+            lower, upper = self.duration_bounds
+            if not 0 < lower <= self.duration <= upper < math.inf:
+                raise InputError(
+                    f"duration_bounds of phase '{self.name}' are {self.duration_bounds} s",
+                    f"allowed: (lower, upper), finite, 0 < lower <= duration = {self.duration:g} <= upper",
+                )
+            object.__setattr__(self, "duration_bounds", (lower, upper))
         if len(set(self.contacts)) != len(self.contacts):
             raise InputError(
                 f"phase '{self.name}' names a contact twice: {', '.join(self.contacts)}",
@@ -75,8 +81,7 @@ class Phase:
             for name, point in self.footholds.items()
         }
         for name, point in points.items():
-            self._require_on_surface(name, point)
-            self._require_on_patch(name, point)
+            self._require_on_ground(name, point)
         object.__setattr__(self, "contacts", tuple(self.contacts))
         object.__setattr__(self, "footholds", MappingProxyType(points))
         object.__setattr__(self, "surfaces", MappingProxyType(dict(self.surfaces)))
@@ -90,8 +95,8 @@ class Phase:
                 "allowed: contacts that are active in the phase",
             )
 
-    def _require_on_surface(self, name: str, foothold: np.ndarray) -> None:
-        surface = self.surfaces.get(name)
+    def _require_on_ground(self, name: str, foothold: np.ndarray) -> None:
+        surface, patch = self.surfaces.get(name), self.patches.get(name)
         if surface is not None and abs(float(surface.distance(foothold))) > SAME_PLANE:
             raise InputError(
                 f"foothold of '{name}' in phase '{self.name}' lies {surface.distance(foothold):g} m off its"
@@ -99,8 +104,6 @@ class Phase:
                 f"allowed: within {SAME_PLANE:g} m",
             )
 
-    def _require_on_patch(self, name: str, foothold: np.ndarray) -> None:
-        patch = self.patches.get(name)
         if patch is None:
             return
         off, inside = abs(float(patch.surface.distance(foothold))), float(patch.inside(foothold))
@@ -137,15 +140,6 @@ class Phase:
             return place
         normal = self.surface(contact.name, terrain).plane_at(place).normal
         return np.asarray(place + contact.radius * normal)
-
-    def _require_bounds(self, bounds: tuple[float, float]) -> None:
-        lower, upper = bounds
-        if not 0 < lower <= self.duration <= upper < math.inf:
-            raise InputError(
-                f"duration_bounds of phase '{self.name}' are {bounds} s",
-                f"allowed: (lower, upper), finite, 0 < lower <= duration = {self.duration:g} <= upper",
-            )
-        object.__setattr__(self, "duration_bounds", (lower, upper))
 
 
 @checked

@@ -14,7 +14,7 @@ from trajopt.collision.near import CollisionScene
 from trajopt.collision.shapes import LinkShape, Obstacle
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.data import VisualSource
-from trajopt.schedule.targets import Target
+from trajopt.schedule.moment import Target
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain

@@ -14,7 +14,7 @@ from trajopt.collision.shapes import LinkShape, obstacle_from_description
 from trajopt.errors import InputError, SolutionFileError, is_number
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.data import VisualSource
-from trajopt.schedule.targets import Target
+from trajopt.schedule.moment import Target
 from trajopt.solution.description import (
     BodyMargins,
     CarriedBody,

@@ -13,7 +13,6 @@ import pinocchio as pin
 from trajopt.collision.near import CollisionScene
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.problem.bodies import clearance_of, self_margins, shapes_of
-from trajopt.problem.goals import goals_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
@@ -258,7 +257,7 @@ def described_robot(problem: Problem) -> dict[str, Any]:
         "contacts": tuple(_contact(contact, problem.terrain.friction) for contact in robot.contacts),
         "surfaces": _surfaces(problem),
         "patches": _patches(problem),
-        "goals": tuple(goals_of(problem)),
+        "goals": tuple(problem.goals),
         "gravity": tuple(robot.model.gravity.linear.tolist()),
         "payloads": _payloads(problem),
         "periodicity": image,

@@ -169,7 +169,11 @@ class Context(Parameters):
         """Wrench of every loaded contact: 3 or 6 entries, world axes, N and N m; none at a node."""
         if self.place is Place.NODE:
             return {}
-        full = {contact.name: self._full_wrench(contact) for contact in self.contacts}
+        full = dict(self.unknown_wrenches)
+        for contact in self.contacts:
+            if not contact.transmits_all:  # zeros where a contact within a plane transmits nothing
+                full[contact.name] = ca.SX.zeros(3 if contact.kind == "point" else 6)
+                full[contact.name][list(contact.rows)] = self.unknown_wrenches[contact.name]
         if self._mode is None or self.place is not Place.POINT:
             return full
         rates = self.v if self.moving else ca.SX.zeros(self.coordinates.nv)
@@ -177,15 +181,6 @@ class Context(Parameters):
         for wrench in full.values():
             force = force - wrench[:3]
         return full | {self._mode.embedded.name: force}
-
-    def _full_wrench(self, contact: Contact) -> ca.SX:
-        """Wrench with zeros where a contact within a plane transmits nothing."""
-        unknown = self.unknown_wrenches[contact.name]
-        if contact.transmits_all:
-            return unknown
-        full = ca.SX.zeros(3 if contact.kind == "point" else 6)
-        full[list(contact.rows)] = unknown
-        return full
 
     def held_rows(self, contact: Contact) -> tuple[int, ...]:
         """Rows of an active contact's motion that do not depend on other contacts' (see ``redundancy``)."""

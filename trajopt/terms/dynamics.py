@@ -1,4 +1,14 @@
-"""The dynamics as constraints: balance of the base, contacts that stay in place, and impacts."""
+"""The dynamics as constraints: balance of the base, contacts that stay in place or slide, and impacts.
+
+A contact on a `Surface` with a ``slip_speed`` v_s may move within the surface. The force f of the surface on
+it follows from its normal part f_n >= 0 and its velocity v_t within the surface,
+
+    f = f_n (n - mu v_t / sqrt(|v_t|^2 + v_s^2))
+
+which is Coulomb's law for speeds far above v_s, and smooth where the contact stops or reverses: at v_s the
+friction is 1 / sqrt 2 of what it is at high speed (the regularisation of Andersson, Soederberg and
+Bjoerklund, Tribology International 40, 2007, without their static peak). A contact without slip speed sticks.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +18,15 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.arguments import checked
+from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms.context import Context
+from trajopt.terms.friction import surface_force
 from trajopt.terms.interfaces import PointConstraint, Rows
+from trajopt.terrain.surface import Surface
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,3 +102,58 @@ class ImpactDynamics(PointConstraint):
     @override
     def rows(self, context: Context, units: Units) -> Rows:
         return Rows.create(context.generalized_forces, 0, 0, units.generalized_force)
+
+
+def sliding_surfaces(phase: Phase) -> dict[str, Surface]:
+    """Surfaces of the contacts that slide in a phase, by the contact's name."""
+    return {name: surface for name, surface in phase.surfaces.items() if surface.slip_speed is not None}
+
+
+def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tuple[str, ...]) -> None:
+    """Raise `InputError` for a contact that slides where that is not supported; ``modes`` names phases."""
+    for phase, after in zip(schedule.phases, (*schedule.phases[1:], None), strict=True):
+        for name in sliding_surfaces(phase):
+            contact, allowed = robot.contact(name), ""
+            if contact.kind != "point" or not contact.transmits_all:
+                allowed = "point contacts, of robots in space"
+            elif actuation != "torque" or phase.name in modes:
+                allowed = "actuation 'torque', and no minimal coordinates"
+            elif phase.impact:
+                allowed = "phases that begin without an impact"
+            elif after is not None and name in after.contacts and name not in sliding_surfaces(after):
+                allowed = f"that it slides in phase '{after.name}' too, or is not in contact there"
+            if allowed:
+                raise InputError(f"'{name}' slides in phase '{phase.name}'", f"allowed: {allowed}")
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class SlidingFriction(PointConstraint):
+    """Friction law of this module at every sliding contact: the force is unilateral and opposes the motion.
+
+        f_t + mu f_n v_t / sqrt(|v_t|^2 + v_s^2) = 0        f_n >= 0
+
+    with f_t and v_t (2,) the force and velocity along the surface's tangents and v_s its slip speed. Rows are
+    over m g. Part of the dynamics where a schedule has such contacts, see `Problem.motion_rows`.
+    """
+
+    @override
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        law, normal_forces = [], []
+        for contact in context.contacts:
+            surface = context.slides_on(contact)
+            if surface is None:
+                continue
+            force = surface_force(context, contact)
+            velocity = context.frame(contact.frame).velocity[:3]
+            if not surface.is_level:
+                velocity = ca.mtimes(context.parameter(surface.frame).T, velocity)
+            constants = context.parameter(np.array([surface.friction, float(surface.slip_speed or 0.0)]))
+            speed = ca.sqrt(ca.sumsqr(velocity[:2]) + constants[1] ** 2)
+            law.append(force[:2] + constants[0] * force[2] * velocity[:2] / speed)
+            normal_forces.append(force[2])
+        if not law:
+            return None
+        rows = ca.vertcat(*law, *normal_forces)
+        upper = np.concatenate([np.zeros(2 * len(law)), np.full(len(normal_forces), np.inf)])
+        return Rows.create(rows, 0.0, upper, units.force)

@@ -14,10 +14,9 @@ from trajopt.dynamics.rotations import rotation_error
 from trajopt.errors import InputError, finite_array, unit_vector
 from trajopt.robot.units import Units
 from trajopt.robot.validation import UNIT_SLACK
-from trajopt.schedule.targets import Target
+from trajopt.schedule.moment import Target
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import DuringPhases, Rows
-from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
+from trajopt.terms.interfaces import AtMoment, DuringPhases, NodeConstraint, NodePlace, Rows
 
 
 @checked

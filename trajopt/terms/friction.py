@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from abc import abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -41,7 +42,7 @@ class ContactConstraint(PointConstraint):
     """A constraint on the wrenches of unilateral contacts, and at an impact on their impulses.
 
     Contacts on bilateral surfaces have no rows, because a grasp holds, nor have sliding contacts, whose force
-    follows a law (`trajopt.terms.sliding`).
+    follows a law (`trajopt.terms.dynamics`).
 
     Args:
         friction: coefficient in place of that of the surfaces.
@@ -53,6 +54,7 @@ class ContactConstraint(PointConstraint):
 
     acts_at_impacts: ClassVar[bool] = True
     acts_on_forces: ClassVar[bool] = True
+    soles_only: ClassVar[bool] = False
 
     friction: NonNegative | None = None
     contacts: tuple[str, ...] | None = None
@@ -66,7 +68,7 @@ class ContactConstraint(PointConstraint):
         if self.contacts is not None and not self.contacts:
             return "contacts is empty"
         for name in self.contacts or ():
-            if not self._applies_to(robot.contact(name)):
+            if self.soles_only and robot.contact(name).kind == "point":
                 return f"'{name}' is a point contact"
             grounds = [
                 schedule.surface(i, name, FlatGround())
@@ -77,31 +79,32 @@ class ContactConstraint(PointConstraint):
                 return f"'{name}' is held or slides wherever it is active"
         return super().idle(robot, schedule)
 
-    def _applies_to(self, contact: Contact) -> bool:
-        """Whether the term has rows for such a contact."""
-        return True
+    @abstractmethod
+    def _add_rows(
+        self, cone: _ConeRows, contact: Contact, friction: float, context: Context, units: Units
+    ) -> None:
+        """Add the rows of one contact."""
 
-    def _unilateral_contacts(self, context: Context) -> Iterator[Contact]:
-        """Active contacts on which the term acts."""
+    @override
+    def rows(self, context: Context, units: Units) -> Rows | None:
         chosen = None if self.contacts is None else [context.contact(name) for name in self.contacts]
+        cone = _ConeRows()
         for contact in context.loaded_contacts:
-            if context.slides_on(contact) is not None or context.surface(contact).bilateral:
+            surface = context.surface(contact)
+            if context.slides_on(contact) is not None or surface.bilateral:
                 continue
-            if self._applies_to(contact) and (chosen is None or contact in chosen):
-                yield contact
-
-    def _friction(self, context: Context, contact: Contact) -> float:
-        return context.surface(contact).friction if self.friction is None else self.friction
+            if (chosen is None or contact in chosen) and (contact.kind == "surface" or not self.soles_only):
+                friction = surface.friction if self.friction is None else self.friction
+                self._add_rows(cone, contact, friction, context, units)
+        if not cone.entries:
+            return None
+        expressions, upper, unit = zip(*cone.entries, strict=True)
+        return Rows.create(ca.vertcat(*expressions), 0, np.array(upper), np.array(unit))
 
 
 def _turning(contact: Contact) -> tuple[int, ...]:
     """Axes of a sole about which it transmits a moment: in a plane only the one normal to it."""
     return (0, 1, 2) if contact.dimension == 6 else tuple(row - 3 for row in contact.rows if row > 2)
-
-
-def contact_force(context: Context, contact: Contact) -> ca.SX:
-    """Force (3,) of an active contact, world axes, N."""
-    return context.wrenches[contact.name][:3]
 
 
 def surface_force(context: Context, contact: Contact) -> ca.SX:
@@ -110,7 +113,7 @@ def surface_force(context: Context, contact: Contact) -> ca.SX:
     World axes on level ground; on other planes the axes are parameters, so that one compiled function serves
     any normal; on curved ground they follow from the contact's position.
     """
-    surface, force = context.surface(contact), contact_force(context, contact)
+    surface, force = context.surface(contact), context.wrenches[contact.name][:3]
     if isinstance(surface, CurvedSurface):
         axes = surface.symbolic_frame(context.frame(contact.frame).position, context.parameter)
         return ca.mtimes(axes.T, force)
@@ -125,28 +128,13 @@ class _ConeRows:
     cone has no gradient: solvers fail on both, but not on equations.
     """
 
-    parts: list[ca.SX] = field(default_factory=list)
-    upper: list[float] = field(default_factory=list)
-    units: list[float] = field(default_factory=list)
+    entries: list[tuple[ca.SX, float, float]] = field(default_factory=list)  # row, upper bound, unit
 
     def at_least_zero(self, expressions: Iterable[ca.SX], unit: float) -> None:
-        for expression in expressions:
-            self._add(expression, np.inf, unit)
+        self.entries += [(expression, np.inf, unit) for expression in expressions]
 
     def zero(self, expressions: Iterable[ca.SX], unit: float) -> None:
-        for expression in expressions:
-            if not expression.is_zero():
-                self._add(expression, 0.0, unit)
-
-    def _add(self, expression: ca.SX, upper: float, unit: float) -> None:
-        self.parts.append(expression)
-        self.upper.append(upper)
-        self.units.append(unit)
-
-    def rows(self) -> Rows | None:
-        if not self.parts:
-            return None
-        return Rows.create(ca.vertcat(*self.parts), 0, np.array(self.upper), np.array(self.units))
+        self.entries += [(each, 0.0, unit) for each in expressions if not each.is_zero()]
 
 
 @checked
@@ -165,18 +153,17 @@ class FrictionPyramid(ContactConstraint):
     """
 
     @override
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        cone = _ConeRows()
-        for contact in self._unilateral_contacts(context):
-            friction, f = self._friction(context, contact), ca.vertsplit(surface_force(context, contact))
-            cone.at_least_zero([f[2]], units.force)
-            if friction == 0.0:
-                cone.zero(f[:2], units.force)
-                continue
-            sides = friction_rows(f, context.parameter(friction / math.sqrt(2)))
-            kept = [side for i, side in enumerate(sides) if not f[i // 2].is_zero()]
-            cone.at_least_zero(kept, units.force)
-        return cone.rows()
+    def _add_rows(
+        self, cone: _ConeRows, contact: Contact, friction: float, context: Context, units: Units
+    ) -> None:
+        f = ca.vertsplit(surface_force(context, contact))
+        cone.at_least_zero([f[2]], units.force)
+        if friction == 0.0:
+            cone.zero(f[:2], units.force)
+            return
+        sides = friction_rows(f, context.parameter(friction / math.sqrt(2)))
+        kept = [side for i, side in enumerate(sides) if not f[i // 2].is_zero()]
+        cone.at_least_zero(kept, units.force)
 
 
 @checked
@@ -203,20 +190,18 @@ class FrictionCone(ContactConstraint):
     """
 
     @override
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        cone = _ConeRows()
-        for contact in self._unilateral_contacts(context):
-            friction = self._friction(context, contact)
-            f = ca.vertsplit(surface_force(context, contact) / units.force)
-            cone.at_least_zero([f[2]], 1.0)
-            if friction == 0.0:
-                cone.zero(f[:2], 1.0)
-                continue
-            largest = context.parameter(friction) * f[2]
-            inside = largest**2 - f[0] ** 2 - f[1] ** 2
-            tight = TIGHT * ca.exp(-((largest / TIP) ** 2))
-            cone.at_least_zero([inside / ca.sqrt(largest**2 + APEX**2) - tight], 1.0)
-        return cone.rows()
+    def _add_rows(
+        self, cone: _ConeRows, contact: Contact, friction: float, context: Context, units: Units
+    ) -> None:
+        f = ca.vertsplit(surface_force(context, contact) / units.force)
+        cone.at_least_zero([f[2]], 1.0)
+        if friction == 0.0:
+            cone.zero(f[:2], 1.0)
+            return
+        largest = context.parameter(friction) * f[2]
+        inside = largest**2 - f[0] ** 2 - f[1] ** 2
+        tight = TIGHT * ca.exp(-((largest / TIP) ** 2))
+        cone.at_least_zero([inside / ca.sqrt(largest**2 + APEX**2) - tight], 1.0)
 
 
 @checked
@@ -234,27 +219,23 @@ class SoleLimits(ContactConstraint):
         contacts: names of the contacts; default all.
     """
 
-    @override
-    def _applies_to(self, contact: Contact) -> bool:
-        return contact.kind == "surface"
+    soles_only: ClassVar[bool] = True
 
     @override
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        cone = _ConeRows()
-        for contact in self._unilateral_contacts(context):
-            friction = self._friction(context, contact)
-            rotation = context.frame(contact.frame).rotation
-            moment = ca.mtimes(rotation.T, context.wrenches[contact.name][3:])
-            pressure = surface_force(context, contact)[2]
-            half = (contact.half_width, contact.half_length)
-            arm = (*half, sum(half) / 2 * context.parameter(friction) if friction else 0.0)
-            for i in _turning(contact):
-                if i == 2 and friction == 0.0:
-                    cone.zero([moment[i]], units.torque)
-                    continue
-                sides = [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
-                cone.at_least_zero(sides, units.torque)
-        return cone.rows()
+    def _add_rows(
+        self, cone: _ConeRows, contact: Contact, friction: float, context: Context, units: Units
+    ) -> None:
+        rotation = context.frame(contact.frame).rotation
+        moment = ca.mtimes(rotation.T, context.wrenches[contact.name][3:])
+        pressure = surface_force(context, contact)[2]
+        half = (contact.half_width, contact.half_length)
+        arm = (*half, sum(half) / 2 * context.parameter(friction) if friction else 0.0)
+        for i in _turning(contact):
+            if i == 2 and friction == 0.0:
+                cone.zero([moment[i]], units.torque)
+                continue
+            sides = [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
+            cone.at_least_zero(sides, units.torque)
 
 
 @checked
@@ -275,28 +256,24 @@ class SoleCone(ContactConstraint):
         contacts: names of the contacts; default all.
     """
 
-    @override
-    def _applies_to(self, contact: Contact) -> bool:
-        return contact.kind == "surface"
+    soles_only: ClassVar[bool] = True
 
     @override
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        cone = _ConeRows()
-        for contact in self._unilateral_contacts(context):
-            friction = self._friction(context, contact)
-            to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
-            force, moment = (ca.vertsplit(ca.mtimes(to_sole, part)) for part in (wrench[:3], wrench[3:]))
-            size = (contact.half_length, contact.half_width)
-            if friction == 0.0:
-                cone.at_least_zero(pressure_rows(force, moment, size), units.torque)
-                cone.zero(force[:2], units.force)
-                cone.zero([moment[2]], units.torque)
-                continue
-            mu = context.parameter(friction / math.sqrt(2))
-            cone.at_least_zero(friction_rows(force, mu), units.force)
-            moments = [*pressure_rows(force, moment, size), *yaw_rows(force, moment, size, mu)]
-            cone.at_least_zero(moments, units.torque)
-        return cone.rows()
+    def _add_rows(
+        self, cone: _ConeRows, contact: Contact, friction: float, context: Context, units: Units
+    ) -> None:
+        to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
+        force, moment = (ca.vertsplit(ca.mtimes(to_sole, part)) for part in (wrench[:3], wrench[3:]))
+        size = (contact.half_length, contact.half_width)
+        if friction == 0.0:
+            cone.at_least_zero(pressure_rows(force, moment, size), units.torque)
+            cone.zero(force[:2], units.force)
+            cone.zero([moment[2]], units.torque)
+            return
+        mu = context.parameter(friction / math.sqrt(2))
+        cone.at_least_zero(friction_rows(force, mu), units.force)
+        moments = [*pressure_rows(force, moment, size), *yaw_rows(force, moment, size, mu)]
+        cone.at_least_zero(moments, units.torque)
 
 
 @checked
@@ -325,22 +302,21 @@ class NormalForce(PointConstraint):
     upper: float | None = None
 
     def __post_init__(self) -> None:
-        low, high = self._bounds()
+        low, high = self._bounds
         if not low <= high or (self.lower is None and self.upper is None):
             raise InputError(
                 f"normal force of '{self.contact}' is bounded by {self.lower} and {self.upper}",
                 "allowed: at least one bound, lower <= upper",
             )
 
+    @property
     def _bounds(self) -> tuple[float, float]:
-        return (
-            -math.inf if self.lower is None else self.lower,
-            math.inf if self.upper is None else self.upper,
-        )
+        low = -math.inf if self.lower is None else self.lower
+        return low, math.inf if self.upper is None else self.upper
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         contact = context.contact(self.contact)
         if contact not in context.loaded_contacts:
             return None
-        return Rows.create(surface_force(context, contact)[2], *self._bounds(), units.force)
+        return Rows.create(surface_force(context, contact)[2], *self._bounds, units.force)

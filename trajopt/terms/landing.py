@@ -12,8 +12,7 @@ from trajopt.arguments import checked
 from trajopt.robot.contact import Contact
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Rows
-from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
+from trajopt.terms.interfaces import AtMoment, NodeConstraint, NodePlace, Rows
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.smooth import CurvedSurface
 from trajopt.terrain.surface import Surface
@@ -29,6 +28,13 @@ def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
     On level ground the third row; elsewhere the normal is a parameter.
     """
     return columns[2, :] if surface.is_level else ca.mtimes(context.parameter(surface.normal).T, columns)
+
+
+def along_ground(context: Context, ground: Ground, point: ca.SX) -> ca.SX:
+    """Height of a point (3,): vertical over smooth ground, else along the normal from the world's origin."""
+    if isinstance(ground, CurvedSurface):
+        return ground.symbolic_gap(point, context.parameter)
+    return along_normal(context, ground, point)
 
 
 @checked
@@ -69,15 +75,11 @@ class ContactLanding(AtMoment, NodeConstraint):
                 if surface is not None:
                     velocity, unit = along_normal(context, surface, velocity), units.twist[0]
                 parts.append(Rows.create(velocity, 0.0, 0.0, unit))
-        return _joined(parts)
-
-
-def _joined(parts: list[Rows]) -> Rows:
-    lower, upper, unit = (
-        np.concatenate([np.zeros(0), *[getattr(part, name) for part in parts]])
-        for name in ("lower", "upper", "unit")
-    )
-    return Rows.create(ca.vertcat(*[part.expression for part in parts]), lower, upper, unit)
+        lower, upper, unit = (
+            np.concatenate([np.zeros(0), *[getattr(part, name) for part in parts]])
+            for name in ("lower", "upper", "unit")
+        )
+        return Rows.create(ca.vertcat(*[part.expression for part in parts]), lower, upper, unit)
 
 
 def _places(
@@ -93,19 +95,19 @@ def _places(
     if foothold is not None:
         rows = [Rows.create(frame.position[movable], foothold[movable], foothold[movable], units.length)]
     elif 2 in held or (movable and not ground.is_level):
-        rows = [_on_ground(context, ground, frame.position, units.length)]
+        above, height = along_ground(context, ground, frame.position), 0.0
+        if isinstance(ground, Surface):
+            height = ground.height
+        rows = [Rows.create(above, height, height, units.length)]
     else:
         return edges
-    tilting = _tilting_axes(contact, held)
+    tilting = [0 if row == 4 else 1 for row in held if row in (3, 4)]
+    if contact.dimension == 6:
+        tilting = [0, 1][: sum(row > 2 for row in held)]
+    # Axes of a sole that must lie in its surface: for a planar robot the one in its plane.
     if tilting and isinstance(ground, Surface):
         rows.append(Rows.create(along_normal(context, ground, frame.rotation[:, tilting]).T, 0.0, 0.0, 1.0))
     return rows + edges
-
-
-def _on_ground(context: Context, ground: Ground, position: ca.SX, length: float) -> Rows:
-    if isinstance(ground, CurvedSurface):
-        return Rows.create(ground.symbolic_gap(position, context.parameter), 0.0, 0.0, length)
-    return Rows.create(along_normal(context, ground, position), ground.height, ground.height, length)
 
 
 def _inside(context: Context, units: Units, contact: Contact, patch: Patch) -> list[Rows]:
@@ -127,10 +129,3 @@ def contact_points(context: Context, contact: Contact) -> list[ca.SX]:
     if contact.kind == "point":
         return [frame.position]
     return [frame.position + ca.mtimes(frame.rotation[:, :2], corner) for corner in contact.corners]
-
-
-def _tilting_axes(contact: Contact, held: tuple[int, ...]) -> list[int]:
-    """Axes of a sole (0: x, 1: y) that must lie in its surface: for a planar robot the one in its plane."""
-    if contact.dimension == 6:
-        return [0, 1][: sum(row > 2 for row in held)]
-    return [0 if row == 4 else 1 for row in held if row in (3, 4)]

@@ -26,10 +26,19 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.moment import Moment, middle_of
 from trajopt.schedule.schedule import Motion, Schedule
-from trajopt.terms.costs import AccelerationCost, PostureCost, TimeCost, TorqueCost, VelocityCost, WrenchCost
+from trajopt.terms.costs import (
+    AccelerationCost,
+    DistanceCost,
+    FrameHeightCost,
+    NodeCost,
+    PostureCost,
+    TimeCost,
+    TorqueCost,
+    VelocityCost,
+    WrenchCost,
+)
+from trajopt.terms.drives import PowerCost
 from trajopt.terms.interfaces import Cost, Term
-from trajopt.terms.node_costs import DistanceCost, FrameHeightCost, NodeCost
-from trajopt.terms.power import PowerCost
 from trajopt.terms.tracking import TrackingCost
 
 Goal = Literal["effort", "time", "height", "distance", "transport", "smooth", "track"]
@@ -97,53 +106,37 @@ def goal_terms(
     effort = tuple(effort_costs() if effort is None else effort)
     if goal == "effort":
         return effort
-    main = _main_term(goal, robot, schedule, frame, at, direction, travel, reference)
+    main: Term
+    if goal == "smooth":
+        main = AccelerationCost(weight=1.0)
+    elif goal == "time":
+        if all(index is None for index in schedule.time_scales):
+            raise _missing(goal, "a schedule with duration_bounds in some phase")
+        main = TimeCost(weight=1.0)
+    elif goal in ("height", "distance"):
+        if frame is None:
+            raise _missing(goal, "a frame's name")
+        main = DistanceCost(weight=1.0, frame=frame, direction=direction)
+        if goal == "height":
+            flights = [phase for phase in schedule.phases if not phase.contacts]
+            if at is None and not flights:
+                raise _missing("height", "a moment, or a schedule with one without contacts")
+            apex = at or middle_of(max(flights, key=lambda phase: phase.duration).name)
+            main = FrameHeightCost(weight=1.0, frame=frame, at=apex)
+    elif goal == "transport":
+        if travel is None or not 0 < travel < math.inf:
+            raise _missing(goal, "travel > 0, the way of the motion in m")
+        main = PowerCost(weight=Units(robot).length / travel)
+    elif goal == "track":
+        if reference is None:
+            raise _missing(goal, "a reference motion")
+        main = TrackingCost(weight=1.0, reference=reference)
+    else:
+        raise not_among(GOALS, goal, f"goal '{goal}' is unknown")
     linear = isinstance(main, TimeCost | NodeCost)
     share = (REST_OF_LINEAR if linear else REST) if rest is None else rest
     return (main, *(replace(term, weight=share * term.weight) for term in effort))
 
 
-def _main_term(
-    goal: str,
-    robot: Robot,
-    schedule: Schedule,
-    frame: str | None,
-    at: Moment | None,
-    direction: tuple[float, float, float],
-    travel: float | None,
-    reference: Motion | None,
-) -> Term:
-    """The term of the goal itself, of weight one."""
-    if goal == "smooth":
-        return AccelerationCost(weight=1.0)
-    if goal == "time":
-        if all(index is None for index in schedule.time_scales):
-            raise _missing(goal, "a schedule with duration_bounds in some phase")
-        return TimeCost(weight=1.0)
-    if goal in ("height", "distance"):
-        if frame is None:
-            raise _missing(goal, "a frame's name")
-        if goal == "distance":
-            return DistanceCost(weight=1.0, frame=frame, direction=direction)
-        return FrameHeightCost(weight=1.0, frame=frame, at=at or _apex(schedule))
-    if goal == "transport":
-        if travel is None or not 0 < travel < math.inf:
-            raise _missing(goal, "travel > 0, the way of the motion in m")
-        return PowerCost(weight=Units(robot).length / travel)
-    if goal == "track":
-        if reference is None:
-            raise _missing(goal, "a reference motion")
-        return TrackingCost(weight=1.0, reference=reference)
-    raise not_among(GOALS, goal, f"goal '{goal}' is unknown")
-
-
 def _missing(goal: str, what: str) -> InputError:
     return InputError(f"goal '{goal}' lacks what it is about", f"allowed: {what}")
-
-
-def _apex(schedule: Schedule) -> Moment:
-    """The middle of the longest phase without contacts."""
-    flights = [phase for phase in schedule.phases if not phase.contacts]
-    if not flights:
-        raise _missing("height", "a moment, or a schedule with one without contacts")
-    return middle_of(max(flights, key=lambda phase: phase.duration).name)

@@ -11,7 +11,7 @@ linear in the foot's position. The terms for all swings of a schedule: `trajopt.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -25,27 +25,19 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import DuringPhases, Rows
-from trajopt.terms.landing import along_normal, contact_points
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terms.interfaces import DuringPhases, NodeConstraint, NodePlace, Rows
+from trajopt.terms.landing import along_ground, contact_points
 from trajopt.terrain.crossing import Crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.smooth import CurvedSurface, SmoothTerrain
+from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import UP, Surface
-from trajopt.terrain.swing_profile import require_clearance, swing_profile
-from trajopt.terrain.terrain import Ground, Terrain
+from trajopt.terrain.swing_paths import require_clearance, swing_profile
+from trajopt.terrain.terrain import Terrain
 
 LEVEL = np.array(UP)
 # Rounding of times of nodes, as a fraction of a swing.
 SAME_TIME = 1e-9
-
-
-def _heights(context: Context, ground: Ground, points: Iterable[ca.SX]) -> list[ca.SX]:
-    """Heights of points (3,): vertical over smooth ground, else along the normal from the world's origin."""
-    if isinstance(ground, CurvedSurface):
-        return [ground.symbolic_gap(point, context.parameter) for point in points]
-    return [along_normal(context, ground, point) for point in points]
 
 
 def _acts_at(place: NodePlace, between_phases: bool) -> bool:
@@ -102,7 +94,7 @@ class SwingClearance(DuringPhases, NodeConstraint):
             if contact.name in place.phase.contacts:
                 continue
             ground = self.terrain.surface.offset(contact.radius)
-            above = _heights(context, ground, contact_points(context, contact))
+            above = [along_ground(context, ground, point) for point in contact_points(context, contact)]
             if isinstance(ground, Surface) and ground.height:
                 # Measured from the ground, not the origin: solvers relax a bound in proportion to its size.
                 level = context.parameter(ground.height)
@@ -170,7 +162,7 @@ class SwingArc(NodeConstraint):
             ground, points = self.terrain.surface.offset(contact.radius), contact_points(context, contact)
             level = ground.height if isinstance(ground, Surface) else 0.0
             s = part.begin + place.fraction * (part.end - part.begin)
-            heights += _heights(context, ground, points)
+            heights += [along_ground(context, ground, point) for point in points]
             least += [level + self.height * swing_profile(s)] * len(points)
         return Rows.create(ca.vertcat(*heights), np.array(least), np.inf, units.length)
 

@@ -20,8 +20,7 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_paths import crossing_of
-from trajopt.terrain.swing_profile import require_clearance
+from trajopt.terrain.swing_paths import crossing_of, require_clearance
 from trajopt.terrain.terrain import Terrain
 
 # Number of samples of the guess's swing in which to find where it passes an edge.
@@ -68,7 +67,9 @@ def _swings(
                 continue
             first = max(i for i in range(last) if on[i]) + 1
             span = (float(times[first]), float(times[last]))
-            track = _track(robot, contact.name, guess, span)
+            poses = (contact_poses(robot, guess(float(t)))[contact.name] for t in np.linspace(*span, SAMPLES))
+            # Points (n, m, 3) of the contact along the guess of its swing: one, or a sole's four corners.
+            track = np.array([pose.translation + contact.corners @ pose.rotation[:, :2].T for pose in poses])
             starts = footholds_at(robot, guess(0.0), terrain)
             middles = track.mean(axis=1)
             places = [
@@ -82,13 +83,6 @@ def _swings(
                 for i in range(first, last)
             }
             yield _swing(contact, span, parts, terrain, places, track, height)
-
-
-def _track(robot: Robot, name: str, guess: Motion, span: tuple[float, float]) -> np.ndarray:
-    """Points (n, m, 3) of a contact along the guess of its swing, m: one, or a sole's four corners."""
-    poses = (contact_poses(robot, guess(float(t)))[name] for t in np.linspace(*span, SAMPLES))
-    points = robot.contact(name).corners
-    return np.array([pose.translation + points @ pose.rotation[:, :2].T for pose in poses])
 
 
 def _place(
@@ -199,7 +193,6 @@ def _swing_parts(
 
 
 def _time_in_air(phases: tuple[Phase, ...], name: str) -> float | None:
-    """Time in s from the first of these phases until the contact stands; None where it never does."""
     time = 0.0
     for phase in phases:
         if name in phase.contacts:

@@ -19,11 +19,10 @@ from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.robot.validation import require_configuration
+from trajopt.schedule.moment import Target
 from trajopt.schedule.schedule import Schedule
-from trajopt.schedule.targets import Target
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Rows
-from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
+from trajopt.terms.interfaces import NodeConstraint, NodePlace, Rows
 
 # Singular values of a contact Jacobian below this fraction of the largest count as zero.
 RANK_TOLERANCE = 1e-6

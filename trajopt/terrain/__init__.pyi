@@ -10,8 +10,8 @@ from .shapes import Wave as Wave
 from .smooth import CurvedSurface as CurvedSurface
 from .smooth import SmoothTerrain as SmoothTerrain
 from .surface import Surface as Surface
+from .swing_paths import smooth_step as smooth_step
 from .swing_paths import swing_path as swing_path
-from .swing_profile import smooth_step as smooth_step
 from .terrain import Ground as Ground
 from .terrain import Terrain as Terrain
 from .terrain import terrain_from_description as terrain_from_description

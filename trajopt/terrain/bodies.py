@@ -171,8 +171,8 @@ def _is_covered(polygon: np.ndarray, slope: np.ndarray, level: float, terrain: P
     """Whether a polygon (k, 3) in the plane z = slope @ p + level is nowhere above the terrain."""
     left = [polygon]
     for face in terrain.faces:
-        own_slope, own_level = _height_of(face)
-        higher = (own_slope - slope, level - own_level - SAME)
+        its_slope, its_level = _height_of(face)
+        higher = (its_slope - slope, level - its_level - SAME)
         region = [*_edges(face.vertices), higher]
         left = [part for piece in left for part in _outside(piece, region)]
     corners = [(part[:, 0], part[:, 1]) for part in left]

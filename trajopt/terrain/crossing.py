@@ -139,24 +139,21 @@ def _height(piece: _Piece, part: float, start: np.ndarray, end: np.ndarray) -> f
 
 def _pieces(terrain: PiecewiseTerrain, start: np.ndarray, end: np.ndarray) -> list[_Piece]:
     """The highest face along the way, in order."""
-    stops = sorted({0.0, 1.0, *(stop for face in terrain.faces for stop in _stops(face, start, end))})
+    stops = {0.0, 1.0}  # where the way, seen from above, meets the lines of faces' edges
+    for face in terrain.faces:
+        edges = [_edge_plane(face, index) for index in range(len(face.vertices))]
+        outside = [[float(normal @ point - offset) for point in (start, end)] for normal, offset in edges]
+        parts = [a / (a - b) for a, b in outside if abs(a - b) > NO_DIRECTION]
+        stops |= {part for part in parts if 0 < part < 1}
     pieces: list[_Piece] = []
-    for a, b in pairwise(stops):
+    for a, b in pairwise(sorted(stops)):
         if b - a > CRACK:
             middle = start + (a + b) / 2 * (end - start)
-            face = terrain.face_at(float(middle[0]), float(middle[1]))
-            if pieces and pieces[-1].face is face:
+            highest = terrain.face_at(float(middle[0]), float(middle[1]))
+            if pieces and pieces[-1].face is highest:
                 a = pieces.pop().begin
-            pieces.append(_Piece(begin=a, end=b, face=face))
+            pieces.append(_Piece(begin=a, end=b, face=highest))
     return pieces
-
-
-def _stops(face: Patch, start: np.ndarray, end: np.ndarray) -> list[float]:
-    """Fractions in (0, 1) of the way at which it meets the lines of a face's edges, seen from above."""
-    edges = [_edge_plane(face, index) for index in range(len(face.vertices))]
-    outside = [[float(normal @ point - offset) for point in (start, end)] for normal, offset in edges]
-    parts = [a / (a - b) for a, b in outside if abs(a - b) > NO_DIRECTION]
-    return [part for part in parts if 0 < part < 1]
 
 
 def _edge_plane(face: Patch, index: int) -> tuple[np.ndarray, float]:

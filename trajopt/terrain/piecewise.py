@@ -11,8 +11,7 @@ import numpy as np
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError, require_finite
-from trajopt.terrain.obstacle import ObstacleAxes, PlanePoint, require_lengths
-from trajopt.terrain.patch import Patch
+from trajopt.terrain.patch import ObstacleAxes, Patch, PlanePoint, require_lengths
 from trajopt.terrain.surface import MOST_SHAPES, UP, Surface
 
 # Extent of the flats before and beyond an obstacle, m: farther than the motion of any plan.

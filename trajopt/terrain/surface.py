@@ -53,7 +53,7 @@ class Surface:
             the contact's kind, and neither friction nor unilateral rows apply; the normal only determines how
             a contact lands on it.
         slip_speed: m/s; with it a point contact slides along the surface, against its friction (see
-            `trajopt.terms.sliding`).
+            `trajopt.terms.dynamics`).
 
     Raises:
         InputError: for a wrong shape, a normal without length, a number out of range.

@@ -1,4 +1,4 @@
-"""Guess of a swing over ground with edges: up before the first edge, over the top, down behind the last."""
+"""Profiles of a swing, and its guess over edges: up before the first, over the top, down behind the last."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.arguments import checked
+from trajopt.errors import require_not_negative
 from trajopt.terrain.crossing import Crossing, Edge, crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_profile import require_clearance, smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
 
 # Fractions of the swing time at which the foot has reached the top, and from which it descends.
@@ -27,11 +27,33 @@ OVER_CLEARANCE = 1.5
 # Number of swings whose ground is cached.
 KEPT = 1024
 
+SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
+
+
+def require_clearance(clearance: float) -> None:
+    """Raise `InputError` for a swing clearance, m, that is negative or not finite."""
+    require_not_negative("swing clearance", clearance, "m")
+
+
+def swing_profile(s: float) -> float:
+    """16 s^2 (1 - s)^2 at the fraction ``s`` of a swing: one in mid swing, zero and flat at its ends.
+
+    Flat, because a foot begins and ends its swing at rest: with a profile of finite slope there, such as
+    4 s (1 - s), the height at the first node after lift-off is proportional to the step, and the acceleration
+    needed is inversely proportional to it: the optimum would have no limit as the mesh is refined.
+    """
+    return 16.0 * s * s * (1.0 - s) ** 2
+
+
+def smooth_step(s: float) -> float:
+    """From 0 to 1 with rate and acceleration zero at both ends: 10 s^3 - 15 s^4 + 6 s^5, clipped."""
+    s = min(max(s, 0.0), 1.0)
+    return s**3 * (10 - 15 * s + 6 * s * s)
+
+
 # Inverse of the smooth step, as a table.
 TIMES = np.linspace(0.0, 1.0, 201)
 DONE = np.array([smooth_step(float(time)) for time in TIMES])
-
-SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
 
 @checked
@@ -105,17 +127,21 @@ def kept_outside(
     """
     if ground.top is None:
         return position
-    begin, end = ends
-    low, high = min(begin[2], ground.top), min(end[2], ground.top)
-    up, down = smooth_step(s / RISEN), smooth_step((s - SINKING) / (1 - SINKING))
     arc = OVER_CLEARANCE * clearance * swing_profile(s)
     fade = smooth_step((s - RISEN) / (SINKING - RISEN))
     moved = position.copy()
-    moved[2] = max(moved[2], low + up * (ground.top - low) + down * (high - ground.top) + arc)
+    moved[2] = max(moved[2], _over_top(ground.top, ends, s) + arc)
     for edge, part in ((ground.rise, 1 - fade), (ground.fall, fade)):
         if edge is not None:
             moved += part * max(-float(edge.distance(position)), 0.0) * edge.normal
     return moved
+
+
+def _over_top(top: float, ends: tuple[np.ndarray, np.ndarray], s: float) -> float:
+    """Height, m, of a path that is at the ``top`` between `RISEN` and `SINKING`."""
+    up, down = smooth_step(s / RISEN), smooth_step((s - SINKING) / (1 - SINKING))
+    low, high = min(ends[0][2], top), min(ends[1][2], top)
+    return float(low + up * (top - low) + down * (high - top))
 
 
 def _over(
@@ -125,9 +151,7 @@ def _over(
     part = smooth_step(_warped(ground, s))
     position = (1 - part) * start + part * end
     if ground.top is not None:
-        up, down = smooth_step(s / RISEN), smooth_step((s - SINKING) / (1 - SINKING))
-        low, high = min(start[2], ground.top), min(end[2], ground.top)
-        position[2] = low + up * (ground.top - low) + down * (high - ground.top)
+        position[2] = _over_top(ground.top, ends, s)
     elif not isinstance(terrain, FlatGround):
         # A valley, or smooth ground: never below what is under the foot.
         position[2] = max(position[2], float(terrain.height(position[0], position[1])))

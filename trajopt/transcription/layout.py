@@ -19,7 +19,7 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.schedule.schedule import Schedule
-from trajopt.terms.node_interfaces import NodePlace
+from trajopt.terms.interfaces import NodePlace
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.schemes import Scheme
 from trajopt.transcription.timeline import NodeLayout, Stage, StageKind, Timeline, timeline
