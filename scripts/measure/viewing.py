@@ -18,8 +18,7 @@ from trajopt.solving.monitoring import Iterate, Watch
 from trajopt.solving.solving import PreparedProblem, prepare, solve_prepared
 from trajopt.view.replay.browser import chromium
 from trajopt.view.replay.show import replay
-from trajopt.view.watching.history import History
-from trajopt.view.watching.record import IterationTable
+from trajopt.view.watching.record import History, IterationTable
 from trajopt.view.watching.viewer import Viewer
 from trajopt_library import problems
 

@@ -22,10 +22,8 @@ from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.ladder import solve_ladder
 from trajopt.solving.monitoring import Iterate, combine_watches
-from trajopt.view.watching.history import FIGURES, History
-from trajopt.view.watching.panel import panel_lines
-from trajopt.view.watching.record import COLUMNS, IterationLines, IterationTable
-from trajopt.view.watching.sparkline import ASCII, BLOCKS, MISSING, sparkline
+from trajopt.view.watching.panel import ASCII, BLOCKS, MISSING, panel_lines, sparkline
+from trajopt.view.watching.record import COLUMNS, FIGURES, History, IterationLines, IterationTable
 
 pytestmark = pytest.mark.long
 

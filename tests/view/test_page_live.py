@@ -16,7 +16,7 @@ import pytest
 from tests.support.browser import running_chromium
 from tests.support.processes import LIMIT, Running, until
 from trajopt import TrajoptError
-from trajopt.view.replay import live
+from trajopt.view.replay import show
 from trajopt.view.replay.browser import FLAGS, find_chromium
 from trajopt.view.replay.show import replay
 
@@ -45,7 +45,7 @@ def fetched(address: str) -> tuple[int, str]:
 
 def test_a_window_whose_server_has_ended_sends_nothing() -> None:
     """Another server may listen at its port by now."""
-    window = live.LiveWindow()
+    window = show.LiveWindow()
     try:
         window.server_proc.kill()
         window.server_proc.wait(LIMIT)
@@ -110,7 +110,7 @@ def test_browser_is_opened_only_where_there_is_a_screen(shown, monkeypatch):
     opened = []
     monkeypatch.setattr(webbrowser, "open", lambda address, new=0: opened.append(address))
     monkeypatch.setattr(sys, "platform", "linux")
-    for name in live.DISPLAYS:
+    for name in show.DISPLAYS:
         monkeypatch.delenv(name, raising=False)
     shown.window.open()
     assert opened == []
@@ -121,9 +121,9 @@ def test_browser_is_opened_only_where_there_is_a_screen(shown, monkeypatch):
 
 def test_over_ssh_it_is_said_how_to_reach_the_server(monkeypatch):
     monkeypatch.delenv("SSH_CONNECTION", raising=False)
-    assert live.server_address_text("http://127.0.0.1:7001/") == "replay at http://127.0.0.1:7001/"
+    assert show.server_address_text("http://127.0.0.1:7001/") == "replay at http://127.0.0.1:7001/"
     monkeypatch.setenv("SSH_CONNECTION", "1 2 3 4")
-    assert "ssh -L 7001:127.0.0.1:7001" in live.server_address_text("http://127.0.0.1:7001/")
+    assert "ssh -L 7001:127.0.0.1:7001" in show.server_address_text("http://127.0.0.1:7001/")
 
 
 @pytest.mark.long
@@ -159,7 +159,7 @@ def test_page_shows_the_scene_and_what_a_script_adds_and_says_when_the_server_en
 def test_server_that_cannot_start_says_why_in_one_line(monkeypatch, tmp_path):
     broken = tmp_path / "server.py"
     broken.write_text("raise OSError('no port is free')")
-    monkeypatch.setattr(live.server, "__file__", str(broken))
-    with pytest.raises(live.TrajoptError, match="does not start: OSError: no port is free"):
-        live.LiveWindow()
+    monkeypatch.setattr(show.server, "__file__", str(broken))
+    with pytest.raises(show.TrajoptError, match="does not start: OSError: no port is free"):
+        show.LiveWindow()
     assert os.path.exists(broken)

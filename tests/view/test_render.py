@@ -23,8 +23,7 @@ from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import video
 from trajopt.view.replay.browser import open_page
-from trajopt.view.replay.render import render
-from trajopt.view.replay.shots import GAP, MOST_PICTURES, Shots, representative_time
+from trajopt.view.replay.render import GAP, MOST_PICTURES, Shots, render, representative_time
 from trajopt.view.replay.show import replay
 from trajopt_library import robots
 
@@ -96,7 +95,7 @@ def loss(found: np.ndarray, expected: np.ndarray) -> float:
 
 def test_mp4_has_every_picture_for_its_time_in_its_colours(tmp_path):
     pictures = moving_square(12)
-    video.write_mp4(tmp_path / "a.mp4", map(png, pictures), RATE)
+    video.write_video(tmp_path / "a.mp4", ".mp4", map(png, pictures), RATE)
     said = said_by_ffmpeg(tmp_path / "a.mp4")
     assert "h264" in said
     assert re.search(r"yuv420p\(tv, bt709", said)
@@ -111,7 +110,7 @@ def test_mp4_has_every_picture_for_its_time_in_its_colours(tmp_path):
 @pytest.mark.parametrize("rate", [Fraction(25), Fraction(30), Fraction(15)])
 def test_gif_has_every_picture_for_its_time_and_repeats(tmp_path, rate):
     pictures = moving_square(12)
-    video.write_gif(tmp_path / "a.gif", map(png, pictures), rate)
+    video.write_video(tmp_path / "a.gif", ".gif", map(png, pictures), rate)
     found, times, loop = gif_frames(tmp_path / "a.gif")
     assert len(found) == len(pictures)
     assert loop == 0
@@ -122,7 +121,7 @@ def test_gif_has_every_picture_for_its_time_and_repeats(tmp_path, rate):
 
 def test_webp_has_every_picture_for_its_time_and_repeats(tmp_path):
     pictures = moving_square(12)
-    video.write_webp(tmp_path / "a.webp", map(png, pictures), RATE)
+    video.write_video(tmp_path / "a.webp", ".webp", map(png, pictures), RATE)
     with Image.open(tmp_path / "a.webp") as found:
         assert found.n_frames == len(pictures)
         assert found.info["loop"] == 0
@@ -136,7 +135,7 @@ def test_webp_has_every_picture_for_its_time_and_repeats(tmp_path):
 
 def test_error_of_ffmpeg_is_one_line_and_of_the_pictures_goes_through(tmp_path):
     with pytest.raises(TrajoptError, match="ffmpeg cannot write the file: ") as raised:
-        video.write_mp4(tmp_path / "none" / "a.mp4", map(png, moving_square(2)), RATE)
+        video.write_video(tmp_path / "none" / "a.mp4", ".mp4", map(png, moving_square(2)), RATE)
     assert "\n" not in str(raised.value)
 
     def failing():
@@ -144,7 +143,7 @@ def test_error_of_ffmpeg_is_one_line_and_of_the_pictures_goes_through(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        video.write_mp4(tmp_path / "a.mp4", failing(), RATE)
+        video.write_video(tmp_path / "a.mp4", ".mp4", failing(), RATE)
 
 
 def test_times_of_a_video_are_even_and_end_with_the_motion():

@@ -15,8 +15,7 @@ from trajopt.motion.samples import sample_quantities
 from trajopt.robot.payload import Payload, loaded, loaded_model
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
-from trajopt.view.replay.balance import Balance, balance_of, on_ground, outer_wrenches
-from trajopt.view.replay.balance_marks import SUPPORT_LIFT
+from trajopt.view.replay.balance import SUPPORT_LIFT, Balance, balance_of, on_ground, outer_wrenches
 from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.scene import build_scene
 from trajopt_library import robots
@@ -38,7 +37,7 @@ def rising() -> Solution:
 
 def balance(solution: Solution) -> Balance:
     motion = replay_motion(solution)
-    return balance_of(solution, motion, motion.touched)
+    return balance_of(solution, motion)
 
 
 def centre_of_pressure(solution: Solution) -> np.ndarray:

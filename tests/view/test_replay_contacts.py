@@ -16,7 +16,7 @@ from trajopt.robot.data import data_share, robot_file
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
-from trajopt.view.replay.cones import COLOURS, SIDE
+from trajopt.view.replay.contacts import COLOURS, SIDE
 from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.parts import colour_array
 from trajopt.view.replay.scene import build_scene

@@ -18,10 +18,9 @@ from trajopt.schedule import start_of
 from trajopt.schedule.moment import Target
 from trajopt.solution.solution import Solution
 from trajopt.terms import FramePose, TerminalState
-from trajopt.view.replay.copies import MOST_GHOSTS, ghost_frames
 from trajopt.view.replay.motion import replay_motion, replay_motions
 from trajopt.view.replay.robot import joint_path
-from trajopt.view.replay.runs import GAP
+from trajopt.view.replay.runs import GAP, MOST_GHOSTS, ghost_frames
 from trajopt.view.replay.scene import ReplayScene, build_scene
 from trajopt.view.replay.show import replay
 from trajopt_library import robots

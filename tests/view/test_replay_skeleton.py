@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from tests.support.replay_pages import hopping, objects_of, placements_of, shown
 from tests.support.synthetic_motions import Motion, arm_motion, sampled, with_meta
 from trajopt.robot.data import robot_file
-from trajopt.view.replay.visuals import mesh_points, visuals_of
+from trajopt.view.replay.robot import mesh_points, visuals_of
 from trajopt_library import robots
 from trajopt_library.robots.hopper import SLENDERNESS, TORSO_CENTRE, TORSO_LENGTH
 

@@ -9,16 +9,17 @@ from numpy.testing import assert_array_equal
 from scipy.spatial.transform import Rotation, Slerp
 
 from tests.support.replay_pages import hopping, key_frames_of, shown
-from trajopt.view.replay.commands import Animation, Recorder
-from trajopt.view.replay.thinning import (
+from trajopt.view.replay.commands import (
     ANGLE_ERROR,
     FINER,
     POSITION_ERROR,
+    Animation,
+    Recorder,
     hold_while_hidden,
     rounded,
     thin_key_frames,
+    turns_to,
 )
-from trajopt.view.replay.turns import turns_to
 
 ERROR = 1e-3
 ROUNDING = 1e-9

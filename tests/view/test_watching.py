@@ -24,9 +24,17 @@ from trajopt import Problem, solve
 from trajopt.robot.building import reach as reach_of
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.monitoring import Iterate
-from trajopt.view.replay.thinning import ANGLE_ERROR, POSITION_ERROR
-from trajopt.view.watching.drawing import HEAVY, PATHS, POSES, IterateScene, Picture
-from trajopt.view.watching.motion import LEAST_POSES, MOST_POSES, IterateMotion
+from trajopt.view.replay.commands import ANGLE_ERROR, POSITION_ERROR
+from trajopt.view.watching.drawing import (
+    HEAVY,
+    LEAST_POSES,
+    MOST_POSES,
+    PATHS,
+    POSES,
+    IterateMotion,
+    IterateScene,
+    Picture,
+)
 from trajopt.view.watching.viewer import Viewer
 from trajopt_library import problems
 

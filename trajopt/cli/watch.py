@@ -35,7 +35,7 @@ def open_viewer(watch: bool) -> Viewer | None:
     """
     if not watch:
         return None
-    from trajopt.view.replay.live import server_address_text
+    from trajopt.view.replay.show import server_address_text
     from trajopt.view.watching.viewer import Viewer
 
     viewer = Viewer(open_browser=_at_terminal())

@@ -1,29 +1,31 @@
-"""Drawing into one pair of axes: curves of all solutions, and vertical axes with limits."""
+"""Drawing into one pair of axes, and a page as data: rows of panels."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.page import PlotRow, Tracks, panel_row
-from trajopt.view.plotting.track import MotionQuantity
+from trajopt.view.plotting.joints import FAR
+from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+Tracks = Sequence[Track]
+Draw = Callable[["Axes", Tracks], None]
+_Item = TypeVar("_Item")
 # Number of markers on a curve along the time axis.
 MARKS = 6
 # With more collocation points than this in one panel, none are drawn.
 MOST_DOTS = 400
 # Least upper end of an axis for shares of a limit, so that the limit is visible.
 SHOWN = 1.05
-# A limit this many times what is used, as a description's placeholder of 1000 rad/s, is not drawn to scale;
-# the axis has this much room above the curves for the line that says so.
-FAR, HEADROOM = 20.0, 1.25
+# Room of an axis above the curves, over them, for the line that says that a limit is far beyond.
+HEADROOM = 1.25
 # Points by which each of several curves on each other is thicker than the next.
 THICKER = 0.4
 LIMIT: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (6, 2))}
@@ -31,6 +33,62 @@ LIMIT: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0
 HATCHED: dict[str, Any] = {"facecolor": "none", "edgecolor": style.GREY, "hatch": "////", "lw": 0}
 # Margin of a vertical axis above and below the curves.
 MARGIN = 0.06
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlotPanel:
+    """One pair of axes: its vertical axis' label with unit, and its draw function.
+
+    ``title`` is its heading, ``remark`` a line of small letters below that.
+    """
+
+    name: str
+    ylabel: str
+    draw: Draw
+    title: str = ""
+    remark: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlotRow:
+    """Panels side by side, with the ``legend`` of their labelled curves on the right; ``timed``: over time.
+
+    ``height`` of the axes is in units of a normal row. ``rigid`` rows keep it, others shrink where a page is
+    full.
+    """
+
+    panels: Sequence[PlotPanel]
+    timed: bool = True
+    legend: bool = True
+    height: float = 1.0
+    rigid: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlotPage:
+    """A page by ``name`` with a ``title``, and a ``note`` at its foot."""
+
+    name: str
+    title: str
+    rows: Sequence[PlotRow]
+    note: str = ""
+
+
+def panel_row(name: str, title: str, ylabel: str, draw: Draw, remark: str = "", **row: Any) -> PlotRow:
+    """Return a row with one panel; ``row`` are more fields of the row."""
+    panel = PlotPanel(name=name, ylabel=ylabel, draw=draw, title=title, remark=remark)
+    return PlotRow(panels=(panel,), **row)
+
+
+def page_of(name: str, title: str, *parts: Iterable[PlotRow | None], note: str = "") -> list[PlotPage]:
+    """Return a page for each part, of its rows that are not None; none for a part without rows."""
+    present = [[row for row in part if row is not None] for part in parts]
+    return [PlotPage(name=name, title=title, rows=rows, note=note) for rows in present if rows]
+
+
+def batches(items: Sequence[_Item], size: int) -> list[Sequence[_Item]]:
+    """Return the items in order, ``size`` at a time."""
+    return [items[start : start + size] for start in range(0, len(items), size)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.facts import failure_of, state_of, title_of
-from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks
+from trajopt.view.plotting.draw import PlotPage, PlotRow, Tracks
+from trajopt.view.plotting.track import failure_of, state_of, title_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

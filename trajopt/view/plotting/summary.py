@@ -8,11 +8,10 @@ from trajopt.errors import InputError, not_among
 from trajopt.view.plotting import topics_accuracy as accuracy
 from trajopt.view.plotting import topics_base as base
 from trajopt.view.plotting import topics_contacts as contacts
-from trajopt.view.plotting import topics_drives as drives
 from trajopt.view.plotting import topics_joints as joints
 from trajopt.view.plotting import topics_limits as limits
-from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks, page_of
-from trajopt.view.plotting.topics_soles import sole_pages
+from trajopt.view.plotting.draw import PlotPage, PlotRow, Tracks, page_of
+from trajopt.view.plotting.topics_contacts import sole_pages
 
 # Most rows of a map of shares in the summary: with more joints, one row per limb.
 MAP_ROWS = 12
@@ -60,7 +59,7 @@ PAGES: dict[str, Callable[[Tracks], list[PlotPage]]] = {
     "summary": summary_pages,
     "limits": limits.limit_pages,
     "joints": joints.joint_pages,
-    "drives": drives.drive_pages,
+    "drives": joints.drive_pages,
     "forces": contacts.force_pages,
     "soles": sole_pages,
     "base": base.base_pages,

@@ -13,9 +13,8 @@ import numpy as np
 from trajopt.motion.limits import limit_traces
 from trajopt.solution.grid import interval_schemes
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.draw import Curve
+from trajopt.view.plotting.draw import Curve, PlotPage, PlotRow, Tracks, page_of, panel_row
 from trajopt.view.plotting.motion import MotionQuantities
-from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks, page_of, panel_row
 from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:

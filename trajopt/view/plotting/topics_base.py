@@ -9,10 +9,9 @@ import numpy as np
 
 from trajopt.dynamics.base_joint import base_of
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.draw import Curve
+from trajopt.view.plotting.draw import Curve, PlotPage, PlotRow, Tracks, page_of
 from trajopt.view.plotting.joints import JointAxis
 from trajopt.view.plotting.motion import MotionQuantities
-from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks, page_of
 from trajopt.view.plotting.topics_joints import limbs
 from trajopt.view.plotting.track import MotionQuantity
 

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.joints import JointAxis
-from trajopt.view.plotting.motion import MotionQuantities
-from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
-from trajopt.view.plotting.quantities import (
+from trajopt.view.plotting.draw import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
+from trajopt.view.plotting.joints import (
     BEYOND,
     KINDS,
+    JointAxis,
     are_far,
     limit_words,
     most_used,
@@ -22,6 +21,7 @@ from trajopt.view.plotting.quantities import (
     units_of,
     value,
 )
+from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.topics_joints import limbs
 from trajopt.view.plotting.track import Track
 

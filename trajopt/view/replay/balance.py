@@ -1,4 +1,4 @@
-"""Centre of mass, zero-moment point and support of a motion, by numeric Pinocchio.
+"""Balance of a replay: centre of mass, zero-moment point and support, by numeric Pinocchio, and their marks.
 
 The external wrench on the robot (and its payload) follows from its momentum,
 
@@ -16,23 +16,38 @@ that stands on something else; their forces move the point.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
+import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.dynamics.model_quantities import mass_of
 from trajopt.motion.carried import carrying_model
-from trajopt.motion.touched import TouchedSurfaces
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.solution import Solution
-from trajopt.terrain.surface import SAME_PLANE, UP, Surface
+from trajopt.terrain.surface import SAME_PLANE, UP, Surface, frame_of_normal
+from trajopt.view.replay import parts
+from trajopt.view.replay.commands import Animation, hold_while_hidden
 from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
+from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.surfaces import plane_of
 
 # A surface whose normal is nearer to level than to vertical is a wall: it does not carry.
 LEVEL = np.sqrt(0.5)
 _CORNERS = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
+ZMP_COLOUR, SUPPORT_COLOUR = 0xB5179E, 0x2A9D6F
+COM_TRAIL_COLOUR, PLUMB_COLOUR = 0x30343B, 0x50565F
+SUPPORT_OPACITY = 0.28
+# The robot covers these marks most of the time: they shine through it.
+THROUGH = 0.75
+# Over the robot's extent: radii of the ball, its projection, the zero-moment point, the vertical line, and
+# half the width of a support that is a segment.
+BALL, MARK, ZMP_MARK, PLUMB, SEGMENT = 0.032, 0.028, 0.024, 0.0025, 0.006
+# Heights of flat marks over the drawn ground, over the robot's extent: above its grid, one above the other.
+SUPPORT_LIFT, MARK_LIFT, ZMP_LIFT = 0.003, 0.0045, 0.006
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,10 +75,15 @@ class Balance:
     supports: list[SupportArea]
 
 
-def balance_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfaces) -> Balance:
-    """Return the balance of a motion; ``touched`` is of its frames. Raises `SolutionFileError`."""
-    com = centres_of_mass(solution, motion)
-    supports = supports_of(solution, motion, touched)
+def balance_of(solution: Solution, motion: ReplayMotion) -> Balance:
+    """Return the balance of a motion. Raises `SolutionFileError`."""
+    com = np.empty((motion.n_frames, 3))  # of the robot with its payload
+    for phase in np.unique(motion.phase):
+        model = carrying_model(solution, int(phase))
+        data = model.createData()
+        for row in np.flatnonzero(motion.phase == phase):
+            com[row] = pin.centerOfMass(model, data, motion.q[row], False)
+    supports = _supports(solution, motion)
     force, moment = (motion.between(part) for part in outer_wrenches(solution))
     zmp = np.full_like(com, np.nan)
     for support in supports:
@@ -74,17 +94,6 @@ def balance_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurface
         place = plane.point + centre_of_pressure(force[rows], about, plane.normal)
         zmp[rows] = np.where(pressed[:, None], place, np.nan)
     return Balance(com=com, below=on_ground(solution, com), zmp=zmp, supports=supports)
-
-
-def centres_of_mass(solution: Solution, motion: ReplayMotion) -> np.ndarray:
-    """Centre of mass (n, 3) of the robot with its payload, world, m."""
-    com = np.empty((motion.n_frames, 3))
-    for phase in np.unique(motion.phase):
-        model = carrying_model(solution, int(phase))
-        data = model.createData()
-        for row in np.flatnonzero(motion.phase == phase):
-            com[row] = pin.centerOfMass(model, data, motion.q[row], False)
-    return com
 
 
 def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
@@ -100,13 +109,14 @@ def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     return force, moment + np.cross(com, force)
 
 
-def supports_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfaces) -> list[SupportArea]:
+def _supports(solution: Solution, motion: ReplayMotion) -> list[SupportArea]:
     """One support for each phase with loaded contacts; consecutive phases with the same are joined.
 
     Of contacts on the ground and on walls those on the ground.
     """
+    touched = motion.touched
     pressing = motion.active & ~touched.bilateral
-    level = touched.normal @ upward(solution.model) > LEVEL
+    level = touched.normal @ _upward(solution.model) > LEVEL
     areas: list[SupportArea] = []
     for phase in np.unique(motion.phase):
         rows = motion.phase == phase
@@ -116,7 +126,7 @@ def supports_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfac
             contacts = np.flatnonzero(pressing[middle])
         if not len(contacts):
             continue
-        plane = _plane(solution, motion, touched, middle, contacts)
+        plane = _plane(solution, motion, middle, contacts)
         points = np.concatenate([_touching(solution, motion, middle, int(contact)) for contact in contacts])
         hull = _hull(points, plane)
         rise = float(solution.description.radii[contacts].mean())
@@ -128,19 +138,18 @@ def supports_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfac
     return areas
 
 
-def _plane(
-    solution: Solution, motion: ReplayMotion, touched: TouchedSurfaces, row: int, contacts: np.ndarray
-) -> Surface:
+def _plane(solution: Solution, motion: ReplayMotion, row: int, contacts: np.ndarray) -> Surface:
     """The one plane of ``contacts`` at a frame, or the virtual one."""
+    touched = motion.touched
     normals, points = touched.normal[row, contacts], touched.point[row, contacts]
     turned = np.abs(normals - normals[0]).max() if len(contacts) else 0.0
     apart = np.abs((points - points[0]) @ normals[0]).max()
     if touched.known[row, contacts].all() and turned < SAME_PLANE and apart < SAME_PLANE:
         return Surface(point=points[0], normal=normals[0])
-    return Surface(point=motion.feet[row, contacts].mean(axis=0), normal=upward(solution.model))
+    return Surface(point=motion.feet[row, contacts].mean(axis=0), normal=_upward(solution.model))
 
 
-def upward(model: pin.Model) -> np.ndarray:
+def _upward(model: pin.Model) -> np.ndarray:
     """Unit vector (3,) against gravity; the world's z where there is none."""
     gravity = model.gravity.linear
     length = float(np.linalg.norm(gravity))
@@ -150,9 +159,8 @@ def upward(model: pin.Model) -> np.ndarray:
 def _touching(solution: Solution, motion: ReplayMotion, row: int, contact: int) -> np.ndarray:
     """Points (k, 3) of a contact in the world, m: its frame's origin, or the corners of its sole."""
     place, size = motion.contacts[row, contact], solution.description.contacts[contact].half_size
-    if size is None:
-        return np.asarray(place[None, :3, 3])
-    return np.asarray(_CORNERS * [*size, 0.0] @ place[:3, :3].T + place[:3, 3])
+    corners = np.zeros((1, 3)) if size is None else _CORNERS * [*size, 0.0]
+    return np.asarray(corners @ place[:3, :3].T + place[:3, 3])
 
 
 def _hull(points: np.ndarray, plane: Surface) -> np.ndarray:
@@ -171,7 +179,7 @@ def on_ground(solution: Solution, places: np.ndarray) -> np.ndarray:
     """Where vertical lines through ``places`` (n, 3) meet the terrain (n, 3), m; NaN over holes, at walls."""
     terrain = solution.description.ground
     if terrain is None or isinstance(terrain, Surface):
-        plane, up = plane_of(solution), upward(solution.model)
+        plane, up = plane_of(solution), _upward(solution.model)
         slope = float(plane.normal @ up)
         if slope <= SAME_PLANE:
             return np.full_like(places, np.nan)
@@ -179,3 +187,70 @@ def on_ground(solution: Solution, places: np.ndarray) -> np.ndarray:
     below = places.copy()
     below[:, 2] = terrain.height(places[:, 0], places[:, 1])
     return np.where(np.isfinite(below), below, np.nan)
+
+
+def draw_balance(run: DrawnSolution, tracks: Animation, balance: Balance, drop: float, size: float) -> None:
+    """Animate the marks; ``drop`` m is how far below the contacts the drawn ground lies."""
+    _draw_com(run, tracks, balance, drop, size)
+    if not balance.supports or not BASE_JOINT[base_of(run.solution.model)]:  # a fixed base
+        return
+    _draw_zmp(run, tracks, balance, drop, size)
+    for number, support in enumerate(balance.supports):
+        place = run.node["support"][f"stance{number}"]
+        _draw_support(place, support, drop, size, run.ink(SUPPORT_COLOUR))
+        tracks.add(place, "visible", support.rows)
+
+
+def _draw_com(run: DrawnSolution, tracks: Animation, balance: Balance, drop: float, size: float) -> None:
+    node, up = run.node["com"], _upward(run.solution.model)
+    dark = parts.colour_array(run.colour) if run.tinted else parts.DARK
+    ball = parts.two_tone_ball(BALL * size, dark)
+    parts.draw_showing_through(node["ball"], ball, through=THROUGH, vertexColors=True)
+    tracks.add(node["ball"], "position", balance.com)
+    parts.draw_line(node["trail"], balance.com, run.ink(COM_TRAIL_COLOUR))
+    shown = np.isfinite(balance.below).all(axis=1)
+    if not shown.any():
+        return
+    ground = hold_while_hidden(balance.below, shown) - drop * up
+    height = np.maximum((balance.com - ground) @ up, 0.0)
+    turn, mark, plumb = frame_of_normal(up), node["projection"], node["plumb"]
+    disc = parts.two_tone_disc(MARK * size, dark)
+    parts.draw_showing_through(mark["disc"], disc, lit=False, vertexColors=True)
+    mark["disc"].set_transform(parts.placed(MARK_LIFT * size * up, turn))
+    tracks.show(mark, shown, position=ground)
+    upright, rod = plumb["upright"], plumb["upright"]["length"]
+    upright.set_transform(parts.placed(np.zeros(3), turn))
+    line = shapes.MeshBasicMaterial(color=run.ink(PLUMB_COLOUR))
+    parts.draw_unshadowed(rod["rod"], shapes.Cylinder(1.0, PLUMB * size), line)
+    rod["rod"].set_transform(parts.placed([0.0, 0.0, 0.5], parts.UPRIGHT))
+    tracks.show(plumb, shown, position=ground)
+    tracks.add(rod, "scale", np.column_stack([np.ones((len(height), 2)), height]))
+
+
+def _draw_zmp(run: DrawnSolution, tracks: Animation, balance: Balance, drop: float, size: float) -> None:
+    shown = np.isfinite(balance.zmp).all(axis=1)
+    if not shown.any():
+        return
+    place, turn = np.zeros_like(balance.zmp), np.tile([0.0, 0.0, 0.0, 1.0], (len(shown), 1))
+    for support in balance.supports:
+        normal = support.plane.normal
+        place[support.rows] = balance.zmp[support.rows] + (ZMP_LIFT * size - drop) * normal
+        turn[support.rows] = pin.Quaternion(support.plane.frame).coeffs()
+    mark, disc = run.node["zmp"]["mark"], parts.bullseye(ZMP_MARK * size, run.ink(ZMP_COLOUR))
+    parts.draw_showing_through(mark, disc, lit=False, through=THROUGH, vertexColors=True)
+    tracks.show(mark, shown, position=place, quaternion=turn)
+
+
+def _draw_support(node: Any, support: SupportArea, drop: float, size: float, colour: int) -> None:
+    normal = support.plane.normal
+    hull = support.hull + (SUPPORT_LIFT * size - drop) * normal
+    if len(hull) < 2:
+        return
+    if len(hull) == 2:
+        across = np.cross(normal, hull[1] - hull[0])
+        across *= SEGMENT * size / np.linalg.norm(across)
+        hull = np.array([hull[0] - across, hull[1] - across, hull[1] + across, hull[0] + across])
+    area = parts.ColouredMeshGeometry.joined([(hull, normal, parts.WHITE, parts.fan(len(hull)))])
+    glass = {"opacity": SUPPORT_OPACITY, "transparent": True, "depthWrite": False}
+    parts.draw_unshadowed(node["area"], area, shapes.MeshBasicMaterial(color=colour, **glass))
+    parts.draw_line(node["edge"], hull, colour, closed=True)

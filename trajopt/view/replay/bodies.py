@@ -1,27 +1,29 @@
-"""Bodies of a replay besides the robot: obstacles and payloads."""
+"""Bodies of a replay besides the drawn robot: obstacles, payloads, the collision shapes of its links."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
+from trajopt.collision.coal_shapes import thick
 from trajopt.collision.shapes import BoxObstacle, Obstacle
 from trajopt.solution.description import CarriedBody
 from trajopt.solution.solution import Solution
-from trajopt.view.replay.commands import Animation
-from trajopt.view.replay.parts import box_corners, draw_capsule, placed
+from trajopt.view.replay.commands import Animation, hold_while_hidden, without_shadow
+from trajopt.view.replay.parts import ColouredMeshGeometry, box_corners, colour_array, draw_capsule
 from trajopt.view.replay.robot import box_of_inertia
 from trajopt.view.replay.runs import DrawnSolution
-from trajopt.view.replay.thinning import hold_while_hidden
 
 OBSTACLE_COLOUR, OBSTACLE_OPACITY = 0xC1553B, 0.75
 _CORNERS = box_corners(-np.ones(3), np.ones(3))
 PAYLOAD_COLOUR = 0xC98A2B
 # A point mass is drawn as a ball of this density, kg/m^3: between wood and water.
 DENSITY = 800.0
+SHAPE_COLOUR, SHAPE_OPACITY = 0x8E44AD, 0.45
 
 
 def draw_obstacles(run: DrawnSolution) -> np.ndarray:
@@ -33,31 +35,72 @@ def draw_obstacles(run: DrawnSolution) -> np.ndarray:
 
 
 def _draw_obstacle(node: Any, obstacle: Obstacle) -> np.ndarray:
+    solid = partial(_solid, color=OBSTACLE_COLOUR, opacity=OBSTACLE_OPACITY)
     if isinstance(obstacle, BoxObstacle):
-        placement = pin.SE3(obstacle.turn, obstacle.position)
-        _solid(node, shapes.Box(obstacle.sides.tolist()), placement)
+        solid(node, shapes.Box(obstacle.sides.tolist()), pin.SE3(obstacle.turn, obstacle.position))
         return np.asarray(_CORNERS * obstacle.sides / 2 @ obstacle.turn.T + obstacle.position)
-    draw_capsule(node, obstacle.axis, obstacle.radius, _solid)
+    draw_capsule(node, obstacle.axis, obstacle.radius, solid)
     return np.concatenate([place + obstacle.radius * _CORNERS for place in obstacle.axis])
 
 
-def _solid(node: Any, shape: Any, placement: pin.SE3) -> None:
-    material = shapes.MeshLambertMaterial(color=OBSTACLE_COLOUR, opacity=OBSTACLE_OPACITY)
-    node.set_object(shape, material)
+def _solid(node: Any, shape: Any, placement: pin.SE3, **material: Any) -> None:
+    node.set_object(shape, shapes.MeshLambertMaterial(**material))
     node.set_transform(placement.homogeneous)
+
+
+def draw_shapes(run: DrawnSolution, tracks: Animation) -> None:
+    """Draw the file's collision shapes of the links, and move them with their joints."""
+    bodies, model = run.solution.description.bodies, run.solution.model
+    drawn = set()
+    for shape in bodies.shapes if bodies is not None else ():
+        frame = model.frames[model.getFrameId(shape.frame)]
+        joint = int(frame.parentJoint)
+        node = run.node["shapes"][f"joint{joint}"]
+        if joint > 0 and joint not in drawn:
+            tracks.place(node, run.motion.joints[:, joint])
+        drawn.add(joint)
+        part = node[shape.name.replace("/", "_")]
+        part.set_transform(frame.placement.homogeneous)
+        if len(shape.points) > 2:
+            # A hull's radius is a fraction of a millimetre: moved outwards its corners show it well enough.
+            away = shape.points - shape.points.mean(axis=0)
+            away /= np.linalg.norm(away, axis=1)[:, None]
+            _unshadowed(part["solid"], _faces(shape.points + shape.radius * away), pin.SE3.Identity())
+        else:
+            draw_capsule(part, shape.axis, shape.radius, _unshadowed)
+
+
+def _unshadowed(node: Any, shape: Any, placement: pin.SE3) -> None:
+    _solid(node, shape, placement, color=SHAPE_COLOUR, opacity=SHAPE_OPACITY, transparent=True)
+    without_shadow(node)
+
+
+def _faces(points: np.ndarray) -> ColouredMeshGeometry:
+    """Faces of the hull of points (n, 3) m, each with its own normal."""
+    from scipy.spatial import ConvexHull  # takes a while to load
+
+    solid = thick(points)
+    hull = ConvexHull(solid)
+    corners, outward = solid[hull.simplices], hull.equations[:, :3]
+    turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inside_out = np.sum(turned * outward, axis=1) < 0
+    corners[inside_out] = corners[inside_out][:, ::-1]
+    flat = corners.reshape(-1, 3)
+    normals, triangles = np.repeat(outward, 3, axis=0), np.arange(len(flat)).reshape(-1, 3)
+    return ColouredMeshGeometry.joined([(flat, normals, colour_array(SHAPE_COLOUR), triangles)])
 
 
 def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
     """Animate payloads; returns points (k, 3) of their extent, m, world."""
-    solution, motion, places = run.solution, run.motion, [np.zeros((0, 3))]
-    for number, (carried_body, phases) in enumerate(_bodies(solution)):
-        contact = solution.contact_frames.index(carried_body.frame)
+    motion, places = run.motion, [np.zeros((0, 3))]
+    for number, (payload, phases) in enumerate(_payloads(run.solution)):
         carried = np.isin(motion.phase, phases)
         if not carried.any():
             continue
-        body, part = carried_body.spatial, run.node["payloads"][f"body{number}"]
+        body, part = payload.spatial, run.node["payloads"][f"body{number}"]
         extent = _draw_payload(part["shape"], body)
         # Before it is taken and after it is put down it stays in place.
+        contact = run.solution.contact_frames.index(payload.frame)
         hand = hold_while_hidden(motion.contacts[:, contact], carried)
         tracks.place(part, hand)
         centres = hand[:, :3, :3] @ body.lever + hand[:, :3, 3]
@@ -65,30 +108,26 @@ def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
     return np.concatenate(places)
 
 
-def _bodies(solution: Solution) -> list[tuple[CarriedBody, list[int]]]:
+def _payloads(solution: Solution) -> list[tuple[CarriedBody, list[int]]]:
     """Each carried body with its phases; a description has a body once for each phase."""
-    bodies: list[tuple[CarriedBody, list[int]]] = []
+    payloads: list[tuple[CarriedBody, list[int]]] = []
     for body in solution.description.payloads:
-        same = [
-            phases for other, phases in bodies if other.frame == body.frame and other.spatial == body.spatial
-        ]
-        if same:
-            same[0].extend(body.phases)
+        for other, phases in payloads:
+            if other.frame == body.frame and other.spatial == body.spatial:
+                phases.extend(body.phases)
+                break
         else:
-            bodies.append((body, list(body.phases)))
-    return bodies
+            payloads.append((body, list(body.phases)))
+    return payloads
 
 
 def _draw_payload(node: Any, body: pin.Inertia) -> float:
     """A box of the body's mass and inertia, or a ball for a point; returns half its extent, m."""
-    material = shapes.MeshLambertMaterial(color=PAYLOAD_COLOUR)
     box = box_of_inertia(body)
     if box is not None:
         sides, placement = box
-        node.set_object(shapes.Box(sides.tolist()), material)
-        node.set_transform(placement.homogeneous)
+        _solid(node, shapes.Box(sides.tolist()), placement, color=PAYLOAD_COLOUR)
         return float(np.linalg.norm(sides)) / 2
     radius = float((3 * max(body.mass, 1e-6) / (4 * np.pi * DENSITY)) ** (1 / 3))
-    node.set_object(shapes.Sphere(radius), material)
-    node.set_transform(placed(body.lever))
+    _solid(node, shapes.Sphere(radius), pin.SE3(np.eye(3), body.lever), color=PAYLOAD_COLOUR)
     return radius

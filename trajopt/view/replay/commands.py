@@ -1,4 +1,4 @@
-"""Messages to a Meshcat viewer: recorded commands and animated properties."""
+"""Messages to a Meshcat viewer: recorded commands, and animated properties in few key frames."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from typing import Any
 
 import numpy as np
 import umsgpack
+from scipy.spatial.transform import Rotation
 
-from trajopt.view.replay.thinning import (
-    ANGLE_ERROR,
-    COLOUR_ERROR,
-    POSITION_ERROR,
-    ROUNDING,
-    hold_while_hidden,
-    rounded,
-    thin_key_frames,
-)
-from trajopt.view.replay.turns import quaternions_of
-
+# Largest error of thinned tracks: positions and scales over the robot's extent, angles in rad (0.03 degrees).
+POSITION_ERROR, ANGLE_ERROR = 2e-4, 5e-4
+# For red, green and blue from 0 to 1: less than a step of an 8-bit screen.
+COLOUR_ERROR = 2e-3
+# Values are rounded to a power of two this many times finer than their error: noise does not compress.
+FINER = 8.0
+# Largest share of rounding in the error: half a step in each of a quaternion's four numbers is a step,
+# and twice that as an angle.
+ROUNDING = 2.0 / FINER
+# A direction whose z component is below this times its length points straight down.
+DOWN = -1 + 1e-12
 # Types in three.js of the animated properties.
 KINDS = {
     "position": "vector3",
@@ -64,14 +65,9 @@ class Animation:
     """
 
     def __init__(self, n_frames: int, frame_rate: float, length: float) -> None:
-        self._n_frames = n_frames
-        self._frame_rate = frame_rate
-        self._error = {
-            "vector3": POSITION_ERROR * length,
-            "quaternion": ANGLE_ERROR,
-            "color": COLOUR_ERROR,
-            "boolean": 0.0,
-        }
+        self._n_frames, self._frame_rate = n_frames, frame_rate
+        errors = {"quaternion": ANGLE_ERROR, "color": COLOUR_ERROR, "boolean": 0.0}
+        self._error = {"vector3": POSITION_ERROR * length, **errors}
         self._clips: dict[str, list[dict[str, Any]]] = {}
 
     def add(self, node: Any, name: str, values: np.ndarray, shown: np.ndarray | None = None) -> None:
@@ -93,10 +89,16 @@ class Animation:
         track = {"name": f".{name}", "type": kind, "times": times, "values": packed}
         self._clips.setdefault(node.path.lower(), []).append(track)
 
+    def show(self, node: Any, shown: np.ndarray, **values: np.ndarray) -> None:
+        """Animate properties of ``node`` by name, and show it while ``shown`` (n,)."""
+        for name, rows in values.items():
+            self.add(node, name, rows, shown)
+        self.add(node, "visible", shown)
+
     def place(self, node: Any, placements: np.ndarray) -> None:
         """Animate position and rotation of ``node``: a placement (4, 4) a frame."""
         self.add(node, "position", placements[:, :3, 3])
-        self.add(node, "quaternion", quaternions_of(placements[:, :3, :3]))
+        self.add(node, "quaternion", Rotation.from_matrix(placements[:, :3, :3]).as_quat())
 
     def command(self) -> ViewerCommand:
         """Return the message that loads the animation and plays it in a loop."""
@@ -114,3 +116,81 @@ def without_shadow(node: Any) -> None:
     """Let the object of ``node`` cast no shadow; Meshcat's own set_property loses the capital of the name."""
     message = {"type": "set_property", "property": "castShadow", "value": False}
     node.window.send(ViewerCommand({**message, "path": node["<object>"].path.lower()}))
+
+
+def turns_to(directions: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4), as three.js takes them, of the least rotations that take z to directions (n, 3).
+
+    The identity for directions without length.
+    """
+    length = np.linalg.norm(directions, axis=1, keepdims=True)
+    unit = np.divide(directions, length, out=np.tile([0.0, 0.0, 1.0], (len(length), 1)), where=length > 0)
+    down = unit[:, 2] <= DOWN
+    half = np.column_stack([-unit[:, 1], unit[:, 0], np.zeros(len(unit)), 1 + unit[:, 2]])
+    half[down] = [1.0, 0.0, 0.0, 0.0]
+    return np.asarray(half / np.linalg.norm(half, axis=1, keepdims=True))
+
+
+def thin_key_frames(values: np.ndarray, kind: str, error: float) -> np.ndarray:
+    """Indices (k,) of the frames of ``values`` (n, d) to keep, the first and the last always among them.
+
+    Between those kept a linear track ("vector3", "color") stays within ``error`` of every frame left out, a
+    "quaternion" one, interpolated on great circles, within ``error`` rad, and a "boolean" one, which holds
+    each value until the next, changes exactly. Segments are halved until they are accurate enough.
+    """
+    n = len(values)
+    if kind == "boolean":
+        changes = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1)) + 1
+        return np.unique([0, *changes, n - 1])
+    kept = {0, n - 1}
+    segments = np.array([[0, n - 1]])
+    while len(segments := segments[segments[:, 1] - segments[:, 0] > 1]):
+        first, last = segments[_worst(values, segments, kind) > error].T
+        middle = (first + last) // 2
+        kept.update(middle.tolist())
+        segments = np.concatenate([np.column_stack([first, middle]), np.column_stack([middle, last])])
+    return np.array(sorted(kept))
+
+
+def _worst(values: np.ndarray, segments: np.ndarray, kind: str) -> np.ndarray:
+    """Largest error (s,) of the frames inside segments [first, last] (s, 2) interpolated from their ends."""
+    counts = segments[:, 1] - segments[:, 0] - 1
+    owner = np.repeat(np.arange(len(segments)), counts)
+    starts = np.cumsum(counts) - counts
+    inner = np.arange(counts.sum()) - starts[owner] + segments[owner, 0] + 1
+    first, last = values[segments[owner, 0]], values[segments[owner, 1]]
+    part = ((inner - segments[owner, 0]) / (counts[owner] + 1))[:, None]
+    if kind == "quaternion":
+        turned = slerp(first, last, part)
+        apart = [np.linalg.norm(turned + sign * values[inner], axis=1) for sign in (-1, 1)]
+        errors = 4 * np.arcsin(np.minimum(np.minimum(*apart) / 2, 1.0))  # exact for small angles
+    else:
+        errors = np.linalg.norm((1 - part) * first + part * last - values[inner], axis=1)
+    return np.asarray(np.maximum.reduceat(errors, starts))
+
+
+def slerp(first: np.ndarray, last: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4) at ``part`` (n, 1) of the shorter great circle between two (n, 4)."""
+    cosine = np.sum(first * last, axis=1, keepdims=True)
+    last, cosine = np.where(cosine < 0, -last, last), np.minimum(np.abs(cosine), 1.0)
+    angle = np.arccos(cosine)
+    sine = np.sin(angle)
+    close = sine < 1e-6
+    safe = np.where(close, 1.0, sine)
+    weight = np.where(close, 1 - part, np.sin((1 - part) * angle) / safe)
+    other = np.where(close, part, np.sin(part * angle) / safe)
+    return np.asarray(weight * first + other * last)
+
+
+def rounded(values: np.ndarray, error: float) -> np.ndarray:
+    """Values to the nearest multiple of a power of two that is `FINER` times below ``error``."""
+    step = 2.0 ** np.floor(np.log2(error / FINER))
+    return np.asarray(np.round(values / step) * step)
+
+
+def hold_while_hidden(values: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Rows (n, ...) held at the last ``shown`` (n,) value while hidden, so that they need no frames."""
+    if not shown.any():
+        return np.repeat(values[:1], len(values), axis=0)
+    index = np.maximum.accumulate(np.where(shown, np.arange(len(values)), -1))
+    return np.asarray(values[np.where(index < 0, np.argmax(shown), index)])

@@ -1,4 +1,4 @@
-"""Goals of a replay: footholds as rings, targets of frames as crosses or triads, of postures as triads."""
+"""Goals of a replay: those of the problem, and what a whole-body controller asked for in a simulation."""
 
 from __future__ import annotations
 
@@ -13,13 +13,11 @@ from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.schedule.moment import Target
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
-from trajopt.view.replay.parts import (
-    HIDDEN_OPACITY,
-    bullseye,
-    draw_showing_through,
-    draw_unshadowed,
-    placed,
-)
+from trajopt.view.replay.balance import THROUGH
+from trajopt.view.replay.commands import Animation
+from trajopt.view.replay.contacts import LEAST_FORCE, ArrowLook, draw_arrow
+from trajopt.view.replay.motion import pressing_soles, pressure_offsets
+from trajopt.view.replay.parts import HIDDEN_OPACITY, bullseye, draw_showing_through, draw_unshadowed, placed
 from trajopt.view.replay.robot import tip_frames
 from trajopt.view.replay.runs import DrawnSolution
 
@@ -27,10 +25,15 @@ CROSS_COLOUR = 0xB8860B
 AXIS_COLOURS = (0xC0392B, 0x2E8B57, 0x1F5FBF)
 # Over the robot's extent: half a cross, an axis of a triad, its radius, a foothold's ring, its lift.
 CROSS, AXIS, RADIUS, RING, LIFT = 0.05, 0.1, 0.004, 0.03, 0.0035
+ASKED_COLOUR, MEASURED_COLOUR = 0x00A08A, 0x1A1F26
+# A broad translucent arrow around the force that acts: both are seen where they are the same.
+BROAD, OPACITY = 2.2, 0.35
+# Over the robot's extent: half a cross of the centre of mass and of a foot, radius of a bar, measured ball.
+COM_CROSS, FOOT_CROSS, BAR, BALL = 0.05, 0.025, 0.003, 0.008
 
 
 def draw_goals(run: DrawnSolution, drop: float, size: float) -> np.ndarray:
-    """Draw the problem's goals ; returns their positions (k, 3), m.
+    """Draw the problem's goals; returns their positions (k, 3), m.
 
     drop: how far below the contacts the drawn ground lies, m. Raises `SolutionFileError`.
     """
@@ -45,32 +48,27 @@ def draw_goals(run: DrawnSolution, drop: float, size: float) -> np.ndarray:
 
 def _marks(solution: Solution, target: Target) -> list[tuple[np.ndarray, str]]:
     """Placements (4, 4) and kinds of mark for one target; none for frames that the model does not have."""
-    model = solution.model
+    model, position = solution.model, target.position
     if target.q is not None:
         return [(place, "pose") for place in _posture(model, target.q)]
-    if target.frame is None or not model.existFrame(target.frame) or target.position is None:
+    if target.frame is None or not model.existFrame(target.frame) or position is None:
         return []  # a rotation alone has no position
     if target.rotation is not None:
-        return [(placed(target.position, target.rotation), "pose")]
+        return [(placed(position, target.rotation), "pose")]
     if _lands(solution, target):
-        normal = _normal(solution, target)
+        normal = _normal(solution, target, position)
         radius = solution.description.radii[solution.contact_frames.index(target.frame)]
-        return [(placed(target.position - radius * normal, frame_of_normal(normal)), "foothold")]
-    return [(placed(target.position), "place")]
+        return [(placed(position - radius * normal, frame_of_normal(normal)), "foothold")]
+    return [(placed(position), "place")]
 
 
 def _lands(solution: Solution, target: Target) -> bool:
     """Whether the target is where a contact begins, not a waypoint of a frame that may touch."""
-    index = _phase_index(solution, target)
-    if index is None or target.at.fraction > 0 or target.frame not in solution.contact_frames:
+    named = target.at.phase in solution.phase_names and target.frame in solution.contact_frames
+    if not named or target.at.fraction > 0:
         return False
-    rows = solution.phase == index
+    rows = solution.phase == solution.phase_names.index(target.at.phase)
     return bool(solution.active[rows, solution.contact_frames.index(target.frame)].any())
-
-
-def _phase_index(solution: Solution, target: Target) -> int | None:
-    names = solution.phase_names
-    return names.index(target.at.phase) if target.at.phase in names else None
 
 
 def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
@@ -85,19 +83,15 @@ def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
     return [data.oMf[frame].homogeneous for frame in tip_frames(model)]
 
 
-def _normal(solution: Solution, target: Target) -> np.ndarray:
+def _normal(solution: Solution, target: Target, position: np.ndarray) -> np.ndarray:
     """Normal under a contact that lands: of its own surface in that phase, else of the terrain."""
-    index, position = _phase_index(solution, target), target.position
-    surfaces = solution.description.surfaces
-    if index is not None and index < len(surfaces):
-        surface = surfaces[index].get(str(target.frame))
-        if surface is not None:
-            return surface.normal
-    terrain = solution.description.ground
-    if terrain is None or position is None:
-        return np.array(UP)
-    if isinstance(terrain, Surface):
-        return terrain.normal
+    surfaces, terrain = solution.description.surfaces, solution.description.ground
+    index = solution.phase_names.index(target.at.phase)
+    surface = surfaces[index].get(str(target.frame)) if index < len(surfaces) else None
+    if surface is not None:
+        return surface.normal
+    if terrain is None or isinstance(terrain, Surface):
+        return np.array(UP) if terrain is None else terrain.normal
     return np.asarray(terrain.normal(position[:1], position[1:2])[0])
 
 
@@ -105,9 +99,8 @@ def _draw(node: Any, kind: str, placement: np.ndarray, drop: float, size: float)
     if kind == "foothold":
         lifted = placement.copy()
         lifted[:3, 3] += (LIFT * size - drop) * placement[:3, 2]
-        draw_unshadowed(
-            node, bullseye(RING * size, CROSS_COLOUR), shapes.MeshBasicMaterial(vertexColors=True)
-        )
+        material = shapes.MeshBasicMaterial(vertexColors=True)
+        draw_unshadowed(node, bullseye(RING * size, CROSS_COLOUR), material)
         node.set_transform(lifted)
         return
     node.set_transform(placement)
@@ -115,14 +108,11 @@ def _draw(node: Any, kind: str, placement: np.ndarray, drop: float, size: float)
         _draw_arms(node, AXIS * size, RADIUS * size, AXIS_COLOURS, 0.5, HIDDEN_OPACITY)
         draw_showing_through(node["centre"], shapes.Sphere(2 * RADIUS * size), color=CROSS_COLOUR)
     else:
-        draw_cross(node, CROSS * size, RADIUS * size, CROSS_COLOUR)
+        _draw_cross(node, CROSS * size, RADIUS * size, CROSS_COLOUR)
 
 
-def draw_cross(node: Any, half: float, radius: float, colour: int, through: float = HIDDEN_OPACITY) -> None:
-    """Draw three bars across each other, ``half`` m to each side, with a ball in the middle.
-
-    through: opacity where it is covered.
-    """
+def _draw_cross(node: Any, half: float, radius: float, colour: int, through: float = HIDDEN_OPACITY) -> None:
+    """Three bars across each other, ``half`` m to each side, with a ball in the middle."""
     _draw_arms(node, 2 * half, radius, (colour,) * 3, 0.0, through)
     draw_showing_through(node["centre"], shapes.Sphere(2 * radius), through=through, color=colour)
 
@@ -131,8 +121,46 @@ def _draw_arms(
     node: Any, length: float, radius: float, colours: Sequence[int], middle: float, through: float
 ) -> None:
     """Bars along x, y and z; ``middle``: of a bar along its axis, over its length."""
-    for axis in range(3):
-        arm = node["xyz"[axis]]
-        draw_showing_through(arm, shapes.Cylinder(length, radius), through=through, color=colours[axis])
-        turn = pin.Quaternion.FromTwoVectors(np.eye(3)[1], np.eye(3)[axis]).toRotationMatrix()
-        arm.set_transform(placed(middle * length * np.eye(3)[axis], turn))
+    for name, axis, colour in zip("xyz", np.eye(3), colours, strict=True):
+        draw_showing_through(node[name], shapes.Cylinder(length, radius), through=through, color=colour)
+        turn = pin.Quaternion.FromTwoVectors(np.eye(3)[1], axis).toRotationMatrix()
+        node[name].set_transform(placed(middle * length * axis, turn))
+
+
+def draw_controller(
+    run: DrawnSolution, tracks: Animation, com: np.ndarray, size: float, weight_arrow: float
+) -> None:
+    """Animate what a solution's controller asked for, if it had one: contact forces, places of feet and mass.
+
+    Forces are arrows. The wanted centre of mass is a cross, the measured one, ``com`` (n, 3) m, a ball beside
+    it; a wanted foot is a small cross, where the foot would touch. Lengths of arrows are those of
+    `draw_arrows`; ``size`` is the robot's extent, m.
+    """
+    solution, motion, node = run.solution, run.motion, run.node["controller"]
+    if solution.asked_force is None or solution.com_goal is None or solution.foot_goal is None:
+        return
+    look = ArrowLook(size=size, scale=weight_arrow, colour=ASKED_COLOUR, broad=BROAD, opacity=OPACITY)
+    wrench, soles = motion.between(solution.asked_force), pressing_soles(solution)[motion.last]
+    start = motion.feet + pressure_offsets(motion.contacts, wrench, soles, motion.weight)
+    below = solution.description.radii[:, None] * motion.touched.normal
+    wanted_feet = motion.between(solution.foot_goal) - below
+    for contact, frame in enumerate(solution.contact_frames):
+        name, force = frame.replace("/", "_"), wrench[:, contact, :3] / motion.weight
+        shown = np.linalg.norm(force, axis=1) > LEAST_FORCE
+        draw_arrow(node["forces"][name], tracks, start[:, contact], force, shown, look)
+        _mark(node["feet"][name], tracks, wanted_feet[:, contact], FOOT_CROSS * size, BAR * size)
+    wanted = motion.between(solution.com_goal)
+    if _mark(node["com"], tracks, wanted, COM_CROSS * size, BAR * size):
+        ball = shapes.Sphere(BALL * size)
+        draw_showing_through(node["measured"], ball, through=THROUGH, color=MEASURED_COLOUR)
+        tracks.add(node["measured"], "position", com)
+        tracks.add(node["measured"], "visible", np.isfinite(wanted).all(axis=1))
+
+
+def _mark(node: Any, tracks: Animation, place: np.ndarray, half: float, radius: float) -> bool:
+    """Animate a cross at places (n, 3), m, NaN where there is none; whether there is any."""
+    shown = np.isfinite(place).all(axis=1)
+    if shown.any():
+        _draw_cross(node, half, radius, ASKED_COLOUR, THROUGH)
+        tracks.show(node, shown, position=place)
+    return bool(shown.any())

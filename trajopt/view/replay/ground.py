@@ -1,4 +1,4 @@
-"""The ground of a replay: the plane of every solution, the depth of drawn feet below it; light and sky."""
+"""The ground of a replay: planes, solid blocks or a smooth surface below the drawn feet; light and sky."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from pinocchio.visualize.meshcat_visualizer import Plane
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.terrain.patch import Patch, cut_polygon
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
+from trajopt.view.replay import parts
 from trajopt.view.replay.commands import ViewerCommand
-from trajopt.view.replay.parts import box_corners, line_points, placed
 from trajopt.view.replay.runs import GAP, DrawnSolution
 from trajopt.view.replay.surfaces import Touch, depth_below_contacts, drawn_plane, plane_of, touches_of
-from trajopt.view.replay.terrain import GRID_STRONG, MARGIN, draw_terrain
 
 SKY_TOP, SKY_BOTTOM = [0.70, 0.79, 0.90], [0.96, 0.97, 0.98]
 GROUND_COLOUR, GRID_COLOUR = 0xDCE1E8, 0xAEB7C3
@@ -43,6 +43,20 @@ HANGING = 0.1
 SHADOW_REACH = 3.0
 # The plane lies below the grid's lines by this fraction of the robot's extent, so that both are visible.
 GRID_LIFT = 0.002
+GRID_STRONG = 0x808C9B
+# Colours of consecutive planes differ slightly. Faces of one plane may overlap, as the ground around a box:
+# with two colours they would flicker in bands.
+GROUND_TINTS = (0xCDD4DD, 0xB9C3CF)
+# Ground on each side of the motion, in robot extents; blocks reach this far below the lowest face drawn.
+MARGIN, DEPTH = 3.0, 0.3
+# Cells of a smooth ground along its longer side.
+CELLS = 80
+# Darker than a plane, so that slopes facing the sun stay below white.
+SMOOTH_COLOUR = 0xC2CAD4
+# Walls of blocks are this much darker than their tops.
+WALL_SHADE = 0.75
+# Lines lie over the ground by this fraction of the robot's extent, so that both are visible.
+LINE_LIFT = 0.002
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,39 +129,39 @@ def draw_grounds(
             continue
         drawn.append(described)
         if ground.uneven is None:
-            _draw_plane(vis, box, ground.seen, size)
+            _draw_plane(vis["ground"], box, ground.seen, size)
             continue
         margin = np.full(2, MARGIN * size)
         if aside:
             margin[runs[-1].shift[:2] != 0] = GAP * size / 2
         extent = np.array([run.cloud.min(axis=0), run.cloud.max(axis=0)]) if aside else box
-        draw_terrain(run.node if aside else vis, ground.uneven, extent, margin, ground.drop, size)
+        area = np.array([extent[0, :2] - margin, extent[1, :2] + margin])
+        node = (run.node if aside else vis)["ground"]
+        if isinstance(ground.uneven, PiecewiseTerrain):
+            _draw_faces(node, ground.uneven, area, ground.drop, size)
+        else:
+            _draw_smooth(node, ground.uneven, area, ground.drop, size)
     return grounds[0].seen
 
 
-def _draw_plane(vis: Any, box: np.ndarray, ground: Surface, size: float) -> None:
+def _draw_plane(node: Any, box: np.ndarray, ground: Surface, size: float) -> None:
     """Draw plane and grid of the ``ground`` around ``box`` (2, 3).
 
     The grid's lines run along the plane's tangents, every line at a round distance from the world's origin.
     """
-    span = float(np.ptp(box, axis=0).max())
-    cell = _round_cell(max(CELL_PART * size, span / MOST_CELLS))
+    length = max(CELL_PART * size, float(np.ptp(box, axis=0).max()) / MOST_CELLS)
+    power = 10.0 ** np.floor(np.log10(length))
+    cell = float(power * max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
     step = BOLD_EVERY * cell
-    corners = box_corners(*box) @ ground.tangents.T
+    corners = parts.box_corners(*box) @ ground.tangents.T
     low = np.floor((corners.min(axis=0) - PLANE_MARGIN * size) / step) * step
     high = np.ceil((corners.max(axis=0) + PLANE_MARGIN * size) / step) * step
     centre = ground.frame @ np.array([*(low + high) / 2, ground.height - GRID_LIFT * size])
-    plane = placed(centre, ground.frame)
-    width, depth = (float(length) for length in high - low)
-    vis["ground"]["plane"].set_object(Plane(width, depth), shapes.MeshLambertMaterial(color=GROUND_COLOUR))
-    vis["ground"]["plane"].set_transform(plane)
-    vis["ground"]["grid"].set_object(_grid(low, high, cell, ground, bold=False))
-    vis["ground"]["bold"].set_object(_grid(low, high, cell, ground, bold=True))
-
-
-def _round_cell(length: float) -> float:
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
+    width, depth = (float(side) for side in high - low)
+    node["plane"].set_object(Plane(width, depth), shapes.MeshLambertMaterial(color=GROUND_COLOUR))
+    node["plane"].set_transform(parts.placed(centre, ground.frame))
+    node["grid"].set_object(_grid(low, high, cell, ground, bold=False))
+    node["bold"].set_object(_grid(low, high, cell, ground, bold=True))
 
 
 def _grid(low: np.ndarray, high: np.ndarray, cell: float, ground: Surface, bold: bool) -> Any:
@@ -161,7 +175,7 @@ def _grid(low: np.ndarray, high: np.ndarray, cell: float, ground: Surface, bold:
                 ends[:, axis] = number * cell
                 ends[:, 1 - axis] = np.column_stack([stops[:-1], stops[1:]]).ravel()
                 pieces.append(ends)
-    points = line_points(np.concatenate(pieces) @ ground.frame.T)
+    points = parts.line_points(np.concatenate(pieces) @ ground.frame.T)
     return shapes.LineSegments(points, shapes.LineBasicMaterial(color=GRID_STRONG if bold else GRID_COLOUR))
 
 
@@ -177,8 +191,68 @@ def _draw_sky_and_light(vis: Any, size: float) -> None:
     camera = {"uuid": str(uuid.uuid4()), "type": "OrthographicCamera", "near": 0.0, "far": 4 * reach}
     camera |= {"left": -reach, "right": reach, "top": reach, "bottom": -reach}
     shadow = {"bias": -0.0005, "normalBias": 0.01 * size, "radius": 2, "mapSize": [2048, 2048]}
-    place = placed(2 * reach * SUN_DIRECTION / np.linalg.norm(SUN_DIRECTION))
+    place = parts.placed(2 * reach * SUN_DIRECTION / np.linalg.norm(SUN_DIRECTION))
     sun = {"uuid": str(uuid.uuid4()), "type": "DirectionalLight", "color": 0xFFFFFF}
     sun |= {"shadow": shadow | {"camera": camera}, "intensity": SUN, "matrix": place.T.ravel().tolist()}
     scene = {"metadata": {"version": 4.5, "type": "Object"}, "geometries": [], "materials": [], "object": sun}
     vis.window.send(ViewerCommand({"type": "set_object", "path": "/Lights/Sun", "object": scene}))
+
+
+def _draw_faces(node: Any, terrain: PiecewiseTerrain, area: np.ndarray, drop: float, size: float) -> None:
+    seen = [(face.surface, corners) for face in terrain.faces if len(corners := _within(face, area)) >= 3]
+    bottom = min([corners[:, 2].min() for _, corners in seen], default=0.0) - drop - DEPTH * size
+    planes: list[Surface] = []
+    material = shapes.MeshLambertMaterial(vertexColors=True)
+    for number, (plane, corners) in enumerate(seen):
+        top = corners - drop * parts.UPWARD
+        place = next((i for i, other in enumerate(planes) if plane.same_plane(other)), len(planes))
+        if place == len(planes):
+            planes.append(plane)
+        block = _block(top, bottom, GROUND_TINTS[place % len(GROUND_TINTS)])
+        node[f"face{number}"].set_object(block, material)
+        outline = parts.line_points(np.vstack([top, top[:1]]) + LINE_LIFT * size * parts.UPWARD)
+        edge = shapes.Line(outline, shapes.LineBasicMaterial(color=GRID_STRONG))
+        node[f"edge{number}"].set_object(edge)
+
+
+def _within(face: Patch, area: np.ndarray) -> np.ndarray:
+    """Corners (k, 3) of the part of a face over the drawn area."""
+    corners = face.vertices
+    for axis, inward in enumerate(np.eye(3)[:2]):
+        corners = cut_polygon(corners, inward, float(area[0][axis]))
+        corners = cut_polygon(corners, -inward, -float(area[1][axis]))
+    return corners
+
+
+def _block(top: np.ndarray, bottom: float, colour: int) -> parts.ColouredMeshGeometry:
+    """A prism under a convex polygon (k, 3): its top of that colour, darker walls down to ``bottom`` m."""
+    under = np.column_stack([top[:, :2], np.full(len(top), bottom)])
+    tone = parts.colour_array(colour)
+    faces: list[parts.MeshPart] = [(top, _normal(top), tone, parts.fan(len(top)))]
+    for i in range(len(top)):  # walls do not share corners, so that each is shaded flat
+        j = (i + 1) % len(top)
+        wall = np.array([under[i], under[j], top[j], top[i]])
+        faces.append((wall, _normal(wall), WALL_SHADE * tone, parts.fan(4)))
+    return parts.ColouredMeshGeometry.joined(faces)
+
+
+def _normal(polygon: np.ndarray) -> np.ndarray:
+    """The unit normal (3,) of a polygon's plane by Newell's sum; 0 of one without area."""
+    normal = np.cross(polygon, np.roll(polygon, -1, axis=0)).sum(axis=0)
+    length = float(np.linalg.norm(normal))
+    return np.asarray(normal / length if length > 0 else normal)
+
+
+def _draw_smooth(node: Any, terrain: SmoothTerrain, area: np.ndarray, drop: float, size: float) -> None:
+    spans = np.ptp(area, axis=0)
+    cell = float(spans.max()) / CELLS
+    counts = np.ceil(spans / cell).astype(int) + 1
+    x, y = (low + cell * np.arange(count) for low, count in zip(area[0], counts, strict=True))
+    across, along = np.meshgrid(x, y, indexing="ij")
+    grid = np.stack([across, along, terrain.height(across, along) - drop], axis=-1)
+    mesh = shapes.TriangularMeshGeometry(grid.reshape(-1, 3), parts.grid_triangles(len(x) - 1, len(y) - 1))
+    node["smooth"].set_object(mesh, shapes.MeshLambertMaterial(color=SMOOTH_COLOUR))
+    lifted = grid + LINE_LIFT * size * parts.UPWARD
+    lines = [np.repeat(row, 2, axis=0)[1:-1] for row in (*lifted[::4], *lifted.transpose(1, 0, 2)[::4])]
+    points = parts.line_points(np.concatenate(lines))
+    node["grid"].set_object(shapes.LineSegments(points, shapes.LineBasicMaterial(color=GRID_STRONG)))

@@ -1,4 +1,4 @@
-"""The layers of a scene that a viewer can show and hide: names, colours, scene tree paths."""
+"""What a page says of its scene: title, lines of the caption, and the layers that it can show and hide."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from typing import Any
 import numpy as np
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.view.replay.arrows import FORCE_COLOUR, IMPULSE_COLOUR
-from trajopt.view.replay.balance_marks import SUPPORT_COLOUR, ZMP_COLOUR
-from trajopt.view.replay.bodies import OBSTACLE_COLOUR, PAYLOAD_COLOUR
-from trajopt.view.replay.controller import ASKED_COLOUR
-from trajopt.view.replay.copies import GHOST_COLOUR
-from trajopt.view.replay.goals import CROSS_COLOUR
+from trajopt.solution.solution import Solution
+from trajopt.view.replay.balance import SUPPORT_COLOUR, ZMP_COLOUR
+from trajopt.view.replay.bodies import OBSTACLE_COLOUR, PAYLOAD_COLOUR, SHAPE_COLOUR
+from trajopt.view.replay.contacts import COLOURS as CONE_COLOURS
+from trajopt.view.replay.contacts import FORCE_COLOUR, IMPULSE_COLOUR, USED
+from trajopt.view.replay.goals import ASKED_COLOUR, CROSS_COLOUR
 from trajopt.view.replay.ground import GROUND_COLOUR
-from trajopt.view.replay.links import PLACE as SHAPES
-from trajopt.view.replay.links import SHAPE_COLOUR
-from trajopt.view.replay.runs import DrawnSolution, travels
+from trajopt.view.replay.motion import FLASH, ReplayMotion
+from trajopt.view.replay.runs import GHOST_COLOUR, DrawnSolution, travels
 from trajopt.view.replay.surfaces import WALL_COLOUR
 
+Line = dict[str, str]
 # A robot ends elsewhere if its base moves by more than this, over its extent.
 ELSEWHERE = 0.5
 
 # Name, label, colour, and place in the scene tree of every run or of the scene.
 LAYERS = (
     ("robot", "robot", 0x8A93A0, "robot"),
-    ("shapes", "collision shapes", SHAPE_COLOUR, SHAPES),
+    ("shapes", "collision shapes", SHAPE_COLOUR, "shapes"),
     ("forces", "contact forces", FORCE_COLOUR, "forces"),
     ("controller", "controller: forces and goals", ASKED_COLOUR, "controller"),
     ("impulses", "impulses", IMPULSE_COLOUR, "impulses"),
@@ -44,13 +44,96 @@ LAYERS = (
 )
 
 
+def caption_lines(
+    runs: Sequence[DrawnSolution],
+    motions: Sequence[ReplayMotion],
+    layers: Collection[str],
+    weight_arrow: float,
+    note: str,
+) -> list[Line]:
+    """Return the lines of the caption: solutions, legend of ``layers``, a ``note`` on missing parts.
+
+    Kinds are "", "run", "quiet", "scale", "warned" or "failed"; ``weight_arrow`` is the length of a weight's
+    arrow, m. A line with a layer is shown while the layer is.
+    """
+    notes = [caption_line(note, "warned")] if note else []
+    legend = [line for line in _legend(motions, weight_arrow) if line["layer"] in layers]
+    return [*_about(runs), *legend, *notes]
+
+
+def title(solution: Solution) -> str:
+    """Return problem and robot of a solution."""
+    names = [solution.description.problem, solution.description.robot]
+    return " – ".join(dict.fromkeys(str(name) for name in names if name)) or "trajectory"
+
+
+def _about(runs: Sequence[DrawnSolution]) -> list[Line]:
+    """The lines of the solutions; of several with their labels."""
+    names, lines = [title(run.solution) for run in runs], []
+    for run, name in zip(runs, names, strict=True):
+        if len(runs) > 1:
+            usual = name.replace(" – ", " ")  # the default label of a run
+            told = len(set(names)) == 1 or run.label == usual
+            said = run.label if told else f"{run.label}: {name}"
+            lines.append(caption_line(said, "run", f"#{run.colour:06x}"))
+        lines.append(caption_line(_state(run.solution), "quiet"))
+        if not run.solution.success:
+            status = run.solution.statistics.status.replace("_", " ")
+            lines.append(caption_line(f"not solved: {status}", "failed"))
+    return lines
+
+
+def _state(solution: Solution) -> str:
+    """Length, grid, objective and, where it was measured, the open-loop error of a solution."""
+    statistics, graded = solution.statistics, solution.statistics.graded
+    said = [f"{solution.t[-1] - solution.t[0]:.2f} s"]
+    if statistics.simulated:
+        said.append("simulated")
+    elif statistics.transcription:
+        said.append(f"{statistics.transcription}, {solution.n_intervals} intervals")
+    if statistics.objective is not None:
+        said.append(f"objective {statistics.objective:.4g}")
+    if graded is not None and graded.error_m is not None:
+        said.append(f"open-loop error {1e3 * graded.error_m:.2g} mm")
+    return "; ".join(said)
+
+
+def _legend(motions: Sequence[ReplayMotion], weight_arrow: float) -> list[Line]:
+    """Scales of arrows, in parts of each robot's weight, and the colours of cones."""
+    weights = dict.fromkeys(f"{motion.weight:.1f} N" for motion in motions)
+    forces = f"forces: {weight_arrow:.2f} m is the weight, {' or '.join(weights)}"
+    impulses = dict.fromkeys(f"{motion.weight * FLASH:.2f} N s" for motion in motions if motion.impact.any())
+    struck = f"impulses: {weight_arrow:.2f} m is {' or '.join(impulses)}"
+    ends = [f"#{colour:06x} {100 * used:.0f}%" for used, colour in zip(USED, CONE_COLOURS, strict=True)]
+    cones = "cones: share of friction used, 0 to 100 %"
+    asked = "controller: forces it asked for; crosses: its goals"
+    return [
+        caption_line(forces, "quiet", f"#{FORCE_COLOUR:06x}", "forces"),
+        caption_line(asked, "quiet", f"#{ASKED_COLOUR:06x}", "controller"),
+        caption_line(struck, "quiet", f"#{IMPULSE_COLOUR:06x}", "impulses"),
+        caption_line(cones, "scale", f"linear-gradient(90deg, {', '.join(ends)})", "cones"),
+    ]
+
+
+def caption_line(text: str, kind: str = "", colour: str = "", layer: str = "") -> Line:
+    """Return a line of the caption; ``colour`` as in CSS, also a gradient, ``layer``: whose legend it is."""
+    return {"text": text, "kind": kind, "colour": colour, "layer": layer}
+
+
 def layers_of(
-    runs: Sequence[DrawnSolution], drawn: Collection[str], hidden: Collection[str]
+    runs: Sequence[DrawnSolution], drawn: Collection[str], tangents: np.ndarray
 ) -> list[dict[str, Any]]:
     """The layers with something ``drawn`` (scene tree paths), and one for each of several runs.
 
-    ``hidden``: names of those hidden at first.
+    ``tangents`` (2, 3) are of the ground. Hidden at first are collision shapes and, except where they show
+    the path of a robot that travels at a glance, ghosts: both obscure. The centre of mass is of little
+    interest for a fixed base.
     """
+    hidden = {"shapes"}
+    if len(runs) > 1 or not _parts_from_itself(runs[0], tangents):
+        hidden.add("ghosts")
+    if not any(BASE_JOINT[base_of(run.solution.model)] for run in runs):
+        hidden.add("com")
     places = {"/".join(path.split("/")[:depth]) for path in drawn for depth in range(1, path.count("/") + 2)}
     listed = []
     for name, label, colour, place in LAYERS:
@@ -66,21 +149,6 @@ def layers_of(
 def layer(name: str, label: str, colour: int, paths: list[str], visible: bool = True) -> dict[str, Any]:
     """Return a layer's description for the page: the parts of the scene tree that one toggle shows."""
     return {"name": name, "label": label, "colour": f"#{colour:06x}", "paths": paths, "visible": visible}
-
-
-def hidden_layers(runs: Sequence[DrawnSolution], tangents: np.ndarray) -> set[str]:
-    """Names of the layers that are hidden at first; ``tangents`` (2, 3) of the ground.
-
-    Ghosts show the path at a glance if the robot travels; over each other, or beside a second robot, they
-    obscure more than they show, and so do collision shapes. The centre of mass is of little interest for a
-    fixed base.
-    """
-    hidden = {"shapes"}
-    if len(runs) > 1 or not _parts_from_itself(runs[0], tangents):
-        hidden.add("ghosts")
-    if not any(BASE_JOINT[base_of(run.solution.model)] for run in runs):
-        hidden.add("com")
-    return hidden
 
 
 def _parts_from_itself(run: DrawnSolution, tangents: np.ndarray) -> bool:

@@ -27,6 +27,27 @@ FLASH = 0.1
 LEAST_PRESSURE = 1e-3
 
 
+@dataclass(frozen=True, kw_only=True)
+class PhaseSpan:
+    """A phase by name with its start and end, s."""
+
+    name: str
+    start: float
+    end: float
+
+
+def phase_spans(solution: Solution) -> list[PhaseSpan]:
+    """Return the phases in time order."""
+    return [
+        PhaseSpan(
+            name=solution.phase_names[int(solution.phase[rows.start])],
+            start=float(solution.t[rows.start]),
+            end=float(solution.t[rows.stop - 1]),
+        )
+        for rows in solution.phases
+    ]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReplayMotion:
     """A solution at n frames; njoints counts the universe, nc contacts.
@@ -61,6 +82,11 @@ class ReplayMotion:
     def n_frames(self) -> int:
         """Number of frames."""
         return len(self.t)
+
+    @property
+    def duration(self) -> float:
+        """Playback, s."""
+        return (self.n_frames - 1) / self.frame_rate
 
     @property
     def feet(self) -> np.ndarray:

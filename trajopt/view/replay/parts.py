@@ -62,6 +62,11 @@ class ColouredMeshGeometry(shapes.Geometry):
         super().__init__()
         self._mesh = mesh
 
+    @classmethod
+    def joined(cls, parts: Sequence[MeshPart]) -> ColouredMeshGeometry:
+        """Return the geometry of several parts."""
+        return cls(ColouredMesh.joined(parts))
+
     def lower(self, object_data: Any) -> dict[str, Any]:
         """Return the geometry in the JSON of three.js."""
         mesh = self._mesh
@@ -71,12 +76,8 @@ class ColouredMeshGeometry(shapes.Geometry):
             "normal": shapes.pack_numpy_array(mesh.normals.T),
             "color": {**colours, "normalized": True},
         }
-        index = shapes.pack_numpy_array(mesh.triangles.T)
-        return {
-            "uuid": self.uuid,
-            "type": "BufferGeometry",
-            "data": {"attributes": attributes, "index": index},
-        }
+        data = {"attributes": attributes, "index": shapes.pack_numpy_array(mesh.triangles.T)}
+        return {"uuid": self.uuid, "type": "BufferGeometry", "data": data}
 
 
 def colour_array(colour: int) -> np.ndarray:
@@ -86,8 +87,7 @@ def colour_array(colour: int) -> np.ndarray:
 
 def placed(position: Sequence[float] | np.ndarray, rotation: np.ndarray | None = None) -> np.ndarray:
     """Return the placement (4, 4) at ``position`` (3,) m, turned by ``rotation`` (3, 3) if there is one."""
-    turn = np.eye(3) if rotation is None else rotation
-    return np.asarray(pin.SE3(turn, np.asarray(position)).homogeneous)
+    return np.asarray(pin.SE3(np.eye(3) if rotation is None else rotation, np.asarray(position)).homogeneous)
 
 
 def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -143,26 +143,26 @@ def two_tone_ball(radius: float, dark: np.ndarray = DARK) -> ColouredMeshGeometr
         unit = np.column_stack([level * np.cos(turn), level * np.sin(turn), up * np.sin(elevation)])
         tone = dark if (up > 0) == (quarter % 2 == 0) else WHITE
         parts.append((radius * unit, unit, tone, grid_triangles(pieces, pieces)[:, ::up]))
-    return ColouredMeshGeometry(ColouredMesh.joined(parts))
+    return ColouredMeshGeometry.joined(parts)
 
 
 def two_tone_disc(radius: float, dark: np.ndarray = DARK) -> ColouredMeshGeometry:
     """Return a disc across z whose quarters are dark and bright in turn, the projection of that centre."""
     parts: list[MeshPart] = []
     for quarter in range(4):
-        rim = _circle(np.linspace(0, np.pi / 2, ROUND // 4 + 1) + quarter * np.pi / 2)
+        rim = circle(np.linspace(0, np.pi / 2, ROUND // 4 + 1) + quarter * np.pi / 2)
         points = radius * np.vstack([np.zeros(3), rim])
         parts.append((points, UPWARD, WHITE if quarter % 2 else dark, fan(len(points))))
-    return ColouredMeshGeometry(ColouredMesh.joined(parts))
+    return ColouredMeshGeometry.joined(parts)
 
 
 def bullseye(radius: float, colour: int) -> ColouredMeshGeometry:
     """Return a disc across z of a coloured point, a bright and a coloured ring: the zero-moment point."""
-    rim, ink = radius * _circle(np.linspace(0, 2 * np.pi, ROUND + 1)), colour_array(colour)
+    rim, ink = radius * circle(np.linspace(0, 2 * np.pi, ROUND + 1)), colour_array(colour)
     parts: list[MeshPart] = []
     for inner, outer, tone in ((0.0, 0.4, ink), (0.4, 0.72, WHITE), (0.72, 1.0, ink)):
         parts.append((np.vstack([inner * rim, outer * rim]), UPWARD, tone, grid_triangles(1, ROUND)))
-    return ColouredMeshGeometry(ColouredMesh.joined(parts))
+    return ColouredMeshGeometry.joined(parts)
 
 
 def fan(corners: int) -> np.ndarray:
@@ -177,5 +177,6 @@ def grid_triangles(rows: int, columns: int) -> np.ndarray:
     return np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
 
 
-def _circle(angles: np.ndarray) -> np.ndarray:
+def circle(angles: np.ndarray) -> np.ndarray:
+    """Return points (k, 3) of the unit circle across z."""
     return np.column_stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)])

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import warnings
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import coal
@@ -15,11 +18,11 @@ from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
-from trajopt.robot.geometry import DescribedGeometry
+from trajopt.robot.data import VisualSource
+from trajopt.robot.geometry import DescribedGeometry, described_geometry, mesh_vertices
 from trajopt.solution.solution import Solution
-from trajopt.view.replay.collada import ColladaError, read_collada
+from trajopt.view.replay.collada import GREY, ColladaError, read_collada
 from trajopt.view.replay.parts import ColouredMeshGeometry, box_corners, placed
-from trajopt.view.replay.visuals import mesh_points, visuals_of
 
 BONE_COLOUR, JOINT_COLOUR, FOOT_COLOUR = 0x8A93A0, 0x2F6DB5, 0x303438
 # Radii of a skeleton over its reach.
@@ -33,16 +36,25 @@ MOST_POINTS = 10_000
 ROUND_PROBES = 200
 
 
+def mesh_points(path: str, scale: Sequence[float] | np.ndarray, colour: np.ndarray = GREY) -> np.ndarray:
+    """Points (k, 3) m of a mesh file in the frame of its geometry. Raises `InputError` if it is unreadable.
+
+    ``colour`` (3,): its colour in the drawing, so that the cached mesh is used.
+    """
+    if Path(path).suffix.lower() == ".dae":
+        try:
+            return np.asarray(read_collada(path, colour).vertices * np.asarray(scale), dtype=float)
+        except (OSError, ColladaError):
+            pass
+    return mesh_vertices(path, scale)
+
+
 @dataclass
 class DrawnRobot:
     """Points of the drawn robot, (k, 3) m in the frame of each joint, and a note if meshes are missing."""
 
-    points: dict[int, list[np.ndarray]] = field(default_factory=dict)
+    points: dict[int, list[np.ndarray]] = field(default_factory=lambda: defaultdict(list))
     note: str = ""
-
-    def add(self, joint: int, points: np.ndarray) -> None:
-        """Add ``points`` (k, 3) in the frame of ``joint`` to the extent of the picture."""
-        self.points.setdefault(joint, []).append(np.asarray(points, dtype=float))
 
 
 def joint_path(model: pin.Model, joint: int) -> str:
@@ -52,19 +64,27 @@ def joint_path(model: pin.Model, joint: int) -> str:
 
 def draw_robot(vis: Any, solution: Solution) -> DrawnRobot:
     """Draw the robot of ``solution`` into the Meshcat node ``vis``: meshes if they are found, else bones."""
-    name = solution.description.robot or solution.model.name or "robot"
-    visual = solution.description.visual
     try:
-        if not visual:
-            raise InputError("the solution names no URDF file")
-        visuals = visuals_of(visual, solution.model)
-        if visuals.geometry.ngeoms == 0:
-            raise InputError(f"{visual.urdf} has no visual geometry")
+        visuals = visuals_of(solution.description.visual, solution.model)
     except InputError as error:
+        name = solution.description.robot or solution.model.name or "robot"
         drawn = draw_skeleton(vis, solution)
         drawn.note = f"'{name}' is drawn as a skeleton: {error}"
         return drawn
     return _draw_meshes(vis, solution.model, visuals)
+
+
+def visuals_of(source: VisualSource | None, model: pin.Model) -> DescribedGeometry:
+    """Read a URDF file's visuals. Raises `InputError` if it, or every one of its meshes, is missing."""
+    if not source:
+        raise InputError("the solution names no URDF file")
+    described = described_geometry(source, model, "visual")
+    if described.missing and len(described.missing) == len(described.meshes):
+        first = next(iter(described.missing.values()))
+        raise InputError(f"meshes of {source.urdf} cannot be read: no mesh file {first} is found")
+    if described.geometry.ngeoms == 0:
+        raise InputError(f"{source.urdf} has no visual geometry")
+    return described
 
 
 class _JointTree(MeshcatVisualizer):
@@ -75,7 +95,7 @@ class _JointTree(MeshcatVisualizer):
         return f"{joint_path(self.model, geometry_object.parentJoint)}/{name}"
 
     def loadViewerGeometryObject(self, geometry_object: Any, *args: Any, **options: Any) -> None:
-        if geometry_object.name in self.meshes:  # replaced by a box, see `visuals`
+        if geometry_object.name in self.meshes:  # replaced by a box, see `described_geometry`
             geometry_object.geometry = coal.BVHModelOBBRSS()
         super().loadViewerGeometryObject(geometry_object, *args, **options)
 
@@ -106,17 +126,13 @@ def _draw_meshes(vis: Any, model: pin.Model, visuals: DescribedGeometry) -> Draw
         scale = np.diag([*entry.meshScale, 1.0])
         node.set_transform(entry.placement.homogeneous @ scale)
         spread = subsample(vertices, MOST_POINTS)
-        drawn.add(entry.parentJoint, spread @ entry.placement.rotation.T + entry.placement.translation)
-    drawn.note = _left_out(visuals.missing, unreadable)
-    return drawn
-
-
-def _left_out(missing: dict[str, str], unreadable: list[str]) -> str:
-    """One line about parts of a robot that are not drawn; may be empty."""
-    reasons = {"mesh files that are not found": sorted(set(missing.values()))}
+        placed_points = spread @ entry.placement.rotation.T + entry.placement.translation
+        drawn.points[entry.parentJoint].append(placed_points)
+    reasons = {"mesh files that are not found": sorted(set(visuals.missing.values()))}
     reasons["geometry that Meshcat cannot show"] = unreadable
     parts = [f"without {what}: {', '.join(names)}" for what, names in reasons.items() if names]
-    return f"the robot is drawn {'; '.join(parts)}" if parts else ""
+    drawn.note = f"the robot is drawn {'; '.join(parts)}" if parts else ""
+    return drawn
 
 
 def _points(entry: Any, is_mesh: bool) -> np.ndarray | None:
@@ -152,41 +168,33 @@ def _round_probes() -> np.ndarray:
 def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
     """Draw joints as spheres, links as rods from joint to joint, and rods to contacts and tips."""
     model, drawn = solution.model, DrawnRobot()
-    rods = _rods(solution)
-    length_scale = reach(model) or 1.0
-    bone, ball = BONE_RADIUS * length_scale, JOINT_RADIUS * length_scale
-    for joint in range(max(_base_joint(model), 1), model.njoints):  # virtual joints are not drawn
+    size, base = reach(model) or 1.0, BASE_JOINT[base_of(model)]
+    bone, ball = BONE_RADIUS * size, JOINT_RADIUS * size
+    for joint in range(max(base, 1), model.njoints):  # virtual joints are not drawn
         node = vis[joint_path(model, joint)]
         node["joint"].set_object(shapes.Sphere(ball), shapes.MeshPhongMaterial(color=JOINT_COLOUR))
-        drawn.add(joint, np.zeros((1, 3)))
-    for number, (joint, end, is_tip) in enumerate(rods):
+        drawn.points[joint].append(np.zeros((1, 3)))
+    for number, (joint, end, is_tip) in enumerate(_rods(solution, base)):
         node, length = vis[joint_path(model, joint)], float(np.linalg.norm(end))
-        drawn.add(joint, end[None])
+        drawn.points[joint].append(end[None])
         if is_tip:
             node[f"tip{number}"].set_object(shapes.Sphere(ball), shapes.MeshPhongMaterial(color=FOOT_COLOUR))
             node[f"tip{number}"].set_transform(placed(end))
-            drawn.add(joint, end + ball * _round_probes())
+            drawn.points[joint].append(end + ball * _round_probes())
         if length > ball:
             rod = shapes.Cylinder(length, bone)
             node[f"rod{number}"].set_object(rod, shapes.MeshPhongMaterial(color=BONE_COLOUR))
             along = pin.Quaternion.FromTwoVectors(np.array([0.0, 1.0, 0.0]), end)  # Meshcat's lie along y
             node[f"rod{number}"].set_transform(placed(end / 2, along.toRotationMatrix()))
-    _draw_trunk(vis, model, drawn)
+    if base and (box := box_of_inertia(model.inertias[base])):  # a moving base has no rod
+        sides, place = box
+        trunk = vis[joint_path(model, base)]["trunk"]
+        material = shapes.MeshPhongMaterial(color=BONE_COLOUR, opacity=TRUNK_OPACITY)
+        trunk.set_object(shapes.Box(sides.tolist()), material)
+        trunk.set_transform(place.homogeneous)
+        corners = box_corners(-sides / 2, sides / 2)
+        drawn.points[base].append(corners @ place.rotation.T + place.translation)
     return drawn
-
-
-def _draw_trunk(vis: Any, model: pin.Model, drawn: DrawnRobot) -> None:
-    """Draw the link of a moving base, which has no rod, as the solid box of its mass and inertia."""
-    base = _base_joint(model)
-    box = box_of_inertia(model.inertias[base]) if base else None
-    if box is None:
-        return
-    sides, place = box
-    node = vis[joint_path(model, base)]["trunk"]
-    material = shapes.MeshPhongMaterial(color=BONE_COLOUR, opacity=TRUNK_OPACITY)
-    node.set_object(shapes.Box(sides.tolist()), material)
-    node.set_transform(place.homogeneous)
-    drawn.add(base, box_corners(-sides / 2, sides / 2) @ place.rotation.T + place.translation)
 
 
 def box_of_inertia(inertia: pin.Inertia) -> tuple[np.ndarray, pin.SE3] | None:
@@ -204,15 +212,10 @@ def box_of_inertia(inertia: pin.Inertia) -> tuple[np.ndarray, pin.SE3] | None:
     return np.maximum(sides, THINNEST * sides.max()), pin.SE3(axes, inertia.lever)
 
 
-def _base_joint(model: pin.Model) -> int:
-    return BASE_JOINT[base_of(model)]
-
-
-def _rods(solution: Solution) -> list[tuple[int, np.ndarray, bool]]:
+def _rods(solution: Solution, base: int) -> list[tuple[int, np.ndarray, bool]]:
     """(joint, end in its frame, is a tip) of every rod: to child joints, contact frames and tips."""
-    model = solution.model
-    rods = []
-    for child in range(_base_joint(model) + 1, model.njoints):
+    model, rods = solution.model, []
+    for child in range(base + 1, model.njoints):
         parent = int(model.parents[child])
         if parent > 0 or model.joints[child].nv == 1:  # a floating base has no rod
             rods.append((parent, model.jointPlacements[child].translation.copy(), False))

@@ -1,7 +1,8 @@
-"""The solutions of one scene: each drawn below its own scene tree node, tinted or moved aside."""
+"""The solutions of one scene: each below its own scene tree node, tinted or moved aside; their ghosts."""
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
+from trajopt.view.replay.commands import Recorder, ViewerCommand
 from trajopt.view.replay.motion import ReplayMotion
 from trajopt.view.replay.robot import DrawnRobot, draw_robot, joint_path, subsample
 
@@ -26,6 +28,13 @@ MEASURED_FRAMES = 12
 MEASURED_POINTS = 300
 # A motion travels if its base goes further along the ground than this many times the robot.
 TRAVELS_FROM = 3.0
+PREFIX = "/meshcat/"
+TINT_OPACITY = 0.55
+GHOST_COLOUR, GHOST_OPACITY = 0x5F7FA6, 0.2
+# Most ghosts, and the least distance between any two of some point of the robot, over its extent.
+MOST_GHOSTS, APART = 6, 0.35
+# Most changes of phase that are considered in a long gait.
+MOST_COMPARED = 40
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,9 +53,9 @@ class DrawnSolution:
     label: str
     colour: int
     tinted: bool
-    robot: DrawnRobot = field(default_factory=DrawnRobot)
-    cloud: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    size: float = 1.0
+    robot: DrawnRobot
+    cloud: np.ndarray
+    size: float
     shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def ink(self, colour: int) -> int:
@@ -100,16 +109,22 @@ def drawn_runs(
     runs = []
     for number, (solution, motion) in enumerate(zip(solutions, motions, strict=True)):
         root = f"run{number}" if len(solutions) > 1 else ""
+        node = vis[root] if root else vis
+        robot = draw_robot(node, solution)
+        cloud, size = _extent(robot, motion)
         run = DrawnSolution(
             solution=solution,
             motion=motion,
-            node=vis[root] if root else vis,
+            node=node,
             root=root,
             label=names[number],
             colour=RUN_COLOURS[number % len(RUN_COLOURS)],
             tinted=layout == "overlaid" and number > 0,
+            robot=robot,
+            cloud=cloud,
+            size=size,
         )
-        runs.append(_with_robot(run))
+        runs.append(run)
     return _aside(runs) if layout == "side-by-side" else runs
 
 
@@ -123,30 +138,27 @@ def _names(solutions: Sequence[Solution]) -> list[str]:
     return [f"{name} ({number + 1})" if twice else name for number, name in enumerate(names)]
 
 
-def _with_robot(run: DrawnSolution) -> DrawnSolution:
-    robot = draw_robot(run.node, run.solution)
-    rows = np.unique(np.linspace(0, run.motion.n_frames - 1, MEASURED_FRAMES).astype(int))
+def _extent(robot: DrawnRobot, motion: ReplayMotion) -> tuple[np.ndarray, float]:
+    """Points (k, 3) of the robot at a few frames, m, and its extent at the start, m."""
+    rows = np.unique(np.linspace(0, motion.n_frames - 1, MEASURED_FRAMES).astype(int))
     parts = [np.zeros((len(rows), 0, 3))]
     for joint, points in robot.points.items():
-        placement = run.motion.joints[rows, joint]
+        placement = motion.joints[rows, joint]
         local = np.concatenate([subsample(part, MEASURED_POINTS) for part in points])
         parts.append(local @ placement[:, :3, :3].transpose(0, 2, 1) + placement[:, None, :3, 3])
     cloud = np.concatenate(parts, axis=1)
     extent = float(np.ptp(cloud[0], axis=0).max()) if cloud.size else 0.0
-    return replace(run, robot=robot, cloud=cloud.reshape(-1, 3), size=max(extent, 1e-3))
+    return cloud.reshape(-1, 3), max(extent, 1e-3)
 
 
 def _aside(runs: list[DrawnSolution]) -> list[DrawnSolution]:
     """Runs next to each other, across the longer level side of the first motion."""
     spans = np.ptp(runs[0].cloud[:, :2], axis=0)
     axis = 1 if spans[0] >= spans[1] else 0
-    gap, place = GAP * max(run.size for run in runs), 0.0
-    placed: list[DrawnSolution] = []
-    for run in runs:
-        low, high = run.cloud[:, axis].min(), run.cloud[:, axis].max()
-        shift = np.zeros(3)
-        shift[axis] = place - low if placed else 0.0
-        place = shift[axis] + high + gap
+    gap, placed = GAP * max(run.size for run in runs), runs[:1]
+    for run in runs[1:]:
+        before, shift = placed[-1], np.zeros(3)
+        shift[axis] = before.shift[axis] + before.cloud[:, axis].max() + gap - run.cloud[:, axis].min()
         placed.append(replace(run, shift=shift))
     return placed
 
@@ -155,3 +167,95 @@ def travels(run: DrawnSolution, tangents: np.ndarray) -> bool:
     """Whether the base travels far along ground with these ``tangents`` (2, 3)."""
     along = (run.base - run.base[0]) @ tangents.T
     return float(np.ptp(along, axis=0).max()) > TRAVELS_FROM * run.size
+
+
+def messages_below(recorder: Recorder, place: str) -> list[dict[str, Any]]:
+    """Messages so far about objects below a ``place`` of the scene tree."""
+    start = f"{PREFIX}{place}/"
+    return [c.message for c in recorder.commands if c.message.get("path", "").startswith(start)]
+
+
+def tint(recorder: Recorder, place: str, colour: int) -> None:
+    """Give everything drawn below ``place`` one translucent colour."""
+    start = f"{PREFIX}{place}/"
+    recorder.commands[:] = [
+        ViewerCommand(_in_colour(command.message, colour, TINT_OPACITY))
+        if command.message.get("path", "").startswith(start) and command.message["type"] == "set_object"
+        else command
+        for command in recorder.commands
+    ]
+
+
+def draw_copy(recorder: Recorder, drawn: list[dict[str, Any]], place: str, copy: str, colour: int) -> None:
+    """Draw what was ``drawn`` below ``place`` again below ``copy``, as a translucent ghost without shadow."""
+    for message in drawn:
+        path = f"{PREFIX}{copy}" + message["path"].removeprefix(f"{PREFIX}{place}")
+        moved = {**message, "path": path}
+        if message["type"] != "set_object":
+            recorder.note(moved)
+            continue
+        recorder.note(_in_colour(moved, colour, GHOST_OPACITY, behind=True))
+        for name in ("castShadow", "receiveShadow"):
+            shadow = {"type": "set_property", "path": f"{path}/<object>", "property": name, "value": False}
+            recorder.note(shadow)
+
+
+def _in_colour(message: dict[str, Any], colour: int, opacity: float, behind: bool = False) -> dict[str, Any]:
+    """The message of an object with its geometry, shared, and another material.
+
+    ``behind``: where it coincides with another object, that one is visible.
+    """
+    content = message["object"]
+    material = {
+        "uuid": str(uuid.uuid4()),
+        "type": "MeshLambertMaterial",
+        "color": colour,
+        "opacity": opacity,
+        "transparent": True,
+        "polygonOffset": behind,
+        "polygonOffsetFactor": 2.0,
+        "polygonOffsetUnits": 2.0,
+    }
+    geometries, shape = content.get("geometries", []), content["object"]
+    if shape["type"] == "_meshfile_object":  # a file with its own materials: its geometry alone
+        file = {"format": shape["format"], "data": shape["data"]}
+        geometries = [{"uuid": str(uuid.uuid4()), "type": "_meshfile_geometry", **file}]
+        matrix = shape.get("matrix", np.eye(4).ravel().tolist())
+        shape = {"type": "Mesh", "geometry": geometries[0]["uuid"], "matrix": matrix}
+    drawn = {key: value for key, value in shape.items() if key not in ("material", "data")}
+    drawn |= {"uuid": str(uuid.uuid4()), "material": material["uuid"]}
+    rest = {key: value for key, value in content.items() if key not in ("materials", "textures", "images")}
+    return {**message, "object": {**rest, "geometries": geometries, "materials": [material], "object": drawn}}
+
+
+def draw_ghosts(
+    recorder: Recorder, run: DrawnSolution, joints: Sequence[tuple[int, str]], frames: list[int]
+) -> None:
+    """Draw translucent copies of a run's robot as it is at ``frames``; ``joints`` with their paths in it."""
+    drawn = messages_below(recorder, run.path("robot"))
+    for number, frame in enumerate(frames):
+        ghost = f"{run.path('ghosts')}/pose{number}"
+        for joint, place in joints:
+            matrix = run.motion.joints[frame, joint].T.ravel().tolist()
+            path = f"{PREFIX}{ghost}/{place.removeprefix('robot/')}"
+            recorder.note({"type": "set_transform", "path": path, "matrix": matrix})
+        draw_copy(recorder, drawn, run.path("robot"), ghost, run.ink(GHOST_COLOUR))
+
+
+def ghost_frames(motion: ReplayMotion, size: float) -> list[int]:
+    """Frames of the start, the changes of phase and the end whose poses differ, spread if they are many."""
+    changes = (np.flatnonzero(np.diff(motion.phase)) + 1).tolist()
+    wanted = _spread([0, *changes, motion.n_frames - 1], MOST_COMPARED)
+    kept: list[int] = []
+    places = motion.joints[:, 1:, :3, 3]
+    for frame in wanted:
+        ways = np.linalg.norm(places[kept] - places[frame], axis=2)
+        if (ways.max(axis=1, initial=0.0) > APART * size).all():
+            kept.append(frame)
+    return _spread(kept, MOST_GHOSTS)
+
+
+def _spread(frames: list[int], most: int) -> list[int]:
+    """At most that many of the frames, evenly chosen, with the first and the last."""
+    chosen = np.linspace(0, len(frames) - 1, min(len(frames), most)).round().astype(int)
+    return [frames[index] for index in np.unique(chosen)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import meshcat
@@ -11,24 +11,25 @@ import numpy as np
 
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
-from trajopt.view.phases import phase_spans
-from trajopt.view.replay.arrows import draw_arrows, draw_trails, weight_arrow_of
-from trajopt.view.replay.balance import balance_of
-from trajopt.view.replay.balance_marks import draw_balance
-from trajopt.view.replay.bodies import draw_obstacles, draw_payloads
-from trajopt.view.replay.caption import caption_lines, title
+from trajopt.view.replay.balance import balance_of, draw_balance
+from trajopt.view.replay.bodies import draw_obstacles, draw_payloads, draw_shapes
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
-from trajopt.view.replay.cones import draw_cones
-from trajopt.view.replay.controller import draw_controller
-from trajopt.view.replay.copies import PREFIX, draw_ghosts, ghost_frames, tint
-from trajopt.view.replay.goals import draw_goals
+from trajopt.view.replay.contacts import draw_arrows, draw_cones, draw_trails, weight_arrow_of
+from trajopt.view.replay.goals import draw_controller, draw_goals
 from trajopt.view.replay.ground import DrawnGround, draw_grounds, grounds_of
-from trajopt.view.replay.layers import hidden_layers, layers_of
-from trajopt.view.replay.links import draw_shapes
-from trajopt.view.replay.motion import ReplayMotion
+from trajopt.view.replay.layers import caption_lines, layers_of, title
+from trajopt.view.replay.motion import ReplayMotion, phase_spans
 from trajopt.view.replay.parts import placed
 from trajopt.view.replay.robot import joint_path
-from trajopt.view.replay.runs import DrawnSolution, drawn_runs, travels
+from trajopt.view.replay.runs import (
+    PREFIX,
+    DrawnSolution,
+    draw_ghosts,
+    drawn_runs,
+    ghost_frames,
+    tint,
+    travels,
+)
 from trajopt.view.replay.surfaces import draw_surfaces
 
 # Camera of Meshcat's own page (the player's are in web/cameras.js): vertical field of view in degrees, for
@@ -53,7 +54,7 @@ class ReplayScene:
 
     commands: list[ViewerCommand]
     note: str
-    facts: dict[str, Any] = field(default_factory=dict)
+    facts: dict[str, Any]
 
 
 def build_scene(
@@ -68,33 +69,49 @@ def build_scene(
     aside ("side-by-side", the default for different robots); ``labels`` name them. Raises
     `InputError` for a layout or labels that do not fit.
     """
-    recorder = Recorder()
+    recorder, first = Recorder(), motions[0]
     vis = meshcat.Visualizer(window=recorder)
     runs = drawn_runs(vis, solutions, motions, layout, labels)
     for run in runs:
         if run.tinted:
             tint(recorder, run.path("robot"), run.colour)
     size = max(run.size for run in runs)
-    tracks = Animation(motions[0].n_frames, motions[0].frame_rate, size)
+    tracks = Animation(first.n_frames, first.frame_rate, size)
     grounds, weight_arrow = grounds_of(runs, size), weight_arrow_of(motions, size)
-    parts = [
-        _draw_run(recorder, tracks, run, ground, size, weight_arrow)
-        for run, ground in zip(runs, grounds, strict=True)
-    ]
-    cloud = np.concatenate(parts)
+    cloud = np.concatenate(
+        [
+            _draw_run(recorder, tracks, run, ground, size, weight_arrow)
+            for run, ground in zip(runs, grounds, strict=True)
+        ]
+    )
     box = np.array([cloud.min(axis=0), cloud.max(axis=0)])
     ground = draw_grounds(vis, runs, grounds, box, size)
-    follows = travels(runs[0], ground.tangents)
-    layers = layers_of(runs, _drawn(recorder), hidden_layers(runs, ground.tangents))
+    messages = [command.message for command in recorder.commands]
+    drawn = [m["path"].removeprefix(PREFIX) for m in messages if m["type"] == "set_object"]
+    layers = layers_of(runs, drawn, ground.tangents)
     for layer in layers:
         for path in () if layer["visible"] else layer["paths"]:
             vis[path].set_property("visible", False)
     _frame(vis, box, ground)
     recorder.commands.append(tracks.command())
     note = "; ".join(dict.fromkeys(run.robot.note for run in runs if run.robot.note))
-    facts = _facts(runs, layers, box, size, follows)
-    names = [layer["name"] for layer in layers]
-    facts["lines"] = caption_lines(runs, motions, names, weight_arrow, note)
+    facts = {
+        "start": float(first.t[0]),
+        "speed": first.speed,
+        "duration": first.duration,
+        "phases": [vars(span) for span in phase_spans(solutions[0])],
+        "layers": layers,
+        "runs": [
+            {"label": run.label, "colour": f"#{run.colour:06x}", "root": run.root, "base": run.base_path}
+            for run in runs
+        ],
+        "size": size,
+        "box": box.tolist(),
+        "travels": travels(runs[0], ground.tangents),
+        "title": " | ".join(dict.fromkeys(title(solution) for solution in solutions)),
+        "picture": first.speed / first.frame_rate,
+        "lines": caption_lines(runs, motions, [layer["name"] for layer in layers], weight_arrow, note),
+    }
     return ReplayScene(recorder.commands, note, facts)
 
 
@@ -107,10 +124,10 @@ def _draw_run(
     weight_arrow: float,
 ) -> np.ndarray:
     """Draw one solution; returns points (k, 3) of its extent in the scene's world, m."""
-    solution, motion, node = run.solution, run.motion, run.node
+    model, motion, node = run.solution.model, run.motion, run.node
     if run.shift.any():
         node.set_transform(placed(run.shift))
-    joints = [(joint, joint_path(solution.model, joint)) for joint in range(1, solution.model.njoints)]
+    joints = [(joint, joint_path(model, joint)) for joint in range(1, model.njoints)]
     draw_ghosts(recorder, run, joints, ghost_frames(motion, run.size))
     for joint, place in joints:
         tracks.place(node[place], motion.joints[:, joint])
@@ -123,8 +140,8 @@ def _draw_run(
     ]
     draw_shapes(run, tracks)
     draw_arrows(run, tracks, size, weight_arrow)
-    draw_cones(run, tracks, motion.touched, size)
-    balance = balance_of(solution, motion, motion.touched)
+    draw_cones(run, tracks, size)
+    balance = balance_of(run.solution, motion)
     draw_balance(run, tracks, balance, ground.drop, size)
     draw_controller(run, tracks, balance.com, size, weight_arrow)
     draw_trails(run)
@@ -146,31 +163,3 @@ def _frame(vis: Any, box: np.ndarray, ground: Surface) -> None:
     lens.set_property("fov", FIELD_OF_VIEW)
     lens.set_property("position", [float(offset[0]), float(offset[2]), float(-offset[1])])  # y is up there
     vis.set_transform(placed(-target))
-
-
-def _drawn(recorder: Recorder) -> list[str]:
-    """Scene tree paths of all objects."""
-    messages = [command.message for command in recorder.commands]
-    return [m["path"].removeprefix(PREFIX) for m in messages if m["type"] == "set_object"]
-
-
-def _facts(
-    runs: list[DrawnSolution], layers: list[dict[str, Any]], box: np.ndarray, size: float, follows: bool
-) -> dict[str, Any]:
-    motion = runs[0].motion
-    return {
-        "start": float(motion.t[0]),
-        "speed": motion.speed,
-        "duration": (motion.n_frames - 1) / motion.frame_rate,
-        "phases": [vars(span) for span in phase_spans(runs[0].solution)],
-        "layers": layers,
-        "runs": [
-            {"label": run.label, "colour": f"#{run.colour:06x}", "root": run.root, "base": run.base_path}
-            for run in runs
-        ],
-        "size": size,
-        "box": box.tolist(),
-        "travels": follows,
-        "title": " | ".join(dict.fromkeys(title(run.solution) for run in runs)),
-        "picture": motion.speed / motion.frame_rate,
-    }

@@ -1,6 +1,6 @@
 """Meshcat's server, with the page of a live replay at its own address, http://127.0.0.1:PORT/.
 
-`trajopt.view.replay.live` runs this file as a process. It imports nothing of trajopt, so that it starts at
+`trajopt.view.replay.show` runs this file as a process. It imports nothing of trajopt, so that it starts at
 once, and it ends when its standard input does, i.e. with the process that started it, however that one ends.
 Meshcat's own page stays where it was, at /static/.
 """

@@ -22,9 +22,10 @@ TO_YUV = (
 )
 ENCODER = ["-c:v", "libx264", "-preset", "medium", "-crf", str(QUALITY), "-movflags", "+faststart"]
 H264 = ["-vf", TO_YUV, *ENCODER]
-# WebP that is visually lossless, by the slowest search, which makes the smallest file; it repeats.
-WEBP = ["-c:v", "libwebp_anim", "-preset", "drawing", "-quality", "82", "-compression_level", "6"]
 REPEATED = ["-loop", "0"]
+# WebP that is visually lossless, by the slowest search, which makes the smallest file.
+SEARCH = ["-preset", "drawing", "-quality", "82", "-compression_level", "6"]
+WEBP = ["-c:v", "libwebp_anim", *SEARCH, *REPEATED]
 # Intermediate format of GIF pictures until the palette is known: small and lossless.
 LOSSLESS = ["-c:v", "libx264rgb", "-preset", "ultrafast", "-qp", "0"]
 # One palette for the whole motion, with one colour for unchanged pixels. Ordered dither does not flicker.
@@ -44,45 +45,29 @@ def find_ffmpeg() -> str:
         raise InputError("imageio-ffmpeg finds no ffmpeg", "set IMAGEIO_FFMPEG_EXE to one") from None
 
 
-def write_mp4(target: Path, pictures: Iterable[bytes], fps: Fraction) -> None:
-    """Write PNG ``pictures`` of one even size to ``target`` as H.264, ``fps`` a second.
+def write_video(target: Path, ending: str, pictures: Iterable[bytes], fps: Fraction) -> None:
+    """Write PNG ``pictures`` of one size, ``fps`` a second, to ``target`` as a .mp4, .webp or .gif.
 
+    H.264 in a .mp4 needs an even size. The others repeat; times in a .gif are whole hundredths of a second.
     Raises `TrajoptError`, one line, if ffmpeg fails; ``target`` is then unusable.
     """
-    _encode(pictures, fps, [*H264, str(target)])
-
-
-def write_webp(target: Path, pictures: Iterable[bytes], fps: Fraction) -> None:
-    """Write PNG ``pictures`` to ``target`` as an animated WebP that repeats.
-
-    Raises `TrajoptError` as `write_mp4`.
-    """
-    _encode(pictures, fps, [*WEBP, *REPEATED, str(target)])
-
-
-def write_gif(target: Path, pictures: Iterable[bytes], fps: Fraction) -> None:
-    """Write PNG ``pictures`` to ``target`` as a GIF that repeats; its times are whole hundredths of a second.
-
-    Raises `TrajoptError` as `write_mp4`.
-    """
+    if ending != ".gif":
+        _encode(pictures, fps, [*(H264 if ending == ".mp4" else WEBP), str(target)])
+        return
     with tempfile.TemporaryDirectory(prefix="trajopt-") as folder:
-        kept, palette = Path(folder, "kept.mkv"), Path(folder, "palette.png")
-        _encode(pictures, fps, [*LOSSLESS, str(kept)])
-        _run(["-i", str(kept), "-vf", PALETTE, "-update", "1", str(palette)])
-        _run(["-i", str(kept), "-i", str(palette), "-lavfi", WITH_PALETTE, *REPEATED, str(target)])
+        kept, palette = str(Path(folder, "kept.mkv")), str(Path(folder, "palette.png"))
+        _encode(pictures, fps, [*LOSSLESS, kept])
+        with _started(["-i", kept, "-vf", PALETTE, "-update", "1", palette]):
+            pass
+        with _started(["-i", kept, "-i", palette, "-lavfi", WITH_PALETTE, *REPEATED, str(target)]):
+            pass
 
 
 def _encode(pictures: Iterable[bytes], fps: Fraction, output: list[str]) -> None:
     rate = f"{fps.numerator}/{fps.denominator}"
-    source = ["-f", "image2pipe", "-framerate", rate, "-c:v", "png", "-i", "-"]
-    with _started([*source, *output]) as pipe:
+    with _started(["-f", "image2pipe", "-framerate", rate, "-c:v", "png", "-i", "-", *output]) as pipe:
         for picture in pictures:
             pipe.write(picture)
-
-
-def _run(arguments: list[str]) -> None:
-    with _started(arguments):
-        pass
 
 
 @contextlib.contextmanager

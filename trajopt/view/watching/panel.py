@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -11,9 +13,16 @@ from rich.live import Live
 from rich.text import Text
 
 from trajopt.solving.monitoring import Iterate
-from trajopt.view.watching.history import History
-from trajopt.view.watching.sparkline import ASCII, BLOCKS, sparkline
+from trajopt.view.watching.record import History
 
+BLOCKS = "▁▂▃▄▅▆▇█"
+ASCII = ".:-=+*#@"
+# The character for a figure that is not finite.
+MISSING = "?"
+# Decades that a line spans at least: a series that hardly changes is a flat line.
+LEAST_DECADES = 1.0
+# On a linear scale, the least span of a line, as a fraction of the largest value.
+FLAT = 1e-3
 # Updates per second. A thread of rich draws them: the solver does not wait.
 RATE = 10.0
 FRAMES, ASCII_FRAMES = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏", "|/-\\"
@@ -22,6 +31,43 @@ NAME, NUMBER = 14, 12
 ROWS = {"objective": "objective", "primal": "infeasibility", "dual": "optimality"}
 # The last column stays empty: some terminals wrap at it.
 EDGE = 1
+
+
+def sparkline(values: Sequence[float], width: int, *, linear: bool = False, blocks: str = BLOCKS) -> str:
+    """log10 of ``values`` (n,), or if ``linear`` themselves, in at most ``width`` characters.
+
+    More values than characters: each stands for a run of them and shows the largest. On the logarithmic scale
+    zero is the lowest; values without a logarithm are shown as ``MISSING``.
+    """
+    if width < 1 or not values:
+        return ""
+    levels = [value if linear else _level(value) for value in _binned(values, width)]
+    known = [level for level in levels if math.isfinite(level)]
+    high = max(known, default=0.0)
+    least = FLAT * abs(high) if linear else LEAST_DECADES
+    low = min(min(known, default=0.0), high - least)
+    return "".join(_block(level, low, high, blocks) for level in levels)
+
+
+def _binned(values: Sequence[float], width: int) -> list[float]:
+    """At most ``width`` values, each the largest of its run; one that is not a number stays."""
+    count = min(width, len(values))
+    edges = [round(i * len(values) / count) for i in range(count + 1)]
+    runs = [values[low:high] for low, high in itertools.pairwise(edges)]
+    return [math.nan if any(math.isnan(value) for value in run) else max(run) for run in runs]
+
+
+def _level(value: float) -> float:
+    return math.log10(value) if value > 0 else -math.inf if value == 0 else math.nan
+
+
+def _block(level: float, low: float, high: float, blocks: str) -> str:
+    if math.isnan(level) or level == math.inf:
+        return MISSING
+    if level == -math.inf:
+        return blocks[0]
+    part = (level - low) / (high - low) if high > low else 0.0
+    return blocks[min(len(blocks) - 1, int(part * len(blocks)))]
 
 
 class ConvergencePanel:

@@ -13,9 +13,9 @@ import zmq
 from trajopt.solution.solution import Solution
 from trajopt.solving.monitoring import Iterate
 from trajopt.view.replay.commands import ViewerCommand
-from trajopt.view.replay.live import LiveWindow
 from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.scene import build_scene
+from trajopt.view.replay.show import LiveWindow
 from trajopt.view.watching.drawing import TOP, IterateScene, Picture
 
 # Iterates a second that are drawn at most.
