@@ -13,7 +13,6 @@ import trajopt
 from tests.support.problems import reach
 from trajopt.errors import InputError
 from trajopt.solving.reference import converged_reference
-from trajopt.study.choosing import solve_to_accuracy, solve_within
 
 # Calls that end in an error at once.
 REFUSED: dict[str, Callable[..., Any]] = {
@@ -21,8 +20,6 @@ REFUSED: dict[str, Callable[..., Any]] = {
     "solve_ladder": lambda **settings: trajopt.solve_ladder(reach(), [], **settings),
     "diagnose": lambda **settings: trajopt.diagnose("missing.npz", **settings),
     "converged_reference": lambda **settings: converged_reference(reach(), max_time=0.0, **settings),
-    "solve_to_accuracy": lambda **settings: solve_to_accuracy(reach(), -1.0, **settings),
-    "solve_within": lambda **settings: solve_within(reach(), -1.0, **settings),
 }
 
 
