@@ -98,7 +98,7 @@ def chosen(folder: Path) -> tuple[Path, ...]:
 
 def entry_of(name: str, solution: Solution) -> Entry:
     """The gallery's entry for a solution."""
-    meta, problem = solution.meta, name.split("@")[0]
+    statistics, problem = solution.statistics, name.split("@")[0]
     family = families().get(problem)
     return Entry(
         name=name,
@@ -106,7 +106,7 @@ def entry_of(name: str, solution: Solution) -> Entry:
         robot=name.split("@")[1],
         summary=family.summary if family is not None else "",
         duration=float(solution.t[-1] - solution.t[0]),
-        objective=float(meta["objective"]),
+        objective=float(statistics.objective),
         iterations=int(total_effort([solution])["iterations"]),
         group=next(i for i, (_, _, fits) in enumerate(GROUPS) if any(fnmatch(problem, p) for p in fits)),
     )
@@ -116,7 +116,7 @@ def times_of(solution: Solution) -> np.ndarray:
     """Times (PICTURES,) in s that show what happens: around a leap's flight, or over the whole motion."""
     start, end = float(solution.t[0]), float(solution.t[-1])
     flights = [rows for rows in solution.phases if not solution.active[rows.start : rows.stop].any()]
-    leaps = solution.active.any() and len(flights) == 1 and not solution.meta.get("periodicity")
+    leaps = solution.active.any() and len(flights) == 1 and not solution.description.periodicity
     if leaps:
         first, last = (float(solution.t[flights[0][index]]) for index in (0, -1))
         margin = AROUND * (last - first)

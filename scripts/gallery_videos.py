@@ -103,12 +103,11 @@ def from_time(solution: Solution, begin: float) -> Solution:
     rows = solution.interval >= first
     phase = int(solution.phase[rows][0])
     arrays = {name: solution.arrays[name][rows] for name in (*SAMPLED, *REQUESTS) if name in solution.arrays}
-    meta = dict(solution.meta)
-    for key in ("phase_names", "surfaces", "patches"):
-        if meta.get(key):
-            meta[key] = meta[key][phase:]
+    plan = solution.description
+    rest = {name: getattr(plan, name)[phase:] for name in ("phase_names", "surfaces", "patches")}
     changed = {"phase": arrays["phase"] - phase, "interval": arrays["interval"] - first}
-    return replace(solution, meta=meta, interval_t=solution.interval_t[first:], **{**arrays, **changed})
+    solution = solution.with_description(**rest)
+    return replace(solution, interval_t=solution.interval_t[first:], **{**arrays, **changed})
 
 
 def section(videos: list[Video]) -> str:

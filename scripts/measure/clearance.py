@@ -54,15 +54,15 @@ def clearance(distance: float) -> None:
     problem = trajopt.load("solo12-jump", distance=distance)
     for name, kind in (("what comes near", Exchange), ("all pairs", AllPairs)):
         exchange, solution = kind(problem), solve(problem, **GRID)
-        without = solution.meta["constraints"]
+        without = solution.statistics.constraints
         for number in range(ROUNDS):
             begun = time.perf_counter()
-            look, meta = exchange.look(solution), solution.meta
+            look, statistics = exchange.look(solution), solution.statistics
             spent = time.perf_counter() - begun
             least = 1e3 * float((look.distances - exchange.bodies.margins).min())
-            times = (f"{own:.2f}" for own in (meta["wall_time_s"], meta["build_time_s"], spent))
-            rows = meta["constraints"]
-            row(name, number, rows, rows - without, meta["iterations"], *times, f"{least:.2f}")
+            times = (f"{own:.2f}" for own in (statistics.wall_time_s, statistics.build_time_s, spent))
+            rows = statistics.constraints
+            row(name, number, rows, rows - without, statistics.iterations, *times, f"{least:.2f}")
             if not exchange.missing(look):
                 break
             exchange.add(look)

@@ -73,7 +73,9 @@ def jumps(solver: str) -> Iterator[tuple[str, str, Problem]]:
         problem = problems.load("solo12-jump", **values)
         yield name, "default", problem
         reduced = solve(body_problem(problem), solver=solver)
-        note = f"one body ({reduced.meta['iterations']} iterations, {reduced.meta['wall_time_s']:.2f} s)"
+        note = (
+            f"one body ({reduced.statistics.iterations} iterations, {reduced.statistics.wall_time_s:.2f} s)"
+        )
         yield name, note, replace(problem, guess=guess_from_srb(problem, reduced))
         yield name, "standing still", standing_still(problem)
 

@@ -52,6 +52,6 @@ def infeasible(max_time: float) -> None:
 
 
 def _verdict(found: Graded) -> str:
-    meta = found.solution.meta
-    certified = ", certified" if meta.get("certified_infeasible") else ""
-    return f"{meta['status'].replace('_', ' ')}{certified}"
+    statistics = found.solution.statistics
+    certified = ", certified" if statistics.certified_infeasible else ""
+    return f"{statistics.status.replace('_', ' ')}{certified}"

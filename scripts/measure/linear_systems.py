@@ -86,7 +86,7 @@ def in_turns(
                 intervals=intervals,
                 judge=False,
                 **way,
-            ).meta
-            times[i].append(1e3 * found["wall_time_s"] / found["iterations"])
-            iterations[i] = found["iterations"]
+            ).statistics
+            times[i].append(1e3 * found.wall_time_s / found.iterations)
+            iterations[i] = found.iterations
     return [median(part) for part in times], iterations

@@ -92,13 +92,13 @@ def models(only: str, solver: str) -> None:
     for what, model, build in all_models():
         if only.lower() in what.lower():
             found = solve(build(), solver=solver)
-            objective = f"{found.meta['objective']:.5g}" if found.success else found.meta["status"]
+            objective = f"{found.statistics.objective:.5g}" if found.success else found.statistics.status
             row(what, model, *_sizes(found), objective, _verdict(found))
 
 
 def _sizes(found: Solution) -> list[str]:
-    counts = [str(found.meta[key]) for key in ("variables", "constraints", "iterations")]
-    return [*counts, f"{found.meta['wall_time_s']:.2f}"]
+    counts = [str(getattr(found.statistics, key)) for key in ("variables", "constraints", "iterations")]
+    return [*counts, f"{found.statistics.wall_time_s:.2f}"]
 
 
 def _verdict(found: Solution) -> str:
@@ -126,10 +126,10 @@ def bases(yaw: float, transcription: str, intervals: int, solver: str) -> None:
             )
             paths.append(base_path(found))
             apart = np.linalg.norm(paths[-1] - paths[0], axis=1).max()
-            margin = found.meta.get("gimbal_margin")
-            figures = [f"{found.meta['objective']:.6f}", "" if margin is None else f"{margin:.3f}"]
+            margin = found.statistics.gimbal_margin
+            figures = [f"{found.statistics.objective:.6f}", "" if margin is None else f"{margin:.3f}"]
             row(name, base, *_sizes(found), *figures, f"{condition(found):.1e}", f"{apart:.1e}",
-                found.meta["status"])  # fmt: skip
+                found.statistics.status)  # fmt: skip
 
 
 def condition(solution: Solution) -> float:
@@ -189,7 +189,9 @@ def _solutions(problem: Problem) -> list[Solution]:
 
 def _counts(found: Sequence[Solution]) -> str:
     """Iterations of every start; in brackets where it was not solved."""
-    return ", ".join(f"{s.meta['iterations']}" if s.success else f"({s.meta['iterations']})" for s in found)
+    return ", ".join(
+        f"{s.statistics.iterations}" if s.success else f"({s.statistics.iterations})" for s in found
+    )
 
 
 def reached(goal: str, solution: Solution) -> str:
@@ -207,8 +209,8 @@ def jump_range(solver: str) -> None:
     for distance, height, turn in cases:
         yaw = math.radians(turn)
         found = solve(problems.load("solo12-jump", distance=distance, height=height, yaw=yaw), solver=solver)
-        meta, verdict = found.meta, _verdict(found)
+        statistics, verdict = found.statistics, _verdict(found)
         passed += found.success and verdict == PASSES
-        figures = meta["status"], meta["iterations"], f"{meta['objective']:.4f}", verdict
+        figures = statistics.status, statistics.iterations, f"{statistics.objective:.4f}", verdict
         row(distance, height, turn, *figures)
     click.echo(f"\n{passed} of {len(cases)} are solved and pass the check")

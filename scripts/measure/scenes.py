@@ -135,7 +135,7 @@ def scenes(solver: str) -> None:
     for name, intervals, members in variants():
         for what, problem, made in members:
             found = solve(problem, intervals=intervals, solver=solver)
-            meta, report = found.meta, check(found if made is None else made.lift(found))
-            row(name, what, meta["variables"], meta["constraints"], meta["iterations"],
-                f"{meta['wall_time_s']:.2f}", f"{meta['objective']:.8f}", meta["status"],
+            statistics, report = found.statistics, check(found if made is None else made.lift(found))
+            row(name, what, statistics.variables, statistics.constraints, statistics.iterations,
+                f"{statistics.wall_time_s:.2f}", f"{statistics.objective:.8f}", statistics.status,
                 f"{report.base_residual or 0.0:.0e}", ", ".join(report.failures()) or "passes")  # fmt: skip

@@ -53,14 +53,15 @@ def compare(problem: Problem, solver: str) -> None:
         ("stage one", first, motion, 0.0),
         ("redistributed", first, shared, sharing),
     ):
-        meta, worst = found.meta, recover_torques(problem, found)[1].worst
-        each = [1e3 * meta[key] / meta["iterations"] for key in ("wall_time_s", "function_time_s")]
+        statistics, worst = found.statistics, recover_torques(problem, found)[1].worst
+        times = statistics.wall_time_s, statistics.function_time_s
+        each = [1e3 * time / statistics.iterations for time in times]
         unknowns = warm_start(full.transcription, found).x
         cost = full.nlp.engine.f(unknowns) * full.transcription.objective_unit
         row(
-            name, meta["variables"], meta["constraints"], instructions(prepared), meta["iterations"],
-            f"{meta['wall_time_s'] + more:.2f}", f"{each[0]:.1f}", f"{each[1]:.2f}", f"{cost:.4f}",
-            f"{worst.excess:+.1%} {worst.joint} at {worst.time:.2f} s ({worst.phase})", meta["status"],
+            name, statistics.variables, statistics.constraints, instructions(prepared), statistics.iterations,
+            f"{statistics.wall_time_s + more:.2f}", f"{each[0]:.1f}", f"{each[1]:.2f}", f"{cost:.4f}",
+            f"{worst.excess:+.1%} {worst.joint} at {worst.time:.2f} s ({worst.phase})", statistics.status,
         )  # fmt: skip
     click.echo(f"\ncheck of the redistributed wrenches: {', '.join(check(shared).failures()) or 'passes'}")
 

@@ -122,4 +122,4 @@ def watched(prepared: PreparedProblem, solver: str, mode: str) -> tuple[int, flo
         if isinstance(watch, Viewer):
             watch.flush()
             drawn = watch.drawn
-    return found.meta["iterations"], found.meta["wall_time_s"], spent, drawn
+    return found.statistics.iterations, found.statistics.wall_time_s, spent, drawn

@@ -54,9 +54,9 @@ def solve(task: str, scheme: str, intervals: int, linear_solver: str, threads: i
     found = solve_prepared(prepared, prepared.guess, origin={}, judge=False, options=options)
     _SOLVED[task, scheme, intervals, linear_solver, threads] = found
     return {
-        "seconds": found.meta["wall_time_s"],
-        "iterations": found.meta["iterations"],
-        "solved": found.meta["success"],
+        "seconds": found.statistics.wall_time_s,
+        "iterations": found.statistics.iterations,
+        "solved": found.statistics.success,
     }
 
 

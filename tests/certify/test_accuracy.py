@@ -29,6 +29,7 @@ from trajopt.errors import InputError, SolutionFileError
 from trajopt.motion.natural_units import NaturalUnits
 from trajopt.robot.payload import loaded_model
 from trajopt.robot.robot import Robot
+from trajopt.solution.description import CarriedBody, PlannedContact
 from trajopt.solution.solution import Solution
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt_library import problems, robots
@@ -248,21 +249,16 @@ def test_impact_with_a_carried_body_is_judged_with_its_mass():
     v, impulse = plan.v.copy(), plan.impulse.copy()
     v[row], impulse[0] = law.velocity, 0.0
     impulse[0, plan.active[row]] = law.impulses
-    meta = {**plan.meta, "payloads": [{**body, "phases": [2], "contact": "trunk"}]}
-    meta |= {
-        "contact_frames": [*plan.contact_frames, "trunk"],
-        "contact_names": [*plan.contact_names, "trunk"],
-        "contact_kinds": [*plan.meta["contact_kinds"], "surface"],
-        "contact_sizes": [*plan.meta["contact_sizes"], None],
-        "contact_radius": [*plan.meta["contact_radius"], 0.0],
-        "friction": [*plan.meta["friction"], 0.7],
-    }
+    hand = PlannedContact(name="trunk", frame="trunk", kind="surface", friction=0.7)
+    carried = CarriedBody(**{**body, "inertia": np.eye(3)}, phases=(2,))
+    contacts = (*plan.description.contacts, hand)
     wider = {
         "f": np.concatenate([plan.f, np.zeros_like(plan.f[:, :1])], axis=1),
         "active": np.concatenate([plan.active, np.zeros_like(plan.active[:, :1])], axis=1),
         "impulse": np.concatenate([impulse, np.zeros_like(impulse[:, :1])], axis=1),
     }
-    loaded = replace(plan, meta=meta, model_text=model.saveToString(), v=v, **wider)
+    held = plan.with_description(contacts=contacts, payloads=(carried,))
+    loaded = replace(held, model=model, v=v, **wider)
     report = trajopt.check(loaded)
     assert report.impact_residual < EXACT
     assert report.impact_momentum_error < EXACT

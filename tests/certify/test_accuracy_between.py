@@ -174,9 +174,7 @@ def test_shifted_turned_and_slower_motions_are_that_far_apart():
     found = compare(replace(still_dog, q=turned), still_dog)
     assert found.orientation == pytest.approx(0.02, rel=1e-6)
     assert found.distance < 1e-9 < 1e-3 < found.farthest
-    slower = replace(
-        plan, t=2 * plan.t, interval_t=2 * plan.interval_t, v=plan.v / 2, a=plan.a / 4, meta=plan.meta
-    )
+    slower = replace(plan, t=2 * plan.t, interval_t=2 * plan.interval_t, v=plan.v / 2, a=plan.a / 4)
     found = compare(slower, plan)
     assert found.time == pytest.approx(plan.t[plan.phases[0].stop - 1])
     assert found.distance < 1e-9  # at equal fractions they are at equal places

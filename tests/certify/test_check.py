@@ -219,7 +219,7 @@ def test_exceeded_position_limit_is_found_as_part_of_the_range(arm):
     upper[0] = arm.q[:, 0].max() - 0.01
     model = pin.Model(arm.model)
     model.upperPositionLimit = upper
-    report = check(replace(arm, model_text=model.saveToString()))
+    report = check(replace(arm, model=model))
     assert report.failures() == ("position_excess",)
     assert report.position_excess == pytest.approx(0.01 / (upper[0] - robot.position_lower[0]))
 

@@ -10,6 +10,7 @@ import pytest
 
 import trajopt
 from tests.support.problems import landing, still
+from tests.support.synthetic_motions import with_meta
 from trajopt.certify.report import Tolerances
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
@@ -74,11 +75,11 @@ def test_impact_at_a_sample_within_an_interval_is_refused():
 def test_statics_of_a_velocity_source_are_judged_not_its_dynamics():
     solution = trajopt.solve(still(), intervals=10)
     assert solution.converged
-    assert solution.meta["actuation"] == "velocity"
+    assert solution.description.actuation == "velocity"
     report = trajopt.check(solution)
     assert report.ok
     assert report.base_residual < MET
-    assert not trajopt.check(replace(solution, meta={**solution.meta, "actuation": "torque"})).ok
+    assert not trajopt.check(with_meta(solution, actuation="torque")).ok
 
 
 def test_open_loop_of_a_velocity_source_follows_its_rates():

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.support.synthetic_motions import Motion, sampled
+from tests.support.synthetic_motions import Motion, sampled, with_meta
 from trajopt.certify.check import check
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.contact import Contact
@@ -50,7 +50,7 @@ def box_at(placement: pin.SE3, yaw_moment: float = 0.0) -> Solution:
 
 
 def on(solution: Solution, surface: Surface) -> Solution:
-    return replace(solution, meta={**solution.meta, "surfaces": [{"sole": surface.describe()}]})
+    return with_meta(solution, surfaces=[{"sole": surface.describe()}])
 
 
 def sloping(angle: float, friction: float = FRICTION) -> Surface:
@@ -80,7 +80,7 @@ def test_slope_may_be_the_terrain():
     box, ground = resting_on(surface), FlatGround(height=0.2, normal=tuple(surface.normal))
     placement = pin.SE3(surface.frame, ground.surface.point)
     box = box_at(placement)
-    report = check(replace(box, meta={**box.meta, "terrain": ground.describe()}))
+    report = check(with_meta(box, terrain=ground.describe()))
     assert report.ok, report.failures()
     assert report.friction_margin == pytest.approx(FRICTION * np.cos(SLOPE) - np.sin(SLOPE))
 
@@ -151,7 +151,7 @@ def test_wrong_surfaces_in_a_file_are_refused_in_one_line(case, tmp_path):
     surfaces, message = WRONG[case]
     box = box_at(pin.SE3.Identity())
     with pytest.raises(InputError, match=message) as caught:
-        check(replace(box, meta={**box.meta, "surfaces": surfaces}))
+        check(with_meta(box, surfaces=surfaces))
     assert "\n" not in str(caught.value)
 
 
@@ -166,4 +166,4 @@ def test_terrain_of_another_kind_is_refused():
     box = box_at(pin.SE3.Identity())
     for terrain, message in (({"kind": "stairs"}, "stairs"), ({"kind": "flat", "normal": "up"}, "normal")):
         with pytest.raises(SolutionFileError, match=message):
-            check(replace(box, meta={**box.meta, "terrain": terrain}))
+            check(with_meta(box, terrain=terrain))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.synthetic_motions import with_meta
 from trajopt.cli.commands import main
 
 GRID = ("--intervals", "6")
@@ -83,14 +84,13 @@ def test_bad_input_is_one_line_and_status_2(capsys, folder, words, message):
 
 
 def test_a_file_of_a_problem_that_nobody_knows_is_refused(capsys, folder):
-    from dataclasses import replace
 
     from trajopt.solution.solution import Solution
 
     file = folder / "known.npz"
     run(capsys, "solve", "ur5-reach", "--intervals", "2", "--output", str(file))
     known = Solution.load(file)
-    foreign = replace(known, meta={**known.meta, "problem": "my-own"}).save(folder / "foreign.npz")
+    foreign = with_meta(known, problem="my-own").save(folder / "foreign.npz")
     status, _, err = run(capsys, "diagnose", str(foreign))
     assert status == 2
     assert "problem 'my-own' is not in the catalogue" in err

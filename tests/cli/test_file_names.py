@@ -54,8 +54,8 @@ def test_other_settings_do_not_overwrite_a_file(tmp_path: Path, monkeypatch: pyt
     for more in ((), ("--set", "distance=0.1")):
         assert invoke(*hop, *more).exit_code == 1  # the mesh is coarse
     first, second = (Path(f"hopper-hop{part}-intervals=9.npz") for part in ("", "-distance=0.1"))
-    assert Solution.load(first).meta["parameters"]["distance"] == 0.2
-    assert Solution.load(second).meta["parameters"]["distance"] == 0.1
+    assert Solution.load(first).description.parameters["distance"] == 0.2
+    assert Solution.load(second).description.parameters["distance"] == 0.1
 
 
 def test_a_name_that_would_be_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,7 +39,7 @@ def test_ctrl_c_while_solving_keeps_the_iterate(tmp_path: Path) -> None:
     assert status == 1
     assert (found["success"], found["status"]) == (False, "interrupted")
     assert found["iterations"] >= 2
-    assert Solution.load(target).meta["status"] == "interrupted"
+    assert Solution.load(target).statistics.status == "interrupted"
     assert [path.name for path in tmp_path.iterdir()] == ["x.npz"]
 
 

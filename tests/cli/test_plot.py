@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +9,7 @@ from click.testing import Result
 
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.problems import one_joint_arm
-from tests.support.synthetic_motions import arm_motion, sampled
+from tests.support.synthetic_motions import arm_motion, sampled, with_meta
 
 
 @pytest.fixture
@@ -90,7 +89,7 @@ def test_names_of_a_file_are_drawn_as_they_are(tmp_path: Path) -> None:
     plan = sampled(robot, [arm_motion(robot), arm_motion(robot)], 2)
     odd = "$\\frac{ <script>" + 200 * "name "
     names = {"problem": odd, "robot": odd, "phase_names": [odd] * len(plan.phases)}
-    replace(plan, meta={**plan.meta, **names}).save(tmp_path / "odd.npz")
+    with_meta(plan, **names).save(tmp_path / "odd.npz")
     for ending in ("png", "html"):
         result = plot(tmp_path / "odd.npz", "-o", tmp_path / f"odd.{ending}")
         assert result.exit_code == 0, result.output

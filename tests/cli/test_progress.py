@@ -240,7 +240,7 @@ def test_an_interrupt_in_a_watch_stops_the_solver():
             raise KeyboardInterrupt
 
     found = solve(small(), transcription="legendre:1", watch=interrupt)
-    assert found.meta["status"] == "interrupted"
+    assert found.statistics.status == "interrupted"
 
 
 def test_figures_alone_never_request_the_variables(tmp_path: Path):

@@ -50,7 +50,7 @@ def test_the_file_of_a_scene_is_the_whole_robots(explained: tuple[Result, Path])
     solution = Solution.load(explained[1])
     assert solution.model.nv == 18
     assert solution.f.shape[1] == 4
-    assert solution.meta["variables"] == HALF
+    assert solution.statistics.variables == HALF
 
 
 @pytest.mark.long
@@ -85,7 +85,7 @@ def test_an_explanation_alone_changes_nothing(tmp_path: Path) -> None:
     found = json.loads(invoke(*JUMP, "--explain", "--json", "--output", tmp_path / "jump.npz").stdout)
     assert found["variables"] == WHOLE
     assert found["scene"]["after"]["variables"] == HALF
-    assert Solution.load(tmp_path / "jump.npz").meta["variables"] == WHOLE
+    assert Solution.load(tmp_path / "jump.npz").statistics.variables == WHOLE
 
 
 def test_a_joint_to_keep_must_exist(tmp_path: Path) -> None:

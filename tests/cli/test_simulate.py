@@ -61,7 +61,7 @@ def test_json_is_one_object_with_the_figures_of_the_report(stand):
 def test_simulated_motion_is_written_as_a_solution_file(stand, tmp_path):
     target = tmp_path / "simulated.npz"
     assert run(stand, "-o", target).exit_code == 0
-    assert Solution.load(target).meta["simulated"] is True
+    assert Solution.load(target).statistics.simulated is True
 
 
 def test_page_shows_plan_and_simulation(stand, tmp_path):

@@ -29,7 +29,7 @@ def test_an_unknown_changes_what_its_name_says():
     problem, solution = solved("hop")
     snapshot = snapshot_of(problem, solution)
     transcription, names = snapshot.transcription, snapshot.names
-    model, before = problem.robot.model, extract(transcription, snapshot.x, {"success": True})
+    model, before = problem.robot.model, extract(transcription, snapshot.x, success=True, converged=True)
     seen = set()
     for index in range(0, len(snapshot.x), 7):
         label, site = names.unknown_labels[index], names.unknown_sites[index]
@@ -37,7 +37,7 @@ def test_an_unknown_changes_what_its_name_says():
             continue
         moved = snapshot.x.copy()
         moved[index] += 0.1
-        after = extract(transcription, moved, {"success": True})
+        after = extract(transcription, moved, success=True, converged=True)
         arrays = {"position": "q", "rate": "v", "acceleration": "a", "force": "f"}
         array = arrays[label.kind]
         changed = np.abs(getattr(after, array) - getattr(before, array)).reshape(len(before.t), -1) > 1e-6

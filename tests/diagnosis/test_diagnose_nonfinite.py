@@ -116,7 +116,7 @@ def test_a_solve_that_cannot_start_is_diagnosed_from_its_solution():
     problem = reach()
     broken = replace(problem, terms=(*problem.terms, RootOfPosition(least=0.2)))
     solution = solve(broken)
-    assert solution.meta["status"] == "not_finite"
+    assert solution.statistics.status == "not_finite"
     found = diagnose(solution, broken)
     assert found.nonfinite is not None
     assert [entry.name for entry in found.nonfinite.inputs] == ["joint position"]

@@ -45,7 +45,7 @@ def test_the_document_has_a_robot_a_term_and_a_problem(files: dict[str, Path]) -
 def test_the_robot_reaches(files: dict[str, Path]) -> None:
     solution = trajopt.solve(trajopt.load("arm-reach", robot=str(files["ur10.py"])))
     assert solution.success
-    assert solution.meta["robot"] == "ur10"
+    assert solution.description.robot == "ur10"
 
 
 @pytest.mark.long
@@ -66,5 +66,5 @@ def test_the_problem_is_solved_on_its_robots(files: dict[str, Path], robot: str)
     assert robot in family.robots
     solution = trajopt.solve(family.load({"robot": robot, "height": "20cm"}))
     assert solution.success
-    assert solution.meta["problem"] == "arm-raise"
-    assert solution.meta["parameters"]["height"] == 0.2
+    assert solution.description.problem == "arm-raise"
+    assert solution.description.parameters["height"] == 0.2

@@ -70,7 +70,7 @@ def test_python_block_runs(
     namespace: dict[str, object] = {"__name__": "__main__"}
     exec(compile(blocks(document)[index], f"{document}, block {index}", "exec"), namespace)
     if "solution" in namespace:
-        assert namespace["solution"].meta["status"] == "solved"
+        assert namespace["solution"].statistics.status == "solved"
         report = namespace.get("report") or trajopt.check(namespace["solution"])
         assert report.failures() == ()
         assert list(tmp_path.glob("*.npz"))

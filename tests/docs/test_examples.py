@@ -29,7 +29,7 @@ def solved(name: str) -> tuple[dict[str, Any], Solution]:
     """What an example defines, and its solution, which passes the check at any time."""
     defined = runpy.run_path(str(EXAMPLES / f"{name}.py"))
     solution = solve(defined["problem"])
-    assert solution.success, solution.meta["advice"]
+    assert solution.success, solution.statistics.advice
     assert check(solution).failures() == ()
     return defined, solution
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from tests.support.browser import require_chromium
 from tests.support.problems import hop
 from tests.support.repository import ROOT
 from trajopt.errors import InputError
+from trajopt.solution.description import PeriodicImage
 from trajopt.solution.solution import Solution
 from trajopt_library import problems
 
@@ -66,7 +66,8 @@ def test_a_leap_is_shown_around_its_flight(leap: Solution) -> None:
 
 
 def test_what_does_not_leap_is_shown_whole(arm: Solution, leap: Solution) -> None:
-    cycle = replace(leap, meta=leap.meta | {"periodicity": {"turn": 0.0}})
+    image = PeriodicImage(index=np.arange(leap.model.nv), sign=np.ones(leap.model.nv), origin=np.zeros(3))
+    cycle = leap.with_description(periodicity=image)
     for solution in (arm, cycle):
         assert gallery.times_of(solution)[[0, -1]] == pytest.approx(solution.t[[0, -1]])
 

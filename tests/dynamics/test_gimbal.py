@@ -174,19 +174,19 @@ def test_a_converged_plan_through_the_lock_is_no_success():
     turning = trajopt.solve(problem, intervals=12)
     assert turning.converged
     assert trajopt.check(turning).gimbal_margin is None
-    assert "gimbal_margin" not in turning.meta
+    assert turning.statistics.gimbal_margin is None
     solution = trajopt.solve(with_virtual_base(problem), intervals=12)
-    assert (solution.meta["status"], solution.success) == (Status.SINGULAR_BASE.word, False)
-    assert solution.meta["gimbal_margin"] == 0
-    assert solution.meta["max_violation"] < 1e-5
-    assert "use base='freeflyer'" in solution.meta["advice"]
+    assert (solution.statistics.status, solution.success) == (Status.SINGULAR_BASE.word, False)
+    assert solution.statistics.gimbal_margin == 0
+    assert solution.statistics.max_violation < 1e-5
+    assert "use base='freeflyer'" in solution.statistics.advice
     report = trajopt.check(solution)
     assert report.gimbal_margin == 0
     assert "gimbal_margin" in report.failures(AT_POINTS)
     assert "margin to gimbal lock" in str(report)
     other = trajopt.solve(with_virtual_base(problem, "YXZ"), intervals=12)
-    assert other.converged, other.meta["advice"]
-    assert other.meta["gimbal_margin"] > 0.9
+    assert other.converged, other.statistics.advice
+    assert other.statistics.gimbal_margin > 0.9
 
 
 @pytest.mark.long
@@ -194,8 +194,8 @@ def test_a_converged_plan_through_the_lock_is_no_success():
 def test_half_a_flip_solves_with_the_quaternion(solver):
     flip = problems.load("solo12-flip")
     solution = trajopt.solve(flip, solver=solver, intervals=30)
-    assert solution.converged, solution.meta["advice"]
-    assert solution.meta["iterations"] <= 60
+    assert solution.converged, solution.statistics.advice
+    assert solution.statistics.iterations <= 60
     assert trajopt.check(solution).within(AT_POINTS)
     rotation = pin.Quaternion(*solution.q[-1][[6, 3, 4, 5]]).toRotationMatrix()
     assert rotation[2, 0] == pytest.approx(np.sin(np.radians(110)), abs=1e-5)  # how far the nose is up
@@ -210,8 +210,8 @@ def test_half_a_flip_solves_with_the_quaternion(solver):
 def test_flips_of_other_angles_solve_from_their_own_guess(pitch, yaw):
     flip = problems.load("solo12-flip", pitch=pitch, yaw=yaw)
     solution = trajopt.solve(flip, intervals=20)
-    assert solution.converged, solution.meta["advice"]
-    assert solution.meta["iterations"] <= 60
+    assert solution.converged, solution.statistics.advice
+    assert solution.statistics.iterations <= 60
 
 
 @pytest.mark.slow
@@ -219,11 +219,11 @@ def test_half_a_flip_fails_with_yaw_pitch_roll_and_agrees_with_another_order():
     turning = trajopt.solve(problems.load("solo12-flip"), intervals=30)
     failed = trajopt.solve(problems.load("solo12-flip", base="virtual"), intervals=30, max_iterations=150)
     assert not failed.success
-    assert failed.meta["gimbal_margin"] < LEAST_MARGIN
+    assert failed.statistics.gimbal_margin < LEAST_MARGIN
     assert "gimbal_margin" in trajopt.check(failed).failures(AT_POINTS)
     other = trajopt.solve(problems.load("solo12-flip", base="virtual", order="YXZ"), intervals=30)
-    assert other.converged, other.meta["advice"]
-    assert other.meta["objective"] == pytest.approx(turning.meta["objective"], rel=SAME_OBJECTIVE)
+    assert other.converged, other.statistics.advice
+    assert other.statistics.objective == pytest.approx(turning.statistics.objective, rel=SAME_OBJECTIVE)
     assert trajopt.check(other).within(AT_POINTS)
 
 

@@ -258,14 +258,14 @@ def both(problem: Problem, order: str, **options: object) -> tuple[Solution, Sol
         for asked in (problem, with_virtual_base(problem, order))
     ]
     for solution in solutions:
-        assert solution.converged, solution.meta["advice"]
+        assert solution.converged, solution.statistics.advice
     return solutions[0], solutions[1]
 
 
 @pytest.mark.parametrize("order", ["ZYX", "YXZ"])
 def test_the_same_problem_has_the_same_optimum_on_both_bases(order):
     turning, jointed = both(lean(), order, transcription="legendre:3")
-    assert jointed.meta["objective"] == pytest.approx(turning.meta["objective"], rel=SAME_OBJECTIVE)
+    assert jointed.statistics.objective == pytest.approx(turning.statistics.objective, rel=SAME_OBJECTIVE)
     np.testing.assert_allclose(free_flyer_path(jointed)[:, :3], turning.q[:, :3], atol=SAME_PATH)
     np.testing.assert_allclose(jointed.tau, turning.tau, atol=SAME_PATH * hopper().weight)
 
@@ -275,7 +275,7 @@ def test_the_same_problem_has_the_same_optimum_on_both_bases(order):
 def test_plans_on_virtual_joints_pass_the_check_and_the_free_flyers_dynamics(solver, tmp_path):
     problem = with_virtual_base(problems.load("solo12-jump", distance=0.1, yaw=0.3))
     solution = trajopt.solve(problem, solver=solver, intervals=30)
-    assert solution.converged, solution.meta["advice"]
+    assert solution.converged, solution.statistics.advice
     solution.save(tmp_path / "jump.npz")
     report = trajopt.check(tmp_path / "jump.npz")
     assert report.within(AT_POINTS), str(report)
@@ -319,10 +319,10 @@ def test_costs_of_the_joints_alone_need_no_conversion():
 def test_the_same_jump_on_both_bases_agrees(yaw):
     jump = problems.load("solo12-jump", distance=0.2, yaw=yaw)
     turning, jointed = both(jump, "ZYX", intervals=30)
-    assert jointed.meta["objective"] == pytest.approx(turning.meta["objective"], rel=JUMP_OBJECTIVE)
+    assert jointed.statistics.objective == pytest.approx(turning.statistics.objective, rel=JUMP_OBJECTIVE)
     np.testing.assert_allclose(free_flyer_path(jointed)[:, :3], turning.q[:, :3], atol=JUMP_PATH)
     assert trajopt.check(jointed).within(AT_POINTS)
-    assert jointed.meta["gimbal_margin"] > 0.9
+    assert jointed.statistics.gimbal_margin > 0.9
 
 
 def test_a_skeleton_shows_no_virtual_joints(tmp_path):

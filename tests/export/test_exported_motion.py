@@ -86,7 +86,7 @@ def test_the_second_half_of_a_walk_is_the_mirror_image_of_the_first() -> None:
     duration, flip = plan.t[-1], np.array([1.0, -1.0, 1.0])
     motion, rows = sample_cycles(plan, 20 / duration), 20
     later = slice(rows, 2 * rows)
-    shift = np.array(plan.meta["periodicity"]["velocity"]) * duration
+    shift = np.array(plan.description.periodicity.velocity) * duration
     for name in ("left_ankle_roll_link", "right_knee_link", "pelvis"):
         first, second = (motion.links.names.index(own) for own in (_opposite(name), name))
         position, velocity = motion.links.position, motion.links.linear_velocity

@@ -155,11 +155,11 @@ def test_several_motions_are_episodes(tmp_path: Path) -> None:
 
 def test_each_problem_is_a_task_where_none_is_given(tmp_path: Path) -> None:
     plan = plan_to_export("an arm")
-    other = Solution(meta=plan.meta | {"problem": "reach"}, model_text=plan.model_text, **plan.arrays)
+    other = plan.with_description(problem="reach")
     read = loaded([plan, other, plan], tmp_path)
-    assert list(read.tasks.index) == [plan.meta["problem"], "reach"]
+    assert list(read.tasks.index) == [plan.description.problem, "reach"]
     tasks = [task for episode in read.episodes for task in episode["tasks"]]
-    assert tasks == [plan.meta["problem"], "reach", plan.meta["problem"]]
+    assert tasks == [plan.description.problem, "reach", plan.description.problem]
 
 
 def test_a_single_frame_has_statistics(tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def _cell(expected: Expected, make: Callable[[], Problem], settings: dict[str, A
     except InputError as error:
         _require(isinstance(expected, Refused), f"refused: {error}")
         return _refusal(expected, error)
-    _require(not isinstance(expected, Refused), f"not refused: {solution.meta['status']}")
+    _require(not isinstance(expected, Refused), f"not refused: {solution.statistics.status}")
     report = _report(solution)
     _require_sound(solution, report)
     if isinstance(expected, Solved):
@@ -160,20 +160,26 @@ def _refusal(expected: Expected, error: InputError) -> str:
 
 def _require_sound(solution: Solution, report: CheckReport | None) -> None:
     """What holds of every solution, solved or not: JSON without NaN, a status with advice, the same file."""
-    meta = solution.meta
-    json.dumps(json.loads(to_json(meta)), allow_nan=False)
+    statistics = solution.statistics
+    json.dumps(json.loads(to_json(solution.meta)), allow_nan=False)
     printed = solve_summary(solution, report, None, [])
-    for text in (to_json(solve_dict(solution, report, None)), printed, to_json(meta)):
+    for text in (to_json(solve_dict(solution, report, None)), printed, to_json(solution.meta)):
         _require(re.search(r"\bnan\b", text, re.IGNORECASE) is None, f"NaN is passed on: {text}")
-    status = Status[meta["status"].upper()]
-    _require(meta["success"] == (status is Status.SOLVED), f"success {meta['success']} with {meta['status']}")
-    _require(meta["advice"].startswith(status.advice[:20]), f"advice of {meta['status']}: {meta['advice']}")
+    status = Status[statistics.status.upper()]
+    _require(
+        statistics.success == (status is Status.SOLVED),
+        f"success {statistics.success} with {statistics.status}",
+    )
+    _require(
+        statistics.advice.startswith(status.advice[:20]),
+        f"advice of {statistics.status}: {statistics.advice}",
+    )
     finite = all(
         np.isfinite(getattr(solution, name)).all()
         for name, kind in {**SAMPLED, **OTHERS}.items()
         if kind is float and getattr(solution, name) is not None
     )
-    _require(finite or not meta["success"], "success with a NaN")
+    _require(finite or not statistics.success, "success with a NaN")
     _require(finite or report is None, "a solution with a NaN was checked")
     _require_file(solution, report, finite)
 
@@ -213,8 +219,8 @@ def _report(solution: Solution) -> CheckReport | None:
 def _require_solved(
     expected: Solved, problem: Problem, solution: Solution, report: CheckReport | None
 ) -> None:
-    meta = solution.meta
-    _require(solution.converged, f"{meta['status']} ({meta['advice']}): {meta['worst_blocks'][:1]}")
+    statistics = solution.statistics
+    _require(solution.converged, f"{statistics.status} ({statistics.advice}): {statistics.worst_blocks[:1]}")
     assert report is not None
     tolerances = AT_POINTS
     if expected.coarse is not None:
@@ -227,15 +233,18 @@ def _require_solved(
 
 
 def _require_failed(expected: Failed, solution: Solution) -> None:
-    meta = solution.meta
+    statistics = solution.statistics
     _require(not solution.success, "success where a failure is expected")
     words = [status.word for status in expected.statuses]
-    _require(meta["status"] in words, f"{meta['status']} instead of {' or '.join(words)}: {meta['advice']}")
-    named = [entry["block"] for entry in meta["worst_blocks"]]
+    _require(
+        statistics.status in words,
+        f"{statistics.status} instead of {' or '.join(words)}: {statistics.advice}",
+    )
+    named = [entry["block"] for entry in statistics.worst_blocks]
     _require(bool(named), "no rows are named")
     if expected.block is not None:
         _require(expected.block in named, f"'{expected.block}' is not among the worst rows {named}")
-    _require(expected.advice in meta["advice"], f"advice without '{expected.advice}': {meta['advice']}")
+    _require(expected.advice in statistics.advice, f"advice without '{expected.advice}': {statistics.advice}")
 
 
 def open_loop(problem: Problem, report: CheckReport) -> float:
@@ -246,12 +255,12 @@ def open_loop(problem: Problem, report: CheckReport) -> float:
 
 def _line(problem: Problem, solution: Solution, report: CheckReport | None) -> str:
     """The cell's figures in one line: what docs/extremes.md shows."""
-    meta = solution.meta
-    figures = [meta["status"], f"{meta['iterations']} iterations"]
+    statistics = solution.statistics
+    figures = [statistics.status, f"{statistics.iterations} iterations"]
     if report is not None:
         figures.append(f"open loop {open_loop(problem, report):.1e}")
-    if meta["max_violation"] is not None:
-        figures.append(f"violation {meta['max_violation']:.1e}")
+    if statistics.max_violation is not None:
+        figures.append(f"violation {statistics.max_violation:.1e}")
     if report is not None and report.foot_drift is not None:
         figures.append(f"feet off by {max(report.foot_drift, report.penetration or 0.0):.1e} m")
     return f"{problem.name} on {problem.robot.name}: {', '.join(figures)}"

@@ -196,7 +196,7 @@ def test_a_foot_of_four_corners_stands_still(wrench):
     places = [(contact.frame, contact.rows) for contact in robot.contacts]
     assert np.linalg.matrix_rank(contact_jacobian(robot.model, robot.reference, places)) == 6
     solution = assert_outcome(Solved(STILL), lambda: standing_hopper(robot, wrench=wrench), intervals=6)
-    assert len(solution.meta["redundant_contact_rows"]["stance"]) == 6
+    assert len(solution.statistics.redundant_contact_rows["stance"]) == 6
     assert_allclose(total_force(solution)[solution.collocation].mean(axis=0)[2], robot.weight, rtol=1e-2)
 
 
@@ -210,7 +210,7 @@ def test_two_point_contacts_leave_the_rotation_about_their_line():
     solution = assert_outcome(
         Solved(STILL), lambda: replace(problem, schedule=schedule, terms=costs), intervals=6
     )
-    assert solution.meta["redundant_contact_rows"] == {"stance": ["corner1 y"]}
+    assert solution.statistics.redundant_contact_rows == {"stance": ["corner1 y"]}
 
 
 def test_four_coplanar_feet_at_rest_keep_all_their_rows():
@@ -218,7 +218,7 @@ def test_four_coplanar_feet_at_rest_keep_all_their_rows():
     solution = assert_outcome(
         Solved(STILL), lambda: stance(robot, robot.reference), transcription="legendre:3"
     )
-    assert solution.meta["redundant_contact_rows"] == {}
+    assert solution.statistics.redundant_contact_rows == {}
     assert_allclose(solution.q, np.tile(robot.reference, (len(solution.t), 1)), atol=5e-2)
 
 
@@ -234,7 +234,7 @@ def test_a_contact_given_twice_shares_its_force(solver):
         Solved(STILL), lambda: stance(repeated(robot), robot.reference, intervals=6), solver=solver
     )
     once = assert_outcome(Solved(STILL), lambda: stance(robot, robot.reference, intervals=6), solver=solver)
-    assert twice.meta["redundant_contact_rows"] == {"stance": ["again x", "again y", "again z"]}
+    assert twice.statistics.redundant_contact_rows == {"stance": ["again x", "again y", "again z"]}
     assert_allclose(total_force(twice), total_force(once), atol=1e-2 * robot.weight)
     shared = twice.f[:, [0, 4], :3]
     assert_allclose(shared[:, 0], shared[:, 1], atol=SAME * robot.weight)
@@ -247,7 +247,7 @@ def test_a_contact_given_twice_lands_once():
     sets = (names, (FR, HL, HR), names)
     make = lambda: steps(robot, sets, duration=0.15)  # noqa: E731
     solution = assert_outcome(Solved(STEP), make, intervals=9)
-    assert solution.meta["redundant_contact_rows"]["phase 2"] == ["again x", "again y", "again z"]
+    assert solution.statistics.redundant_contact_rows["phase 2"] == ["again x", "again y", "again z"]
 
 
 def test_a_point_within_a_sole_adds_nothing():
@@ -256,7 +256,7 @@ def test_a_point_within_a_sole_adds_nothing():
     problem = standing_hopper(both)
     terms = tuple(term for term in problem.terms if not isinstance(term, FrictionPyramid))
     solution = assert_outcome(Solved(STILL), lambda: replace(problem, terms=terms), intervals=6)
-    assert solution.meta["redundant_contact_rows"] == {"stance": ["point x", "point y", "point z"]}
+    assert solution.statistics.redundant_contact_rows == {"stance": ["point x", "point y", "point z"]}
 
 
 def test_two_contacts_of_one_name_and_one_named_twice_are_refused():

@@ -79,8 +79,8 @@ def test_hopper_gets_nowhere_on_ice(friction):
         intervals=40,
         max_iterations=GIVEN_UP,
     )
-    assert solution.meta["max_violation"] > 1e-3
-    assert solution.meta["worst_blocks"][0]["phase"] in ("stance", "landing")
+    assert solution.statistics.max_violation > 1e-3
+    assert solution.statistics.worst_blocks[0]["phase"] in ("stance", "landing")
 
 
 @pytest.mark.parametrize("friction", [-0.1, float("nan"), float("inf"), 100.0])

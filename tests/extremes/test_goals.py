@@ -53,7 +53,7 @@ MOUNTAIN = 1e-4
 
 def test_an_arm_whose_goal_is_its_start_ends_there():
     solution = assert_outcome(Solved(ARM), lambda: reach(ur5(), ur5().reference, ur5().reference))
-    assert solution.meta["iterations"] <= 10
+    assert solution.statistics.iterations <= 10
     assert_allclose(solution.q[-1], ur5().reference, atol=1e-6)
 
 
@@ -64,7 +64,7 @@ def test_a_hanging_pendulum_whose_goal_is_its_start_costs_nothing():
     torque = pin.rnea(pendulum.model, pendulum.model.createData(), hanging, still, still)
     assert_allclose(torque, 0.0, atol=1e-5)  # rounding of its description
     solution = assert_outcome(Solved(ARM), lambda: reach(pendulum, hanging, hanging))
-    assert solution.meta["objective"] < 1e-9
+    assert solution.statistics.objective < 1e-9
     assert np.abs(solution.v).max() < 1e-4
 
 
@@ -73,7 +73,7 @@ def test_a_robot_on_legs_whose_goal_is_its_start_stays(name):
     robot = robots.load(name)
     duration = 0.4 if name == "solo12" else 0.1
     solution = assert_outcome(Solved(STANCE), lambda: stance(robot, robot.reference, duration=duration))
-    assert solution.meta["iterations"] <= 15
+    assert solution.statistics.iterations <= 15
     assert np.abs(np.diff(solution.q[:, 0])).max() < 0.01
 
 
@@ -164,8 +164,8 @@ def test_a_hop_far_from_the_origin_is_the_same_hop_there(solver):
     here = assert_outcome(coarse, lambda: hop(robot), solver=solver, intervals=10)
     away = (-FAR, FAR, 0.0)
     there = assert_outcome(coarse, lambda: hop(robot, away=away), solver=solver, intervals=10)
-    assert there.meta["iterations"] == here.meta["iterations"]
-    assert there.meta["objective"] == pytest.approx(here.meta["objective"], rel=1e-9)
+    assert there.statistics.iterations == here.statistics.iterations
+    assert there.statistics.objective == pytest.approx(here.statistics.objective, rel=1e-9)
     moved = there.q.copy()
     moved[:, :3] -= away
     assert_allclose(moved, here.q, atol=FAR_MOTION)
@@ -205,5 +205,5 @@ def test_a_far_goal_is_measured_from_where_the_arm_stands():
 
 
 def assert_same_motion(here: Solution, there: Solution) -> None:
-    assert there.meta["objective"] == pytest.approx(here.meta["objective"], rel=1e-6)
+    assert there.statistics.objective == pytest.approx(here.statistics.objective, rel=1e-6)
     assert_allclose(there.q, here.q, atol=1e-5)

@@ -51,7 +51,7 @@ def test_motion_of_a_similar_robot_is_the_same_and_forces_scale_with_its_mass(na
     assert_allclose(found.q, own.q, atol=SIMILAR)
     assert_allclose(found.tau / mass, own.tau, atol=SIMILAR * np.abs(own.tau).max())
     assert_allclose(found.f / mass, own.f, atol=SIMILAR * max(np.abs(own.f).max(initial=0.0), 1.0))
-    assert found.meta["iterations"] == own.meta["iterations"]
+    assert found.statistics.iterations == own.statistics.iterations
 
 
 @pytest.mark.parametrize(("length", "gravity"), [(0.1, 1.0), (10.0, 1.0), (1.0, 2.0)])

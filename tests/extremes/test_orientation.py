@@ -218,8 +218,8 @@ def plain() -> Solution:
 @pytest.mark.parametrize("where", OTHER_SIGNS)
 def test_a_quaternion_and_its_negative_are_one_orientation(where):
     solution = assert_outcome(Solved(None), lambda: OTHER_SIGNS[where](yawing()))
-    assert solution.meta["iterations"] == plain().meta["iterations"]
-    assert solution.meta["objective"] == pytest.approx(plain().meta["objective"], rel=ROUNDING)
+    assert solution.statistics.iterations == plain().statistics.iterations
+    assert solution.statistics.objective == pytest.approx(plain().statistics.objective, rel=ROUNDING)
     assert_allclose(solution.tau, plain().tau, atol=ROUNDING)
     apart = [pin.difference(solution.model, a, b) for a, b in zip(solution.q, plain().q, strict=True)]
     assert_allclose(apart, 0.0, atol=1e-9)
@@ -319,6 +319,6 @@ def test_virtual_joints_that_pass_gimbal_lock_are_no_success():
     problem = held_joints(robots.load("solo12"), np.array([0.0, -2 * np.pi, 0.0]) / 2, 1.0)
     passing = Failed(Status.SINGULAR_BASE, advice="use base='freeflyer'")
     solution = assert_outcome(passing, lambda: with_virtual_base(problem), intervals=10)
-    assert solution.meta["gimbal_margin"] < 0.05
+    assert solution.statistics.gimbal_margin < 0.05
     other = assert_outcome(Solved(None), lambda: with_virtual_base(problem, "YXZ"), intervals=10)
-    assert other.meta["gimbal_margin"] > 0.5
+    assert other.statistics.gimbal_margin > 0.5

@@ -81,8 +81,8 @@ def test_pose_at_full_stretch_stops_at_it_and_names_its_rows():
     solution = in_process(lambda: solve(make(), transcription="legendre:3", max_iterations=100))
     np.testing.assert_allclose(solution.q[-1][2], 0.0, atol=1e-5)  # the elbow is straight
     if not solution.success:
-        assert solution.meta["status"] in ("step_failed", "iteration_limit")
-        assert CAUSE in solution.meta["advice"]
+        assert solution.statistics.status in ("step_failed", "iteration_limit")
+        assert CAUSE in solution.statistics.advice
     found = in_process(lambda: str(diagnose(solution, make())))
     assert "frame_pose" in found
 

@@ -55,17 +55,17 @@ def solved(name: str, factor: float = 1.0, cost: str | None = None) -> Solution:
 @pytest.mark.parametrize("name", SHORT)
 def test_weights_all_multiplied_change_the_objective_alone(name, factor):
     own, found = solved(name), solved(name, factor)
-    assert_allclose(found.meta["objective"] / factor, own.meta["objective"], rtol=SAME)
+    assert_allclose(found.statistics.objective / factor, own.statistics.objective, rtol=SAME)
     assert_allclose(found.q, own.q, atol=SAME)
     assert_allclose(found.tau, own.tau, atol=SAME * np.abs(own.tau).max())
-    assert found.meta["iterations"] == own.meta["iterations"]
+    assert found.statistics.iterations == own.statistics.iterations
 
 
 @pytest.mark.parametrize("cost", ["torque_cost", "acceleration_cost"])
 @pytest.mark.parametrize("name", ["ur5-reach", pytest.param("hopper-hop", marks=pytest.mark.slow)])
 def test_a_tiny_weight_acts_like_zero(name, cost):
     none, found = solved(name, 0.0, cost), solved(name, 1e-9, cost)
-    assert_allclose(found.meta["objective"], none.meta["objective"], rtol=NEXT_TO_NONE)
+    assert_allclose(found.statistics.objective, none.statistics.objective, rtol=NEXT_TO_NONE)
     assert_allclose(found.q, none.q, atol=FLAT)
 
 
@@ -74,7 +74,7 @@ def test_a_tiny_weight_acts_like_zero(name, cost):
 def test_one_enormous_weight_decides(name, cost):
     """The others are a billionth of it: this cost is no more than it is beside them."""
     found, own = solved(name, 1e9, cost), solved(name)
-    assert found.meta["objective"] > 0
+    assert found.statistics.objective > 0
     assert cost_of(found, cost) <= cost_of(own, cost) * (1 + NEXT_TO_NONE)
 
 

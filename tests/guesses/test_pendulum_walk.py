@@ -87,8 +87,8 @@ def test_torques_and_contact_forces_give_the_motion(talos: Robot, plan: Solution
 def test_a_saved_plan_is_a_solution_like_any_other(plan: Solution, tmp_path):
     file = plan.save(tmp_path / "walk.npz")
     loaded = Solution.load(file)
-    assert loaded.meta["problem"] == "walk"
-    assert loaded.meta["parameters"]["steps"] == 4
+    assert loaded.description.problem == "walk"
+    assert loaded.description.parameters["steps"] == 4
     assert invoke("check", file).exit_code in (0, 1)
 
 
@@ -111,8 +111,8 @@ def test_the_command_writes_plan_and_simulation(tmp_path):
     )
     assert done.exit_code == 0
     assert json.loads(done.stdout)["passed"]
-    assert Solution.load(plan).meta["parameters"]["side"] > 0
-    assert Solution.load(motion).meta["simulated"]
+    assert Solution.load(plan).description.parameters["side"] > 0
+    assert Solution.load(motion).statistics.simulated
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,9 @@ def test_images_of_many_states_are_those_of_each(kind: str) -> None:
     image = CycleImage.of(plan)
     q, v = image.of_states(plan.q, plan.v)
     for row in range(0, plan.n_samples, 7):
-        own = periodic_image(plan.model, plan.meta["periodicity"], plan.q[row], plan.v[row], image.duration)
+        own = periodic_image(
+            plan.model, plan.description.periodicity, plan.q[row], plan.v[row], image.duration
+        )
         assert_allclose(q[row], own[0], atol=ROUNDING)
         assert_allclose(v[row], own[1], atol=ROUNDING)
         assert pin.isNormalized(plan.model, q[row], ROUNDING)
@@ -47,7 +49,7 @@ def test_two_mirror_images_are_the_motion_moved_ahead() -> None:
     plan = plan_to_export("mirrored walk")
     image = CycleImage.of(plan)
     q, v = image.of_states(*image.of_states(plan.q, plan.v))
-    ahead = 2 * image.duration * np.array(plan.meta["periodicity"]["velocity"])
+    ahead = 2 * image.duration * np.array(plan.description.periodicity.velocity)
     assert_allclose(q[:, :3], plan.q[:, :3] + ahead, atol=ROUNDING)
     assert_allclose(q[:, 7:], plan.q[:, 7:], atol=ROUNDING)
     assert_allclose(v, plan.v, atol=ROUNDING)

@@ -17,9 +17,10 @@ from trajopt.collision.link_capsules import robot_capsules
 from trajopt.collision.near import GROUND
 from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.errors import InputError
-from trajopt.problem.bodies import DEEPER, GIVE, TOO_NEAR, ProblemBodies, bodies_meta, bodies_of, clearance_of
+from trajopt.problem.bodies import DEEPER, GIVE, TOO_NEAR, ProblemBodies, bodies_of, clearance_of
 from trajopt.problem.problem import Problem
 from trajopt.schedule import start_of
+from trajopt.solving.extraction import described_bodies
 from trajopt.solving.rest import rest
 from trajopt.terms import Clearance, FramePose, Term, TerminalPosture, TerminalState
 from trajopt.terrain.flat import FlatGround
@@ -73,8 +74,8 @@ def test_two_links_keep_no_more_than_in_the_reference_posture():
     assert apart.min() < 0.1 < apart.max()
     expected = np.minimum(apart, 0.1)
     assert [found[pair] for pair in scene.self_pairs] == pytest.approx(expected)
-    described = {"obstacles": 0.1, "pairs": pytest.approx(expected)}
-    assert bodies_meta(problem)["bodies"]["margins"] == described
+    described = described_bodies(problem)["margins"]
+    assert (described.obstacles, described.pairs.tolist()) == (0.1, pytest.approx(expected))
 
 
 def test_links_that_touch_are_those_around_contacts_whatever_else_is_fixed():
@@ -114,7 +115,7 @@ def test_robot_without_shapes_has_no_pairs():
     found = bodies_of(swing())
     assert found.pairs == ()
     assert found.widest == 0.0
-    assert bodies_meta(swing()) == {}
+    assert described_bodies(swing())["bodies"] is None
 
 
 def test_ground_is_not_solid_to_a_pendulum():

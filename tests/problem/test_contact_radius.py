@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from tests.support.ground import HILLS, STAIRS
 from tests.support.problems import FOOT, hop, hopper
+from tests.support.synthetic_motions import with_meta
 from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
@@ -180,7 +181,7 @@ def test_on_level_ground_a_radius_moves_the_whole_problem_up():
 
 def solved(problem: Problem) -> Solution:
     solution = solve(problem)
-    assert solution.converged, solution.meta["advice"]
+    assert solution.converged, solution.statistics.advice
     return solution
 
 
@@ -215,5 +216,5 @@ def test_the_file_has_radii_and_one_without_them_has_points():
     solution = solved(raised(hop(), RADIUS))
     assert solution.meta["contact_radius"] == [RADIUS]
     assert check(solution).landing_height < SOLVED
-    older = replace(solution, meta={k: v for k, v in solution.meta.items() if k != "contact_radius"})
+    older = with_meta(solution, drop=("contact_radius",))
     assert check(older).landing_height == pytest.approx(RADIUS, abs=SOLVED)

@@ -167,7 +167,7 @@ def test_an_arm_finds_its_way_without_a_guess() -> None:
         schedule=Schedule((Phase(name="all", duration=1.0),)),
         terms=(terms.AccelerationCost(weight=1.0), terms.TorqueLimits(), goal, terms.TerminalRest()),
     )
-    assert trajopt.solve(problem).meta["success"]
+    assert trajopt.solve(problem).statistics.success
 
 
 @pytest.mark.long
@@ -179,4 +179,4 @@ def test_a_quadruped_leaps_without_a_guess(name: str) -> None:
     goal = problem.terms[1]
     problem = replace(problem, terms=(*costs, *limits, goal, terms.TerminalRest()))
     found = trajopt.solve(problem)
-    assert found.meta["success"], trajopt.check(found).failures()
+    assert found.statistics.success, trajopt.check(found).failures()

@@ -44,6 +44,6 @@ def test_rest_needs_no_posture(problem):
     )
     given, found = solve(problem), solve(free)
     assert found.success
-    assert found.meta["constraints"] == given.meta["constraints"]
-    assert_allclose(found.meta["objective"], given.meta["objective"], rtol=SAME_OBJECTIVE)
+    assert found.statistics.constraints == given.statistics.constraints
+    assert_allclose(found.statistics.objective, given.statistics.objective, rtol=SAME_OBJECTIVE)
     assert_allclose(found.v[-1], 0.0, atol=REST)

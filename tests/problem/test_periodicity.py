@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,6 +20,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.mirror import find_mirror, mirrored_configuration
 from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.description import PeriodicImage
 from trajopt.terms import (
     AccelerationCost,
     FrictionPyramid,
@@ -129,7 +130,7 @@ def test_feet_that_land_with_the_start_stand_on_the_ground_at_rest() -> None:
 def test_half_a_cycle_and_its_mirror_image_are_the_whole_cycle() -> None:
     whole, half = _solved(False), _solved(True)
     assert half.converged
-    assert 2 * half.meta["objective"] == pytest.approx(whole.meta["objective"], rel=1e-4)
+    assert 2 * half.statistics.objective == pytest.approx(whole.statistics.objective, rel=1e-4)
     robot = _solo()
     mirrored = mirrored_configuration(robot, find_mirror(robot), half.q[0], 0.0)
     mirrored[0] += SPEED * PERIOD / 2
@@ -145,14 +146,14 @@ def test_free_durations_keep_the_period_and_the_speed() -> None:
     report = trajopt.check(solution)
     assert report.periodicity_error is not None
     assert report.periodicity_error < RESIDUAL
-    assert solution.meta["objective"] <= _solved(False).meta["objective"] * (1 + SAME_OPTIMUM)
+    assert solution.statistics.objective <= _solved(False).statistics.objective * (1 + SAME_OPTIMUM)
 
 
 @pytest.mark.parametrize("perturb", [0.1])
 def test_a_perturbed_start_finds_the_same_orbit(perturb: float) -> None:
     again = trajopt.solve(trot(half=True), perturb=perturb, seed=3, fixed_mesh=True)
     assert again.converged
-    assert again.meta["objective"] == pytest.approx(_solved(True).meta["objective"], rel=SAME_OPTIMUM)
+    assert again.statistics.objective == pytest.approx(_solved(True).statistics.objective, rel=SAME_OPTIMUM)
 
 
 def test_a_file_keeps_what_closes_the_motion(tmp_path) -> None:
@@ -183,7 +184,8 @@ def test_closing_rows_vanish_exactly_at_the_image(given: dict[str, object], wher
         origin[:7] = pin.SE3ToXYZQUAT(pin.SE3(pin.utils.rotate("z", 2.5), np.array([3.0, -1.0, 0.3])))
     q = pin.integrate(robot.model, origin, generator.uniform(-0.3, 0.3, robot.nv))
     v = generator.normal(size=robot.nv)
-    described = made.describe(robot, origin[:3])
+    index, sign = made.images(robot)
+    described = PeriodicImage(index=index, sign=sign, origin=origin[:3], **asdict(made))
     q_end, v_end = periodic_image(robot.model, described, q, v, 0.7)
     coordinates, closing = Coordinates(robot.model), closing_map(robot, made, origin)
     first, last = (coordinates.node_from_pinocchio(*state) for state in ((q, v), (q_end, v_end)))

@@ -69,7 +69,7 @@ def test_guess_starts_and_ends_at_rest_at_the_ends(robot):
 def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
     built = problem(robot)
     solution = solve_graded(built, fixed_mesh=True)
-    assert solution.success, solution.meta["advice"]
+    assert solution.success, solution.statistics.advice
     report, exchange = check(solution), Exchange(built)
     assert report.ok, report.failures()
     assert report.obstacle_distance > built_margin(robot) - TOO_NEAR
@@ -84,7 +84,7 @@ def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
 @pytest.mark.parametrize("robot", ["panda", "kinova", *OTHERS])
 def test_other_arms_get_past_too(robot):
     solution = solve_graded(problem(robot))
-    assert solution.success, solution.meta["advice"]
+    assert solution.success, solution.statistics.advice
     assert check(solution).ok
     assert check(solution).obstacle_distance > built_margin(robot) - BETWEEN
 

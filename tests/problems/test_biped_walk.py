@@ -49,8 +49,8 @@ def test_unphysical_parameters_are_refused() -> None:
 def test_walk_solves_from_its_own_guess_passes_the_check_and_ends_at_rest(values: dict[str, float]) -> None:
     problem = problems.load("biped-walk", **values)
     solution = trajopt.solve(problem, fixed_mesh=True)
-    assert solution.converged, solution.meta["advice"]
-    assert solution.meta["iterations"] <= MOST_ITERATIONS
+    assert solution.converged, solution.statistics.advice
+    assert solution.statistics.iterations <= MOST_ITERATIONS
     assert not trajopt.check(solution).failures(AT_POINTS)
     assert np.abs(solution.v[-1]).max() < AT_REST
     planned = feet_of(problem.robot, problem.guess(problem.schedule.duration))

@@ -240,8 +240,8 @@ def test_leaps_sink_to_where_feet_still_stand_flat(name):
 def test_motion_solves_from_its_own_guess_and_ends_at_rest(family, name, intervals):
     problem = problems.load(family, robot=name)
     solution = trajopt.solve(problem, intervals=intervals)
-    assert solution.converged, solution.meta["advice"]
-    assert solution.meta["iterations"] <= MOST_ITERATIONS
+    assert solution.converged, solution.statistics.advice
+    assert solution.statistics.iterations <= MOST_ITERATIONS
     assert np.abs(solution.v[-1]).max() < AT_REST
     if family == "biped-squat":
         lowest = problem.robot.reference[2] - solution.q[:, 2].min()

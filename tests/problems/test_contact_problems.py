@@ -17,7 +17,6 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
-from trajopt.terrain.surface import Surface
 from trajopt_library import problems
 
 MOST_ITERATIONS = 60
@@ -40,15 +39,15 @@ def solved(name: str, intervals: int, **parameters: float) -> Solution:
 
 
 def assert_sound(solution: Solution) -> None:
-    assert solution.converged, solution.meta["advice"]
-    assert solution.meta["iterations"] <= MOST_ITERATIONS
+    assert solution.converged, solution.statistics.advice
+    assert solution.statistics.iterations <= MOST_ITERATIONS
     report = check(solution)
     assert report.within(AT_POINTS), report.failures(AT_POINTS)
 
 
 def samples_of(solution: Solution, phase: str) -> np.ndarray:
     """Collocation points of a phase."""
-    index = solution.meta["phase_names"].index(phase)
+    index = solution.description.phase_names.index(phase)
     return np.flatnonzero((solution.phase == index) & solution.collocation)
 
 
@@ -62,10 +61,10 @@ def weight_of(solution: Solution) -> float:
 def test_arm_pulls_a_handle_that_only_a_grasp_can_hold():
     solution = solved("ur5-pull", 12)
     assert_sound(solution)
-    board = Surface.from_description(solution.meta["surfaces"][2]["grip"])
+    board = solution.description.surfaces[2]["grip"]
     force = solution.f[samples_of(solution, "pull"), 0, :3] @ board.normal
     assert np.all(force <= -60.0 + FORCE * weight_of(solution))
-    assert solution.meta["surfaces"][0] == {}
+    assert solution.description.surfaces[0] == {}
     assert board.bilateral
 
 
@@ -104,7 +103,7 @@ def test_quadruped_hops_uphill_and_downhill():
         solution = solved("solo12-slope", 18, slope=slope, distance=distance)
         assert_sound(solution)
         normal = np.array([-np.sin(slope), 0.0, np.cos(slope)])
-        assert_allclose(solution.meta["terrain"]["normal"], normal)
+        assert_allclose(solution.description.terrain.normal, normal)
         data, heights = solution.model.createData(), []
         radius = solution.meta["contact_radius"][0]
         for q in solution.q:
@@ -145,7 +144,7 @@ def sole_pressures(solution: Solution, rows: np.ndarray) -> np.ndarray:
 def test_humanoid_pushes_and_pulls_with_its_hand(force, tilt):
     solution = talos(force, tilt=tilt, intervals=8 if force > 0 else 12)
     assert_sound(solution)
-    wall = Surface.from_description(solution.meta["surfaces"][2]["wrist_left_ft_tool_link"])
+    wall = solution.description.surfaces[2]["wrist_left_ft_tool_link"]
     rows = samples_of(solution, "push")
     along = solution.f[rows, 2, :3] @ wall.normal
     slack = FORCE * weight_of(solution)

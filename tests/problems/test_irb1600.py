@@ -115,7 +115,7 @@ def test_transfer_of_least_effort_is_solved_and_slower_is_cheaper():
         problem = problems.load("irb1600-transfer", duration=duration)
         solution = trajopt.solve(problem, intervals=INTERVALS)
         assert solution.converged
-        assert solution.meta["iterations"] <= 60
+        assert solution.statistics.iterations <= 60
         assert trajopt.check(solution).within(AT_POINTS)
         costs.append(mean_motor_torque(problem, solution))
     assert costs[1] < costs[0]
@@ -134,7 +134,7 @@ def test_transfer_of_least_time_is_at_a_limit_almost_always():
     problem = problems.load("irb1600-transfer", goal="time")
     solution = trajopt.solve(problem, intervals=2 * INTERVALS)
     assert solution.converged
-    assert solution.meta["iterations"] <= 60
+    assert solution.statistics.iterations <= 60
     assert trajopt.check(solution).within(AT_POINTS)
     points = solution.collocation
     torque = np.abs(solution.tau[points]) / problem.robot.torque_limit

@@ -228,14 +228,14 @@ def test_trot_solves_as_a_whole_cycle_and_as_half_of_one() -> None:
     whole = trajopt.solve(problem, fixed_mesh=True)
     half = trajopt.solve(problems.load("quadruped-trot", cycle="half"), fixed_mesh=True)
     for solution in (whole, half):
-        assert solution.converged, solution.meta["advice"]
-        assert solution.meta["iterations"] <= MOST_ITERATIONS
+        assert solution.converged, solution.statistics.advice
+        assert solution.statistics.iterations <= MOST_ITERATIONS
         assert not trajopt.check(solution).failures(AT_POINTS)
     period, speed = problem.parameters["period"], problem.parameters["speed"]
     assert_allclose(whole.q[-1][:3] - whole.q[0][:3], [speed * period, 0.0, 0.0], atol=SOLVED)
     assert_allclose(whole.q[-1][3:], whole.q[0][3:], atol=SOLVED)
     assert_allclose(whole.v[-1], whole.v[0], atol=SOLVED)
-    assert_allclose(2 * half.meta["objective"], whole.meta["objective"], rtol=SAME_OPTIMUM)
+    assert_allclose(2 * half.statistics.objective, whole.statistics.objective, rtol=SAME_OPTIMUM)
     image = mirrored_configuration(problem.robot, find_mirror(problem.robot), half.q[0], half.q[0][1])
     assert_allclose(half.q[-1][7:], image[7:], atol=SOLVED)
     assert_allclose(half.q[-1][0] - half.q[0][0], speed * period / 2, atol=SOLVED)
@@ -246,8 +246,8 @@ def test_start_and_stop_solve_and_meet_in_one_state() -> None:
     start, stop = (problems.load(f"quadruped-{kind}") for kind in ("start", "stop"))
     solutions = [trajopt.solve(problem, fixed_mesh=True) for problem in (start, stop)]
     for solution in solutions:
-        assert solution.converged, solution.meta["advice"]
-        assert solution.meta["iterations"] <= MOST_ITERATIONS
+        assert solution.converged, solution.statistics.advice
+        assert solution.statistics.iterations <= MOST_ITERATIONS
         assert not trajopt.check(solution).failures(AT_POINTS)
     first, second = solutions
     assert_allclose(first.q[-1][2:], second.q[0][2:], atol=SOLVED)

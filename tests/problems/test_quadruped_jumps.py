@@ -153,7 +153,7 @@ def test_robot_beside_a_box_stays_clear_of_it_with_its_base_sunk(kind, posture):
 @pytest.mark.parametrize(("robot", "height"), [("go2", 0.2), ("go2", 0.25), ("solo12", 0.15)])
 def test_leap_onto_a_high_box_holds_at_any_time(robot, height):
     solution = trajopt.solve(problems.load("quadruped-box-up", robot=robot, height=height))
-    assert solution.success, solution.meta["advice"]
+    assert solution.success, solution.statistics.advice
 
 
 def test_legs_that_cannot_fold_so_far_are_refused():
@@ -184,7 +184,7 @@ def test_leg_joints_are_hips_and_knees():
 def solved(name, **parameters):
     problem = problems.load(name, **parameters)
     solution = solve(problem)
-    assert solution.converged, solution.meta["advice"]
+    assert solution.converged, solution.statistics.advice
     report = check(solution)
     assert report.within(AT_POINTS), report.table()
     return problem, solution

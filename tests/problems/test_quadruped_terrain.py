@@ -269,7 +269,7 @@ def test_a_walk_over_waves_lands_on_them_and_swings_over_them() -> None:
     ground = problem.terrain
     assert isinstance(ground, SmoothTerrain)
     solution = trajopt.solve(problem, fixed_mesh=True)
-    assert solution.converged, solution.meta["advice"]
+    assert solution.converged, solution.statistics.advice
     report = trajopt.check(solution)
     assert report.within(AT_POINTS), report.failures(AT_POINTS)
     lift = problem.parameters["clearance"]
@@ -305,7 +305,7 @@ def is_node(t: float, begins: np.ndarray, index: int, counts: list[int], problem
 def test_a_trot_up_stairs_keeps_off_edges() -> None:
     problem = problems.load("quadruped-stairs", steps=2)
     solution = trajopt.solve(problem, intervals=LEAST_GRID * len(problem.schedule.phases))
-    assert solution.converged, solution.meta["advice"]
+    assert solution.converged, solution.statistics.advice
     report = trajopt.check(solution)
     assert report.within(AT_POINTS), report.failures(AT_POINTS)
     assert report.patch_margin >= problem.parameters["margin"] - DRIFT

@@ -271,6 +271,6 @@ def test_full_jump_from_the_guess_of_one_body_reaches_the_same_optimum() -> None
     guess = guess_from_srb(problem, solution)
     # On the problem's own grid: on 30 intervals this guess is nearer to an optimum whose feet slide.
     found = [trajopt.solve(p, fixed_mesh=True) for p in (problem, replace(problem, guess=guess))]
-    assert all(s.converged and s.meta["iterations"] <= MOST_ITERATIONS for s in found)
-    assert found[1].meta["objective"] == pytest.approx(found[0].meta["objective"], rel=1e-4)
+    assert all(s.converged and s.statistics.iterations <= MOST_ITERATIONS for s in found)
+    assert found[1].statistics.objective == pytest.approx(found[0].statistics.objective, rel=1e-4)
     assert not trajopt.check(found[1]).failures(AT_POINTS)

@@ -62,7 +62,7 @@ def guessed(**values: object) -> tuple[Problem, Solution]:
     """The jump of Solo12 with its guess as the motion: real kinematics without a solver."""
     problem = problems.load("solo12-jump", **values)
     transcription = transcribe(problem, "legendre:2", 12)
-    return problem, extract(transcription, initial_guess(transcription), {"success": False})
+    return problem, extract(transcription, initial_guess(transcription))
 
 
 def largest_point(problem: Problem) -> object:
@@ -270,14 +270,14 @@ def test_the_smooth_friction_cone_is_respected_too() -> None:
         for s in (solution, shared)
     )
     assert now > min(was, 0.0) - 1e-6 * weight
-    assert shared.meta["redistributed"]["points"] > 0
+    assert shared.statistics.more["redistributed"]["points"] > 0
 
 
 @pytest.mark.long
 def test_soles_and_a_hand_on_a_wall_keep_pressure_inside_and_friction() -> None:
     problem = problems.load("talos-wall")
     transcription = transcribe(problem, "legendre:2", 12)
-    solution = extract(transcription, initial_guess(transcription), {"success": False})
+    solution = extract(transcription, initial_guess(transcription))
     shared = redistribute_wrenches(problem, solution)
     robot, wall = problem.robot, problem.schedule.phases[-1].surfaces["hand"]
     worst = {}
@@ -300,9 +300,9 @@ def test_soles_and_a_hand_on_a_wall_keep_pressure_inside_and_friction() -> None:
 
 def test_one_point_foot_and_flight_have_nothing_to_share() -> None:
     transcription = transcribe(hop(), "legendre:1", 8)
-    solution = extract(transcription, initial_guess(transcription), {"success": False})
+    solution = extract(transcription, initial_guess(transcription))
     shared = redistribute_wrenches(hop(), solution)
-    assert shared.meta["redistributed"]["points"] == 0
+    assert shared.statistics.more["redistributed"]["points"] == 0
     assert_allclose(shared.f, solution.f, atol=ROUNDING)
 
 
@@ -325,7 +325,7 @@ def test_stage_one_costs_more_than_the_full_jump_and_sharing_anew_brings_it_near
     motion = trajopt.solve(base_rows_problem(problem), **settings, fixed_mesh=True)
     assert full.converged
     assert motion.converged
-    assert motion.meta["iterations"] <= MOST_ITERATIONS
+    assert motion.statistics.iterations <= MOST_ITERATIONS
     shared = redistribute_wrenches(problem, motion)
     # Both Gauss points of an interval weigh the same.
     weights = np.repeat(np.diff(full.interval_t, axis=1).ravel() / 2, 2)

@@ -12,6 +12,7 @@ from scipy import sparse
 
 import trajopt
 from tests.support.problems import REACH, REACH_TIME, hopper, one_joint_arm, point_of, random_point, reach
+from tests.support.synthetic_motions import with_meta
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError
@@ -151,7 +152,7 @@ def test_envelope_binds_and_costs_what_a_quadratic_programme_says():
     assert np.abs(use).max() > 1.1  # without the envelope the motion is not possible
     ratio = least_effort(SLOW, limited=True) / least_effort(SLOW, limited=False)
     assert ratio > 1.01
-    assert bound.meta["objective"] / free.meta["objective"] == pytest.approx(ratio, rel=PROGRAMME)
+    assert bound.statistics.objective / free.statistics.objective == pytest.approx(ratio, rel=PROGRAMME)
     report = trajopt.check(bound)
     assert report.within(AT_POINTS)
     assert report.drive_voltage_excess == pytest.approx(0.0, abs=SOLVED)
@@ -177,7 +178,7 @@ def test_least_time_with_friction_is_that_of_full_torque_helped_by_friction_when
     assert report.drive_torque_excess == pytest.approx(0.0, abs=SOLVED)
     # actuated rows exceed the drive's limit by the friction, and the file's limit on them allows it
     assert solution.tau.min() == pytest.approx(-limit - friction, rel=SMOOTHED)
-    assert solution.meta["effort_limit"] == pytest.approx([limit + friction])
+    assert solution.description.effort_limit == pytest.approx([limit + friction])
 
 
 def test_joint_side_and_motor_side_limits_give_one_motion():
@@ -187,7 +188,7 @@ def test_joint_side_and_motor_side_limits_give_one_motion():
         trajopt.solve(driven_reach(drive, (term,)), intervals=20) for term in (TorqueLimits(), DriveLimits())
     ]
     first, second = solutions
-    assert first.meta["objective"] == pytest.approx(second.meta["objective"], rel=SOLVED)
+    assert first.statistics.objective == pytest.approx(second.statistics.objective, rel=SOLVED)
     assert np.abs(first.tau).max() > 0.99 * drive.joint_torque_limit
 
 
@@ -198,7 +199,7 @@ def test_motor_torque_cost_is_the_torque_cost_in_other_units():
     )
     units = Units(one_joint_arm().with_drives({"joint": drive}))
     factor = (units.torque / drive.joint_torque_limit) ** 2
-    assert motor.meta["objective"] == pytest.approx(factor * joint.meta["objective"], rel=SOLVED)
+    assert motor.statistics.objective == pytest.approx(factor * joint.statistics.objective, rel=SOLVED)
     np.testing.assert_allclose(motor.q, joint.q, atol=SOLVED)
 
 
@@ -206,7 +207,7 @@ def test_file_keeps_the_drives_and_refuses_wrong_ones(tmp_path):
     solution = trajopt.solve(driven_reach(SLOW, (DriveLimits(),)), intervals=5)
     solution.save(tmp_path / "reach.npz")
     loaded = trajopt.Solution.load(tmp_path / "reach.npz")
-    assert Drive.from_meta(loaded.meta["drives"][0]) == SLOW
+    assert loaded.description.drives[0] == SLOW
     assert loaded.model.armature[0] == pytest.approx(SLOW.armature)
     assert trajopt.check(loaded).drive_voltage_excess == trajopt.check(solution).drive_voltage_excess
     for wrong, message in (
@@ -215,7 +216,7 @@ def test_file_keeps_the_drives_and_refuses_wrong_ones(tmp_path):
         ([{"gear_ratio": 0.0}], "gear_ratio of Drive is 0"),
         ([{"ratio": 1.0}], "not an object of its fields"),
     ):
-        broken = replace(solution, meta={**solution.meta, "drives": wrong})
+        broken = with_meta(solution, drives=wrong)
         with pytest.raises((InputError, SolutionFileError), match=message):
             trajopt.check(broken)
 
@@ -238,7 +239,7 @@ def test_envelope_of_its_motors_binds_in_the_jump_of_solo12_and_changes_it():
     free, bound = (trajopt.solve(problem, intervals=26) for problem in (full, low))
     for solution in (free, bound):
         assert solution.converged
-        assert solution.meta["iterations"] <= 60
+        assert solution.statistics.iterations <= 60
         assert trajopt.check(solution).within(AT_POINTS)
     assert trajopt.check(free).drive_voltage_excess < -0.5
     drive = low.robot.drives[0]
@@ -249,5 +250,5 @@ def test_envelope_of_its_motors_binds_in_the_jump_of_solo12_and_changes_it():
     assert ((binding > takeoff - 0.1) & (binding < takeoff)).any()
     there = np.abs(drive.voltage_use(free.tau, free.v[:, 6:])).max()
     assert there > 1.05  # the motion at full supply is not possible at the low one
-    assert bound.meta["objective"] > 1.005 * free.meta["objective"]
+    assert bound.statistics.objective > 1.005 * free.statistics.objective
     assert math.isclose(free.meta["durations"][0], bound.meta["durations"][0])

@@ -240,12 +240,12 @@ def test_one_stance_has_the_same_optimum_in_minimal_and_in_excess_coordinates(na
     contact = mode.floating.contact(mode.contact)
     lifted_q, lifted_v, _ = mode.lifted(q, push)
     large = solve(standing_problem(mode.floating, (contact.name,), lifted_q, lifted_v))
-    assert small.converged, small.meta["advice"]
-    assert large.converged, large.meta["advice"]
+    assert small.converged, small.statistics.advice
+    assert large.converged, large.statistics.advice
     for found in (small, large):  # nothing keeps Bolt's other foot above the ground here
         assert set(check(found).failures(AT_POINTS)) <= {"penetration"}, str(check(found))
-    assert small.meta["variables"] < large.meta["variables"]
-    assert small.meta["objective"] == pytest.approx(large.meta["objective"], rel=SAME_OPTIMUM)
+    assert small.statistics.variables < large.statistics.variables
+    assert small.statistics.objective == pytest.approx(large.statistics.objective, rel=SAME_OPTIMUM)
     scale = mode.floating.weight * mode.floating.length
     np.testing.assert_allclose(large.tau[:, mode.torque_rows], small.tau, atol=SAME_PATH * scale)
     place = [other.name for other in mode.floating.contacts].index(contact.name)

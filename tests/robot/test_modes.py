@@ -57,11 +57,11 @@ def solved(coordinates: str, touchdown: str = "soft", solver: str = "ipopt") -> 
 @pytest.mark.parametrize("touchdown", ["soft", "impact"])
 def test_minimal_and_excess_coordinates_have_the_same_optimum(touchdown):
     excess, minimal = (solved(coordinates, touchdown) for coordinates in ("excess", "minimal"))
-    assert minimal.meta["objective"] == pytest.approx(excess.meta["objective"], rel=SAME_OPTIMUM)
+    assert minimal.statistics.objective == pytest.approx(excess.statistics.objective, rel=SAME_OPTIMUM)
     assert_allclose(minimal.q, excess.q, atol=SAME_MOTION)
-    assert minimal.meta["variables"] < excess.meta["variables"]
-    assert minimal.meta["constraints"] < excess.meta["constraints"]
-    assert [excess.meta["iterations"] <= 60, minimal.meta["iterations"] <= 60] == [True, True]
+    assert minimal.statistics.variables < excess.statistics.variables
+    assert minimal.statistics.constraints < excess.statistics.constraints
+    assert [excess.statistics.iterations <= 60, minimal.statistics.iterations <= 60] == [True, True]
 
 
 @pytest.mark.long
@@ -69,7 +69,7 @@ def test_optima_of_both_coordinates_approach_each_other_with_the_grid():
     apart = []
     for intervals in (40, 80):
         problem = [problems.load("hopper-hop", coordinates=name) for name in ("excess", "minimal")]
-        found = [trajopt.solve(p, intervals=intervals).meta["objective"] for p in problem]
+        found = [trajopt.solve(p, intervals=intervals).statistics.objective for p in problem]
         apart.append(abs(found[1] / found[0] - 1))
     assert apart[1] < apart[0] / 4
 
@@ -77,7 +77,7 @@ def test_optima_of_both_coordinates_approach_each_other_with_the_grid():
 @pytest.mark.parametrize("coordinates", ["excess", "minimal"])
 def test_both_solvers_find_the_same_hop(coordinates):
     first, second = (solved(coordinates, "soft", solver) for solver in ("ipopt", "fatrop"))
-    assert second.meta["objective"] == pytest.approx(first.meta["objective"], rel=1e-4)
+    assert second.statistics.objective == pytest.approx(first.statistics.objective, rel=1e-4)
 
 
 def test_a_solution_in_minimal_coordinates_is_certified_as_the_floating_robot():
@@ -279,7 +279,7 @@ def test_other_contacts_keep_their_rows_beside_an_embedded_one():
     assert count(t, "contact_acceleration") < count(excess, "contact_acceleration")
     solutions = [solve_on_mesh(p, intervals=6, tolerance=1e-8) for p in (problem, minimal)]
     assert [solution.converged for solution in solutions] == [True, True]
-    objectives = [solution.meta["objective"] for solution in solutions]
+    objectives = [solution.statistics.objective for solution in solutions]
     assert objectives[1] == pytest.approx(objectives[0], rel=SAME_OPTIMUM)
 
 

@@ -69,8 +69,7 @@ def test_file_is_consistent() -> None:
 
 def test_forgetting_the_payload_is_found() -> None:
     solution = _solution()
-    meta = {key: value for key, value in solution.meta.items() if key != "payloads"}
-    report = trajopt.check(replace(solution, meta=meta))
+    report = trajopt.check(solution.with_description(payloads=()))
     assert report.actuated_residual is not None
     assert report.actuated_residual > 0.01
     assert report.open_loop_joints > 10 * OPEN_LOOP

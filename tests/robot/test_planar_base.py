@@ -113,8 +113,8 @@ def hop(robot: Robot) -> Problem:
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
 def test_a_planar_quadruped_hops_and_passes_its_check(make, solver):
     solution = trajopt.solve(hop(make("planar")), solver=solver, fixed_mesh=True)
-    assert solution.converged, solution.meta["advice"]
-    assert solution.meta["iterations"] <= 60
+    assert solution.converged, solution.statistics.advice
+    assert solution.statistics.iterations <= 60
     report = trajopt.check(solution)
     assert report.within(AT_POINTS), str(report)
     assert report.gimbal_margin is None

@@ -135,7 +135,7 @@ def test_solo12_jumps_as_half_of_itself_up_to_its_own_asymmetry() -> None:
     made = smallest(problem, intervals=16)
     full, own = solved(problem, 16), solved(made.problem, 16)
     assert not made.report.is_exact
-    assert own.meta["variables"] < 0.55 * full.meta["variables"]
+    assert own.statistics.variables < 0.55 * full.statistics.variables
     assert objective(own) == pytest.approx(objective(full), rel=SOLO12_ASYMMETRY)
     assert_allclose(made.lift(own).tau, full.tau, atol=1e-3 * problem.robot.weight)
 

@@ -182,7 +182,7 @@ def test_duration_keeps_within_its_bounds_and_a_fixed_one_is_a_free_one_without_
     )
     free = trajopt.solve(replace(landing(), schedule=Schedule(narrow)), intervals=10)
     assert [fixed.converged, free.converged] == [True, True]
-    assert free.meta["objective"] == pytest.approx(fixed.meta["objective"], rel=SOLVED)
+    assert free.statistics.objective == pytest.approx(fixed.statistics.objective, rel=SOLVED)
     assert_allclose(free.q, fixed.q, atol=1e-3)
 
 
@@ -216,7 +216,7 @@ def test_landing_with_an_impact_is_never_worse_than_at_zero_velocity():
     """Zero foot velocity is an impact without impulse: a larger set of motions."""
     soft = trajopt.solve(landing(), intervals=16)
     hard = trajopt.solve(replace(landing(impact=True), terms=hop().terms), intervals=16)
-    assert hard.meta["objective"] < soft.meta["objective"]
+    assert hard.statistics.objective < soft.statistics.objective
 
 
 def test_impact_at_the_start_of_a_phase_that_nothing_begins_is_refused():

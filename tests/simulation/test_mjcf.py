@@ -138,7 +138,7 @@ def test_motors_in_the_order_of_tau_accelerate_the_robot_as_planned() -> None:
         data.qpos[:], data.qvel[:], data.ctrl[:] = plan.q[row], plan.v[row], plan.tau[row]
         mujoco.mj_forward(model, data)
         np.testing.assert_allclose(data.qacc, plan.a[row], atol=1e-6)
-    high = np.array(plan.meta["effort_limit"])
+    high = np.array(plan.description.effort_limit)
     np.testing.assert_allclose(model.actuator_ctrlrange, np.column_stack([-high, high]))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.support.synthetic_motions import Motion, arm_motion, sampled, standing, tumbling_flight
+from tests.support.synthetic_motions import Motion, arm_motion, sampled, standing, tumbling_flight, with_meta
 from trajopt import Contact, Robot, Solution, solve
 from trajopt.certify.closing import periodic_image
 from trajopt.control.reference import reference_of
@@ -82,7 +82,7 @@ def resting_block(degrees: float, friction: float) -> Solution:
 
 
 def test_robot_falls_as_it_must_without_ground(stand):
-    plan = replace(stand, meta={**stand.meta, "terrain": None, "friction": [0.0] * 4})
+    plan = with_meta(stand, terrain=None, friction=[0.0] * 4)
     plan = replace(plan, tau=np.zeros_like(plan.tau))
     found = simulate(plan, kp=0.0, kd=0.0)
     t = np.append(found.reference.t, found.reference.t[-1] + found.reference.period)
@@ -183,11 +183,11 @@ def test_robots_of_any_size_do_the_same_in_their_own_units(scale, stand):
     slow, q = np.sqrt(scale), stand.q.copy()
     q[:, :3] *= scale
     scaled = replace(
-        stand, model_text=model.saveToString(), q=q, t=slow * stand.t, interval_t=slow * stand.interval_t,
+        stand, model=model, q=q, t=slow * stand.t, interval_t=slow * stand.interval_t,
         tau=scale**4 * stand.tau, f=scale**3 * stand.f,
         meta={**stand.meta, "effort_limit": None, "contact_radius": radii},
     )  # fmt: skip
-    free = replace(stand, meta={**stand.meta, "effort_limit": None})
+    free = with_meta(stand, effort_limit=None)
     mine = simulate(free, noise=0.005).report
     other = simulate(scaled, noise=0.005, control_rate=1000 / slow).report
     assert other.base_error_max / scale == pytest.approx(mine.base_error_max, rel=SOLVER)
@@ -236,7 +236,7 @@ def test_sole_that_spins_on_the_spot_travels_by_the_chord_of_its_corners():
 
 def test_torques_stay_within_the_limits(stand):
     limit = 1.05 * np.abs(stand.tau).max()
-    weak = replace(stand, meta={**stand.meta, "effort_limit": [limit] * stand.tau.shape[1]})
+    weak = with_meta(stand, effort_limit=[limit] * stand.tau.shape[1])
     found = simulate(weak, noise=0.02)
     assert np.abs(found.record.torque).max() <= limit
     assert found.report.saturated > 0
@@ -261,9 +261,9 @@ def test_simulated_motion_obeys_pinocchios_equations_of_motion(jump):
 def test_simulated_motion_is_a_solution_file(jump, tmp_path):
     found = simulate(jump)
     loaded = Solution.load(found.as_solution().save(tmp_path / "simulated.npz"))
-    assert loaded.meta["simulated"] is True
-    assert loaded.meta["phase_names"] == [*jump.meta["phase_names"], "hold"]
-    assert loaded.meta["simulation"]["passed"] is True
+    assert loaded.statistics.simulated is True
+    assert loaded.description.phase_names == [*jump.description.phase_names, "hold"]
+    assert loaded.statistics.simulation["passed"] is True
     assert loaded.t[-1] == pytest.approx(jump.t[-1] + found.report.held)
     np.testing.assert_allclose(loaded.q[0], jump.q[0], atol=1e-12)
 
@@ -304,7 +304,7 @@ def test_grasp_holds_what_the_plan_holds():
 def test_carried_object_is_felt():
     plan = solve(problems.load("arm-pick-place"), fixed_mesh=True)
     found = simulate(plan).report
-    light = replace(plan, meta={key: value for key, value in plan.meta.items() if key != "payloads"})
+    light = with_meta(plan, drop=("payloads",))
     without = simulate(light).report
     assert found.joint_error_max < HELD_TORQUE
     assert without.joint_error_max > 10 * found.joint_error_max
@@ -313,7 +313,7 @@ def test_carried_object_is_felt():
 def test_cycles_follow_each_other_as_images():
     plan = solve(problems.load("hopper-gait"), fixed_mesh=True)
     reference = reference_of(plan, SimulationSettings().control_rate, cycles=3)
-    count, described = len(reference.t) // 3, plan.meta["periodicity"]
+    count, described = len(reference.t) // 3, plan.description.periodicity
     duration = float(plan.t[-1] - plan.t[0])
     for cycle in (1, 2):
         first = count * cycle

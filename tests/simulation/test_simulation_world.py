@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.support.synthetic_motions import arm_motion, sampled, standing
+from tests.support.synthetic_motions import arm_motion, sampled, standing, with_meta
 from trajopt import Solution
 from trajopt.collision.description import robot_shapes
 from trajopt.collision.shapes import LinkShape, SphereObstacle
@@ -38,10 +38,6 @@ SOLVER = 1e-4
 def stand() -> Solution:
     robot = robots.load("solo12")
     return sampled(robot, [standing(robot, 0.1)], 4)
-
-
-def with_meta(plan: Solution, **changes: object) -> Solution:
-    return replace(plan, meta={**plan.meta, **changes})
 
 
 @pytest.mark.parametrize(
@@ -194,7 +190,7 @@ def test_friction_of_a_phase_holds_in_that_phase_alone():
     motion = standing(robot, 0.1)
     model = pin.Model(robot.model)
     model.gravity.linear = 9.81 * np.array([np.sin(np.arctan(slope)), 0.0, -np.cos(np.arctan(slope))])
-    plan = replace(sampled(robot, [motion, motion], 4), model_text=model.saveToString())
+    plan = replace(sampled(robot, [motion, motion], 4), model=model)
     frames = plan.meta["contact_frames"]
     speeds = {}
     for friction in (0.7, 0.1):

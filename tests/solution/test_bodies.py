@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from trajopt.certify.check import check
 from trajopt.collision.description import RobotShapes, robot_shapes
 from trajopt.collision.shapes import SphereObstacle
 from trajopt.errors import InputError
-from trajopt.solution.descriptions import bodies_of, body_scene_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.rest import rest
 from trajopt.solving.solving import solve
@@ -36,10 +34,10 @@ def still(**meta: object) -> Solution:
 def test_solution_of_a_problem_holds_the_robots_shapes(tmp_path):
     solution = solve(rest(ROBOT))
     loaded = Solution.load(solution.save(tmp_path / "rest.npz"))
-    expected, found = robot_shapes(ROBOT), bodies_of(loaded.meta["bodies"])
+    expected, found = robot_shapes(ROBOT), loaded.description.bodies
     assert found.describe() == expected.describe()
     assert json.loads(json.dumps(loaded.meta["bodies"])) == expected.describe()
-    assert body_scene_of(loaded.model, loaded.meta).pairs[0] == (expected.shapes[0].name, "ground")
+    assert loaded.description.body_scene(loaded.model).pairs[0] == (expected.shapes[0].name, "ground")
 
 
 def test_robot_without_shapes_has_none_in_its_solution():
@@ -50,7 +48,7 @@ def test_robot_without_shapes_has_none_in_its_solution():
 
 def test_figures_are_the_least_distances_of_the_scene():
     plan = still()
-    scene = body_scene_of(plan.model, plan.meta)
+    scene = plan.description.body_scene(plan.model)
     distances = scene.distances(ROBOT.reference)[0]
     found = check(plan)
     assert found.link_depth == pytest.approx(-distances[: scene.n_ground].min(), abs=EXACT)
@@ -71,8 +69,7 @@ def test_ground_and_obstacles_of_the_file_are_measured():
 
 def test_file_without_shapes_is_read_and_has_no_figures(tmp_path):
     plan = still()
-    meta = {key: value for key, value in plan.meta.items() if key != "bodies"}
-    loaded = Solution.load(replace(plan, meta=meta).save(tmp_path / "old.npz"))
+    loaded = Solution.load(with_meta(plan, drop=("bodies",)).save(tmp_path / "old.npz"))
     report = check(loaded)
     assert (report.link_depth, report.self_distance, report.obstacle_distance) == (None, None, None)
     assert "shapes of links" in report.table()
@@ -120,7 +117,7 @@ def test_nearest_pair_of_each_kind_is_exact_however_far():
     ball = SphereObstacle(name="ball", centre=[4.0, 0.0, 0.3], radius=0.1)
     scene = {"capsules": [], "obstacles": [ball.describe()], "self_pairs": []}
     plan = with_meta(plan, collision=scene)
-    full = body_scene_of(plan.model, plan.meta)
+    full = plan.description.body_scene(plan.model)
     distances = full.distances(ROBOT.reference)[0]
     report = check(plan)
     assert report.link_depth == pytest.approx(-distances[: full.n_ground].min(), abs=EXACT)

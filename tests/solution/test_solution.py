@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
+from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight, with_meta
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.motion.configurations import geodesic_configurations
 from trajopt.solution.arrays import OTHERS, REQUESTS, SAMPLED
@@ -45,7 +45,7 @@ def rewritten(path: Path, **changes: object) -> Path:
     return path
 
 
-def with_meta(path: Path, **changes: object) -> Path:
+def rewrite_meta(path: Path, **changes: object) -> Path:
     with np.load(path) as archive:
         meta = {**json.loads(str(archive["meta"])), **changes}
     return rewritten(
@@ -60,7 +60,7 @@ def test_saved_solution_is_read_back_exactly(which, request, tmp_path):
     for name in (*SAMPLED, "interval_t"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(solution, name))
     assert loaded.meta == solution.meta
-    assert loaded.model == robots.load(solution.meta["robot"]).limited_model()
+    assert loaded.model == robots.load(solution.description.robot).limited_model()
     assert loaded.converged
     assert loaded.n_intervals == solution.n_intervals
 
@@ -106,7 +106,7 @@ def test_what_no_controller_asks_for_is_refused(jump, tmp_path, changes, message
 
 
 def test_infinite_limits_become_null(arm, tmp_path):
-    unlimited = replace(arm, meta={**arm.meta, "effort_limit": np.full(6, np.inf)})
+    unlimited = with_meta(arm, effort_limit=np.full(6, np.inf))
     assert Solution.load(unlimited.save(tmp_path / "arm.npz")).meta["effort_limit"] == [None] * 6
 
 
@@ -115,8 +115,7 @@ def test_phases_and_intervals_are_ranges_of_samples(jump):
     assert jump.intervals[INTERVALS] == range(4 * INTERVALS, 4 * INTERVALS + 4)
     assert jump.contact_frames == ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
     assert jump.contact_names == tuple(contact.name for contact in robots.load("solo12").contacts)
-    old = {key: value for key, value in jump.meta.items() if key != "contact_names"}
-    assert replace(jump, meta=old).contact_names == jump.contact_frames
+    assert with_meta(jump, drop=("contact_names",)).contact_names == jump.contact_frames
     assert jump.n_unactuated == 6
 
 
@@ -212,18 +211,18 @@ def test_foreign_file_is_refused(saved, write, message):
         ({"contact_sizes": [[0.1, 0.1]]}, "contact_sizes of meta"),
         ({"terrain": "drop"}, "meta lacks 'terrain'"),
         ({"parameters": 7}, "parameters of meta is not an object"),
-        ({"versions": None}, "versions of meta is not an object"),
-        ({"tolerance": None}, "tolerance None of meta is not a number"),
+        ({"versions": 1}, "versions of meta is not an object"),
+        ({"tolerance": None}, "tolerance of meta is not"),
         ({"phase_names": [1]}, "phase_names of meta is not a list of 1 texts"),
         ({"phase_names": ["one", "two"]}, "phase_names of meta is not a list of 1 texts"),
-        ({"payloads": "box"}, "payloads of meta is not a list"),
-        ({"payloads": [3]}, "payloads of meta holds 3"),
-        ({"payloads": [{"frame": "paw", "mass": 1.0}]}, "payloads of meta holds"),
+        ({"payloads": "box"}, "payloads of meta is not null or a list"),
+        ({"payloads": [3]}, "payloads of meta: .* 3"),
+        ({"payloads": [{"frame": "paw", "mass": 1.0}]}, "payloads of meta: .*paw"),
     ],
 )
 def test_inconsistent_meta_is_refused(saved, changes, message):
     with pytest.raises(SolutionFileError, match=message):
-        Solution.load(with_meta(saved, **changes))
+        Solution.load(rewrite_meta(saved, **changes))
 
 
 @pytest.mark.parametrize(
@@ -262,10 +261,10 @@ def test_lonely_impulse_is_refused(saved):
 
 
 def test_meta_that_is_no_json_is_not_written(arm, tmp_path):
-    strange = replace(arm, meta={**arm.meta, "parameters": {"model": pin.Model()}})
+    strange = with_meta(arm, parameters={"model": pin.Model()})
     with pytest.raises(InputError, match="cannot be written as JSON"):
         strange.save(tmp_path / "arm.npz")
 
 
 def test_every_array_of_the_format_is_a_field():
-    assert {*SAMPLED, *OTHERS, "meta", "model_text"} == set(Solution.__dataclass_fields__)
+    assert {*SAMPLED, *OTHERS, "description", "statistics", "model"} == set(Solution.__dataclass_fields__)

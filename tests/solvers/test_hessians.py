@@ -199,15 +199,15 @@ def test_costs_without_squares_have_no_curvature():
 )
 def test_every_hessian_ends_at_the_optimum_of_the_exact_one(solver, hessian):
     problem = reach(gravity=True, terms=(TorqueCost(weight=1.0), VelocityCost(weight=0.1)))
-    best = solve(problem).meta["objective"]
+    best = solve(problem).statistics.objective
     found = solve(problem, solver=solver, hessian=hessian)
     assert found.converged
-    assert found.meta["hessian"] == hessian
-    assert found.meta["objective"] == pytest.approx(best, rel=SAME_OPTIMUM)
+    assert found.statistics.hessian == hessian
+    assert found.statistics.objective == pytest.approx(best, rel=SAME_OPTIMUM)
 
 
 def test_exact_is_the_default():
-    assert solve(reach()).meta["hessian"] == "exact"
+    assert solve(reach()).statistics.hessian == "exact"
 
 
 @pytest.mark.parametrize("solver", ["fatrop", "sqp"])

@@ -104,7 +104,7 @@ def test_solvers_agree_on_the_optimum_of_a_jump():
     problem = problems.load("solo12-jump")
     ipopt, fatrop = (solve(problem, solver=solver, **options) for solver in ("ipopt", "fatrop"))
     assert [ipopt.converged, fatrop.converged] == [True, True]
-    assert fatrop.meta["objective"] == pytest.approx(ipopt.meta["objective"], rel=AGREEMENT)
+    assert fatrop.statistics.objective == pytest.approx(ipopt.statistics.objective, rel=AGREEMENT)
 
 
 def symbolic(t: Transcription) -> tuple[ca.MX, ca.MX, ca.MX]:

@@ -128,15 +128,15 @@ def test_after_a_small_change_a_start_from_the_solution_takes_fewer_steps():
     cold, warm = (solve(changed, solver="sqp", start=s) for s in (None, first))
     assert cold.converged
     assert warm.converged
-    assert warm.meta["iterations"] < cold.meta["iterations"]
-    assert warm.meta["objective"] == pytest.approx(cold.meta["objective"], rel=SAME_OBJECTIVE)
+    assert warm.statistics.iterations < cold.statistics.iterations
+    assert warm.statistics.objective == pytest.approx(cold.statistics.objective, rel=SAME_OBJECTIVE)
 
 
 def test_contradicting_limits_are_reported_as_infeasible_near_their_least_violation():
     weak = reach(terms=(AccelerationCost(weight=1.0), TorqueLimits(limit=np.array([0.05]))))
     solution = solve(weak, solver="sqp")
-    assert (solution.success, solution.meta["status"]) == (False, "infeasible")
-    assert solution.meta["solver_status"] == "Infeasible"
+    assert (solution.success, solution.statistics.status) == (False, "infeasible")
+    assert solution.statistics.solver_status == "Infeasible"
     assert np.isfinite(solution.q).all()
 
 
@@ -162,8 +162,8 @@ def test_early_stops_at_the_first_step_whose_rows_hold_as_well_as_asked():
     assert found.status is Status.EARLY
     assert found.primal == seen[-1] <= EARLY < min(seen[:-1])
     solution = solve(lean(), solver="sqp", options={"early": EARLY})
-    assert (solution.success, solution.meta["status"]) == (False, "early")
-    assert "not optimal" in solution.meta["advice"]
+    assert (solution.success, solution.statistics.status) == (False, "early")
+    assert "not optimal" in solution.statistics.advice
 
 
 @pytest.mark.parametrize(
@@ -257,10 +257,10 @@ def test_no_more_is_written_than_the_bounds_allow():
 def test_figures_of_the_programs_are_in_the_meta():
     prepared = ready(swing())
     solution = solve_prepared(prepared, prepared.guess, origin={"seed": 0, "perturb": 0.0}, solver="sqp")
-    meta = solution.meta
-    assert meta["quadratic_programs"] >= meta["iterations"] > 0
-    assert meta["quadratic_program_iterations"] >= meta["quadratic_programs"]
-    assert 0 < meta["quadratic_program_time_s"] <= meta["wall_time_s"]
+    statistics, figures = solution.statistics, solution.statistics.more
+    assert figures["quadratic_programs"] >= statistics.iterations > 0
+    assert figures["quadratic_program_iterations"] >= figures["quadratic_programs"]
+    assert 0 < figures["quadratic_program_time_s"] <= statistics.wall_time_s
 
 
 def test_curvature_that_is_taken_away_is_a_share_of_the_negative_eigenvalues():

@@ -230,14 +230,14 @@ def test_solves_reach_the_optimum_of_ipopts_own_linear_solver(name):
         solve(problems.load(family, **values), judge=False, options=options) for options in (STAGES, MUMPS)
     )
     assert own.converged
-    assert own.meta["iterations"] <= 1.1 * usual.meta["iterations"]
-    assert_allclose(own.meta["objective"], usual.meta["objective"], rtol=SAME_OPTIMUM)
+    assert own.statistics.iterations <= 1.1 * usual.statistics.iterations
+    assert_allclose(own.statistics.objective, usual.statistics.objective, rtol=SAME_OPTIMUM)
 
 
 @pytest.mark.long
 def test_solves_with_two_threads_end_at_the_same_bits():
     one, two = (solve(problems.load("quadruped-trot"), judge=False, threads=threads) for threads in (1, 2))
-    assert one.meta["iterations"] == two.meta["iterations"]
+    assert one.statistics.iterations == two.statistics.iterations
     assert_array_equal(one.q, two.q)
     assert_array_equal(one.tau, two.tau)
 

@@ -37,7 +37,7 @@ def least(problem: Problem, solution: Solution) -> float:
 def test_clear_motion_is_solved_once():
     problem = past(swing(), FAR)
     solution = solve_graded(problem, fixed_mesh=True)
-    assert solution.meta["constraints"] == solve(swing()).meta["constraints"]
+    assert solution.statistics.constraints == solve(swing()).statistics.constraints
     assert check(solution).obstacle_distance > 1
 
 
@@ -97,8 +97,8 @@ def test_without_self_collision_links_may_come_near():
     ends = np.array([0.0, 1.2, 2.7]), np.array([0.0, 2.6, 1.4])
     problem = past(swing(*ends, robot=robot), self_collision=False, margin=0.028)
     solution = solve_graded(problem, fixed_mesh=True)
-    assert solution.meta["objective"] == pytest.approx(
-        solve(swing(*ends, robot=robot)).meta["objective"], rel=EQUAL
+    assert solution.statistics.objective == pytest.approx(
+        solve(swing(*ends, robot=robot)).statistics.objective, rel=EQUAL
     )
 
 

@@ -61,20 +61,20 @@ def test_each_value_starts_from_the_last_and_ends_at_its_own_optimum():
     assert found.success
     assert [step.value for step in found.steps] == list(VALUES)
     assert [step.origin for step in found.steps] == [None, *VALUES[:-1]]
-    assert [step.solution.meta["warm_start"] for step in found.steps] == [False, True, True]
+    assert [step.solution.statistics.warm_start for step in found.steps] == [False, True, True]
     for step in found.steps:
         assert step.cold is not None
-        assert step.cold.meta["warm_start"] is False
-        own = step.solution.meta["objective"]
-        assert own == pytest.approx(step.cold.meta["objective"], rel=SAME_OPTIMUM)
+        assert step.cold.statistics.warm_start is False
+        own = step.solution.statistics.objective
+        assert own == pytest.approx(step.cold.statistics.objective, rel=SAME_OPTIMUM)
         assert_allclose(step.solution.q[-1], step.value, atol=SAME_OPTIMUM)
 
 
 def test_totals_count_every_solve():
     found = swings(compare=True)
     figures = found.to_dict()
-    iterations = [step.solution.meta["iterations"] for step in found.steps]
-    cold = [step.cold.meta["iterations"] for step in found.steps if step.cold]
+    iterations = [step.solution.statistics.iterations for step in found.steps]
+    cold = [step.cold.statistics.iterations for step in found.steps if step.cold]
     assert figures["total"]["iterations"] == sum(iterations)
     assert figures["cold"]["iterations"] == sum(cold)
     assert figures["saved"]["iterations"] == sum(cold) - sum(iterations)
@@ -91,7 +91,7 @@ def test_without_comparison_nothing_is_said_of_savings():
 def test_the_first_value_starts_from_a_solution_given(tmp_path):
     file = trajopt.solve(swing(0.1), fixed_mesh=True).save(tmp_path / "start.npz")
     found = swings(start=file)
-    assert found.steps[0].solution.meta["warm_start"] is True
+    assert found.steps[0].solution.statistics.warm_start is True
     assert found.steps[0].origin is None
 
 
@@ -114,7 +114,7 @@ def test_halvings_are_bounded_and_the_own_guess_comes_last(halvings):
     failed = [step for step in found.steps if not step.solution.success]
     assert len(failed) <= halvings + 2
     assert found.steps[-1].origin is None
-    assert not found.steps[-1].solution.meta["warm_start"]
+    assert not found.steps[-1].solution.statistics.warm_start
 
 
 def test_a_sequence_goes_on_after_a_value_that_cannot_be_solved():
@@ -126,7 +126,7 @@ def test_a_sequence_goes_on_after_a_value_that_cannot_be_solved():
 def test_a_user_who_stops_a_solve_stops_the_sequence():
     found = swings(progress=lambda figures: figures["iteration"] < 1)
     assert len(found.steps) == 1
-    assert found.steps[0].solution.meta["status"] == "interrupted"
+    assert found.steps[0].solution.statistics.status == "interrupted"
 
 
 def test_every_step_is_reported():
@@ -138,7 +138,7 @@ def test_every_step_is_reported():
 def test_functions_are_compiled_once_for_all_values(tmp_path, monkeypatch):
     monkeypatch.setenv("TRAJOPT_CACHE_DIR", str(tmp_path))
     found = continuation(swing, VALUES)
-    compiled = [step.solution.meta["functions_compiled"] for step in found.steps]
+    compiled = [step.solution.statistics.functions_compiled for step in found.steps]
     assert compiled[0] > 0
     assert compiled[1:] == [0, 0]
 
@@ -152,12 +152,12 @@ def test_a_sequence_of_reaches_compiles_once_and_takes_fewer_iterations(tmp_path
         compare=True,
     )
     assert found.success
-    compiled = [step.solution.meta["functions_compiled"] for step in found.steps]
+    compiled = [step.solution.statistics.functions_compiled for step in found.steps]
     assert compiled[0] > 0
     assert compiled[1:] == [0, 0]
     for step in found.steps[1:]:
         assert step.cold is not None
-        assert step.solution.meta["iterations"] < step.cold.meta["iterations"]
+        assert step.solution.statistics.iterations < step.cold.statistics.iterations
 
 
 def turning(goal: float) -> Problem:
@@ -172,18 +172,18 @@ def test_motions_of_a_sequence_pass_obstacles_and_hold_at_any_time():
     assert found.solved == (1.0, 1.1, 1.2)
     for solution in found.solutions.values():
         assert check(solution).ok
-        assert solution.meta["graded"]["reached"] is True
-    first, *others = (step.solution.meta["graded"]["rounds"] for step in found.steps)
+        assert solution.statistics.graded.reached is True
+    first, *others = (step.solution.statistics.graded.rounds for step in found.steps)
     assert all(len(rounds) <= len(first) for rounds in others)
     assert found.to_dict()["total"]["iterations"] == sum(
-        own["iterations"] for rounds in (first, *others) for own in rounds
+        each.iterations for rounds in (first, *others) for each in rounds
     )
 
 
 @pytest.mark.long
 def test_motion_that_holds_only_at_its_points_is_no_success_of_a_sequence():
     found = continuation(swing, (0.2, 0.5), transcription="legendre:1", intervals=2)
-    assert [step.solution.meta["status"] for step in found.steps] == ["coarse_grid", "coarse_grid"]
+    assert [step.solution.statistics.status for step in found.steps] == ["coarse_grid", "coarse_grid"]
     assert found.solutions.keys() == {0.2, 0.5}
     assert found.solved == ()
     assert not found.success
@@ -211,16 +211,16 @@ def test_halvings_that_are_no_count_are_refused(halvings):
 
 def test_a_ladder_ends_at_the_optimum_of_its_finest_grid():
     ladder = solve_ladder(swing(1.0), [("legendre:1", 5), ("radau:3", 9), (None, None)], compare=True)
-    grids = [(one.meta["transcription"], one.n_intervals) for one in ladder.rungs]
+    grids = [(one.statistics.transcription, one.n_intervals) for one in ladder.rungs]
     assert grids == [("legendre:1", 5), ("radau:3", 9), ("legendre:2", 10)]
-    assert [one.meta["warm_start"] for one in ladder.rungs] == [False, True, True]
+    assert [one.statistics.warm_start for one in ladder.rungs] == [False, True, True]
     assert ladder.cold is not None
     assert ladder.solution is ladder.rungs[-1]
-    direct = ladder.cold.meta["objective"]
-    assert ladder.solution.meta["objective"] == pytest.approx(direct, rel=SAME_OPTIMUM)
+    direct = ladder.cold.statistics.objective
+    assert ladder.solution.statistics.objective == pytest.approx(direct, rel=SAME_OPTIMUM)
     figures = ladder.to_dict()
-    assert figures["total"]["iterations"] == sum(one.meta["iterations"] for one in ladder.rungs)
-    assert figures["cold"]["iterations"] == ladder.cold.meta["iterations"]
+    assert figures["total"]["iterations"] == sum(one.statistics.iterations for one in ladder.rungs)
+    assert figures["cold"]["iterations"] == ladder.cold.statistics.iterations
 
 
 @pytest.mark.long
@@ -229,13 +229,13 @@ def test_a_ladder_passes_obstacles_on_its_finest_grid():
     report = check(ladder.solution)
     assert report.ok, report.failures()
     assert ladder.solution.success
-    rows = ladder.solution.meta["constraints"]
-    assert rows > solve(rods_swing()).meta["constraints"]
+    rows = ladder.solution.statistics.constraints
+    assert rows > solve(rods_swing()).statistics.constraints
 
 
 def test_a_rung_that_fails_starts_nothing():
     ladder = solve_ladder(swing(3.0), [("legendre:2", 8), ("legendre:2", 9)], max_iterations=1)
-    assert [one.meta["warm_start"] for one in ladder.rungs] == [False, False]
+    assert [one.statistics.warm_start for one in ladder.rungs] == [False, False]
 
 
 def test_a_user_who_stops_a_rung_stops_the_ladder():
@@ -276,7 +276,7 @@ def test_solve_starts_from_a_file(arm, tmp_path):
     assert result.exit_code == 0
     assert found["warm_start"] is True
     assert found["ladder"]["cold"]["iterations"] > found["iterations"]
-    assert Solution.load(target).meta["parameters"]["x"] == 0.35
+    assert Solution.load(target).description.parameters["x"] == 0.35
 
 
 def test_solve_climbs_a_ladder(tmp_path):
@@ -295,7 +295,7 @@ def test_continue_writes_a_table_and_files(tmp_path):
     assert "3 of 3 values solved" in result.stdout
     assert "saved" in result.stdout
     files = sorted((tmp_path / "new").glob("*.npz"))
-    assert_allclose([Solution.load(file).meta["parameters"]["x"] for file in files], [0.3, 0.325, 0.35])
+    assert_allclose([Solution.load(file).description.parameters["x"] for file in files], [0.3, 0.325, 0.35])
 
 
 def test_continue_prints_one_json_object():
@@ -384,7 +384,7 @@ def test_nearest_is_the_value_asked_for_where_that_is_solved_from_the_first():
     step = nearest(swing, 0.2, 0.5)
     assert step is not None
     assert step.value == 0.5
-    assert step.solution.meta["warm_start"] is True
+    assert step.solution.statistics.warm_start is True
 
 
 def test_nearest_is_nothing_where_the_first_value_is_not_solved():
@@ -410,7 +410,7 @@ def test_command_line_says_and_writes_the_nearest_value(tmp_path):
     assert 0.1 < entry["value"] < 0.5
     assert found["file"] == str(target)
     near = Solution.load(entry["file"])
-    assert near.meta["parameters"]["duration"] == entry["value"]
+    assert near.description.parameters["duration"] == entry["value"]
     assert near.converged
     assert entry["file"] == str(tmp_path / f"short-duration={entry['value']:.4g}.npz")
 

@@ -62,7 +62,7 @@ def test_extracted_solution_is_a_consistent_file(name, tmp_path):
 @pytest.mark.parametrize("name", SCHEMES)
 def test_phases_and_active_contacts_follow_the_schedule(name):
     solution = solved(name)
-    names = np.array(solution.meta["phase_names"])[solution.phase]
+    names = np.array(solution.description.phase_names)[solution.phase]
     assert list(solution.meta["intervals"]) == [3, 2, 3]
     assert_array_equal(solution.active[:, 0], names != "flight")
     assert_array_equal(solution.f[names == "flight"], 0.0)
@@ -117,7 +117,7 @@ def test_point_at_the_end_of_an_interval_has_the_state_of_the_node(name):
 
 def test_solution_of_a_fixed_base_has_no_contact():
     t = transcribe(reach(), "legendre:2", 3)
-    solution = extract(t, initial_guess(t), {"success": False})
+    solution = extract(t, initial_guess(t))
     assert solution.f.shape == (12, 0, 6)
     assert solution.tau.shape == (12, 1)
 
@@ -128,7 +128,7 @@ def test_wrench_of_a_sole_has_force_and_moment():
     window = x[t.layout.node_offset[0] :]
     window[t.layout.local_wrench(0, 0)] = np.arange(1.0, 7.0)
     scale = t.scale[t.layout.local_wrench(0, 0)]
-    assert_allclose(extract(t, x, {}).f[1, 0], np.arange(1.0, 7.0) * scale)
+    assert_allclose(extract(t, x).f[1, 0], np.arange(1.0, 7.0) * scale)
 
 
 def test_description_names_the_robot_its_contacts_and_limits():

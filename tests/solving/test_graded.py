@@ -23,14 +23,14 @@ def test_motion_is_refined_until_it_holds_at_any_time():
     assert found.reached, found.why
     assert found.solution.success
     assert trajopt.check(found.solution).within(GRADE)
-    assert found.solution.meta["graded"]["reached"] is True
+    assert found.solution.statistics.graded.reached is True
     sizes = [own.variables for own in found.rounds]
     assert sizes == sorted(sizes)
 
 
 def test_solve_without_a_mesh_solves_to_the_grade_and_a_draft_only_once():
     draft = trajopt.solve(landing(), draft=True)
-    assert len(draft.meta["graded"]["rounds"]) == 1
+    assert len(draft.statistics.graded.rounds) == 1
     assert mesh_of(draft) == first_mesh(landing())
     assert draft.converged
     assert trajopt.solve(landing()).success
@@ -39,7 +39,7 @@ def test_solve_without_a_mesh_solves_to_the_grade_and_a_draft_only_once():
 def test_named_mesh_is_solved_once():
     plan = trajopt.solve(reach(gravity=True), intervals=4)
     assert plan.n_intervals == 4
-    assert len(plan.meta["graded"]["rounds"]) == 1
+    assert len(plan.statistics.graded.rounds) == 1
     own = trajopt.solve(reach(gravity=True), fixed_mesh=True)
     assert own.n_intervals == reach(gravity=True).default_intervals
     with pytest.raises(InputError, match="a draft and a mesh are both asked for"):
@@ -50,10 +50,10 @@ def test_motion_that_holds_only_at_its_points_says_what_breaks_and_where():
     found = solve_graded(landing(), mesh=Mesh.uniform("legendre:1", (3, 3, 3)), max_rounds=1)
     assert not found.reached
     assert found.solution.converged
-    assert found.solution.meta["status"] == "coarse_grid"
-    assert " times what is allowed" in found.solution.meta["advice"]
-    assert any(name in found.solution.meta["advice"] for name in ("flight", "landing"))
-    assert found.solution.meta["failures"]
+    assert found.solution.statistics.status == "coarse_grid"
+    assert " times what is allowed" in found.solution.statistics.advice
+    assert any(name in found.solution.statistics.advice for name in ("flight", "landing"))
+    assert found.solution.statistics.failures
 
 
 def test_limit_of_rounds_ends_with_the_best_motion():

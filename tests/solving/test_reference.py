@@ -73,8 +73,8 @@ def test_reference_agrees_and_says_how_it_was_found():
     assert found.agreement.farthest <= 1e-3 * 0.5
     assert found.rungs[-1].apart == found.agreement
     assert found.rungs[-1].intervals == found.solution.n_intervals
-    described = json.loads(json.dumps(found.solution.meta["reference"], allow_nan=False))
-    assert described["rungs"][-1]["objective"] == found.solution.meta["objective"]
+    described = json.loads(json.dumps(found.solution.statistics.more["reference"], allow_nan=False))
+    assert described["rungs"][-1]["objective"] == found.solution.statistics.objective
     assert "the last two agree to" in str(found)
 
 

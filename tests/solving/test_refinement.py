@@ -142,9 +142,9 @@ def test_refined_motion_is_as_accurate_as_measured_anew_from_its_file(tmp_path):
     again = measure(found.solution.save(tmp_path / "hop.npz"))
     assert max(phase_errors(again)) <= target
     assert again.open_loop <= target
-    assert found.solution.meta["graded"]["reached"] is True
-    assert found.solution.meta["graded"]["target_m"] == target
-    assert found.solution.meta["graded"]["error_m"] == pytest.approx(found.error)
+    assert found.solution.statistics.graded.reached is True
+    assert found.solution.statistics.graded.target_m == target
+    assert found.solution.statistics.graded.error_m == pytest.approx(found.error)
     assert len(found.rounds) > 1
 
 
@@ -155,7 +155,7 @@ def test_refinement_needs_fewer_variables_than_a_uniform_mesh_for_the_same_error
     error = max(phase_errors(measure(uniform)))
     found = solve_graded(problem, accuracy=error)
     assert found.reached
-    assert found.solution.meta["variables"] <= FEWER * uniform.meta["variables"]
+    assert found.solution.statistics.variables <= FEWER * uniform.statistics.variables
 
 
 def test_mesh_that_meets_the_target_is_left_alone():
@@ -208,7 +208,7 @@ def test_budget_ends_the_rounds_with_the_best_motion():
     assert len(found.rounds) <= 2
     assert {own.status for own in found.rounds} == {"time_limit"}
     first = solve(hop(), intervals=6)
-    kept = solve_graded(hop(), first=first, accuracy=1e-9, max_time=first.meta["wall_time_s"])
+    kept = solve_graded(hop(), first=first, accuracy=1e-9, max_time=first.statistics.wall_time_s)
     assert kept.why == "the time is used"
     assert len(kept.rounds) == 1
     assert kept.solution.converged

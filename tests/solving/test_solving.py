@@ -42,7 +42,7 @@ def test_minimum_acceleration_motion_is_the_known_cubic(name, order, solver):
     assert_allclose(solution.q[:, 0], minimum_acceleration(solution.t), atol=allowed)
     units = Units(one_joint_arm())
     exact = 12 * REACH**2 / REACH_TIME**3 / units.acceleration[0] ** 2 / units.time
-    assert solution.meta["objective"] == pytest.approx(exact, rel=allowed)
+    assert solution.statistics.objective == pytest.approx(exact, rel=allowed)
 
 
 def swing(**options: object) -> float:
@@ -50,7 +50,7 @@ def swing(**options: object) -> float:
     costs = (TorqueCost(weight=1.0), VelocityCost(weight=0.1))
     solution = solve(reach(gravity=True, terms=costs), tolerance=1e-9, **options)
     assert solution.converged
-    return solution.meta["objective"]
+    return solution.statistics.objective
 
 
 @pytest.mark.long
@@ -65,12 +65,12 @@ def test_every_transcription_ends_at_one_optimum(name, order):
 def test_not_converging_is_a_status_with_advice_and_no_exception():
     solution = solve(hop(), transcription="legendre:1", max_iterations=1)
     assert not solution.success
-    assert solution.meta["status"] == "iteration_limit"
-    assert "--max-iterations" in solution.meta["advice"]
-    assert [set(block) for block in solution.meta["worst_blocks"]] == [
+    assert solution.statistics.status == "iteration_limit"
+    assert "--max-iterations" in solution.statistics.advice
+    assert [set(block) for block in solution.statistics.worst_blocks] == [
         {"block", "phase", "node", "point", "time", "violation"}
     ] * 3
-    assert solution.meta["max_violation"] > 1e-3
+    assert solution.statistics.max_violation > 1e-3
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -78,8 +78,8 @@ def test_goal_beyond_the_torque_limit_is_not_a_success(solver):
     weak = reach(terms=(AccelerationCost(weight=1.0), TorqueLimits(limit=np.array([0.05]))))
     solution = solve(weak, transcription="legendre:2", solver=solver, max_iterations=200)
     assert not solution.success
-    assert solution.meta["status"] in ("infeasible", "step_failed", "iteration_limit")
-    assert solution.meta["max_violation"] > 1e-3
+    assert solution.statistics.status in ("infeasible", "step_failed", "iteration_limit")
+    assert solution.statistics.max_violation > 1e-3
 
 
 def broken_after(problem: Problem, time: float) -> Problem:
@@ -101,27 +101,27 @@ def test_function_that_is_not_finite_is_a_status_that_names_the_place():
     turned[3:7] = [0.0, 0.0, 1.0, 0.0]
     problem = hop(terms=(TorqueCost(weight=1.0), TerminalState(q=turned)))
     solution = solve(problem, transcription="legendre:1")
-    assert solution.meta["status"] == "not_finite"
-    assert solution.meta["advice"].startswith(Status.NOT_FINITE.advice)
-    assert solution.meta["advice"].endswith("rows of block 'terminal_state' in phase 'landing', node 8")
-    assert solution.meta["iterations"] == 0
-    assert solution.meta["worst_blocks"][0]["block"] == "terminal_state"
-    assert solution.meta["worst_blocks"][0]["violation"] is None
+    assert solution.statistics.status == "not_finite"
+    assert solution.statistics.advice.startswith(Status.NOT_FINITE.advice)
+    assert solution.statistics.advice.endswith("rows of block 'terminal_state' in phase 'landing', node 8")
+    assert solution.statistics.iterations == 0
+    assert solution.statistics.worst_blocks[0]["block"] == "terminal_state"
+    assert solution.statistics.worst_blocks[0]["violation"] is None
 
 
 def test_solution_knows_its_size_and_how_it_was_made():
     solution = solve(reach(), transcription="radau:2", intervals=6, tolerance=1e-5)
     made = prepare(reach(), transcription="radau:2", intervals=6)
-    assert solution.meta["variables"] == made.transcription.layout.n_unknowns == 7 * 2 + 6 * 2
-    assert solution.meta["constraints"] == made.transcription.n_rows == 6 * 2 + 2
-    assert solution.meta["solver"] == "ipopt"
-    assert (solution.meta["tolerance"], solution.meta["perturb"]) == (1e-5, 0.0)
-    assert solution.meta["max_violation"] < 1e-5
+    assert solution.statistics.variables == made.transcription.layout.n_unknowns == 7 * 2 + 6 * 2
+    assert solution.statistics.constraints == made.transcription.n_rows == 6 * 2 + 2
+    assert solution.statistics.solver == "ipopt"
+    assert (solution.statistics.tolerance, solution.statistics.perturb) == (1e-5, 0.0)
+    assert solution.statistics.max_violation < 1e-5
 
 
 def test_defaults_are_the_problems_own():
     solution = solve(reach())
-    assert solution.meta["transcription"] == "legendre:2"
+    assert solution.statistics.transcription == "legendre:2"
     assert solution.n_intervals == 10
 
 
@@ -130,7 +130,7 @@ def test_perturbed_starts_are_reproducible_and_reach_the_same_optimum():
     once, again, other = (solve(reach(), seed=seed, **options) for seed in (1, 1, 2))
     assert_array_equal(once.q, again.q)
     assert_allclose(once.q, other.q, atol=SOLVED)
-    assert (once.meta["seed"], other.meta["seed"]) == (1, 2)
+    assert (once.statistics.seed, other.statistics.seed) == (1, 2)
 
 
 def test_progress_that_returns_false_interrupts():
@@ -141,7 +141,7 @@ def test_progress_that_returns_false_interrupts():
         return len(seen) < 3
 
     solution = solve(hop(), transcription="legendre:1", progress=progress)
-    assert solution.meta["status"] == "interrupted"
+    assert solution.statistics.status == "interrupted"
     assert seen == [0, 1, 2]
 
 

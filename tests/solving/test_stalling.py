@@ -28,57 +28,57 @@ def hopping(**values: object) -> Problem:
 
 
 def test_goal_that_torques_do_not_reach_is_certified_with_both_by_name_and_place():
-    meta = solve(weak()).meta
-    assert meta["status"] == "infeasible"
-    assert meta["solver_status"] == CERTIFIED
-    assert meta["certified_infeasible"] is True
-    assert not meta["success"]
-    assert meta["iterations"] <= FEW
-    assert meta["max_violation"] > 0
+    statistics = solve(weak()).statistics
+    assert statistics.status == "infeasible"
+    assert statistics.solver_status == CERTIFIED
+    assert statistics.certified_infeasible is True
+    assert not statistics.success
+    assert statistics.iterations <= FEW
+    assert statistics.max_violation > 0
     for words in ("terminal_", "torque_limits [joint torque]", "t = ", "phase 'reach'", "against it stand"):
-        assert words in meta["advice"]
-    assert "\n" not in meta["advice"]
+        assert words in statistics.advice
+    assert "\n" not in statistics.advice
 
 
 @pytest.mark.long
 def test_hop_without_the_friction_for_it_is_certified():
-    meta = solve(hopping(distance=0.6, friction=0.05)).meta
-    assert meta["solver_status"] == CERTIFIED
-    assert meta["iterations"] <= FEW
-    assert "friction_pyramid [foot force" in meta["advice"]
+    statistics = solve(hopping(distance=0.6, friction=0.05)).statistics
+    assert statistics.solver_status == CERTIFIED
+    assert statistics.iterations <= FEW
+    assert "friction_pyramid [foot force" in statistics.advice
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_slow_but_feasible_solves_are_not_given_up(seed):
     found = solve(hopping(flight=SLOW), seed=seed, perturb=0.1)
-    assert found.converged, found.meta["advice"]
+    assert found.converged, found.statistics.advice
 
 
 @pytest.mark.long
 def test_limit_of_iterations_counts_those_of_the_elastic_problem():
-    full = solve(weak()).meta["iterations"]
+    full = solve(weak()).statistics.iterations
     for limit in range(8, full, 6):
-        meta = solve(weak(), max_iterations=limit).meta
-        assert meta["iterations"] <= limit
-        assert meta["status"] == "iteration_limit"
+        statistics = solve(weak(), max_iterations=limit).statistics
+        assert statistics.iterations <= limit
+        assert statistics.status == "iteration_limit"
 
 
 def test_time_limit_holds():
-    meta = solve(weak(), max_time=1e-3).meta
-    assert meta["status"] == "time_limit"
+    statistics = solve(weak(), max_time=1e-3).statistics
+    assert statistics.status == "time_limit"
 
 
 @pytest.mark.long
 def test_stop_during_the_elastic_problem_is_an_interrupt():
     seen: list[float] = []
     full = solve(weak(), progress=lambda figures: seen.append(figures["restoration"]) or True)
-    assert full.meta["solver_status"] == CERTIFIED
+    assert full.statistics.solver_status == CERTIFIED
     inside = len(seen) - 3  # of the elastic problem, which comes last
     calls = iter(range(len(seen)))
     stopped = solve(weak(), progress=lambda _: next(calls) < inside)
-    assert stopped.meta["status"] == "interrupted"
-    assert "certified_infeasible" not in stopped.meta
+    assert stopped.statistics.status == "interrupted"
+    assert not stopped.statistics.certified_infeasible
 
 
 def test_iterations_are_told_in_order_with_the_iterates_of_the_problem():
@@ -92,11 +92,11 @@ def test_iterations_are_told_in_order_with_the_iterates_of_the_problem():
 
     found = solve(weak(), watch=look)
     assert numbers == sorted(numbers)
-    assert sizes == {found.meta["variables"]}
+    assert sizes == {found.statistics.variables}
 
 
 @pytest.mark.parametrize("solver", ["fatrop", "sqp"])
 def test_other_solvers_end_by_their_own_tests(solver):
-    meta = solve(weak(), solver=solver, max_iterations=60).meta
-    assert not meta["success"]
-    assert meta["solver_status"] != CERTIFIED
+    statistics = solve(weak(), solver=solver, max_iterations=60).statistics
+    assert not statistics.success
+    assert statistics.solver_status != CERTIFIED

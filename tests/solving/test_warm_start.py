@@ -84,7 +84,7 @@ def test_the_same_grid_gives_back_the_solvers_unknowns_of_every_kind(problem):
 
 def assert_start_is_exact(case: Solved) -> None:
     start = warm_start(case.transcription, case.solution)
-    norm = case.solution.meta["rotation_norm_error"]
+    norm = case.solution.statistics.rotation_norm_error
     t, x = case.transcription, case.result.x
     apart = np.abs(start.x - x) / np.maximum(1.0, np.abs(x))
     inside = (t.lower_x <= x) & (x <= t.upper_x)
@@ -150,7 +150,7 @@ def test_another_duration_scales_rates_and_accelerations():
     slower = replace(reach(), schedule=Schedule((Phase(name="reach", duration=2 * REACH_TIME),)))
     coarse = trajopt.solve(reach(), fixed_mesh=True)
     t = prepare(slower, transcription="legendre:3", intervals=9).transcription
-    motion = extract(t, warm_start(t, coarse).x, {})
+    motion = extract(t, warm_start(t, coarse).x)
     s = motion.t / (2 * REACH_TIME)
     # The known optimum, a cubic (see test_solving), is the same in every duration; linear acceleration
     # within legendre:2's intervals is exact.
@@ -166,7 +166,7 @@ def test_free_durations_start_as_the_solutions_within_their_bounds():
         flight = replace(phases[1], duration=nominal, duration_bounds=bounds)
         problem = hop(schedule=Schedule((phases[0], flight, phases[2])))
         t = prepare(problem, transcription="legendre:2", intervals=10).transcription
-        found = extract(t, warm_start(t, solution).x, {})
+        found = extract(t, warm_start(t, solution).x)
         assert found.meta["durations"] == pytest.approx([0.3, expected, 0.3])
         for row in [rows[0] for rows in found.intervals if found.phase[rows[0]] == 1][1:]:
             equal = 0.3 + 0.2 * (found.t[row] - 0.3) / expected
@@ -206,19 +206,19 @@ def test_a_solve_started_at_its_solution_ends_there(solver):
     first = trajopt.solve(hop(), solver="ipopt" if solver == "sqp" else solver, fixed_mesh=True)
     again = trajopt.solve(hop(), solver=solver, start=first, fixed_mesh=True)
     assert again.converged
-    assert again.meta["warm_start"] is True
-    assert first.meta["warm_start"] is False
-    assert again.meta["iterations"] < first.meta["iterations"]
-    assert again.meta["objective"] == pytest.approx(first.meta["objective"], rel=1e-4)
+    assert again.statistics.warm_start is True
+    assert first.statistics.warm_start is False
+    assert again.statistics.iterations < first.statistics.iterations
+    assert again.statistics.objective == pytest.approx(first.statistics.objective, rel=1e-4)
     if solver == "ipopt":  # which takes multipliers, too: at most the step that sees it is there
-        assert again.meta["iterations"] <= 1
+        assert again.statistics.iterations <= 1
 
 
 def test_multipliers_of_fatrop_start_ipopt():
     first = trajopt.solve(hop(), solver="fatrop", tolerance=1e-8, fixed_mesh=True)
     again = trajopt.solve(hop(), start=first, fixed_mesh=True)
     assert again.converged
-    assert again.meta["iterations"] <= trajopt.solve(hop(), fixed_mesh=True).meta["iterations"] / 2
+    assert again.statistics.iterations <= trajopt.solve(hop(), fixed_mesh=True).statistics.iterations / 2
 
 
 def test_multipliers_on_a_finer_grid_are_near_those_found_there():
@@ -238,7 +238,7 @@ def test_multipliers_survive_the_file(tmp_path):
     loaded = Solution.load(solution.save(tmp_path / "hop.npz"))
     assert_array_equal(loaded.row_multiplier, solution.row_multiplier)
     assert_array_equal(loaded.bound_multiplier, solution.bound_multiplier)
-    assert trajopt.solve(hop(), start=tmp_path / "hop.npz", fixed_mesh=True).meta["iterations"] <= 1
+    assert trajopt.solve(hop(), start=tmp_path / "hop.npz", fixed_mesh=True).statistics.iterations <= 1
 
 
 def test_a_solution_without_multipliers_starts_too(tmp_path):
@@ -249,7 +249,7 @@ def test_a_solution_without_multipliers_starts_too(tmp_path):
     assert warm_start(t, loaded).multipliers is None
     again = trajopt.solve(hop(), start=loaded, fixed_mesh=True)
     assert again.converged
-    assert again.meta["iterations"] < first.meta["iterations"]
+    assert again.statistics.iterations < first.statistics.iterations
 
 
 def test_multipliers_of_other_terms_are_left_out():

@@ -71,4 +71,4 @@ def test_multipliers_of_rows_that_are_nowhere_are_left_out():
     place[-1, 1] = 10_000
     strange = replace(case.solution, row_place=place)
     assert warm_start(case.transcription, strange).multipliers is None
-    assert hopper().name == strange.meta["robot"]
+    assert hopper().name == strange.description.robot

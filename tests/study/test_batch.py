@@ -88,9 +88,9 @@ def test_solved_cases_are_data_equal_to_their_files(reference: BatchDataset):
         assert entry.file is not None
         written = Solution.load(entry.file)
         assert np.array_equal(entry.solution.q, written.q)
-        assert entry.figures["objective"] == written.meta["objective"]
+        assert entry.figures["objective"] == written.statistics.objective
         assert check(written).ok
-        assert dict(entry.case.values).items() <= written.meta["parameters"].items()
+        assert dict(entry.case.values).items() <= written.description.parameters.items()
 
 
 def test_cases_start_from_solved_neighbours_of_their_group(reference: BatchDataset):

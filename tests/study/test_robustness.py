@@ -89,7 +89,7 @@ def test_configurations_embed_without_their_double_cover(robot):
 def test_solves_of_one_problem_from_two_starts_are_one_optimum():
     runs = [solve(hop(), seed=seed, perturb=0.05, fixed_mesh=True) for seed in (0, 1)]
     assert all(run.converged for run in runs)
-    objectives = [run.meta["objective"] for run in runs]
+    objectives = [run.statistics.objective for run in runs]
     apart = distances([described(run) for run in runs])[0, 1]
     optima, shapes = counted(objectives, [described(run) for run in runs])
     close = abs(objectives[0] - objectives[1]) < 1e-4 * max(objectives)

@@ -158,8 +158,10 @@ def test_a_failed_solve_has_its_mode(problem: str, changes: dict[str, Any], mode
 def test_the_primal_figure_is_the_largest_violation_of_a_row(solver: str):
     """The solver's own figure, against all rows evaluated anew at the iterate it left."""
     solution = solve(suite_problems.coarse(), solver=solver, max_iterations=3, fixed_mesh=True)
-    assert solution.meta["status"] == "iteration_limit"
-    assert solution.meta["primal_infeasibility"] == pytest.approx(solution.meta["max_violation"], rel=SLACK)
+    assert solution.statistics.status == "iteration_limit"
+    assert solution.statistics.primal_infeasibility == pytest.approx(
+        solution.statistics.max_violation, rel=SLACK
+    )
 
 
 def test_a_problem_that_cannot_be_built_is_an_error_here():
@@ -211,11 +213,11 @@ def test_a_pair_is_solved_as_the_library_solves_it(fixed_mesh: bool, tmp_path: P
     for start in (outcome.own, *outcome.starts):
         noise = {} if start.seed is None else {"seed": start.seed, "perturb": 0.2}
         solution = solve(suite_problems.coarse(), **noise, fixed_mesh=fixed_mesh)
-        assert start.iterations == sum(one["iterations"] for one in solution.meta["graded"]["rounds"])
-        assert start.objective == pytest.approx(solution.meta["objective"], rel=SAME)
+        assert start.iterations == sum(one.iterations for one in solution.statistics.graded.rounds)
+        assert start.objective == pytest.approx(solution.statistics.objective, rel=SAME)
         assert start.solved == solution.success
     written = Solution.load(tmp_path / "t-coarse@arm.npz")
-    assert written.meta["objective"] == pytest.approx(outcome.own.objective, rel=SAME)
+    assert written.statistics.objective == pytest.approx(outcome.own.objective, rel=SAME)
     assert outcome.own.legged
     mesh = mesh_of(written)
     assert (outcome.own.scheme, outcome.own.intervals) == (mesh.transcription, sum(mesh.counts))

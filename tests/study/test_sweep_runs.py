@@ -85,8 +85,11 @@ def test_a_run_is_what_the_library_solves(tmp_path: Path):
         found = run_setting(weighed(), setting, job, REQUEST, tmp_path / "run.npz")
         noise = {"seed": start, "perturb": REQUEST.sigma} if start else {}
         known = solve(weighed(), intervals=6, **noise)
-        assert (found.iterations, found.variables) == (known.meta["iterations"], known.meta["variables"])
-        assert found.objective == pytest.approx(known.meta["objective"], rel=SAME)
+        assert (found.iterations, found.variables) == (
+            known.statistics.iterations,
+            known.statistics.variables,
+        )
+        assert found.objective == pytest.approx(known.statistics.objective, rel=SAME)
         np.testing.assert_array_equal(Solution.load(tmp_path / "run.npz").q, known.q)
         assert found.time == found.wall_time
         assert 0 < found.cpu_share <= 1
@@ -97,7 +100,7 @@ def test_a_warm_start_costs_what_made_it(tmp_path: Path):
     found = run_setting(weighed(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
     coarse = solve(weighed(), intervals=4)
     fine = solve(weighed(), intervals=8, start=coarse)
-    assert found.iterations == coarse.meta["iterations"] + fine.meta["iterations"]
+    assert found.iterations == coarse.statistics.iterations + fine.statistics.iterations
     assert found.start_time > 0
     assert found.time == found.wall_time + found.start_time
     assert Solution.load(tmp_path / "run.npz").n_intervals == 8
@@ -110,10 +113,10 @@ def test_two_stages_are_judged_by_the_whole_problem(tmp_path: Path):
     assert found.success
     assert found.stage_two_time > 0
     full = solve(hop(), intervals=8)
-    assert found.objective >= full.meta["objective"]
-    assert objective_of(hop(), setting, full) == pytest.approx(full.meta["objective"], rel=RESAMPLED)
+    assert found.objective >= full.statistics.objective
+    assert objective_of(hop(), setting, full) == pytest.approx(full.statistics.objective, rel=RESAMPLED)
     first = solve(base_rows_problem(hop()), intervals=8)
-    assert found.objective != pytest.approx(first.meta["objective"])
+    assert found.objective != pytest.approx(first.statistics.objective)
     np.testing.assert_allclose(with_torques(hop(), first).tau, Solution.load(tmp_path / "run.npz").tau)
 
 
@@ -180,7 +183,7 @@ def test_a_sweep_is_written_printed_and_resumed(tmp_path: Path):
         known = measure(file, out / "reference.npz")
         assert float(row["open_loop_m"]) == pytest.approx(known.open_loop, rel=CONVERGED)
         assert float(row["distance_m"]) == pytest.approx(known.distance, rel=CONVERGED)
-        assert row["variables"] == str(Solution.load(file).meta["variables"])
+        assert row["variables"] == str(Solution.load(file).statistics.variables)
     assert float(settings["legendre:2@8"]["error_m"]) < float(settings["legendre:2@4"]["error_m"])
 
     before = (out / "runs.csv").read_text()

@@ -85,12 +85,9 @@ def place_of(model: pin.Model, frame: str, q: np.ndarray, v: np.ndarray) -> Plac
 
 def moved_on(plan: Solution, passes: int) -> pin.SE3:
     """What carries the first pass of a plan that is periodic without a mirror to a later one."""
-    described = plan.meta["periodicity"]
-    turn = pin.utils.rotate("z", described["turn"])
-    origin = np.array(described["origin"])
-    duration = plan.t[-1] - plan.t[0]
-    shift = described["translation"]
-    shift = np.array(described["velocity"]) * duration if shift is None else np.array(shift)
+    described = plan.description.periodicity
+    turn, origin = pin.utils.rotate("z", described.turn), described.origin
+    shift = described.moved(float(plan.t[-1] - plan.t[0]))
     once = pin.SE3(turn, origin + shift - turn @ origin)
     found = pin.SE3.Identity()
     for _ in range(passes):

@@ -42,12 +42,12 @@ def wandering(robot: Robot):
 def sampled(problem: Problem) -> tuple[Solution, np.ndarray]:
     """The guess as samples, and as unknowns."""
     prepared = prepare(problem, intervals=6)
-    return extract(prepared.transcription, prepared.guess, {"success": False}), prepared.guess
+    return extract(prepared.transcription, prepared.guess), prepared.guess
 
 
 def integral(solution: Solution, values: np.ndarray) -> float:
     """Integral over time of values at samples (K,), by the weights of the scheme's points."""
-    weights = scheme(solution.meta["transcription"]).b1
+    weights = scheme(solution.statistics.transcription).b1
     spans = np.diff(solution.interval_t, axis=1).ravel()
     parts = [values[rows.start + 1 : rows.stop - 1] for rows in solution.intervals]
     return float(sum(h * weights @ part for h, part in zip(spans, parts, strict=True)))

@@ -21,9 +21,9 @@ def solved(problem: Problem, intervals: int | None = None, perturb: float = 0.0)
         max_iterations=MOST_ITERATIONS,
         fixed_mesh=True,
     )
-    assert solution.converged, solution.meta["advice"]
+    assert solution.converged, solution.statistics.advice
     return solution
 
 
 def objective(solution: Solution) -> float:
-    return float(solution.meta["objective"])
+    return float(solution.statistics.objective)

@@ -90,7 +90,7 @@ class SymbolicInterpolation:
         points = [row for row in rows if solution.collocation[row]]
         c = (solution.t[points] - start) / (end - start)
         local = {row: self._local(rotations, row) for row in (rows[0], *points, rows[-1])}
-        order = 1 if solution.meta.get("actuation") == "velocity" else 2
+        order = 1 if solution.description.actuation == "velocity" else 2
         xi, rate, _ = local[rows[0]]
         wrenches = solution.f[points].reshape(len(points), -1)
         without_gap = _Interval(

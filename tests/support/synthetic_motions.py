@@ -11,6 +11,7 @@ import pinocchio as pin
 from scipy.integrate import solve_ivp
 
 from trajopt.robot.robot import Robot
+from trajopt.solution.meta import description_of, jsonable, statistics_of
 from trajopt.solution.solution import Solution
 
 # Gauss-Legendre points of degree two: torques linear in an interval are met exactly.
@@ -58,9 +59,11 @@ def meta_of(robot: Robot, **changes: Any) -> dict[str, Any]:
     }
 
 
-def with_meta(solution: Solution, **changes: object) -> Solution:
-    """The solution with other entries of its meta data."""
-    return replace(solution, meta={**solution.meta, **changes})
+def with_meta(solution: Solution, drop: tuple[str, ...] = (), **changes: object) -> Solution:
+    """The solution as read from a file with other entries of its ``meta``, and without those of ``drop``."""
+    meta = {k: v for k, v in jsonable({**solution.meta, **changes}).items() if k not in drop}
+    phases = len(solution.phases)
+    return replace(solution, description=description_of(meta, phases), statistics=statistics_of(meta))
 
 
 def sampled(
@@ -88,7 +91,13 @@ def sampled(
     arrays = {name: np.array(rows) for name, rows in columns.items() if rows}
     arrays["f"] = arrays["f"].reshape(len(arrays["t"]), len(names), 6)
     arrays["active"] = arrays["active"].reshape(len(arrays["t"]), len(names))
-    return Solution(meta=meta_of(robot, **meta), model_text=robot.limited_model().saveToString(), **arrays)
+    given = jsonable(meta_of(robot, **meta))
+    return Solution(
+        description=description_of(given, len(motions)),
+        statistics=statistics_of(given),
+        model=robot.limited_model(),
+        **arrays,
+    )
 
 
 def arm_motion(robot: Robot, duration: float = 1.0) -> Motion:

@@ -15,9 +15,8 @@ from trajopt.collision.link_capsules import robot_capsules
 from trajopt.collision.near import CollisionScene
 from trajopt.collision.shapes import LinkShape
 from trajopt.errors import InputError
-from trajopt.problem.bodies import bodies_meta
-from trajopt.solution.descriptions import scene_of_meta
 from trajopt.solution.solution import Solution
+from trajopt.solving.extraction import described_bodies
 from trajopt.solving.graded import solve as solve_graded
 from trajopt.terms import Clearance
 from trajopt.view.plotting.motion import MotionQuantities
@@ -62,7 +61,7 @@ def test_file_without_margins_is_judged_by_contact_alone():
     # The margin is one more figure whose worst is looked at: samples in between differ.
     assert report.obstacle_distance == pytest.approx(check(solution).obstacle_distance, abs=1e-6)
     problem = past(swing(), BALL, margin=0.0)
-    assert "margins" not in bodies_meta(problem)["bodies"]
+    assert described_bodies(problem)["margins"] is None
 
 
 def test_motion_at_less_than_the_margin_is_no_success():
@@ -72,20 +71,18 @@ def test_motion_at_less_than_the_margin_is_no_success():
     draft = solve_graded(past(swing(), beside), draft=True)
     assert draft.converged
     assert not draft.success
-    assert draft.meta["status"] == "coarse_grid"
-    assert "clearance_margin" in draft.meta["failures"]
-    assert "obstacle_distance" not in draft.meta["failures"]
-    assert "distance beyond the margin asked for" in draft.meta["advice"]
+    assert draft.statistics.status == "coarse_grid"
+    assert "clearance_margin" in draft.statistics.failures
+    assert "obstacle_distance" not in draft.statistics.failures
+    assert "distance beyond the margin asked for" in draft.statistics.advice
 
 
 def test_older_file_with_capsules_alone_is_measured_by_them():
     _, solution = avoided()
     capsules = solution.meta["bodies"]["shapes"]
-    meta = {key: value for key, value in solution.meta.items() if key != "bodies"}
-    meta["collision"] = {**meta["collision"], "capsules": capsules}
-    assert check(replace(solution, meta=meta)).obstacle_distance == pytest.approx(
-        check(solution).obstacle_distance
-    )
+    scene = {**solution.meta["collision"], "capsules": capsules}
+    older = with_meta(solution, drop=("bodies",), collision=scene)
+    assert check(older).obstacle_distance == pytest.approx(check(solution).obstacle_distance)
 
 
 NOWHERE = LinkShape.sphere("c", "nose", np.zeros(3), 0.1)
@@ -142,6 +139,6 @@ def test_plots_have_the_distance_from_each_obstacle_by_the_links_shapes():
     assert set(found) == {"ball", "far"}
     assert found["ball"] == pytest.approx(least[:, ::2].min(axis=1))
     assert found["far"] == pytest.approx(least[:, 1::2].min(axis=1))
-    without = {key: value for key, value in solution.meta.items() if key != "collision"}
-    assert MotionQuantities(replace(solution, meta=without)).clearances == {}
-    assert scene_of_meta(solution.model, None) is None
+    without = solution.with_description(obstacles=())
+    assert MotionQuantities(without).clearances == {}
+    assert without.description.capsule_scene(solution.model) is None

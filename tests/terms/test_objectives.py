@@ -248,7 +248,7 @@ def test_goals_of_half_a_robot_are_those_of_the_whole():
     whole, half = (solve(own, tolerance=1e-8) for own in (problem, made.problem))
     assert whole.converged
     assert half.converged
-    assert_allclose(half.meta["objective"], whole.meta["objective"], rtol=SAME_OPTIMUM)
+    assert_allclose(half.statistics.objective, whole.statistics.objective, rtol=SAME_OPTIMUM)
 
 
 def test_a_reference_that_is_asymmetric_at_its_end_alone_leaves_the_robot_whole():

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from tests.support.goals import integral, objective, sampled, wandering, with_terms
 from tests.support.problems import hop, hopper, one_joint_arm, reach
+from tests.support.synthetic_motions import with_meta
 from trajopt.motion.energy_use import cost_of_transport, energy
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
@@ -63,7 +64,7 @@ def test_drives_heat_is_in_the_cost_and_in_the_energy():
     problem = replace(reach(gravity=True), robot=robot)
     solution, x = sampled(problem)
     heat = integral(solution, (solution.tau[:, 0] / 9.0 / 0.08) ** 2 * 0.5)
-    bare = replace(solution, meta={**solution.meta, "drives": None})
+    bare = with_meta(solution, drives=None)
     assert_allclose(energy(solution) - energy(bare), heat, rtol=ROUNDING)
     unit = Units(robot)
     only = with_terms(problem, PowerCost(weight=1.0, recovered=1.0))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.synthetic_motions import sampled, standing
+from tests.support.synthetic_motions import sampled, standing, with_meta
 from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS
 from trajopt.errors import InputError, SolutionFileError
@@ -77,7 +77,7 @@ def test_a_hop_onto_a_step_lands_inside_its_face_and_cuts_no_edge(solver):
     face = step.face("beyond")
     problem = hop_onto(0.08, 0.2, step, face)
     solution = solve(problem, solver=solver)
-    assert solution.converged, solution.meta["advice"]
+    assert solution.converged, solution.statistics.advice
     report = check(solution)
     assert report.within(AT_POINTS), report.failures(AT_POINTS)
     landed = landed_at(solution, problem.robot, 2)["foot"]
@@ -91,7 +91,7 @@ def test_foot_that_wants_off_the_patch_stays_at_its_margin():
     patch = Patch.rectangle((0.4, 0.0, 0.0), (0.3, 0.4), margin=0.03)
     problem = hop_onto(0.0, 0.2, flat, patch)
     solution = solve(problem)
-    assert solution.converged, solution.meta["advice"]
+    assert solution.converged, solution.statistics.advice
     assert patch.inside(landed_at(solution, problem.robot, 2)["foot"]) == pytest.approx(0.03, abs=SOLVED)
 
 
@@ -101,7 +101,7 @@ def test_foot_that_wants_off_the_patch_stays_at_its_margin():
 def stands_on(patch: Patch) -> Solution:
     """Solo12 at rest, its front left foot on a patch."""
     solution = sampled(robots.load("solo12"), [standing(robots.load("solo12"))], 2)
-    return replace(solution, meta={**solution.meta, "patches": [{"FL_FOOT": patch.describe()}]})
+    return with_meta(solution, patches=[{"FL_FOOT": patch.describe()}])
 
 
 def test_patch_margin_is_the_foots_distance_from_the_edge():
@@ -124,7 +124,7 @@ def test_patch_margin_is_the_foots_distance_from_the_edge():
 def test_patches_that_do_not_fit_the_file_are_refused(patches):
     solution = stands_on(SQUARE)
     with pytest.raises((InputError, SolutionFileError), match="patches of meta"):
-        check(replace(solution, meta={**solution.meta, "patches": patches}))
+        check(with_meta(solution, patches=patches))
 
 
 # A real robot
@@ -185,7 +185,7 @@ def step_up(name: str) -> Problem:
 def test_a_quadruped_steps_up_without_cutting_the_edge(name):
     problem = step_up(name)
     solution = solve(problem)
-    assert solution.converged, solution.meta["advice"]
+    assert solution.converged, solution.statistics.advice
     report = check(solution)
     assert report.within(AT_POINTS), report.failures(AT_POINTS)
     assert report.patch_margin > 0

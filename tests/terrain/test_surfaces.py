@@ -377,5 +377,5 @@ def test_slope_is_level_ground_under_tilted_gravity(friction):
     options = {"transcription": "legendre:2", "intervals": 6, "tolerance": 1e-8}
     first, second = (solve(problem, **options) for problem in (level, slope))
     assert [first.converged, second.converged] == [True, True]
-    assert second.meta["objective"] == pytest.approx(first.meta["objective"], rel=SAME_OPTIMUM)
+    assert second.statistics.objective == pytest.approx(first.statistics.objective, rel=SAME_OPTIMUM)
     assert_allclose(second.f[..., :3] @ ground.surface.frame, first.f[..., :3], atol=1e-4 * hopper().weight)

@@ -28,4 +28,4 @@ def test_objective_of_a_hop_has_a_limit_on_finer_meshes():
     coarse = trajopt.solve(hop, intervals=50)
     fine = trajopt.solve(hop, intervals=100, start=coarse)
     assert fine.converged
-    assert fine.meta["objective"] == pytest.approx(coarse.meta["objective"], rel=CONVERGED)
+    assert fine.statistics.objective == pytest.approx(coarse.statistics.objective, rel=CONVERGED)

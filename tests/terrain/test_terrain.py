@@ -12,7 +12,7 @@ from tests.support.ground import HILLS, STAIRS
 from tests.support.problems import FOOT, hop, hopper
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.replay_pages import shown
-from tests.support.synthetic_motions import Motion, sampled, standing
+from tests.support.synthetic_motions import Motion, sampled, standing, with_meta
 from trajopt.certify.check import check
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.kinematics import contact_positions
@@ -135,7 +135,7 @@ def stands() -> Solution:
 
 
 def on_terrain(solution: Solution, terrain: PiecewiseTerrain | SmoothTerrain) -> Solution:
-    return replace(solution, meta={**solution.meta, "terrain": terrain.describe()})
+    return with_meta(solution, terrain=terrain.describe())
 
 
 @pytest.mark.long
@@ -161,7 +161,7 @@ def test_foot_over_a_hole_penetrates_nothing():
 def test_depth_landing_and_friction_are_those_of_the_normal_under_the_foot():
     solution, ground = stands(), SmoothTerrain(shapes=(Incline(level=0.02, slope_x=0.1),), friction=0.5)
     feet = contact_positions(robots.load("solo12"), solution.q[0])
-    report = check(on_terrain(replace(solution, meta={**solution.meta, "friction": [0.5] * 4}), ground))
+    report = check(on_terrain(with_meta(solution, friction=[0.5] * 4), ground))
     normal = np.array([-0.1, 0.0, 1.0]) / np.hypot(1.0, 0.1)
     depths = [0.02 + 0.1 * p[0] - p[2] + solo12.RADIUS / normal[2] for p in feet.values()]
     assert report.penetration == pytest.approx(max(depths) * normal[2])
@@ -183,7 +183,7 @@ def test_depth_landing_and_friction_are_those_of_the_normal_under_the_foot():
 def test_damaged_terrain_of_a_file_is_refused(terrain):
     solution = stands()
     with pytest.raises(SolutionFileError, match="terrain in meta"):
-        check(replace(solution, meta={**solution.meta, "terrain": terrain}))
+        check(with_meta(solution, terrain=terrain))
 
 
 # The replay
@@ -224,7 +224,7 @@ def test_a_hop_lands_on_smooth_ground_with_forces_in_the_cone_of_its_normal(fric
         guess=lambda t: start,
     )
     solution = solve(problem)
-    assert solution.converged, solution.meta["advice"]
+    assert solution.converged, solution.statistics.advice
     report = check(solution)
     assert report.landing_height < SOLVED
     assert report.friction_margin > -SOLVED

@@ -164,7 +164,7 @@ def test_full_disk_is_told_in_one_line_and_leaves_nothing(cache, monkeypatch):
 COMPILE = """
 from tests.support.problems import reach
 from trajopt import solve
-print(solve(reach(), transcription="legendre:2").meta["status"])
+print(solve(reach(), transcription="legendre:2").statistics.status)
 """
 
 

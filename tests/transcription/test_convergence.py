@@ -181,7 +181,7 @@ def test_transcription_holds_on_the_propagated_states(name):
     x = x / prepared.transcription.scale
     assert set(prepared.transcription.rows.names) == {"defect", "base_dynamics"}
     assert_allclose(prepared.nlp.engine.g(x), 0.0, atol=DEFECT)
-    solution = extract(prepared.transcription, x, {})
+    solution = extract(prepared.transcription, x)
     at_points = solution.collocation
     given = np.array([torque(t) for t in solution.t[at_points]])
     assert_allclose(solution.tau[at_points], given, atol=DEFECT * hopper().weight)

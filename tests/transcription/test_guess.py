@@ -36,7 +36,7 @@ def jump(name: str = "legendre:2") -> Transcription:
 
 def test_guess_carries_the_robot_in_stance():
     t = jump()
-    solution = extract(t, initial_guess(t), {})
+    solution = extract(t, initial_guess(t))
     samples, robot = sample_quantities(solution), t.problem.robot
     stance = solution.collocation & (solution.phase == 0)
     assert solution.active[stance].all()

@@ -58,13 +58,12 @@ def test_uneven_mesh_holds_the_dynamics_and_joins_its_intervals(uneven):
 
 def test_file_tells_its_mesh(uneven, tmp_path):
     assert mesh_of(Solution.load(uneven.save(tmp_path / "hop.npz"))) == UNEVEN
-    assert uneven.meta["transcription"] == "legendre:2,legendre:3,radau:2"
+    assert uneven.statistics.transcription == "legendre:2,legendre:3,radau:2"
 
 
 def test_mesh_of_a_file_without_one_follows_from_its_times():
     even = solve(hop(), transcription="legendre:2", intervals=12, max_iterations=0)
-    meta = {key: value for key, value in even.meta.items() if key != "mesh"}
-    old = Solution(**{**vars_of(even), "meta": meta})
+    old = even.with_statistics(mesh=None)
     assert mesh_of(old) == mesh_of(even) == Mesh.uniform("legendre:2", hop().schedule.intervals(12))
 
 
@@ -97,14 +96,14 @@ def test_solution_on_a_split_mesh_starts_where_the_coarse_one_ends(uneven):
     cold = solve(hop(), mesh=split)
     warm = solve(hop(), mesh=split, start=uneven)
     assert warm.converged
-    assert warm.meta["iterations"] < cold.meta["iterations"]
-    assert warm.meta["objective"] == pytest.approx(cold.meta["objective"], rel=1e-4)
+    assert warm.statistics.iterations < cold.statistics.iterations
+    assert warm.statistics.objective == pytest.approx(cold.statistics.objective, rel=1e-4)
 
 
 def test_multipliers_of_an_uneven_mesh_return_to_their_own_mesh(uneven):
     again = solve(hop(), mesh=UNEVEN, start=uneven)
     assert again.converged
-    assert again.meta["iterations"] <= 2
+    assert again.statistics.iterations <= 2
 
 
 def test_one_scheme_for_each_phase_is_named_with_commas():

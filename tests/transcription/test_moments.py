@@ -69,7 +69,7 @@ def rows_of(problem: Problem, solution: Solution, names: set[str]) -> list[tuple
 
 def grid_of(solution: Solution) -> dict[str, object]:
     return {
-        "transcription": solution.meta["transcription"],
+        "transcription": solution.statistics.transcription,
         "intervals": sum(solution.meta["intervals"]),
     }
 

@@ -49,8 +49,8 @@ def test_hop_on_redundant_feet_has_independent_rows_and_solves():
     assert smallest_singular_value(problem) > INDEPENDENT
     solution = trajopt.solve(problem, intervals=20)
     assert solution.converged
-    assert solution.meta["iterations"] <= 60
-    assert solution.meta["redundant_contact_rows"] == {
+    assert solution.statistics.iterations <= 60
+    assert solution.statistics.redundant_contact_rows == {
         "stance": ["FR_FOOT y", "HR_FOOT y"],
         "landing": ["FR_FOOT y", "HR_FOOT y"],
     }
@@ -104,5 +104,5 @@ def test_foot_of_corners_moves_its_robot_like_a_sole():
         solution = trajopt.solve(problem, intervals=8)
         assert solution.converged
         assert trajopt.check(solution).contact_acceleration < 1e-6  # of all twelve rows
-        optima.append(solution.meta["objective"])
+        optima.append(solution.statistics.objective)
     assert optima[1] == pytest.approx(optima[0], rel=SAME_OPTIMUM)

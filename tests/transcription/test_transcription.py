@@ -170,7 +170,7 @@ def test_optimum_in_natural_units_does_not_depend_on_the_mass():
     options = {"transcription": "legendre:2", "intervals": 8, "tolerance": 1e-8}
     light, heavy = (solve(problem, **options) for problem in (lean(), heavier(lean(), 40.0)))
     assert [light.converged, heavy.converged] == [True, True]
-    assert heavy.meta["objective"] == pytest.approx(light.meta["objective"], rel=1e-6)
+    assert heavy.statistics.objective == pytest.approx(light.statistics.objective, rel=1e-6)
     assert_allclose(heavy.q, light.q, atol=1e-4)
     assert_allclose(heavy.f / 40.0, light.f, atol=1e-3 * hopper().weight)
 

@@ -76,7 +76,7 @@ def kinematics(solution: Solution, t: float) -> list[pin.SE3]:
 
 def phase_at(solution: Solution, t: float) -> str:
     rows = max(rows.start for rows in solution.phases if solution.t[rows.start] <= t)
-    return solution.meta["phase_names"][solution.phase[rows]]
+    return solution.description.phase_names[solution.phase[rows]]
 
 
 @pytest.mark.parametrize("name", ["jump", "arm", "both"])

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from tests.support.plots import arm, drawn, jump, lines, track_of
 from tests.support.problems import one_joint_arm, planar_hopper
-from tests.support.synthetic_motions import arm_motion, sampled, tumbling_flight
+from tests.support.synthetic_motions import arm_motion, sampled, tumbling_flight, with_meta
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
@@ -148,7 +148,7 @@ def test_limbs_follow_the_tree_and_not_names() -> None:
     assert max(len(limb.axes) for limb in found) <= len(style.COLOURS)
     for number in range(1, model.njoints):
         model.names[number] = f"j{number}"
-    renamed = Track(label="renamed", solution=replace(solution, model_text=model.saveToString()))
+    renamed = Track(label="renamed", solution=replace(solution, model=model))
     again = limbs_of(renamed.axes, renamed.solution.model)
     assert [[axis.row for axis in limb.axes] for limb in again] == [
         [axis.row for axis in limb.axes] for limb in found
@@ -160,8 +160,8 @@ def test_an_iterate_that_is_not_finite_is_plotted_as_far_as_it_goes(tmp_path: Pa
     solution = jump()
     q, v = solution.q.copy(), solution.v.copy()
     q[20:], v[20:] = np.nan, np.nan
-    meta = {**solution.meta, "success": False, "status": "not_finite"}
-    broken = replace(solution, q=q, v=v, meta=meta)
+    failed = solution.with_statistics(success=False, status="not_finite")
+    broken = replace(failed, q=q, v=v)
     shown = lines(
         drawn(broken, "joints"), "position:" + limbs_of(track_of(broken).axes, broken.model)[0].name
     )
@@ -192,7 +192,7 @@ def test_a_robot_in_a_plane_shows_what_moves_in_it(tmp_path: Path) -> None:
 
 def test_solutions_are_overlaid_with_a_line_of_their_own() -> None:
     solution = arm()
-    other = replace(solution, meta={**solution.meta, "simulated": True})
+    other = with_meta(solution, simulation={})
     axes = drawn(solution, "joints", other)[0].axes[0]
     styles = {}
     for line in axes.get_lines():

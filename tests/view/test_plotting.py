@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from tests.support.plots import arm, drawn, jump, lines, standing, track_of
 from tests.support.problems import hopper
 from tests.support.symbolic_interpolation import SymbolicInterpolation
-from tests.support.synthetic_motions import sampled, tumbling_flight
+from tests.support.synthetic_motions import sampled, tumbling_flight, with_meta
 from trajopt.certify.check import check
 from trajopt.solution.solution import Solution
 from trajopt.view.plotting.joints import limbs_of
@@ -85,8 +85,8 @@ def test_velocities_and_torques_jump_without_a_ramp() -> None:
 def test_limits_are_those_of_the_solution() -> None:
     solution = jump()
     for axis in track_of(solution).axes:
-        assert axis.effort == solution.meta["effort_limit"][axis.torque]
-        assert axis.speed == solution.meta["velocity_limit"][axis.row]
+        assert axis.effort == solution.description.effort_limit[axis.torque]
+        assert axis.speed == solution.description.velocity_limit[axis.row]
         assert (axis.lower, axis.upper) == (
             solution.model.lowerPositionLimit[axis.column],
             solution.model.upperPositionLimit[axis.column],
@@ -96,8 +96,8 @@ def test_limits_are_those_of_the_solution() -> None:
 def test_a_limit_is_drawn_where_values_come_near_it() -> None:
     solution = jump()
     most = np.abs(solution.tau).max(axis=0)
-    meta = {**solution.meta, "effort_limit": [float(1.05 * most[0]), float(1e3 * most[1])]}
-    axes = next(a for a in drawn(replace(solution, meta=meta), "joints")[0].axes if "torque" in a.get_label())
+    limited = solution.with_description(effort_limit=np.array([1.05 * most[0], 1e3 * most[1]]))
+    axes = next(a for a in drawn(limited, "joints")[0].axes if "torque" in a.get_label())
     levels = {round(float(line.get_ydata()[0]), 6) for line in axes.get_lines() if len(line.get_ydata()) == 2}
     assert any(abs(abs(level) - 1.05 * most[0]) < 1e-5 for level in levels)
     assert not any(abs(level) > 2 * most.max() for level in levels)
@@ -108,7 +108,7 @@ def unlimited() -> Solution:
     """A jump of a robot whose limits are placeholders."""
     solution = jump()
     speed, effort = (len(solution.meta[f"{name}_limit"]) * [PLACEHOLDER] for name in ("velocity", "effort"))
-    return replace(solution, meta={**solution.meta, "velocity_limit": speed, "effort_limit": effort})
+    return with_meta(solution, velocity_limit=speed, effort_limit=effort)
 
 
 def used_of(solution: Solution) -> dict[str, float]:
@@ -159,8 +159,8 @@ def test_limits_that_matter_are_not_called_beyond_the_axis() -> None:
     solution = jump()
     most = np.abs(solution.tau).max()
     for limit in (1.01 * most, 1.3 * most):
-        meta = {**solution.meta, "effort_limit": [float(limit)] * solution.tau.shape[1]}
-        assert "N m, beyond" not in words_of(drawn(replace(solution, meta=meta), "joints")[0])
+        limited = solution.with_description(effort_limit=np.full(solution.tau.shape[1], float(limit)))
+        assert "N m, beyond" not in words_of(drawn(limited, "joints")[0])
 
 
 @pytest.mark.parametrize("page", ["summary", "limits"])

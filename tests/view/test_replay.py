@@ -19,7 +19,7 @@ from tests.support.replay_pages import objects_of, scene_of, tracks_of
 from tests.support.synthetic_motions import Motion, arm_motion, meta_of, sampled, standing, with_meta
 from trajopt.errors import InputError
 from trajopt.motion.configurations import geodesic_configurations
-from trajopt.robot.data import robot_file
+from trajopt.robot.data import VisualSource, robot_file
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import robot as drawn_robot
@@ -276,5 +276,5 @@ def test_serving_a_page_returns_at_once(jump, tmp_path):
 
 def test_meta_of_the_solution_is_enough_to_find_the_meshes(jump):
     assert not Path(jump.meta["visual"]["urdf"]).is_absolute()
-    assert json.loads(json.dumps(jump.meta["visual"])) == jump.meta["visual"]
+    assert VisualSource.from_meta(json.loads(json.dumps(jump.meta["visual"]))) == jump.description.visual
     assert "visual" not in meta_of(robots.load("solo12"))

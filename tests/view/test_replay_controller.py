@@ -9,7 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.support.replay_pages import STANCE, objects_of, scene_of, shown, tracks_of
-from trajopt.motion.touched import contact_radii
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.arrows import HEAD_LENGTH
 from trajopt.view.replay.motion import replay_motion, replay_motions
@@ -26,7 +25,7 @@ def asked(bones: Solution) -> Solution:
     """The hop, with twice its forces asked for, and goals beside the feet while they are in the air."""
     motion = replay_motion(bones)
     feet = np.tile(
-        motion.feet[0] + contact_radii(bones.meta)[:, None] * [0.0, 0.0, 1.0], (bones.n_samples, 1, 1)
+        motion.feet[0] + bones.description.radii[:, None] * [0.0, 0.0, 1.0], (bones.n_samples, 1, 1)
     )
     goal = np.where(bones.active[:, :, None], np.nan, feet + SHIFT)
     com = np.where(bones.active.any(axis=1)[:, None], SHIFT, np.nan)

@@ -116,7 +116,7 @@ def test_side_by_side_robots_are_apart_across_their_way_and_in_their_own_colours
 
 
 def test_robots_that_differ_are_side_by_side_unless_told(bones):
-    other = replace(bones, meta={**bones.meta, "robot": "another"})
+    other = with_meta(bones, robot="another")
 
     overlaid = scene([bones, bones], layout="overlaid").facts["box"]
 

@@ -60,7 +60,7 @@ def test_base_without_mass_or_extent_has_no_trunk(tmp_path):
     model = bones.model.copy()
     for inertia in (pin.Inertia.Zero(), pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))):
         model.inertias[1] = inertia
-        scene = shown(replace(bones, model_text=model.saveToString()), tmp_path)
+        scene = shown(replace(bones, model=model), tmp_path)
         assert not any(path.endswith("/trunk") for path in objects_of(scene))
 
 

@@ -84,7 +84,7 @@ def test_watching_changes_neither_iterations_nor_result(solver: str):
         watched = solve(lean(), watch=viewer, **settings, fixed_mesh=True)
         assert viewer.flush(LIMIT)
         assert viewer.drawn >= 2
-    assert watched.meta["iterations"] == alone.meta["iterations"]
+    assert watched.statistics.iterations == alone.statistics.iterations
     for name in ("t", "q", "v", "tau", "f"):
         assert_array_equal(getattr(watched, name), getattr(alone, name))
 
@@ -110,7 +110,7 @@ def test_the_end_is_the_solution_and_the_guess_the_start():
     solution = solve(hop(), watch=found.append, intervals=12)
     assert_array_equal(found[-1].solution().q, solution.q)
     again = solve(hop(), max_iterations=0, intervals=12, watch=found.append)
-    assert again.meta["iterations"] == 0
+    assert again.statistics.iterations == 0
     assert_allclose(found[0].solution().t, again.t, atol=ROUNDING)
 
 

@@ -12,11 +12,9 @@ from trajopt.solution.solution import Solution
 def periodicity_error(plan: Solution) -> float | None:
     """Largest difference (m, rad, m/s, rad/s) of the last state from the first's image; None if not periodic.
 
-    The key ``periodicity`` of meta says what the image is: ``translation`` m or ``velocity`` m/s times the
-    duration, ``turn`` rad about the vertical through ``origin``, ``mirror`` in the plane y = origin, and for
-    each row of v the ``index`` and ``sign`` of the row that it comes from.
+    What the image is, `PeriodicImage` says.
     """
-    described = plan.meta.get("periodicity")
+    described = plan.description.periodicity
     if not described:
         return None
     q, v = periodic_image(plan.model, described, plan.q[0], plan.v[0], float(plan.t[-1] - plan.t[0]))

@@ -9,10 +9,9 @@ import numpy as np
 from trajopt.certify.sliding import sliding_error
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.motion.samples import ContactPlaces
-from trajopt.motion.touched import TouchedSurfaces, held_part, is_sole
+from trajopt.motion.touched import TouchedSurfaces, held_part
 from trajopt.motion.traces import Trace, Traces
 from trajopt.robot.sole import pressure_rows, yaw_rows
-from trajopt.solution.descriptions import patches_of
 from trajopt.solution.solution import Solution
 
 
@@ -41,19 +40,16 @@ def inactive_force(plan: Solution) -> Trace:
 def _sole_margin(plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces, weight: float) -> Trace:
     """Least distance from the limits of pressure and yaw moment in the sole's axes, weight times metre.
 
-    Half sizes [half_length, half_width] come from the optional key ``contact_sizes`` of meta (null for a
-    point). The yaw moment is held against what friction with the whole coefficient along the sole's
+    The yaw moment is held against what friction with the whole coefficient along the sole's
     axes leaves of it: beyond that no distribution of forces in Coulomb's cones exists.
     """
-    sizes = plan.meta.get("contact_sizes")
+    sizes = [contact.half_size for contact in plan.description.contacts]
     margin, counts = np.zeros(plan.active.shape), np.zeros(plan.active.shape, dtype=bool)
-    if not isinstance(sizes, list) or len(sizes) != plan.f.shape[1]:
-        sizes = [None] * plan.f.shape[1]
-    for index in np.flatnonzero(is_sole(plan)):
+    for index in np.flatnonzero(plan.description.soles):
         rows = plan.active[:, index] & ~surfaces.bilateral[:, index]
-        if sizes[index] is None or not rows.any():
+        size = sizes[index]
+        if size is None or not rows.any():
             continue
-        size = (float(sizes[index][0]), float(sizes[index][1]))
         to_sole = np.swapaxes(places.rotation[rows, index], -1, -2)
         force, moment = (
             np.einsum("kij,kj->ik", to_sole, part) / weight
@@ -101,7 +97,7 @@ def place_traces(
     frames, active, phase = plan.contact_frames, plan.active, plan.phase
     distance, held = surfaces.distance(places.position), held_part(places.position, surfaces)
     speed = np.linalg.norm(held_part(places.velocity[..., :3], surfaces), axis=-1)
-    soles = active & is_sole(plan)
+    soles = active & plan.description.soles
     return {
         "contact_velocity": Trace.of(speed, active, frames),
         "penetration": Trace.of(np.maximum(-distance, 0.0), surfaces.known, frames),
@@ -127,17 +123,17 @@ def landing_height(
 
 def _patch_margin(plan: Solution, places: ContactPlaces) -> Trace:
     """Least distance (m) of active contacts (of a sole: its corners) inside the edges of their patches."""
-    frames, sizes = list(plan.contact_frames), plan.meta.get("contact_sizes") or []
+    frames, sizes = list(plan.contact_frames), [contact.half_size for contact in plan.description.contacts]
     margin, counts = np.zeros(plan.active.shape), np.zeros(plan.active.shape, dtype=bool)
-    for phase, patches in enumerate(patches_of(plan.meta.get("patches"))):
+    for phase, patches in enumerate(plan.description.patches):
         for frame, patch in patches.items():
             index = frames.index(frame)
             rows = plan.active[:, index] & (plan.phase == phase)
             if not rows.any():
                 continue
             position = places.position[rows, index][:, None]
-            if is_sole(plan)[index] and index < len(sizes) and sizes[index]:
-                corners = np.array([[x, y, 0] for x in (-1, 1) for y in (-1, 1)]) * [*sizes[index], 0.0]
+            if (size := sizes[index]) is not None:
+                corners = np.array([[x, y, 0] for x in (-1, 1) for y in (-1, 1)]) * [*size, 0.0]
                 position = position + np.einsum("kij,cj->kci", places.rotation[rows, index], corners)
             inside = patch.inside(position).reshape(len(position), -1)
             counts[rows, index], margin[rows, index] = True, inside.min(axis=1)

@@ -101,6 +101,6 @@ def _state_jump(plan: Solution, impacts: list[int]) -> float | None:
     worst = 0.0
     for row in starts:
         worst = max(worst, float(np.abs(pin.difference(plan.model, plan.q[row - 1], plan.q[row])).max()))
-        if row not in impacts and plan.meta.get("actuation") != "velocity":
+        if row not in impacts and plan.description.actuation != "velocity":
             worst = max(worst, float(np.abs(plan.v[row] - plan.v[row - 1]).max() / speed))
     return worst

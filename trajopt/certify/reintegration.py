@@ -29,7 +29,6 @@ from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.samples import state_distance
-from trajopt.solution.descriptions import surfaces_of
 from trajopt.solution.interpolation import collocation_fractions, lagrange_coefficients
 from trajopt.solution.solution import Solution
 
@@ -130,7 +129,7 @@ def integrate_interval(
     model, nv = plan.model, plan.model.nv
     points, fractions = collocation_fractions(plan.arrays, number)
     start, end = (float(time) for time in plan.interval_t[number])
-    moved_by_rates = plan.meta.get("actuation") == "velocity"
+    moved_by_rates = plan.description.actuation == "velocity"
     planned = plan.v if moved_by_rates else plan.tau
     coefficients, powers = lagrange_coefficients(fractions, planned[points]), np.arange(len(points))
     force = np.zeros(nv)
@@ -166,7 +165,7 @@ def integrated_interval_error(
     if end is None:
         return np.full(plan.model.nv, np.nan), np.full(plan.model.nv, np.nan)
     apart = pin.difference(plan.model, plan.q[rows.stop - 1], end[0])
-    moved_by_rates = plan.meta.get("actuation") == "velocity"
+    moved_by_rates = plan.description.actuation == "velocity"
     return apart, np.zeros(plan.model.nv) if moved_by_rates else end[1] - plan.v[rows.stop - 1]
 
 
@@ -194,7 +193,7 @@ def phase_dynamics(solution: Solution, row: int) -> PhaseDynamics:
     phase = int(solution.phase[row])
     model = carrying_model(solution, phase)
     held = active_contacts(solution, model, row)
-    described = surfaces_of(solution.meta.get("surfaces"))
+    described = solution.description.surfaces
     surfaces = described[phase] if described else {}
     sliding = {
         index: surfaces[frame]
@@ -206,6 +205,6 @@ def phase_dynamics(solution: Solution, row: int) -> PhaseDynamics:
 
 def active_contacts(solution: Solution, model: pin.Model, row: int) -> ContactSet:
     """The contacts of ``model`` that are active at a sample, by their frames."""
-    kinds = zip(solution.contact_frames, solution.meta["contact_kinds"], solution.active[row], strict=True)
-    contacts = [(frame, 3 if kind == "point" else 6) for frame, kind, on in kinds if on]
+    kinds = zip(solution.description.contacts, solution.active[row], strict=True)
+    contacts = [(contact.frame, 6 if contact.is_sole else 3) for contact, on in kinds if on]
     return ContactSet.of(model, contacts)

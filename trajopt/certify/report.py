@@ -8,7 +8,7 @@ from typing import Any
 
 from trajopt.dynamics.virtual_base import LEAST_MARGIN
 from trajopt.motion.traces import Occurrence
-from trajopt.solution.descriptions import jsonable
+from trajopt.solution.meta import jsonable
 
 # Residuals, contact accelerations and forces of inactive contacts over the weight (over gravity): what a
 # solver with tolerance 1e-6 leaves, in units of weight and length.

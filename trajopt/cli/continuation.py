@@ -164,10 +164,10 @@ def _print(found: Continuation, problem: str, name: str, files: dict[str, str]) 
 def _row(step: ContinuationStep, compared: bool) -> list[str]:
     from trajopt.solving.ladder import total_effort
 
-    meta, spent = step.solution.meta, total_effort([step.solution])
+    statistics, spent = step.solution.statistics, total_effort([step.solution])
     origin = "default guess" if not step.warm else "file" if step.origin is None else f"{step.origin:g}"
-    objective = "" if meta["objective"] is None else f"{meta['objective']:.5g}"
-    row = [f"{step.value:g}", origin, meta["status"].replace("_", " "), str(spent["iterations"])]
+    objective = "" if statistics.objective is None else f"{statistics.objective:.5g}"
+    row = [f"{step.value:g}", origin, statistics.status.replace("_", " "), str(spent["iterations"])]
     row += [f"{spent['wall_time_s']:.2f}", objective]
     if compared:
         cold = None if step.cold is None else total_effort([step.cold])

@@ -161,7 +161,7 @@ def _load_plan(file: Path) -> Solution:
 
     plan = Solution.load(file)
     if not plan.success:
-        warnings.warn(f"{file} is not a success: {plan.meta['status']}", UserWarning, stacklevel=2)
+        warnings.warn(f"{file} is not a success: {plan.statistics.status}", UserWarning, stacklevel=2)
     return plan
 
 

@@ -77,7 +77,7 @@ class Search:
         """
         from trajopt.solving.continuation import NEAREST_SOLVES, nearest
 
-        if failed.solution.meta["status"] == Status.INTERRUPTED.word:
+        if failed.solution.statistics.status == Status.INTERRUPTED.word:
             return failed
         settings = {key: arguments[key] for key in (*SOLVER_SETTINGS, "transcription", "intervals")}
         most = arguments["max_time"] * NEAREST_SOLVES

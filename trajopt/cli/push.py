@@ -68,7 +68,7 @@ def push_command(
         check_push_plot(output)
     plan = Solution.load(file)
     if not plan.success:
-        click.echo(f"trajopt: warning: {file} is no success: {plan.meta['status']}", err=True)
+        click.echo(f"trajopt: warning: {file} is no success: {plan.statistics.status}", err=True)
     chosen = CONTROLLERS if controller is None else (controller,)
     with busy(f"pushing {file} in MuJoCo"):
         report = largest_pushes(

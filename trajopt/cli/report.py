@@ -19,32 +19,11 @@ if TYPE_CHECKING:
 
 # Width in columns of a table that is written to a file or a pipe.
 PIPE_WIDTH = 120
-# Keys of a solution's meta that the JSON of a solve repeats unchanged.
-FROM_META = (
-    "problem",
-    "robot",
-    "success",
-    "converged",
-    "status",
-    "solver_status",
-    "advice",
-    "iterations",
-    "objective",
-    "variables",
-    "constraints",
-    "max_violation",
-    "worst_blocks",
-    "wall_time_s",
-    "function_time_s",
-    "build_time_s",
-    "compile_time_s",
-    "solver",
-    "transcription",
-    "tolerance",
-    "seed",
-    "perturb",
-    "warm_start",
-    "parameters",
+# Statistics of a solution that the JSON of a solve repeats unchanged.
+STATED = (
+    *("success", "converged", "status", "solver_status", "advice", "iterations", "objective", "variables"),
+    *("constraints", "max_violation", "worst_blocks", "wall_time_s", "function_time_s", "build_time_s"),
+    *("compile_time_s", "solver", "transcription", "tolerance", "seed", "perturb", "warm_start"),
 )
 
 # A cost of transport beyond this is that of a motion on the spot, for which it means nothing.
@@ -87,9 +66,11 @@ def solve_dict(solution: Solution, report: CheckReport | None, file: Path | None
     """Return the JSON of a solve; ``accuracy`` and ``file`` may be null."""
     from trajopt.motion.energy_use import cost_of_transport, energy
 
-    meta = solution.meta
     return {
-        **{key: meta[key] for key in FROM_META},
+        "problem": solution.description.problem,
+        "robot": solution.description.robot,
+        **{key: getattr(solution.statistics, key) for key in STATED},
+        "parameters": solution.description.parameters,
         "energy_j": energy(solution),
         "cost_of_transport": cost_of_transport(solution),
         "intervals": solution.n_intervals,
@@ -124,20 +105,24 @@ def solve_summary(solution: Solution, report: CheckReport | None, file: Path | N
     """Summarise a solve in a few lines: status, accuracy, file, next commands."""
     from trajopt.transcription.violations import describe_block
 
-    meta = solution.meta
-    lines = [_verdict(meta)]
-    if not meta["success"]:
-        lines.append(_line("advice", meta["advice"]))
-        blocks = [] if meta.get("converged") else meta["worst_blocks"]
+    statistics = solution.statistics
+    lines = [_verdict(solution)]
+    if not statistics.success:
+        lines.append(_line("advice", statistics.advice))
+        blocks = [] if statistics.converged else statistics.worst_blocks
         lines += [_line("worst", describe_block(block)) for block in blocks]
-    grid = f"{meta['transcription']}, {solution.n_intervals} intervals"
-    lines.append(_line("size", f"{meta['variables']} variables, {meta['constraints']} constraints; {grid}"))
-    lines.append(_line("objective", _number(meta["objective"])))
-    lines.append(_line("violation", f"{_number(meta['max_violation'])} (tolerance {meta['tolerance']:g})"))
+    grid = f"{statistics.transcription}, {solution.n_intervals} intervals"
+    lines.append(
+        _line("size", f"{statistics.variables} variables, {statistics.constraints} constraints; {grid}")
+    )
+    lines.append(_line("objective", _number(statistics.objective)))
+    lines.append(
+        _line("violation", f"{_number(statistics.max_violation)} (tolerance {statistics.tolerance:g})")
+    )
     lines.append(_line("energy", _energy(solution)))
     times = (
-        f"solver {meta['wall_time_s']:.2f} s (functions {meta['function_time_s']:.2f} s), "
-        f"build {meta['build_time_s']:.2f} s, compile {meta['compile_time_s']:.2f} s"
+        f"solver {statistics.wall_time_s:.2f} s (functions {statistics.function_time_s:.2f} s), "
+        f"build {statistics.build_time_s:.2f} s, compile {statistics.compile_time_s:.2f} s"
     )
     lines.append(_line("times", times))
     if report is not None:
@@ -147,20 +132,21 @@ def solve_summary(solution: Solution, report: CheckReport | None, file: Path | N
     if file is not None:
         name = shlex.quote(str(file))
         checks = [_line("next", f"trajopt check {name}"), _line("", f"trajopt replay {name}")]
-        lines += checks if meta["success"] else [_line("next", f"trajopt diagnose {name}")]
-    elif not meta["success"]:
+        lines += checks if statistics.success else [_line("next", f"trajopt diagnose {name}")]
+    elif not statistics.success:
         lines.append(_line("next", "the same command with --diagnose"))
     return "\n".join(lines)
 
 
-def _verdict(meta: dict[str, Any]) -> str:
+def _verdict(solution: Solution) -> str:
+    plan, statistics = solution.description, solution.statistics
     outcome = "solved"
-    if not meta["success"] and meta.get("converged"):
-        outcome = f"solved at its points only, {meta['status'].replace('_', ' ')}"
-    elif not meta["success"]:
-        outcome = f"NOT solved, {meta['status'].replace('_', ' ')} ({meta['solver_status']})"
-    count = f"{meta['solver']}, {meta['iterations']} iterations"
-    return f"{meta['problem']} on {meta['robot']}: {outcome}; {count}"
+    if not statistics.success and statistics.converged:
+        outcome = f"solved at its points only, {statistics.status.replace('_', ' ')}"
+    elif not statistics.success:
+        outcome = f"NOT solved, {statistics.status.replace('_', ' ')} ({statistics.solver_status})"
+    count = f"{statistics.solver}, {statistics.iterations} iterations"
+    return f"{plan.problem} on {plan.robot}: {outcome}; {count}"
 
 
 def _line(title: str, text: str) -> str:

@@ -89,7 +89,7 @@ def simulate_command(
         require_ending(page, ".html")
     plan = Solution.load(file)
     if not plan.success:
-        click.echo(f"trajopt: warning: {file} is no success: {plan.meta['status']}", err=True)
+        click.echo(f"trajopt: warning: {file} is no success: {plan.statistics.status}", err=True)
     with busy(f"simulating {plan.t[-1]:.3g} s of {file} in MuJoCo"):
         simulated = simulate(plan, **settings)
     if motion is not None:

@@ -178,10 +178,8 @@ def _way_of_solving(arguments: dict[str, Any]) -> Callable[..., SolveReport]:
 
 def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
     """Write the solution; an iterate that is not finite is not written, and a note says so."""
-    from trajopt.solution.file import consistent_meta
-
     try:
-        consistent_meta(solution.meta, solution.model_text, solution.arrays)
+        solution.require_consistent()
     except InputError as error:
         return None, [f"no file: {error}"]
     return solution.save(target), []

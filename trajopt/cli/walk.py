@@ -73,7 +73,7 @@ def walk_command(
     if planned is not None:
         made.save(planned)
     if not made.success:
-        click.echo(f"trajopt: warning: the walk of the pendulum is {made.meta['status']}", err=True)
+        click.echo(f"trajopt: warning: the walk of the pendulum is {made.statistics.status}", err=True)
     with busy(f"simulating {made.t[-1]:.3g} s in MuJoCo"):
         simulated = simulate(made, controller="whole-body")
     if motion is not None:

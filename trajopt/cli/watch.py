@@ -51,7 +51,7 @@ def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
     from trajopt.solving.rounds import INTERRUPTED
 
     with interruptible() as interruption, interruption.recording():
-        late = interruption.stops and solution.meta["status"] != INTERRUPTED
+        late = interruption.stops and solution.statistics.status != INTERRUPTED
 
         def leaving() -> bool:
             return late or interruption.pressed

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -140,7 +139,7 @@ def _robot_shapes(keyed: _Keyed) -> RobotShapes:
     return RobotShapes(
         shapes=shapes,
         pairs=pairs,
-        left_out=MappingProxyType(left_out),
+        left_out=left_out,
         missing=missing,
         above_ground=above_ground(robot, shapes),
     )

@@ -40,7 +40,7 @@ class Balance:
     ) -> None:
         self._units, self._gains, self._targets = NaturalUnits.of(plan.model), gains, targets
         self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
-        self._walks = bool(plan.meta.get("periodicity"))
+        self._walks = bool(plan.description.periodicity)
         self.wide = np.array([self._is_wide(plan, row, k) for k, row in enumerate(reference.active)])
         self.lasts = self._lasting(reference)
         # In gaits feet land where they catch the centre of mass instead.
@@ -104,8 +104,7 @@ class Balance:
 
     def _is_wide(self, plan: Solution, active: np.ndarray, k: int) -> bool:
         picked = np.flatnonzero(active)
-        kinds = [plan.meta["contact_kinds"][i] for i in picked]
-        if "surface" in kinds or self._targets.surfaces.bilateral[k, picked].any():
+        if plan.description.soles[picked].any() or self._targets.surfaces.bilateral[k, picked].any():
             return True
         return len(picked) > 2 and not len(
             thin_axes(self._targets.position[k, picked], THIN * self._units.length)

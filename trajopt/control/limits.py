@@ -12,8 +12,8 @@ from trajopt.solution.solution import Solution
 def torque_limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest torque (nu,); a source of rates or accelerations has none."""
     limit = np.full(plan.tau.shape[1], np.inf)
-    given = plan.meta.get("effort_limit")
-    if given is not None and plan.meta.get("actuation", "torque") == "torque":
+    given = plan.description.effort_limit
+    if given is not None and plan.description.actuation == "torque":
         limit = _numbers(given)
     return -limit, limit
 
@@ -49,7 +49,7 @@ class JointRange:
                 self.index[row] = joint.idx_q
                 self.low[row] = lower[joint.idx_q]
                 self.high[row] = upper[joint.idx_q]
-        given = plan.meta.get("velocity_limit")
+        given = plan.description.velocity_limit
         whole = np.full(model.nv, np.inf) if given is None else _numbers(given)
         self.fastest = whole[first:]
 
@@ -65,7 +65,6 @@ class JointRange:
         return np.minimum(np.minimum(low, brake), high), high
 
 
-def _numbers(given: list[float | None]) -> np.ndarray:
-    """Limits of a file, infinite where there is none."""
-    own = np.array([np.inf if entry is None else entry for entry in given], dtype=float)
-    return np.where(own > UNLIMITED, np.inf, own)
+def _numbers(limit: np.ndarray) -> np.ndarray:
+    """Limits, infinite where there is none."""
+    return np.where(limit > UNLIMITED, np.inf, limit)

@@ -31,8 +31,8 @@ class MeasuredContacts:
         self.frames = [int(plan.model.getFrameId(name)) for name in plan.contact_frames]
         self._reference, self._targets = reference, targets
         self._lost = LOST * NaturalUnits.of(plan.model).time
-        self._soles = [kind == "surface" for kind in plan.meta["contact_kinds"]]
-        self._sizes = plan.meta.get("contact_sizes") or [None] * len(self.frames)
+        self._soles = plan.description.soles.tolist()
+        self._sizes = [contact.half_size for contact in plan.description.contacts]
         self._touched_at = np.full(len(self.frames), -np.inf)
 
     def copy(self) -> MeasuredContacts:

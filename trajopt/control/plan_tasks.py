@@ -41,7 +41,7 @@ class PlanTasks:
         self._base = base_frame(tracking_model(plan, 0)) if self._moving else 0
         self._rows = np.arange(plan.n_unactuated, plan.model.nv)
         self._unit = self._units.acceleration(plan.model)[self._rows]
-        self._walks = bool(plan.meta.get("periodicity"))
+        self._walks = bool(plan.description.periodicity)
         self._stands = np.asarray(reference.active.any(axis=0))
         self._legs = _determined_joints(plan, self._stands)
         self._balance = Balance(plan, reference, targets, gains)
@@ -133,7 +133,7 @@ def _determined_joints(plan: Solution, stands: np.ndarray) -> np.ndarray:
     for i in np.flatnonzero(stands):
         rows = sorted(moving_rows(plan.model, plan.contact_frames[i]))
         own = [row - first for row in rows if row >= first]
-        found[i, own] = len(own) <= (6 if plan.meta["contact_kinds"][i] == "surface" else 3)
+        found[i, own] = len(own) <= (6 if plan.description.contacts[i].is_sole else 3)
     return found
 
 

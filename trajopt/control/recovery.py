@@ -292,8 +292,8 @@ def _feet_of(
 ) -> tuple[list[int], tuple[tuple[int, ...], ...]]:
     """Feet that step and groups that swing together; none where the plan does not end standing on four."""
     feet = np.flatnonzero(reference.active[-1])
-    points = all(plan.meta["contact_kinds"][i] == "point" for i in feet)
-    rests = reference.held and not plan.meta.get("periodicity")
+    points = all(not plan.description.contacts[i].is_sole for i in feet)
+    rests = reference.held and not plan.description.periodicity
     held = targets.surfaces.bilateral[-1, feet].any() or targets.surfaces.slides[-1, feet].any()
     if (
         len(feet) != 4

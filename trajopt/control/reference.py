@@ -147,7 +147,7 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
     """
     model, q, first = carrying_model(plan, int(plan.phase[-1])), plan.q[-1], plan.n_unactuated
     gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
-    sizes = [3 if kind == "point" else 6 for kind in plan.meta["contact_kinds"]]
+    sizes = [6 if contact.is_sole else 3 for contact in plan.description.contacts]
     picked = [(i, size) for i, size in enumerate(sizes) if plan.active[-1, i]]
     jacobian = contact_jacobian(model, q, [(plan.contact_frames[i], size) for i, size in picked])
     forces = np.concatenate([np.zeros(0), *(reference.f[-1, i, :size] for i, size in picked)])
@@ -164,7 +164,7 @@ def _with_hold(plan: Solution, reference: ReferenceTrajectory, hold: float) -> R
     """The reference with its end held for a while, where the plan ends at rest."""
     units = NaturalUnits.of(plan.model)
     speed = np.abs(plan.v[-1]) * units.time
-    if plan.meta.get("periodicity") or speed.max(initial=0.0) > REST:
+    if plan.description.periodicity or speed.max(initial=0.0) > REST:
         return reference
     held = math.ceil(hold * units.time / reference.period)
     torque, force = _at_rest(plan, reference)

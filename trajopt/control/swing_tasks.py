@@ -16,7 +16,6 @@ from trajopt.control.robot_state import RobotState
 from trajopt.control.support import Support
 from trajopt.control.tasks import FrameTask
 from trajopt.motion.natural_units import NaturalUnits
-from trajopt.solution.descriptions import terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface
 
@@ -40,12 +39,12 @@ class SwingTasks:
         self._units, self._gains = NaturalUnits.of(plan.model), gains
         self._targets, self._period = targets, reference.period
         self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
-        self._kinds = plan.meta["contact_kinds"]
+        self._soles = plan.description.soles
         self._level = level_footholds(plan, targets)
         period, length, time = reference.period, self._units.length, self._units.time
         self._offsets = FootholdOffsets(len(self._frames), period=period, length=length, time=time)
         self._steady = SteadyError(rate=gains.steady / time, period=period, length=length, time=time)
-        self._walks = bool(plan.meta.get("periodicity"))
+        self._walks = bool(plan.description.periodicity)
 
     def copy(self) -> SwingTasks:
         """These tasks, apart."""
@@ -82,7 +81,7 @@ class SwingTasks:
             velocity=velocity,
             acceleration=acceleration,
             bandwidth=self._gains.foot / units.time,
-            selection=np.eye(6)[: 6 if self._kinds[i] == "surface" else 3],
+            selection=np.eye(6)[: 6 if self._soles[i] else 3],
             units=(units.gravity, units.gravity / units.length),
         )
 
@@ -102,6 +101,6 @@ class SwingTasks:
 
 def level_footholds(plan: Solution, targets: PlanTargets) -> np.ndarray:
     """Where (n, nc) feet may land beside their footholds: on level ground without edges."""
-    smooth = not plan.meta.get("surfaces") and isinstance(terrain_of(plan.meta["terrain"]), Surface)
+    smooth = not plan.description.surfaces and isinstance(plan.description.ground, Surface)
     level = np.abs(targets.surfaces.normal - UP).max(axis=2) < LEVEL
     return np.asarray(level & smooth)

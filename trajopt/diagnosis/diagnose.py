@@ -61,7 +61,7 @@ def diagnose(
     solution = solution_of(what)
     source = str(what) if isinstance(what, str | Path) else "solution"
     rebuilt = _problem_of(solution) if problem is None else problem
-    robot = str(solution.meta["robot"])
+    robot = str(solution.description.robot)
     if robot != rebuilt.robot.name:
         raise InputError(
             f"problem '{rebuilt.name}' is on robot '{rebuilt.robot.name}', and {source} on '{robot}'",
@@ -73,7 +73,7 @@ def diagnose(
 
 def _problem_of(solution: Solution) -> Problem:
     """The problem of the catalogue that a solution names, with its parameters. Raises InputError."""
-    name, known = str(solution.meta["problem"]), families()
+    name, known = str(solution.description.problem), families()
     if name not in known:
         raise InputError(
             f"the file's problem '{name}' is not in the catalogue",
@@ -81,7 +81,7 @@ def _problem_of(solution: Solution) -> Problem:
         )
     family = known[name]
     own = {parameter.name: parameter for parameter in family.parameters}
-    values = family.of_file(solution.meta.get("parameters") or {})
+    values = family.of_file(solution.description.parameters or {})
     try:
         return family.load(values)
     except InputError:  # a derived value may be outside the parameter's range
@@ -99,7 +99,7 @@ def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
         x=found.x,
         row_multiplier=solution.row_multiplier if known else None,
         bound_multiplier=solution.bound_multiplier if known else None,
-        tolerance=float(solution.meta["tolerance"]),
+        tolerance=float(solution.statistics.tolerance),
     )
 
 
@@ -111,7 +111,7 @@ def _same_rows(t: Transcription, solution: Solution) -> bool:
         return False
     places = np.column_stack([t.rows.block, t.rows.stage, t.rows.point])
     return (
-        list(solution.meta.get("row_names", ())) == list(t.rows.names)
+        solution.statistics.row_names == tuple(t.rows.names)
         and np.array_equal(solution.row_place, places)
         and len(solution.bound_multiplier) == t.layout.n_unknowns
     )
@@ -126,14 +126,14 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
     judged = snapshot if near else snapshot.structure
     worst = _worst(snapshot, TRUSTED * snapshot.tolerance)
     largest = float(snapshot.violations.max(initial=0.0)) if np.isfinite(snapshot.violations).all() else None
-    meta = {} if solution is None else solution.meta
-    motion = extract(t, snapshot.x, {"success": False}) if solution is None else solution
+    statistics = None if solution is None else solution.statistics
+    motion = extract(t, snapshot.x) if solution is None else solution
     found = Diagnosis(
         problem=t.problem.name,
         robot=t.problem.robot.name,
         source=source,
-        status=meta.get("status"),
-        solved=bool(meta.get("converged", meta.get("success", False))),
+        status=None if statistics is None else statistics.status,
+        solved=statistics is not None and statistics.converged,
         variables=t.layout.n_unknowns,
         constraints=t.n_rows,
         max_violation=largest,
@@ -146,7 +146,7 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
         scaling=scaling(snapshot) if finite else None,
         limits=tuple(active_limits(snapshot)) if finite else (),
         conflict=conflict(snapshot) if finite and worst else None,
-        local_error=_local_errors(solution) if meta.get("converged") else None,
+        local_error=_local_errors(solution) if solution is not None and solution.converged else None,
         start=tuple(start_findings(t.problem)),
         notes=tuple(_notes(snapshot, solution, largest)),
     )
@@ -181,7 +181,7 @@ def _local_errors(solution: Solution | None) -> dict[str, float] | None:
             errors = interval_errors(solution)
     except (TrajoptError, ArithmeticError, ValueError):
         return None
-    names = solution.meta.get("phase_names") or [str(i) for i in range(len(solution.phases))]
+    names = solution.description.phase_names or [str(i) for i in range(len(solution.phases))]
     return {
         str(name): float(np.max(errors[np.unique(solution.interval[list(rows)])]))
         for name, rows in zip(names, solution.phases, strict=True)
@@ -193,10 +193,10 @@ def _notes(snapshot: Snapshot, solution: Solution | None, largest: float | None)
     if solution is None:
         return
     unit = snapshot.transcription.objective_unit
-    before, now = solution.meta.get("objective"), unit * float(snapshot.nlp.engine.f(snapshot.x))
+    before, now = solution.statistics.objective, unit * float(snapshot.nlp.engine.f(snapshot.x))
     if before is not None and math.isfinite(now) and abs(now - before) > SAME * max(1.0, abs(before)):
         yield f"the rebuilt problem's objective is {now:.6g} here, the file says {before:.6g}: they differ"
-    told = solution.meta.get("max_violation")
+    told = solution.statistics.max_violation
     if told is not None and largest is not None and abs(largest - told) > SAME * max(1.0, told):
         yield f"the rebuilt problem's rows miss {largest:.2e} here, the file says {told:.2e}: they differ"
     if solution.converged and snapshot.complementarity > SAME:

@@ -54,7 +54,7 @@ def write_amp_hardware(motions: Sequence[ExportedMotion], path: Path, options: M
         velocity,
     ]
     described = {
-        "LoopMode": "Wrap" if motion.plan.meta.get("periodicity") else "Clamp",
+        "LoopMode": "Wrap" if motion.plan.description.periodicity else "Clamp",
         "FrameDuration": 1.0 / motion.rate,
         "EnableCycleOffsetPosition": True,
         "EnableCycleOffsetRotation": True,

@@ -67,12 +67,12 @@ class ExportedMotion:
     @property
     def robot(self) -> str:
         """Name of the robot."""
-        return str(self.plan.meta["robot"])
+        return str(self.plan.description.robot)
 
     @property
     def problem(self) -> str:
         """Name of the problem."""
-        return str(self.plan.meta["problem"])
+        return str(self.plan.description.problem)
 
 
 @checked

@@ -72,7 +72,7 @@ def _base_features(motion: ExportedMotion) -> dict[str, Feature]:
 def _contact_features(motion: ExportedMotion) -> dict[str, Feature]:
     """Contacts that are active, forces, and moments of soles, which points do not have; world axes."""
     frames, count = motion.plan.contact_frames, len(motion.t)
-    soles = [i for i, kind in enumerate(motion.plan.meta["contact_kinds"]) if kind == "surface"]
+    soles = np.flatnonzero(motion.plan.description.soles).tolist()
     force = motion.f[..., :3].reshape(count, -1)
     moment = motion.f[:, soles, 3:].reshape(count, -1)
     return {

@@ -15,7 +15,6 @@ from trajopt.export.formats import package_of_format
 from trajopt.export.links import frame_motion
 from trajopt.export.ros_messages import EXTRA, NANOSECONDS, RosMessages, full_type
 from trajopt.export.transforms import WORLD_FRAME, FrameTree, frame_tree
-from trajopt.robot.data import VisualSource
 from trajopt.solution.local_states import rotation_matrices
 
 # Of the layout of a bag; read by ROS 2 since it has this version, and by rosbags.
@@ -106,8 +105,7 @@ def _write_once(bag: _Bag, motion: ExportedMotion, tree: FrameTree) -> None:
 
 def _urdf(motion: ExportedMotion) -> str | None:
     """Text of the robot's URDF; None where it has none, or its file is not here."""
-    described = motion.plan.meta.get("visual")
-    source = VisualSource.from_meta(described) if described else None
+    source = motion.plan.description.visual
     if source is None or source.is_mjcf or not source.urdf.is_file():
         return None
     return source.urdf.read_text(encoding="utf-8", errors="replace")

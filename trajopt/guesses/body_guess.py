@@ -122,9 +122,10 @@ def guess_from_srb(problem: Problem, solution: Solution, *, clearance: float = D
         InputError: For another solution.
     """
     names = [phase.name for phase in problem.schedule.phases]
-    if solution.q.shape[1] != 7 or list(solution.meta["phase_names"]) != names:
+    phases = list(solution.phase_names)
+    if solution.q.shape[1] != 7 or phases != names:
         raise InputError(
-            f"the solution has {solution.q.shape[1]} coordinates and phases {solution.meta['phase_names']}",
+            f"the solution has {solution.q.shape[1]} coordinates and phases {phases}",
             f"allowed: a free-flyer, 7, and phases {names}",
         )
     durations = [phase.duration for phase in problem.schedule.phases]

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -32,7 +31,8 @@ from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kin
 from trajopt.robot.legs import biped_legs, require_soles
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
-from trajopt.solving.extraction import contact_activity, robot_meta
+from trajopt.solution.statistics import SolveStatistics
+from trajopt.solving.extraction import contact_activity, described
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import UP
 from trajopt.versions import VERSIONED, installed_version
@@ -117,7 +117,7 @@ def walk_plan(
 ) -> Solution:
     """The plan of a walk of the linear inverted pendulum, on level ground.
 
-    ``success`` of its meta says whether torques and contact forces within their limits give the motion at
+    ``success`` says whether torques and contact forces within their limits give the motion at
     every sample; the pendulum knows nothing of angular momentum, of which swinging legs have some.
 
     Args:
@@ -207,7 +207,7 @@ class _Samples:
         )
 
     def solution(self) -> Solution:
-        """All samples with their meta. Raises `_OutOfReachError`."""
+        """All samples with what they are of. Raises `_OutOfReachError`."""
         schedule = self.problem.schedule
         starts = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
         counts = [
@@ -230,8 +230,9 @@ class _Samples:
         active = contact_activity(self.robot, schedule)[rows]
         tau, f, feasible = self._torques(q, v, a, active)
         return Solution(
-            meta=self._meta(counts, feasible),
-            model_text=self.robot.limited_model().saveToString(),
+            description=described(self.problem),
+            statistics=self._statistics(feasible),
+            model=self.robot.limited_model(),
             t=t,
             phase=rows,
             interval=np.repeat(np.arange(len(phase)), 3),
@@ -330,24 +331,16 @@ class _Samples:
             joint = f"joint '{names[row]}' of '{self.robot.name}' turns at {abs(v[row]):.3g} rad/s"
             raise _OutOfReachError(f"at {t:.2f} s {joint}", f"{most[row]:.3g} rad/s; {SHORTER}")
 
-    def _meta(self, counts: list[int], feasible: bool) -> dict[str, Any]:
-        problem, schedule = self.problem, self.problem.schedule
-        return {
-            "problem": problem.name,
-            "parameters": dict(problem.parameters),
-            "actuation": problem.actuation,
-            "terrain": problem.terrain.describe(),
-            "transcription": "walk of the pendulum",
-            "solver": "inverse kinematics",
-            "status": "planned" if feasible else "beyond the limits of the robot",
-            "success": feasible,
-            "objective": None,
-            "iterations": 0,
-            "tolerance": FEASIBLE,
-            "wall_time_s": 0.0,
-            "intervals": counts,
-            "durations": [phase.duration for phase in schedule.phases],
-            "phase_names": [phase.name for phase in schedule.phases],
-            "versions": {name: installed_version(name) for name in VERSIONED},
-            **robot_meta(problem),
-        }
+    def _statistics(self, feasible: bool) -> SolveStatistics:
+        return SolveStatistics(
+            transcription="walk of the pendulum",
+            solver="inverse kinematics",
+            status="planned" if feasible else "beyond the limits of the robot",
+            success=feasible,
+            converged=feasible,
+            objective=None,
+            iterations=0,
+            tolerance=FEASIBLE,
+            wall_time_s=0.0,
+            versions={name: installed_version(name) for name in VERSIONED},
+        )

@@ -8,7 +8,6 @@ import numpy as np
 
 from trajopt.collision.near import CollisionScene
 from trajopt.motion.traces import Trace, Traces
-from trajopt.solution.descriptions import bodies_of, body_margins_of, body_scene_of, scene_of_meta
 from trajopt.solution.solution import Solution
 
 # Pairs within this distance beyond their margin, m, are measured, and farther ones where no pair of their
@@ -19,11 +18,11 @@ KINDS = ("ground", "obstacle", "self")
 
 @dataclass(frozen=True, kw_only=True)
 class FileBodies:
-    """Scenes of the bodies in a solution's meta.
+    """Scenes of the bodies of a solution.
 
-    Of the shapes in ``meta["bodies"]``, and of the capsules in ``meta["collision"]``, which are wider, or are
-    all that an older file has. kinds: (n,) of the pairs of all scenes, what the second body is. margins: (n,)
-    m that they shall keep. within: (n,) m, beyond which distances are lower bounds.
+    Of the shapes of its links, and of capsules, which are wider, and all that an older file has.
+    kinds: (n,) of the pairs of all scenes, what the second body is. margins: (n,) m that they shall keep.
+    within: (n,) m, beyond which distances are lower bounds.
     """
 
     scenes: tuple[CollisionScene, ...]
@@ -34,10 +33,13 @@ class FileBodies:
     @classmethod
     def of(cls, plan: Solution) -> tuple[FileBodies, Traces]:
         """The bodies of a plan and their figures at its samples; of each kind the nearest pair is exact."""
-        bodies, collision = body_scene_of(plan.model, plan.meta), plan.meta.get("collision")
-        scenes = [own for own in (bodies, scene_of_meta(plan.model, collision)) if own is not None]
+        bodies, capsules = (
+            scene(plan.model) for scene in (plan.description.body_scene, plan.description.capsule_scene)
+        )
+        scenes = [scene for scene in (bodies, capsules) if scene is not None]
         margins = [
-            body_margins_of(plan.meta, own) if own is bodies else np.zeros(len(own.pairs)) for own in scenes
+            plan.description.body_margins(scene) if scene is bodies else np.zeros(len(scene.pairs))
+            for scene in scenes
         ]
         asked = np.concatenate([np.zeros(0), *margins])
         found = cls(
@@ -94,7 +96,7 @@ def _kinds(scene: CollisionScene) -> list[str]:
 
 def missing_shapes(plan: Solution) -> tuple[str, ...]:
     """What is not known of a motion because shapes of links are not in its file."""
-    bodies = bodies_of(plan.meta.get("bodies"))
+    bodies = plan.description.bodies
     if bodies is None or not bodies.shapes:
         return ("no shapes of links are in the file: their depth in the ground and distances are not known",)
     if bodies.missing:

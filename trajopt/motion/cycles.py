@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -11,6 +10,7 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.robot.mirror import signed
+from trajopt.solution.description import PeriodicImage
 from trajopt.solution.solution import Solution
 
 
@@ -19,23 +19,23 @@ def passes_of(plan: Solution, cycles: int) -> int:
 
     Raises `InputError` for several cycles of a plan that is not periodic.
     """
-    described = plan.meta.get("periodicity")
+    described = plan.description.periodicity
     if cycles > 1 and not described:
         raise InputError("the solution is not periodic", "allowed: --cycles 1")
-    return cycles * (2 if described and described["mirror"] else 1)
+    return cycles * (2 if described and described.mirror else 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CycleImage:
     """The map from a periodic plan's samples to those one pass later; arrays have one row a sample.
 
-    described: the key ``periodicity`` of meta. duration: of a pass, s. index, sign: (nv,) for each row of v
+    described: of a state. duration: of a pass, s. index, sign: (nv,) for each row of v
     the one that it comes from. contacts: for each contact the one whose image it is. first: number of
     unactuated rows. to_force, to_moment: (3, 3) maps of contact forces and moments, world axes.
     """
 
     model: pin.Model
-    described: dict[str, Any]
+    described: PeriodicImage
     duration: float
     index: np.ndarray
     sign: np.ndarray
@@ -47,19 +47,21 @@ class CycleImage:
     @classmethod
     def of(cls, plan: Solution) -> CycleImage:
         """The map of a plan that is periodic."""
-        described = plan.meta["periodicity"]
-        turned = pin.utils.rotate("z", float(described["turn"]))
-        flip = np.array([1.0, -1.0, 1.0]) if described["mirror"] else np.ones(3)
+        described = plan.description.periodicity
+        if described is None:
+            raise InputError("the solution is not periodic", "allowed: a plan with a periodicity")
+        turned = pin.utils.rotate("z", described.turn)
+        flip = np.array([1.0, -1.0, 1.0]) if described.mirror else np.ones(3)
         return cls(
             model=plan.model,
             described=described,
             duration=float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]),
-            index=np.array(described["index"], dtype=int),
-            sign=np.array(described["sign"], dtype=float),
+            index=described.index,
+            sign=described.sign,
             contacts=image_of_contacts(plan, described),
             first=plan.n_unactuated,
             to_force=turned * flip,
-            to_moment=turned * (flip if not described["mirror"] else -flip),
+            to_moment=turned * (flip if not described.mirror else -flip),
         )
 
     def of_states(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -84,9 +86,9 @@ class CycleImage:
         return active[:, self.contacts]
 
 
-def image_of_contacts(plan: Solution, described: dict[str, Any]) -> list[int]:
+def image_of_contacts(plan: Solution, described: PeriodicImage) -> list[int]:
     """For each contact, the one whose image it is: the rows of v that move it map to the rows of that one."""
-    index = np.array(described["index"], dtype=int)
+    index = described.index
     moved = [moving_rows(plan.model, frame) for frame in plan.contact_frames]
     return [moved.index({int(index[row]) for row in rows}) for rows in moved]
 
@@ -101,12 +103,12 @@ def moving_rows(model: pin.Model, frame: str) -> set[int]:
 
 
 def periodic_image(
-    model: pin.Model, described: dict[str, Any], q: np.ndarray, v: np.ndarray, duration: float
+    model: pin.Model, described: PeriodicImage, q: np.ndarray, v: np.ndarray, duration: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Image of a state (nq,), (nv,), or of n (n, nq), (n, nv), under a described periodicity."""
-    index, sign = np.array(described["index"], dtype=int), np.array(described["sign"], dtype=float)
-    moved = _translation(described, duration)
-    turn, origin = float(described["turn"]), np.array(described["origin"], dtype=float)
+    index, sign = described.index, described.sign
+    moved = described.moved(duration)
+    turn, origin = described.turn, described.origin
     found = q.copy()
     for joint in list(model.joints)[1:]:
         if joint.nv == 1:
@@ -119,7 +121,7 @@ def periodic_image(
         rotation = pin.utils.rotate("z", turn)
         position = q[..., :3] * sign[:3] + (1 - sign[:3]) * origin
         found[..., :3] = origin + (position - origin) @ rotation.T + moved
-        mirrored = q[..., 3:7] * ([-1.0, 1.0, -1.0, 1.0] if described["mirror"] else np.ones(4))
+        mirrored = q[..., 3:7] * ([-1.0, 1.0, -1.0, 1.0] if described.mirror else np.ones(4))
         found[..., 3:7] = mirrored @ _turning(turn).T
     elif base == "planar":
         found[..., :2] += moved[[0, 2]]
@@ -132,10 +134,3 @@ def _turning(turn: float) -> np.ndarray:
     """Matrix (4, 4) that turns quaternions (x, y, z, w) by ``turn`` rad about the world's vertical."""
     c, s = np.cos(turn / 2), np.sin(turn / 2)
     return np.array([[c, -s, 0.0, 0.0], [s, c, 0.0, 0.0], [0.0, 0.0, c, s], [0.0, 0.0, -s, c]])
-
-
-def _translation(described: dict[str, Any], duration: float) -> np.ndarray:
-    if described["velocity"] is not None:
-        return np.array(described["velocity"], dtype=float) * duration
-    given = described["translation"]
-    return np.zeros(3) if given is None else np.array(given, dtype=float)

@@ -8,7 +8,7 @@ import numpy as np
 
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.motion.samples import SampleQuantities, sample_quantities
-from trajopt.motion.touched import TouchedSurfaces, held_part, is_sole
+from trajopt.motion.touched import TouchedSurfaces, held_part
 from trajopt.motion.traces import Trace, Traces, names_of_rows
 from trajopt.solution.solution import Solution
 
@@ -30,13 +30,13 @@ def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
     """Residuals at every sample; base rows of velocity sources are statics, RNEA(q, 0, 0) - sum J^T f."""
     base, force = plan.n_unactuated, samples.generalized_force
     balance, held = force[:, :base], samples.acceleration
-    if plan.meta.get("actuation") == "velocity":  # rows of statics and of velocities, not of motion
+    if plan.description.actuation == "velocity":  # rows of statics and of velocities, not of motion
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
         balance = sample_quantities(still).generalized_force[:, :base] if base else balance
         held = samples.velocity
     contact = np.concatenate([held_part(held[..., :3], surfaces), held[..., 3:]], axis=-1)
     contact[~plan.active] = 0.0
-    contact[:, ~is_sole(plan), 3:] = 0.0
+    contact[:, ~plan.description.soles, 3:] = 0.0
     return DynamicsRows(base=balance, actuated=force[:, base:] - plan.tau, contact=contact)
 
 
@@ -48,7 +48,7 @@ def dynamics_traces(plan: Solution, samples: SampleQuantities, surfaces: Touched
     rows, points = dynamics_rows(plan, samples, surfaces), plan.collocation[:, None]
     gravity = gravity_of(plan.model)
     weight = mass_of(plan.model) * gravity
-    moving = np.sqrt(gravity) if plan.meta.get("actuation") == "velocity" else gravity
+    moving = np.sqrt(gravity) if plan.description.actuation == "velocity" else gravity
     names, contact = names_of_rows(plan), np.abs(rows.contact).max(axis=-1, initial=0.0) / moving
     base = plan.n_unactuated
     return {

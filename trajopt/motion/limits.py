@@ -13,32 +13,31 @@ def limit_traces(plan: Solution) -> Traces:
     """Torques and velocities over their limits minus one, positions beyond theirs over the range."""
     rows = names_of_rows(plan)
     # Rates that are control inputs have values at collocation points only, others everywhere.
-    moving = plan.collocation[:, None] if plan.meta.get("actuation") == "velocity" else True
+    moving = plan.collocation[:, None] if plan.description.actuation == "velocity" else True
     lower, upper = position_limits(plan.model)
     beyond = np.maximum(plan.q - upper, lower - plan.q)
     limited = np.isfinite(lower) | np.isfinite(upper)
     span = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
     places = [name for joint, name in joints_of(plan) for _ in range(joint.nq)]
     return {
-        "effort_excess": _beyond(plan.tau, plan.meta["effort_limit"], rows[plan.n_unactuated :]),
-        "velocity_excess": _beyond(plan.v, plan.meta["velocity_limit"], rows, moving),
+        "effort_excess": _beyond(plan.tau, plan.description.effort_limit, rows[plan.n_unactuated :]),
+        "velocity_excess": _beyond(plan.v, plan.description.velocity_limit, rows, moving),
         "position_excess": Trace.of(beyond / span, limited, places),
     }
 
 
 def _beyond(
-    values: np.ndarray, limit: list[float | None] | None, names: list[str], counts: np.ndarray | bool = True
+    values: np.ndarray, limit: np.ndarray | None, names: list[str], counts: np.ndarray | bool = True
 ) -> Trace:
     """|x| / limit - 1 of the limited columns; where the limit is zero, |x| itself."""
-    entries = [None] * values.shape[1] if limit is None else limit
-    bound = np.array([np.inf if entry is None else entry for entry in entries], dtype=float)
+    bound = np.full(values.shape[1], np.inf) if limit is None else limit
     limited = np.isfinite(bound)
     unit, most = np.where(limited & (bound > 0), bound, 1.0), np.where(limited, bound, 0.0)
     return Trace.of((np.abs(values) - most) / unit, limited & counts, names)
 
 
 def drive_traces(plan: Solution) -> Traces:
-    """Motor torque and voltage over their limits, minus one, from ``tau``, ``v`` and the drives of meta."""
+    """Motor torque and voltage over their limits, minus one, from ``tau``, ``v`` and the drives."""
     rates, torque = plan.v[:, plan.n_unactuated :], plan.drive_torque
     names = names_of_rows(plan)[plan.n_unactuated :]
     current, voltage = np.zeros(torque.shape), np.zeros(torque.shape)

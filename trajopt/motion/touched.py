@@ -1,14 +1,12 @@
-"""Surface that every contact of a solution touches, sample by sample: from its meta to arrays."""
+"""Surface that every contact of a solution touches, sample by sample: from its description to arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from trajopt.solution.descriptions import GroundShape, surfaces_of, terrain_of
+from trajopt.solution.description import GroundShape
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface
 
@@ -64,11 +62,13 @@ def touched_surfaces(
     ``phases`` (K,): of these positions if they are not those of the samples.
     """
     frames, rows = list(plan.contact_frames), plan.phase if phases is None else phases
-    radii = contact_radii(plan.meta)
-    point, normal, known = _ground(terrain_of(plan.meta["terrain"]), position, radii)
-    friction = np.tile(np.array(plan.meta["friction"], dtype=float), (len(rows), 1))
+    radii = plan.description.radii
+    point, normal, known = _ground(plan.description.ground, position, radii)
+    friction = np.tile(
+        np.array([contact.friction for contact in plan.description.contacts], dtype=float), (len(rows), 1)
+    )
     bilateral, slip = np.zeros(friction.shape, dtype=bool), np.full(friction.shape, np.nan)
-    for phase, surfaces in enumerate(surfaces_of(plan.meta.get("surfaces"))):
+    for phase, surfaces in enumerate(plan.description.surfaces):
         for frame, surface in surfaces.items():
             at = (rows == phase, frames.index(frame))
             raised = surface.offset(float(radii[at[1]]))
@@ -84,11 +84,6 @@ def touched_surfaces(
         known=known,
         slip=slip,
     )
-
-
-def contact_radii(meta: Mapping[str, Any]) -> np.ndarray:
-    """Radii (nc,) m of the contacts of a consistent solution; zero in older files, which have none."""
-    return np.array(meta.get("contact_radius") or np.zeros(len(meta["contact_frames"])), dtype=float)
 
 
 def _ground(
@@ -115,15 +110,10 @@ def _ground(
 def held_samples(plan: Solution) -> np.ndarray:
     """Where contacts are on bilateral surfaces (K, nc). Raises `SolutionFileError`."""
     held, frames = np.zeros(plan.active.shape, dtype=bool), list(plan.contact_frames)
-    for phase, surfaces in enumerate(surfaces_of(plan.meta.get("surfaces"))):
+    for phase, surfaces in enumerate(plan.description.surfaces):
         for frame, surface in surfaces.items():
             held[plan.phase == phase, frames.index(frame)] = surface.bilateral
     return held
-
-
-def is_sole(plan: Solution) -> np.ndarray:
-    """Which contacts are soles (nc,)."""
-    return np.array([kind == "surface" for kind in plan.meta["contact_kinds"]], dtype=bool)
 
 
 def held_part(vectors: np.ndarray, surfaces: TouchedSurfaces) -> np.ndarray:

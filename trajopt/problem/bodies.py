@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -125,20 +124,6 @@ def bodies_of(problem: Problem) -> ProblemBodies:
     return found
 
 
-def bodies_meta(problem: Problem) -> dict[str, Any]:
-    """Description of the bodies for a solution's meta; empty where there are none."""
-    shapes, clearance = shapes_of(problem), clearance_of(problem)
-    found: dict[str, Any] = {"bodies": shapes.describe()} if shapes.shapes or shapes.missing else {}
-    if found and clearance.margin > 0:
-        scene = CollisionScene(model=problem.robot.model, shapes=shapes.shapes, self_pairs=shapes.pairs)
-        apart = _self_margins(problem.robot, scene, clearance.margin)
-        found["bodies"]["margins"] = {"obstacles": float(clearance.margin), "pairs": apart.tolist()}
-    if clearance.obstacles:
-        own = [obstacle.describe() for obstacle in clearance.obstacles]
-        found["collision"] = {"capsules": [], "obstacles": own, "self_pairs": []}
-    return found
-
-
 def _margins(robot: Robot, scene: CollisionScene, margin: float, start: np.ndarray | None) -> np.ndarray:
     """Least distance (n_pairs,) m of each pair; two links keep no more than in the reference posture.
 
@@ -153,11 +138,11 @@ def _margins(robot: Robot, scene: CollisionScene, margin: float, start: np.ndarr
         touching = _touching(robot, scene.moving)
         found[: scene.n_ground] = np.where(touching, np.minimum(standing - DEEPER, -GIVE), 0.0)
     if margin > 0 and scene.self_pairs:
-        found[scene.n_outer :] = _self_margins(robot, scene, margin)
+        found[scene.n_outer :] = self_margins(robot, scene, margin)
     return found
 
 
-def _self_margins(robot: Robot, scene: CollisionScene, margin: float) -> np.ndarray:
+def self_margins(robot: Robot, scene: CollisionScene, margin: float) -> np.ndarray:
     """Least distance (n,) m of each pair of two links: ``margin``, or theirs in the reference posture."""
     apart = scene.distances(robot.reference)[0, scene.n_outer :]
     return np.asarray(np.minimum(margin, np.maximum(apart, 0.0)))

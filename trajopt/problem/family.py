@@ -166,7 +166,7 @@ class Family:
         return any(isinstance(parameter, RobotName) for parameter in self.parameters)
 
     def of_file(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Values in a solution's ``meta``, of any version, of parameters that the family has."""
+        """Values of a solution, of any version, of parameters that the family has."""
         known = {parameter.name for parameter in self.parameters}
         named = {name if name in known else RENAMED.get(name, name): value for name, value in given.items()}
         return {name: value for name, value in named.items() if name in known and value is not None}

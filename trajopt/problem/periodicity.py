@@ -14,8 +14,8 @@ except one for every rotation: its norm at the start.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -77,12 +77,6 @@ class Periodicity:
     def images(self, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
         """For each rate of the image the index and the sign of the rate (nv,) that it comes from."""
         return mirrored_rows(robot, find_mirror(robot)) if self.mirror else _same(robot.nv)
-
-    def describe(self, robot: Robot, origin: np.ndarray) -> dict[str, Any]:
-        """JSON-able description for a solution file; ``origin`` (3,) m is a point of the axis or plane."""
-        index, sign = self.images(robot)
-        place = np.asarray(origin, dtype=float).tolist()
-        return {"index": index.tolist(), "sign": sign.tolist(), **asdict(self), "origin": place}
 
 
 def _same(n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -234,7 +234,7 @@ def _joint(solution: Solution, name: str, torque: np.ndarray, excess: np.ndarray
         peak=float(np.abs(torque[points]).max()),
         excess=float(excess[at]),
         time=float(solution.t[at]),
-        phase=str(solution.meta["phase_names"][solution.phase[at]]),
+        phase=str(solution.description.phase_names[solution.phase[at]]),
         share_beyond=float(np.mean(excess[points] > ROUNDING)),
     )
 

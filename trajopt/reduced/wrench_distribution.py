@@ -58,8 +58,9 @@ def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
     """Return the solution with wrenches redistributed and the torques that follow; the motion is kept.
 
     Wrenches and torques between the points follow the interpolating polynomials, as in any solution. Where
-    there is no internal force, or OSQP finds nothing better, wrenches stay; ``meta["redistributed"]`` counts
-    the points that changed and those that were kept, and ``effort_limit`` is the full problem's.
+    there is no internal force, or OSQP finds nothing better, wrenches stay. ``redistributed`` in ``more`` of
+    the statistics counts the points that changed and those that were kept, and ``effort_limit`` is the full
+    problem's.
 
     Args:
         problem: The full problem, with its limits and contact terms.
@@ -82,12 +83,13 @@ def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
             changed += 1
     f, torque = interpolated(solution, f), interpolated(solution, torque)
     limit = np.asarray(problem.robot.actuated_row_limit(problem_torque_limit(problem)))
-    meta = {
-        **solution.meta,
-        "effort_limit": np.minimum(limit, sys.float_info.max).tolist(),
-        "redistributed": {"points": changed, "kept": len(points) - changed},
-    }
-    return replace(solution, f=f, tau=torque, meta=meta)
+    counts = {"points": changed, "kept": len(points) - changed}
+    return replace(
+        solution.with_description(effort_limit=np.minimum(limit, sys.float_info.max)),
+        statistics=replace(solution.statistics, more={**solution.statistics.more, "redistributed": counts}),
+        f=f,
+        tau=torque,
+    )
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,8 @@
 """A rigid body that a robot carries during some phases: a box in a gripper.
 
 In these phases the body is part of the link that holds it, so its inertia enters the dynamics exactly. A
-solution file has one model, the robot's own, and describes the bodies and their phases in ``payloads`` of its
-meta. To the robot's own model the body is a wrench at the holding contact, by Newton and Euler in the axes of
-the contact's frame,
+solution has one model, the robot's own, and describes the bodies and their phases. To the robot's own model
+the body is a wrench at the holding contact, by Newton and Euler in the axes of the contact's frame,
 
     w = -(Y (a - g) + v x* Y v)          Y = spatial inertia of the body at the frame's origin
 
@@ -14,7 +13,6 @@ the torques of the robot with its load.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -63,17 +61,6 @@ class Payload:
     def spatial(self) -> pin.Inertia:
         """Spatial inertia in the axes of the contact's frame, about its origin."""
         return pin.Inertia(float(self.mass), np.array(self.centre), np.array(self.inertia))
-
-    def describe(self, robot: Robot) -> dict[str, Any]:
-        """JSON-able description for a solution file."""
-        assert self.centre is not None
-        assert self.inertia is not None
-        return {
-            "frame": robot.contact(self.contact).frame,
-            "mass": float(self.mass),
-            "centre": self.centre.tolist(),
-            "inertia": self.inertia.tolist(),
-        }
 
 
 def loaded_model(model: pin.Model, frame: str, body: pin.Inertia) -> pin.Model:

@@ -12,7 +12,7 @@ from trajopt.robot.robot import Robot
 from trajopt.scenes.reduction import Reduction
 from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
-from trajopt.solving.extraction import contact_activity, robot_meta
+from trajopt.solving.extraction import contact_activity, described_robot
 
 _Trajectory = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -32,11 +32,10 @@ def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) ->
     f = reduction.lift_forces(solution.f)
     if reduction.is_half:
         f = _carrying(solution, whole, motion, f, every)
-    kept = {key: value for key, value in solution.meta.items() if key != "drives"}
     return replace(
         solution,
-        meta={**kept, **robot_meta(problem)},
-        model_text=whole.limited_model().saveToString(),
+        description=replace(solution.description, **described_robot(problem)),
+        model=whole.limited_model(),
         q=q,
         v=motion[1],
         a=motion[2],

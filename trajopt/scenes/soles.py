@@ -19,7 +19,7 @@ from trajopt.robot.contact import Contact
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
-from trajopt.solving.extraction import contact_activity, robot_meta
+from trajopt.solving.extraction import contact_activity, described_robot
 from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid, SoleCone
 from trajopt.terms.interfaces import Term
 
@@ -60,8 +60,8 @@ class Soles:
             f[k] = [forces[contact.name] for contact in robot.contacts]
         return replace(
             solution,
-            meta={**solution.meta, **robot_meta(original)},
-            model_text=robot.limited_model().saveToString(),
+            description=replace(solution.description, **described_robot(original)),
+            model=robot.limited_model(),
             f=interpolated(solution, f),
             active=contact_activity(robot, original.schedule)[solution.phase],
         )

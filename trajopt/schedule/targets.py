@@ -1,6 +1,6 @@
-"""Targets: positions, orientations and postures to reach at single moments, as recorded in a solution's meta.
+"""Targets: positions, orientations and postures to reach at single moments, as recorded in a solution.
 
-Terms give theirs by `Term.targets`; footholds of the schedule are targets too. ``meta["goals"]`` is a list
+Terms give theirs by `Term.targets`; footholds of the schedule are targets too. In files they are a list
 of {frame, position, rotation, q, phase}, each null where there is none; the moment is the start of the phase,
 or, with a key more, another ``fraction`` of it. Without a phase it is the end of the motion.
 """
@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError, SolutionFileError
+from trajopt.errors import InputError
 from trajopt.kinds import ArrayShape
 from trajopt.schedule.moment import END, Moment
 
@@ -64,15 +64,3 @@ class Target:
         phase = described["phase"]
         at = END if phase is None else Moment(phase, described.get(FRACTION, 0.0))
         return cls(**{name: described[name] for name in KEYS[:-1]}, at=at)
-
-
-def targets_of(described: Any) -> list[Target]:
-    """Read ``meta["goals"]``; none where there is no such key. Raises `SolutionFileError`."""
-    if described is None:
-        return []
-    if not isinstance(described, list):
-        raise SolutionFileError("goals of meta is not null or a list of targets")
-    try:
-        return [Target.from_description(entry) for entry in described]
-    except InputError as error:
-        raise SolutionFileError(f"goals of meta: {error.what}", error.allowed) from None

@@ -70,7 +70,7 @@ def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, pick
     for qpos, phase, matrix in zip(
         world.coordinates.to_mujoco(reference.q[picked]), phases, found, strict=True
     ):
-        if phase != carried and plan.meta.get("payloads"):
+        if phase != carried and plan.description.payloads:
             write_inertias(model, carrying_model(plan, int(phase)))
             carried = phase
         data.qpos[:] = qpos

@@ -16,7 +16,6 @@ import numpy as np
 
 from trajopt.collision.shapes import BoxObstacle, LinkShape, Obstacle
 from trajopt.motion.cycles import image_of_contacts
-from trajopt.motion.touched import contact_radii
 from trajopt.simulation.bodies import (
     Bodies,
     add_geom,
@@ -25,7 +24,6 @@ from trajopt.simulation.bodies import (
     mujoco_quaternion,
 )
 from trajopt.simulation.settings import SimulationSettings
-from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.patch import Patch, cut_polygon
 from trajopt.terrain.piecewise import PiecewiseTerrain
@@ -92,7 +90,7 @@ def surroundings_of(
     around = AROUND * reach
     return Surroundings(
         feet=feet,
-        radii=contact_radii(plan.meta),
+        radii=plan.description.radii,
         rolling=settings.rolling,
         offsets=np.array([settings.ground_offsets.get(name, 0.0) for name in plan.contact_frames]),
         low=points.min(axis=0) - around,
@@ -104,9 +102,9 @@ def surroundings_of(
 def add_ground(spec: Any, plan: Solution, place: Surroundings) -> GroundGeometry:
     """Add terrain and boards to a specification: terrain for links, and for contacts of each height."""
     found: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], float | None]] = []
-    terrain = terrain_of(plan.meta["terrain"])
+    terrain = plan.description.ground
     own, count = _own_surfaces(plan, terrain), len(plan.contact_frames)
-    usual = tuple(float(mu) for mu in plan.meta["friction"])
+    usual = tuple(contact.friction for contact in plan.description.contacts)
     layers: list[tuple[str, float, tuple[int, ...], float | None]] = [("", 0.0, (), 0.0)]
     for lift, contacts in _by_lift(_standing(plan, own), place):
         layers.append((f".{len(layers)}", lift, contacts, None))
@@ -157,7 +155,7 @@ def _by_phase(plan: Solution, planes: Sequence[Surface | None], usual: np.ndarra
     A contact in the air has that of its next stance, for which it may be early.
     """
     found, frames = np.tile(usual, (len(plan.phases), 1, 1)), list(plan.contact_frames)
-    for phase, surfaces in enumerate(surfaces_of(plan.meta.get("surfaces"))):
+    for phase, surfaces in enumerate(plan.description.surfaces):
         for frame, surface in surfaces.items():
             for geom, plane in enumerate(planes):
                 if not surface.bilateral and surface.same_plane(plane):
@@ -175,7 +173,7 @@ def _own_surfaces(plan: Solution, terrain: Any) -> list[tuple[int, int, Surface]
     frames = list(plan.contact_frames)
     return [
         (phase, frames.index(frame), surface)
-        for phase, surfaces in enumerate(surfaces_of(plan.meta.get("surfaces")))
+        for phase, surfaces in enumerate(plan.description.surfaces)
         for frame, surface in surfaces.items()
         if surface.bilateral or not any(surface.same_plane(plane) for plane in planes)
     ]
@@ -190,7 +188,7 @@ def _standing(plan: Solution, own: Sequence[tuple[int, int, Surface]]) -> tuple[
         for contact in np.flatnonzero(plan.active[rows.start])
         if (phase, contact) not in elsewhere
     }
-    described = plan.meta.get("periodicity")
+    described = plan.description.periodicity
     if described:
         source = image_of_contacts(plan, described)
         found |= {contact for contact, other in enumerate(source) if other in found}
@@ -223,10 +221,10 @@ def _boards(
 def _under(plan: Solution, surface: Surface, place: Surroundings, phase: int, contact: int) -> np.ndarray:
     """Positions (n, 3) of a contact in a phase; for a sole a square on the plane around its corners."""
     places = place.feet[plan.phase == phase, contact]
-    sizes = plan.meta.get("contact_sizes") or [None] * len(plan.contact_frames)
-    if plan.meta["contact_kinds"][contact] != "surface" or not sizes[contact]:
+    size = plan.description.contacts[contact].half_size
+    if size is None:
         return places
-    around = float(np.hypot(*sizes[contact])) * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+    around = float(np.hypot(*size)) * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
     turn = frame_of_normal(surface.normal)
     return np.concatenate([places + turn[:, :2] @ corner for corner in around])
 

@@ -78,7 +78,7 @@ def mjcf_of_world(plan: Solution, world: World) -> str:
     """Return the MJCF of a plan's model that is built already; raises `InputError`."""
     with muted_mujoco():
         root = ElementTree.fromstring(world.bodies.spec.to_xml())
-        root.set("model", str(plan.meta["robot"]))
+        root.set("model", str(plan.description.robot))
         for index in range(1, plan.model.njoints):
             _complete_body(root, plan.model, index)
         for joint in root.iter("joint"):

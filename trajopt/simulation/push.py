@@ -26,8 +26,8 @@ from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.run import LEAST_LEVEL, SimulationRun
 from trajopt.simulation.settings import Controller, Impulse, SimulationSettings
 from trajopt.simulation.world import World, build_world
-from trajopt.solution.descriptions import jsonable
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
+from trajopt.solution.meta import jsonable
 from trajopt.solution.solution import Solution
 
 # A push lasts this long, and so long is simulated after its begin, in natural times: in six of them the error
@@ -153,8 +153,8 @@ def largest_pushes(
             sizes = [largest_survived(partial(survives, angle), accuracy) for angle in angles]
             found[controller] = tuple(size * trials.unit for size in sizes)
     return PushReport(
-        problem=str(plan.meta["problem"]),
-        robot=str(plan.meta["robot"]),
+        problem=str(plan.description.problem),
+        robot=str(plan.description.robot),
         time=trials.time,
         duration=trials.duration,
         after=(trials.end - trials.begin) * trials.reference.period,
@@ -202,10 +202,10 @@ class PushTrials:
         settings = SimulationSettings()
         world = build_world(plan, settings)
         follows = AFTER * world.units.time
-        described = plan.meta.get("periodicity")
+        described = plan.description.periodicity
         if cycles is None:
             once = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0])
-            once *= 2 if described and described["mirror"] else 1
+            once *= 2 if described and described.mirror else 1
             needed = 2 * follows if time is None else time + follows
             cycles = math.ceil(needed / once) if described else 1
         reference = reference_of(plan, settings.control_rate, cycles, hold=AFTER)

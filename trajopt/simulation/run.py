@@ -175,7 +175,7 @@ class SimulationRun:
     def _enter(self, phase: int) -> None:
         """What changes with a phase of the plan: what is carried, what is held, friction under contacts."""
         changed = self.settings.mass_scale != 1.0 or any(self.settings.com_offset)
-        if self.plan.meta.get("payloads") or changed:
+        if self.plan.description.payloads or changed:
             write_inertias(self.model, self.world.models[phase])
         for grasp in self.world.grasps:
             self.data.eq_active[self.model.equality(grasp.name).id] = phase in grasp.phases

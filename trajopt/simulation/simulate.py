@@ -38,7 +38,7 @@ class Simulation:
     wall_time: float
 
     def as_solution(self) -> Solution:
-        """The simulated motion as a solution of the same model; ``meta["simulated"]`` is true."""
+        """The simulated motion as a solution of the same model; ``statistics.simulated`` is true."""
         return self._solution
 
     @cached_property
@@ -121,8 +121,8 @@ def _report(
     moving, end = base_of(plan.model) != "fixed", min(reference.planned, len(record.feet))
     force = figures.force_error(reference, record)
     return SimulationReport(
-        problem=str(plan.meta["problem"]),
-        robot=str(plan.meta["robot"]),
+        problem=str(plan.description.problem),
+        robot=str(plan.description.robot),
         reach=world.units.length,
         duration=reference.period * reference.planned,
         held=reference.period * reference.held,
@@ -176,12 +176,12 @@ def _notes(plan: Solution, world: World) -> tuple[str, ...]:
     """Notes on what is prescribed by the plan instead of simulated."""
     notes = []
     for grasp in world.grasps:
-        phases = plan.meta["phase_names"][grasp.phases[0] : grasp.phases[-1] + 1]
+        phases = plan.description.phase_names[grasp.phases[0] : grasp.phases[-1] + 1]
         notes.append(f"{plan.contact_frames[grasp.contact]} is held as planned in {', '.join(phases)}")
     for name, depth in world.buried.items() if base_of(plan.model) != "fixed" else ():
         notes.append(f"the plan takes {name} {1e3 * max(depth, 0.0):.0f} mm into the ground")
-    if plan.meta.get("payloads"):
+    if plan.description.payloads:
         notes.append("what is carried is part of the link that holds it while the plan carries it")
-    if plan.meta.get("actuation", "torque") != "torque":
-        notes.append(f"actuation by {plan.meta['actuation']}: the drives have no torque limits here")
+    if plan.description.actuation != "torque":
+        notes.append(f"actuation by {plan.description.actuation}: the drives have no torque limits here")
     return tuple(notes)

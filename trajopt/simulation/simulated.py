@@ -9,7 +9,7 @@ at the samples; an interval has one collocation point, in its middle.
 from __future__ import annotations
 
 import itertools
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,28 +21,13 @@ from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import SimulationReport
 from trajopt.simulation.world import World
 from trajopt.solution.arrays import rows_of
+from trajopt.solution.description import PlanDescription
 from trajopt.solution.solution import Solution
+from trajopt.solution.statistics import SolveStatistics
 from trajopt.versions import VERSIONED, installed_version
 
 # Periods of the controller in an interval: 4 ms by default, finer than a video frame.
 PERIODS = 4
-# Keys of the plan's meta that do not apply to a simulation.
-LEFT_OUT = (
-    "mesh",
-    "periodicity",
-    "row_names",
-    "worst_blocks",
-    "rotation_norm_error",
-    "redundant_contact_rows",
-    "advice",
-    "solver_status",
-    "max_violation",
-    "primal_infeasibility",
-    "dual_infeasibility",
-    "complementarity",
-    "variables",
-    "constraints",
-)
 
 
 def simulated_solution(
@@ -63,8 +48,9 @@ def simulated_solution(
     t = np.append(reference.t[:n], reference.t[n - 1] + reference.period)
     phase = np.array([reference.phase[first] for first, _ in chunks])
     return Solution(
-        meta=_meta(plan, reference, report, phase),
-        model_text=plan.model_text,
+        description=_description(plan, reference, phase),
+        statistics=_statistics(plan, report),
+        model=plan.model,
         t=t[rows],
         phase=np.repeat(phase, 3),
         interval=np.repeat(np.arange(len(chunks)), 3),
@@ -118,35 +104,39 @@ def _active(
     return np.array(found)
 
 
-def _meta(
-    plan: Solution, reference: ReferenceTrajectory, report: SimulationReport, phase: np.ndarray
-) -> dict[str, Any]:
+def _description(plan: Solution, reference: ReferenceTrajectory, phase: np.ndarray) -> PlanDescription:
+    """The plan's, by the phases of the simulation (n_chunks,); it does not repeat."""
     used = int(phase[-1]) + 1
     source = [int(reference.source[np.argmax(reference.phase == i)]) for i in range(used)]
-    starts = [float(reference.t[np.argmax(reference.phase == i)]) for i in range(used)]
-    end = float(reference.t[-1] + reference.period)
-    mujoco = mujoco_package()
-    meta = {key: value for key, value in plan.meta.items() if key not in LEFT_OUT}
-    for key in ("surfaces", "patches"):
-        if meta.get(key):
-            meta[key] = [meta[key][i] for i in source]
-    if meta.get("payloads"):
-        meta["payloads"] = [
-            {**entry, "phases": [i for i, own in enumerate(source) if own in entry["phases"]]}
-            for entry in meta["payloads"]
-        ]
-    return {
-        **meta,
-        "simulated": True,
-        "simulation": report.to_dict(),
-        "transcription": "simulation",
-        "solver": "mujoco",
-        "status": "simulated",
-        "success": report.passed,
-        "objective": None,
-        "iterations": round((report.duration + report.held) / report.timestep),
-        "intervals": np.bincount(phase).tolist(),
-        "durations": np.diff([*starts, end]).tolist(),
-        "phase_names": list(reference.phase_names[:used]),
-        "versions": {**{name: installed_version(name) for name in VERSIONED}, "mujoco": mujoco.__version__},
-    }
+    planned = plan.description
+    return replace(
+        planned,
+        periodicity=None,
+        phase_names=tuple(reference.phase_names[:used]),
+        surfaces=tuple(planned.surfaces[i] for i in source) if planned.surfaces else (),
+        patches=tuple(planned.patches[i] for i in source) if planned.patches else (),
+        payloads=tuple(
+            replace(body, phases=tuple(i for i, each in enumerate(source) if each in body.phases))
+            for body in planned.payloads
+        ),
+    )
+
+
+def _statistics(plan: Solution, report: SimulationReport) -> SolveStatistics:
+    versions = {name: installed_version(name) for name in VERSIONED}
+    return SolveStatistics(
+        transcription="simulation",
+        solver="mujoco",
+        status="simulated",
+        success=report.passed,
+        converged=plan.converged,
+        iterations=round((report.duration + report.held) / report.timestep),
+        objective=None,
+        tolerance=plan.statistics.tolerance,
+        wall_time_s=plan.statistics.wall_time_s,
+        versions={**versions, "mujoco": mujoco_package().__version__},
+        simulation=report.to_dict(),
+        seed=plan.statistics.seed,
+        perturb=plan.statistics.perturb,
+        more=plan.statistics.more,
+    )

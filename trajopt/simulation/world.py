@@ -37,7 +37,6 @@ from trajopt.simulation.ground import (
     surroundings_of,
 )
 from trajopt.simulation.settings import CONTACT_TIME, SimulationSettings
-from trajopt.solution.descriptions import bodies_of, body_scene_of, scene_of_meta, terrain_of
 from trajopt.solution.solution import Solution
 
 # A penetration meets nearly the whole stiffness from the first touch on: d0, dmax, width in radii
@@ -150,7 +149,7 @@ def joint_places(plan: Solution) -> np.ndarray:
 
 def _buried(plan: Solution, joints: np.ndarray, place: Surroundings) -> dict[str, float]:
     """Joints that a plan takes into the ground, where their balls would touch, with the depth in m."""
-    lowest = height_over(terrain_of(plan.meta["terrain"]), joints).min(axis=0)
+    lowest = height_over(plan.description.ground, joints).min(axis=0)
     names = list(plan.model.names)[1:]
     return {name: -float(low) for name, low in zip(names, lowest, strict=True) if low < place.ball}
 
@@ -185,10 +184,10 @@ def _options(spec: Any, step: float) -> None:
 
 def touching_places(plan: Solution, contact: int) -> np.ndarray:
     """Where a contact touches, in its frame: (1, 3) its origin, (4, 3) the corners of a sole, m."""
-    sizes = plan.meta.get("contact_sizes") or [None] * len(plan.contact_frames)
-    if plan.meta["contact_kinds"][contact] != "surface" or not sizes[contact]:
+    size = plan.description.contacts[contact].half_size
+    if size is None:
         return np.zeros((1, 3))
-    x, y = sizes[contact]
+    x, y = size
     return np.array([[x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0], [-x, y, 0.0]])
 
 
@@ -222,14 +221,14 @@ def _add_links(
 
     Shapes of the file; of a file without them balls at the joints, and its capsules.
     """
-    scene = scene_of_meta(plan.model, plan.meta.get("collision"))
+    scene = plan.description.capsule_scene(plan.model)
     obstacles = () if scene is None else add_obstacles(bodies.spec, scene.obstacles)
-    known = bodies_of(plan.meta.get("bodies"))
+    known = plan.description.bodies
     if known is None or not known.shapes:
         shapes = () if scene is None else scene.shapes
         solid = [add_shape(bodies, shape, f"shape{i}") for i, shape in enumerate(shapes)]
         return _add_balls(bodies, plan, place, buried), solid, list(obstacles)
-    own = body_scene_of(plan.model, plan.meta)
+    own = plan.description.body_scene(plan.model)
     moving = () if own is None else own.moving
     names = {shape.name: add_shape(bodies, shape, f"shape{i}") for i, shape in enumerate(moving)}
     sunk = _sunk(plan)
@@ -287,7 +286,7 @@ def _add_grasps(
                 pos=samples.position[row, contact],
                 quat=mujoco_quaternion(samples.rotation[row, contact]),
             )
-            sole = plan.meta["contact_kinds"][contact] == "surface"
+            sole = plan.description.contacts[contact].is_sole
             bodies.spec.add_equality(
                 name=name,
                 type=mujoco.mjtEq.mjEQ_WELD if sole else mujoco.mjtEq.mjEQ_CONNECT,

@@ -4,41 +4,69 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import os
 import zipfile
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.errors import InputError, SolutionFileError, expanded
-from trajopt.solution.arrays import OTHERS, SAMPLED, read_only
+from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, read_only, runs
 from trajopt.solution.consistency import inconsistency
+from trajopt.solution.description import PlanDescription
+from trajopt.solution.meta import description_of, meta_of, require_keys, statistics_of
 from trajopt.solution.output import replacing
+from trajopt.solution.statistics import SolveStatistics
 
 FORMAT = "trajopt-solution"
 VERSION = 1
 
 
-def write_solution_file(
-    path: str | Path, meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]
-) -> Path:
-    """Write a solution to a temporary file beside ``path`` and rename it; see `Solution.save`."""
-    target = expanded(path)
-    content = solution_bytes(meta, model_text, arrays)
-    write_bytes(target, content)
-    return target
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FileContent:
+    """What a solution file holds."""
 
+    description: PlanDescription
+    statistics: SolveStatistics
+    model: pin.Model
+    arrays: dict[str, np.ndarray]
 
-def solution_bytes(meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]) -> bytes:
-    """The content of a solution's file. Raises `InputError` if the solution is inconsistent."""
-    text = consistent_meta(meta, model_text, arrays)
-    file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, meta=np.array(text), model=np.array(model_text), **arrays)
-    return file.getvalue()
+    @property
+    def meta(self) -> dict[str, Any]:
+        """The key ``meta`` of the file, JSON-able."""
+        phase, edges = self.arrays["phase"], self.arrays["interval_t"]
+        first = [phase[rows.start] for rows in runs(self.arrays["interval"])]
+        times = [edges[rows.start : rows.stop] for rows in runs(np.array(first))]
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            **meta_of(self.description, self.statistics),
+            "intervals": [len(part) for part in times],
+            "durations": [float(part[-1, 1] - part[0, 0]) for part in times],
+        }
+
+    def require_consistent(self) -> None:
+        """Raise `InputError` if the parts do not fit each other."""
+        wrong = inconsistency(self.arrays, self.model, self.description, self.statistics)
+        if wrong:
+            raise InputError(f"the solution is inconsistent: {wrong}")
+
+    def to_bytes(self) -> bytes:
+        """The content of the file. Raises `InputError` if it is inconsistent, or has no JSON."""
+        self.require_consistent()
+        try:
+            meta = json.dumps(self.meta, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"meta of the solution cannot be written as JSON: {error}") from None
+        texts = {"meta": np.array(meta), "model": np.array(self.model.saveToString())}
+        file = io.BytesIO()
+        np.savez_compressed(file, allow_pickle=False, **texts, **self.arrays)
+        return file.getvalue()
 
 
 def write_bytes(target: Path, content: bytes) -> None:
@@ -49,36 +77,13 @@ def write_bytes(target: Path, content: bytes) -> None:
         os.fsync(file.fileno())
 
 
-def consistent_meta(meta: Mapping[str, Any], model_text: str, arrays: Mapping[str, np.ndarray]) -> str:
-    """Return meta as JSON; raises `InputError` if it cannot be JSON or the solution is inconsistent."""
-    try:
-        text = json.dumps(_jsonable({**meta, "format": FORMAT, "version": VERSION}), allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"meta of the solution cannot be written as JSON: {error}") from None
-    problem = inconsistency(arrays, model_text, json.loads(text))
-    if problem:
-        raise InputError(f"the solution is inconsistent: {problem}")
-    return text
-
-
-def _jsonable(value: Any) -> Any:
-    """Plain Python for JSON: arrays become lists, infinite limits null."""
-    if isinstance(value, dict):
-        return {str(key): _jsonable(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [_jsonable(entry) for entry in value]
-    return None if isinstance(value, float) and math.isinf(value) else value
-
-
-def read_solution_file(path: str | Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
-    """Read meta, the model's text and arrays; raises a one-line `SolutionFileError`; see `Solution.load`."""
+def read_solution_file(path: str | Path) -> FileContent:
+    """Read a file; raises a one-line `SolutionFileError`; see `Solution.load`."""
     source = expanded(path)
     return parse_solution(_content(source), source)
 
 
-def parse_solution(content: bytes, source: Path) -> tuple[dict[str, Any], str, dict[str, np.ndarray]]:
+def parse_solution(content: bytes, source: Path) -> FileContent:
     """As `read_solution_file`, of the content of a file that messages call ``source``."""
     arrays = _arrays(content, source)
     meta = _meta(source, arrays)
@@ -91,24 +96,31 @@ def parse_solution(content: bytes, source: Path) -> tuple[dict[str, Any], str, d
             raise SolutionFileError(f"{source}: '{name}' is of type {arrays[name].dtype}", kind.__name__)
     if arrays["model"].dtype.kind != "U" or arrays["model"].ndim != 0:
         raise SolutionFileError(f"{source}: 'model' is not a text")
-    text = str(arrays["model"])
     try:
+        require_keys(meta)
         values = read_only(arrays)
-        problem = inconsistency(values, text, meta)
+        n_phases = min(int(values["phase"].max(initial=-1)) + 1, len(values["phase"]))
+        parts = FileContent(
+            description=description_of(meta, n_phases),
+            statistics=statistics_of(meta),
+            model=model_from_text(str(arrays["model"])),
+            arrays=values,
+        )
     except InputError as error:
-        problem = str(error)
-    if problem:
-        raise SolutionFileError(f"{source}: {problem}")
-    values["f"] = _forces_of_contacts(meta, values)
-    return meta, text, values
+        raise SolutionFileError(f"{source}: {error.what}", error.allowed) from None
+    wrong = inconsistency(values, parts.model, parts.description, parts.statistics)
+    if wrong:
+        raise SolutionFileError(f"{source}: {wrong}")
+    values["f"] = _forces_of_contacts(parts.description, values)
+    return parts
 
 
-def _forces_of_contacts(meta: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+def _forces_of_contacts(plan: PlanDescription, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """Wrenches (K, nc, 6) without those of payloads, which earlier files have as inactive contacts."""
     f = arrays["f"].copy()
-    for entry in meta.get("payloads") or []:
-        column = meta["contact_frames"].index(entry["frame"])
-        carried = np.isin(arrays["phase"], entry["phases"]) & ~arrays["active"][:, column]
+    for body in plan.payloads:
+        column = plan.frames.index(body.frame)
+        carried = np.isin(arrays["phase"], body.phases) & ~arrays["active"][:, column]
         f[carried, column] = 0.0
     return f
 

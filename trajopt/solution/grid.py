@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import Scheme
@@ -14,18 +13,13 @@ SAME_WIDTH = 1e-9
 
 
 def mesh_of(solution: Solution) -> Mesh:
-    """The mesh on which a solution was made; raises InputError where its meta names no known scheme.
+    """The mesh on which a solution was made; raises `InputError` where it names no known scheme.
 
     Files without a mesh have one scheme; their times give the widths.
     """
-    described = solution.meta.get("mesh")
-    if described is not None:
-        try:
-            return Mesh(phases=tuple(PhaseMesh.from_description(phase) for phase in described))
-        except (TypeError, KeyError, AttributeError):
-            raise InputError("mesh of the solution's meta is damaged") from None
-    name = solution.meta["transcription"]
-    widths = [_widths(solution, rows) for rows in solution.phases]
+    if solution.statistics.mesh is not None:
+        return solution.statistics.mesh
+    name, widths = solution.statistics.transcription, [_widths(solution, rows) for rows in solution.phases]
     return Mesh(phases=tuple(PhaseMesh(scheme=name, widths=phase) for phase in widths))
 
 

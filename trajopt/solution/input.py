@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.solution.file import consistent_meta
 from trajopt.solution.solution import Solution
 
 SolutionOrFile = Solution | str | Path
@@ -46,8 +43,7 @@ def consistent_solution(given: SolutionOrFile) -> Solution:
     solution = solution_of(given)
     if solution is not given:  # reading a file tests it
         return solution
-    meta = json.loads(consistent_meta(solution.meta, solution.model_text, solution.arrays))
-    return replace(solution, meta=meta).with_model(solution.model)
+    return solution.require_consistent()
 
 
 def require_motion(solution: Solution) -> Solution:

@@ -12,12 +12,13 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError
+from trajopt.errors import InputError, expanded
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.solution import file
-from trajopt.solution.arrays import OTHERS, SAMPLED, model_from_text, read_only, runs
+from trajopt.solution.arrays import OTHERS, SAMPLED, read_only, runs
 from trajopt.solution.consistency import wrong_number
+from trajopt.solution.description import PlanDescription
 from trajopt.solution.interpolation import InterpolatedMotion
 from trajopt.solution.names import (
     BaseAxes,
@@ -35,6 +36,7 @@ from trajopt.solution.sampling import (
     located,
     sample_times,
 )
+from trajopt.solution.statistics import SolveStatistics
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,19 +48,20 @@ class Solution:
     interpolating polynomials through its collocation points. `sample` gives one value a time, at any rate.
     SI units; arrays are copied and read-only. K samples, I intervals, nc contacts, J impacts.
 
-    meta: JSON-able facts: names, limits, terrain, solver, versions (see `trajopt.solution.file`).
-    model_text: ``pin.Model.saveToString()`` of the model that was optimised.
+    description: what the plan is of: names, contacts, limits, ground, goals, loads, shapes.
+    statistics: how it was found: solver, status, size, times, residuals.
+    model: the model that was optimised.
     t: (K,) s. phase, interval: (K,) index. interval_t: (I, 2) start and end.
     collocation: (K,) the dynamics are imposed here.
     q, v, a: (K, nq), (K, nv), (K, nv) in Pinocchio's convention.
     tau: (K, nu) torques of the actuated rows, which come last in v.
     f: (K, nc, 6) force N and moment N m of the surroundings on the robot, world-aligned axes at
-        the contact frame's origin; zero when inactive. What a robot carries is in ``payloads`` of meta.
+        the contact frame's origin; zero when inactive. What a robot carries is in ``description.payloads``.
     active: (K, nc) the contact is active.
     impulse, impact_index: (J, nc, 6) N s and N m s, (J,) sample just after; None without impacts.
     row_multiplier, row_place, bound_multiplier: multipliers of the NLP's rows (R,), for each row its block
-        (a name in ``row_names`` of meta), stage and point (R, 3), and multipliers of the bounds of variables
-        (X,), in the solver's scaled units; a warm start uses them. None where there are none.
+        (in ``statistics.row_names``), stage and point (R, 3), and multipliers of variables' bounds (X,), in
+        the solver's scaled units; a warm start uses them. None where there are none.
     asked_force, com_goal, foot_goal: (K, nc, 6), (K, 3), (K, nc, 3) what a whole-body controller asked for
         in a simulation (`trajopt.control.TickRequest`): contact forces as ``f``, and where the centre of mass
         and contact frames in the air should be, m, NaN where nothing was asked. None where there was none.
@@ -67,8 +70,9 @@ class Solution:
     `consistency.inconsistency`, runs when a file is written or read.
     """
 
-    meta: dict[str, Any]
-    model_text: str = field(repr=False)
+    description: PlanDescription = field(repr=False)
+    statistics: SolveStatistics
+    model: pin.Model = field(repr=False)
     t: np.ndarray
     phase: np.ndarray
     interval: np.ndarray
@@ -94,11 +98,6 @@ class Solution:
         for name, array in read_only(given).items():
             object.__setattr__(self, name, array)
 
-    @cached_property
-    def model(self) -> pin.Model:
-        """The model that was optimised; raises `InputError` if its text is damaged."""
-        return model_from_text(self.model_text)
-
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """All arrays by name, without those that are None."""
@@ -108,12 +107,12 @@ class Solution:
     @property
     def contact_frames(self) -> tuple[str, ...]:
         """Frame of each contact, in the order of ``f`` and ``active``."""
-        return tuple(self.meta["contact_frames"])
+        return self.description.frames
 
     @property
     def contact_names(self) -> tuple[str, ...]:
         """Name of each contact, in the same order; of files without names their frames."""
-        return tuple(self.meta.get("contact_names") or self.meta["contact_frames"])
+        return tuple(contact.name for contact in self.description.contacts)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -143,18 +142,22 @@ class Solution:
     @property
     def phase_names(self) -> tuple[str, ...]:
         """Names of the phases; where the file has none, their numbers."""
-        named = self.meta.get("phase_names")
-        return tuple(named or (f"phase {number}" for number in range(len(self.phases))))
+        return self.description.phase_names
 
     @property
     def success(self) -> bool:
         """The verdict: the solver converged, and the motion is within the tolerances it was judged by."""
-        return bool(self.meta["success"])
+        return self.statistics.success
 
     @property
     def converged(self) -> bool:
-        """The solver met its tolerance: all rows hold at the points; ``success`` in files without the key."""
-        return bool(self.meta.get("converged", self.meta["success"]))
+        """The solver met its tolerance: all rows hold at the points."""
+        return self.statistics.converged
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """The key ``meta`` of the file, JSON-able, made anew from `description` and `statistics`."""
+        return self._content.meta
 
     @property
     def n_samples(self) -> int:
@@ -171,16 +174,15 @@ class Solution:
         """Number of base rows, which come first in v and have no torque."""
         return self.v.shape[1] - self.tau.shape[1]
 
-    @cached_property
+    @property
     def drives(self) -> tuple[Drive | None, ...]:
         """Drive of each actuated row (nu,), None without."""
-        described = self.meta.get("drives") or [None] * self.tau.shape[1]
-        return tuple(None if entry is None else Drive.from_meta(entry) for entry in described)
+        return self.description.drives or (None,) * self.tau.shape[1]
 
     @property
     def order(self) -> int:
         """Derivative of positions that is a polynomial in each interval: 2, with velocity input 1."""
-        return 1 if self.meta.get("actuation") == "velocity" else 2
+        return 1 if self.description.velocity_input else 2
 
     @cached_property
     def polynomials(self) -> InterpolatedMotion:
@@ -214,17 +216,20 @@ class Solution:
         return np.clip(found, 0, self.n_intervals - 1)
 
     def with_arrays(self, **arrays: np.ndarray | None) -> Solution:
-        """Return the same solution with other arrays; the model is not read from its text again."""
-        return replace(self, **arrays).with_model(self.model)  # type: ignore[arg-type]
+        """Return the same solution with other arrays."""
+        return replace(self, **arrays)  # type: ignore[arg-type]
 
-    def with_model(self, model: pin.Model) -> Solution:
-        """Return this solution, which then does not read its model from its text."""
-        self.__dict__["model"] = model
-        return self
+    def with_description(self, **changes: Any) -> Solution:
+        """Return the same solution with other entries of its description."""
+        return replace(self, description=replace(self.description, **changes))
+
+    def with_statistics(self, **changes: Any) -> Solution:
+        """Return the same solution with other entries of its statistics."""
+        return replace(self, statistics=replace(self.statistics, **changes))
 
     def normalized(self) -> Solution:
         """Return the same solution with rotations of unit norm."""
-        return self.with_arrays(q=np.array([pin.normalize(self.model, row) for row in self.q]))
+        return replace(self, q=np.array([pin.normalize(self.model, row) for row in self.q]))
 
     def sample(
         self,
@@ -260,8 +265,8 @@ class Solution:
         angle_names, angle = angles_of(self.model, self.arrays, t, own.q)
         first = np.array([rows.start for rows in self.intervals])[numbers]
         return SampledMotion(
-            problem=str(self.meta["problem"]),
-            robot=str(self.meta["robot"]),
+            problem=self.description.problem,
+            robot=self.description.robot,
             success=self.success,
             t=t,
             **vars(motion),
@@ -277,7 +282,7 @@ class Solution:
             angle_names=angle_names,
             contact_frames=self.contact_frames,
             contact_names=self.contact_names,
-            contact_kinds=tuple(self.meta["contact_kinds"]),
+            contact_kinds=tuple(contact.kind for contact in self.description.contacts),
             phase_names=self.phase_names,
             quaternion=quaternion,
             base_velocity=base_velocity,
@@ -288,26 +293,43 @@ class Solution:
         """Return `sample` with these arguments as a ``pandas.DataFrame``, see `SampledMotion.to_pandas`."""
         return self.sample(rate, **sampling).to_pandas()
 
+    @property
+    def _content(self) -> file.FileContent:
+        return file.FileContent(
+            description=self.description, statistics=self.statistics, model=self.model, arrays=self.arrays
+        )
+
+    def require_consistent(self) -> Solution:
+        """Return this solution; raises `InputError` if its arrays, model and description do not fit."""
+        self._content.require_consistent()
+        return self
+
     def save(self, path: str | Path) -> Path:
         """Write the file (version 1) completely or not at all; return its path.
 
         Raises `InputError` if the place cannot be written or the solution is inconsistent.
         """
-        return file.write_solution_file(path, self.meta, self.model_text, self.arrays)
+        target = expanded(path)
+        file.write_bytes(target, self.to_bytes())
+        return target
 
     @classmethod
     def load(cls, path: str | Path) -> Solution:
         """Read a file; raises a one-line `SolutionFileError` if anything in it is wrong."""
-        meta, model_text, arrays = file.read_solution_file(path)
-        return cls(meta=meta, model_text=model_text, **arrays)
+        return cls._of(file.read_solution_file(path))
 
     def to_bytes(self) -> bytes:
         """The content of the file that `save` writes. Raises `InputError` if the solution is inconsistent."""
-        return file.solution_bytes(self.meta, self.model_text, self.arrays)
+        return self._content.to_bytes()
 
     @classmethod
     @checked
     def from_bytes(cls, content: bytes, name: str = "solution") -> Solution:
         """The solution of `to_bytes`; raises a `SolutionFileError`, which calls it ``name``."""
-        meta, model_text, arrays = file.parse_solution(content, Path(name))
-        return cls(meta=meta, model_text=model_text, **arrays)
+        return cls._of(file.parse_solution(content, Path(name)))
+
+    @classmethod
+    def _of(cls, content: file.FileContent) -> Solution:
+        parts: dict[str, Any] = vars(content) | content.arrays
+        parts.pop("arrays")
+        return cls(**parts)

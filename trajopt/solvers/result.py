@@ -28,7 +28,7 @@ class Result:
 
     lam_g, lam_x: multipliers of rows and bounds, of the Lagrangian f + lam_g . g + lam_x . x.
     primal, dual, complementarity: the solver's own infeasibilities (largest entries, unscaled by its
-    multipliers) at ``x``; NaN where it was not started. figures: further figures of the solver, for ``meta``.
+    multipliers) at ``x``; NaN where it was not started. figures: further figures of the solver.
     """
 
     x: np.ndarray

@@ -4,32 +4,61 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from trajopt.collision.near import CollisionScene
 from trajopt.dynamics.model_quantities import generalized_force
-from trajopt.problem.bodies import bodies_meta
-from trajopt.problem.goals import goals_meta
+from trajopt.problem.bodies import clearance_of, self_margins, shapes_of
+from trajopt.problem.goals import goals_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Schedule
+from trajopt.solution.description import (
+    BodyMargins,
+    CarriedBody,
+    PeriodicImage,
+    PlanDescription,
+    PlannedContact,
+)
 from trajopt.solution.solution import Solution
+from trajopt.solution.statistics import SolveStatistics
 from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import Surface
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.timeline import NodeLayout, StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.versions import VERSIONED, installed_version
 
+# Statistics of a motion that no solver has ended on.
+UNSOLVED: dict[str, Any] = {
+    "solver": "",
+    "status": "",
+    "success": False,
+    "converged": False,
+    "iterations": 0,
+    "objective": None,
+    "tolerance": 0.0,
+    "wall_time_s": 0.0,
+}
 
-def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -> Solution:
-    """Solution of scaled variables ``x``; ``meta`` is added to what the problem provides.
+
+def extract(transcription: Transcription, x: np.ndarray, **statistics: Any) -> Solution:
+    """Solution of scaled variables ``x``.
 
     Rotations are normalised: they leave the manifold only by the residual of the defects, which
-    ``rotation_norm_error`` in meta records.
+    ``rotation_norm_error`` of the statistics records.
+
+    Args:
+        transcription: of the problem.
+        x: (n_unknowns,) scaled.
+        **statistics: entries of `SolveStatistics` that are known; default: those of a motion that was not
+            solved for.
     """
     layout, problem = transcription.layout, transcription.problem
     unknowns = x * transcription.scale
@@ -54,14 +83,20 @@ def extract(transcription: Transcription, x: np.ndarray, meta: dict[str, Any]) -
     q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
     error = float(np.abs(q - raw).max())
     return Solution(
-        meta={
-            **_problem_meta(transcription),
-            "durations": [float(steps[layout.intervals_of(i)].sum()) for i in range(len(time_scales))],
-            "rotation_norm_error": error if math.isfinite(error) else None,
-            **meta,
-        },
+        description=described(problem),
+        statistics=SolveStatistics(
+            **{
+                **UNSOLVED,
+                "transcription": layout.mesh.transcription,
+                "mesh": layout.mesh,
+                "redundant_contact_rows": dict(transcription.redundant),
+                "rotation_norm_error": error if math.isfinite(error) else None,
+                "versions": {name: installed_version(name) for name in VERSIONED},
+                **statistics,
+            }
+        ),
         q=q,
-        model_text=transcription.problem.robot.limited_model().saveToString(),
+        model=problem.robot.limited_model(),
         interval_t=np.column_stack([times[layout.interval_stages], times[layout.interval_stages + 1]]),
         **{name: np.concatenate(parts) for name, parts in columns.items()},
         **_labels(layout),
@@ -193,94 +228,116 @@ def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray) -> n
     return f
 
 
-def _problem_meta(transcription: Transcription) -> dict[str, Any]:
-    problem = transcription.problem
-    return {
-        "problem": problem.name,
-        "parameters": dict(problem.parameters),
-        "actuation": problem.actuation,
-        "redundant_contact_rows": dict(transcription.redundant),
-        "terrain": problem.terrain.describe(),
-        "transcription": transcription.layout.mesh.transcription,
-        "intervals": list(transcription.layout.intervals),
-        "mesh": transcription.layout.mesh.describe(),
-        "phase_names": [phase.name for phase in problem.schedule.phases],
-        "versions": {name: installed_version(name) for name in VERSIONED},
-        **robot_meta(problem),
-    }
+def described(problem: Problem) -> PlanDescription:
+    """What the solutions of a problem are of."""
+    return PlanDescription(
+        problem=problem.name,
+        parameters=dict(problem.parameters),
+        actuation=problem.actuation,
+        terrain=problem.terrain,
+        phase_names=tuple(phase.name for phase in problem.schedule.phases),
+        **described_robot(problem),
+    )
 
 
-def robot_meta(problem: Problem) -> dict[str, Any]:
-    """Meta entries about the problem's robot: contacts and what they touch, limits, drives, shapes."""
-    robot = problem.robot
+def described_robot(problem: Problem) -> dict[str, Any]:
+    """Entries of a description about the robot: contacts and what they touch, limits, drives, shapes."""
+    robot, periodicity = problem.robot, problem.periodicity
     limits = {"effort_limit": robot.torque_limit, "velocity_limit": robot.velocity_limit}
     for term in problem.point_constraints:
         limits |= term.limits(robot)
     limits["effort_limit"] = robot.actuated_row_limit(limits["effort_limit"])
-    meta: dict[str, Any] = {
+    image = None
+    if periodicity is not None:
+        index, sign = periodicity.images(robot)
+        image = PeriodicImage(
+            index=index, sign=sign, origin=problem.initial_q[:3].copy(), **asdict(periodicity)
+        )
+    return {
         "robot": robot.name,
-        "contact_frames": [contact.frame for contact in robot.contacts],
-        "contact_names": [contact.name for contact in robot.contacts],
-        "contact_kinds": [contact.kind for contact in robot.contacts],
-        "contact_sizes": [
-            [c.half_length, c.half_width] if c.kind == "surface" else None for c in robot.contacts
-        ],
-        "contact_radius": [contact.radius for contact in robot.contacts],
-        "friction": [problem.terrain.friction for _ in robot.contacts],
+        "contacts": tuple(_contact(contact, problem.terrain.friction) for contact in robot.contacts),
         "surfaces": _surfaces(problem),
         "patches": _patches(problem),
-        "goals": goals_meta(problem),
-        "gravity": robot.model.gravity.linear.tolist(),
-        **{name: _as_numbers(limit) for name, limit in limits.items()},
+        "goals": tuple(goals_of(problem)),
+        "gravity": tuple(robot.model.gravity.linear.tolist()),
+        "payloads": _payloads(problem),
+        "periodicity": image,
+        "drives": () if robot.drives is None else tuple(robot.drives),
+        "visual": robot.visual,
+        **{name: _finite(limit) for name, limit in limits.items()},
+        **described_bodies(problem),
     }
-    if problem.payloads:
-        meta["payloads"] = _payloads(problem)
-    if problem.periodicity is not None:
-        meta["periodicity"] = problem.periodicity.describe(problem.robot, problem.initial_q[:3])
-    if robot.drives is not None:
-        meta["drives"] = [None if drive is None else drive.to_meta() for drive in robot.drives]
-    if robot.visual is not None:
-        meta["visual"] = robot.visual.to_meta()
-    return meta | bodies_meta(problem)
 
 
-def _payloads(problem: Problem) -> list[dict[str, Any]]:
+def described_bodies(problem: Problem) -> dict[str, Any]:
+    """Entries of a description about shapes of links and obstacles."""
+    shapes, clearance = shapes_of(problem), clearance_of(problem)
+    entries: dict[str, Any] = {"obstacles": tuple(clearance.obstacles), "bodies": None, "margins": None}
+    if shapes.shapes or shapes.missing:
+        entries["bodies"] = shapes
+        if clearance.margin > 0:
+            scene = CollisionScene(model=problem.robot.model, shapes=shapes.shapes, self_pairs=shapes.pairs)
+            apart = self_margins(problem.robot, scene, clearance.margin)
+            entries["margins"] = BodyMargins(obstacles=float(clearance.margin), pairs=apart)
+    return entries
+
+
+def _contact(contact: Contact, friction: float) -> PlannedContact:
+    size = (contact.half_length, contact.half_width) if contact.kind == "surface" else None
+    return PlannedContact(
+        name=contact.name,
+        frame=contact.frame,
+        kind=contact.kind,
+        friction=friction,
+        half_size=size,
+        radius=contact.radius,
+    )
+
+
+def _payloads(problem: Problem) -> tuple[CarriedBody, ...]:
     """What is carried, and the indices of the phases in which it is."""
     names = [phase.name for phase in problem.schedule.phases]
-    return [
-        {**payload.describe(problem.robot), "phases": [names.index(name)]}
+    return tuple(
+        CarriedBody(
+            frame=problem.robot.contact(payload.contact).frame,
+            mass=float(payload.mass),
+            centre=np.array(payload.centre),
+            inertia=np.array(payload.inertia),
+            phases=(names.index(name),),
+        )
         for name, payload in problem.payloads.items()
-    ]
+    )
 
 
-def _surfaces(problem: Problem) -> list[dict[str, Any]] | None:
-    """For each phase what contacts touch instead of flat terrain, by their frames; None if nothing else.
+def _surfaces(problem: Problem) -> tuple[dict[str, Surface], ...]:
+    """For each phase what contacts touch instead of flat terrain, by their frames; empty if nothing else.
 
     Of piecewise terrain the planes of the faces they stand on; curved ground follows from the terrain.
     """
     flat, robot, schedule = isinstance(problem.terrain, FlatGround), problem.robot, problem.schedule
-    phases = [
+    phases = tuple(
         {
-            robot.contact(name).frame: ground.offset(-robot.contact(name).radius).describe()
+            robot.contact(name).frame: ground.offset(-robot.contact(name).radius)
             for name, ground in problem.surfaces_of(i).items()
             if isinstance(ground, Surface)
             and not (flat and phase.own_surface(name) is None and schedule.patch(i, name) is None)
         }
         for i, phase in enumerate(schedule.phases)
-    ]
-    return phases if any(phases) else None
+    )
+    return phases if any(phases) else ()
 
 
-def _patches(problem: Problem) -> list[dict[str, Any]] | None:
-    """For each phase the patches on which active contacts stand, by their frames; None if there are none."""
-    found = []
+def _patches(problem: Problem) -> tuple[dict[str, Patch], ...]:
+    """For each phase the patches on which active contacts stand, by their frames; empty if there are none."""
+    phases: list[dict[str, Patch]] = []
     for i, phase in enumerate(problem.schedule.phases):
         patches = {name: problem.schedule.patch(i, name) for name in phase.contacts}
-        named = {name: patch for name, patch in patches.items() if patch is not None}
-        found.append({problem.robot.contact(n).frame: patch.describe() for n, patch in named.items()})
-    return found if any(found) else None
+        phases.append(
+            {problem.robot.contact(n).frame: patch for n, patch in patches.items() if patch is not None}
+        )
+    return tuple(phases) if any(phases) else ()
 
 
-def _as_numbers(limit: np.ndarray | None) -> list[float] | None:
-    """A limit for JSON, which has no infinity: unlimited is the largest number, as in Pinocchio's models."""
-    return None if limit is None else np.minimum(limit, sys.float_info.max).tolist()
+def _finite(limit: np.ndarray | None) -> np.ndarray | None:
+    """A limit as Pinocchio's models have it: the largest number where there is none."""
+    return None if limit is None else np.minimum(limit, sys.float_info.max)

@@ -88,7 +88,7 @@ def solve(
 
     Returns:
         The best motion. Its ``success`` is the verdict of the check, ``converged`` that all rows hold at its
-        points; its meta has under ``graded`` the meshes, under ``failures`` and ``advice`` what is missed.
+        points; its statistics have in ``graded`` the meshes, in ``failures`` and ``advice`` what is missed.
 
     Raises:
         InputError: For a value that is not allowed.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,19 +47,14 @@ def solve_figures(solution: Solution) -> dict[str, Any]:
     """How a solution was found: grid, start, status, objective; iterations and time of all its rounds."""
     keys = ("transcription", "warm_start", "status", "success", "objective")
     last = ("build_time_s", "compile_time_s", "functions_compiled")
-    own = {key: solution.meta[key] for key in (*keys, *last)}
-    return {"intervals": solution.n_intervals, **own, **total_effort([solution])}
-
-
-def rounds_of(meta: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
-    """Figures of the solves of a solution's rounds, as in `Round.to_dict`; its own where it has none."""
-    return meta.get("graded", {}).get("rounds") or [meta]
+    figures = {key: getattr(solution.statistics, key) for key in (*keys, *last)}
+    return {"intervals": solution.n_intervals, **figures, **total_effort([solution])}
 
 
 def total_effort(solutions: Sequence[Solution]) -> dict[str, Any]:
     """Iterations and the solver's time in s of several solves together, each with all its rounds."""
-    rounds = [own for solution in solutions for own in rounds_of(solution.meta)]
-    return {key: sum(own[key] for own in rounds) for key in ("iterations", "wall_time_s")}
+    rounds = [each for solution in solutions for each in solution.statistics.rounds]
+    return {key: sum(getattr(each, key) for each in rounds) for key in ("iterations", "wall_time_s")}
 
 
 @accepts_compile

@@ -66,8 +66,13 @@ class Iterate:
         """
         if self.unknowns is None:
             raise RuntimeError(f"{self.solver} does not provide the variables of this iteration")
-        meta = {"solver": self.solver, "status": self.status or self.stage, "success": False, **self.figures}
-        return extract(self.transcription, self.unknowns, meta)
+        return extract(
+            self.transcription,
+            self.unknowns,
+            solver=self.solver,
+            status=self.status or self.stage,
+            more=dict(self.figures),
+        )
 
     def configurations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times (n,) in s, configurations (n, nq) and phases (n,) at the nodes that are finite.

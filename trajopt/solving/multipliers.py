@@ -51,7 +51,7 @@ def with_multipliers(
     info = transcription.rows
     return replace(
         solution,
-        meta={**solution.meta, "row_names": list(info.names)},
+        statistics=replace(solution.statistics, row_names=tuple(info.names)),
         row_multiplier=rows,
         bound_multiplier=bounds,
         row_place=np.column_stack([info.block, info.stage, info.point]),
@@ -105,7 +105,7 @@ def _rows_of(old: Layout, solution: Solution) -> RowInfo | None:
     outside |= point >= np.array(points)[np.clip(stage, 0, old.n_stages)]
     if outside.any():
         return None
-    return RowInfo(names=tuple(solution.meta["row_names"]), block=block, stage=stage, point=point)
+    return RowInfo(names=solution.statistics.row_names, block=block, stage=stage, point=point)
 
 
 def _blocks(layout: Layout, info: RowInfo) -> Iterator[_Block]:

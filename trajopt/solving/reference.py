@@ -217,19 +217,22 @@ class _Climb:
             if agreed:
                 made = ConvergedReference(solution=found, agreement=apart, rungs=tuple(self.rungs))
                 return replace(
-                    made, solution=replace(found, meta={**found.meta, "reference": made.to_dict()})
+                    made,
+                    solution=found.with_statistics(
+                        more={**found.statistics.more, "reference": made.to_dict()}
+                    ),
                 )
             last = found
 
     def _record(self, found: Solution, apart: Comparison | None = None, *, other: bool = False) -> None:
-        meta = found.meta
+        statistics = found.statistics
         rung = MeshSolve(
-            scheme=meta["transcription"],
+            scheme=statistics.transcription,
             intervals=found.n_intervals,
-            unknowns=meta["variables"],
-            iterations=meta["iterations"],
-            status=meta["status"],
-            objective=meta["objective"],
+            unknowns=statistics.variables,
+            iterations=statistics.iterations,
+            status=statistics.status,
+            objective=statistics.objective,
             seconds=time.monotonic() - self.begun,
             apart=apart,
             other_optimum=other,
@@ -255,8 +258,8 @@ class _Climb:
                 return found
             if self.left <= 0:
                 break
-        mesh = f"{found.meta['transcription']} with {found.n_intervals} intervals"
-        raise self._failure(f"{mesh} is not solved ({found.meta['status'].replace('_', ' ')})")
+        mesh = f"{found.statistics.transcription} with {found.n_intervals} intervals"
+        raise self._failure(f"{mesh} is not solved ({found.statistics.status.replace('_', ' ')})")
 
     def _mesh(self) -> tuple[str | None, int | None]:
         """Scheme and intervals of the next mesh, None for the problem's; raises where the budget is spent."""

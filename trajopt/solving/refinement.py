@@ -134,7 +134,7 @@ class Refinement:
                 solution = self._solved(tried, start)
             if solution is not None or self._is_over():
                 return solution
-            if not self.exchange.moments and self.last and self.last.meta.get("certified_infeasible"):
+            if not self.exchange.moments and self.last and self.last.statistics.certified_infeasible:
                 break
         return None
 
@@ -178,7 +178,7 @@ class Refinement:
         for problem, start in self.exchange.starts(solution, sideless and self.exchange.guess_is_clear()):
             found = self._solved(mesh, start, problem)
             if found is not None:
-                before, after = solution.meta["objective"], found.meta["objective"]
+                before, after = (s.statistics.objective or 0.0 for s in (solution, found))
                 near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
                 self.settled = near or not self.exchange.moments
                 return found
@@ -252,15 +252,15 @@ class Refinement:
         return max(ratios, default=0.0)
 
     def result(self, why: str) -> Graded:
-        """The best motion with its verdict, recorded in its meta."""
+        """The best motion with its verdict, recorded in its statistics."""
         best = None if self.best is None else self.best[1]
         solution, report = (self.last, None) if best is None else (best.solution, best.found.report)
         assert solution is not None
         if report is not None:
             solution = judged_by(solution, report, self.tolerances)
             if not (solution.success or self.last is None or self.last.converged):
-                more = f"{solution.meta['advice']}; a finer mesh was not solved: {self.last.meta['advice']}"
-                solution = replace(solution, meta={**solution.meta, "advice": more})
+                finer = f"a finer mesh was not solved: {self.last.statistics.advice}"
+                solution = solution.with_statistics(advice=f"{solution.statistics.advice}; {finer}")
         made = Graded(
             solution=solution,
             report=report,
@@ -271,4 +271,4 @@ class Refinement:
             target=self.target,
             accuracy=None if best is None else best.accuracy,
         )
-        return replace(made, solution=replace(solution, meta={**solution.meta, "graded": made.to_dict()}))
+        return replace(made, solution=solution.with_statistics(graded=made.statistics))

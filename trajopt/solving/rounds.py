@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from trajopt.certify.accuracy.measures import Accuracy
 from trajopt.certify.report import CheckReport
 from trajopt.problem.problem import Problem
-from trajopt.solution.descriptions import jsonable
+from trajopt.solution.meta import jsonable
 from trajopt.solution.solution import Solution
+from trajopt.solution.statistics import GradedStatistics, RoundStatistics
 from trajopt.solvers.status import Status
 from trajopt.solving.exchange import Exchange
+from trajopt.solving.verdicts import finite_or_none
 from trajopt.transcription.mesh import Mesh
 
 # The status of a solve that the user interrupted: nothing starts from it.
@@ -33,13 +35,13 @@ class Round:
     @classmethod
     def of(cls, mesh: Mesh, solution: Solution) -> Round:
         """The round of a solution on a mesh, not yet measured."""
-        meta = solution.meta
+        statistics = solution.statistics
         return cls(
             mesh=mesh,
-            variables=meta["variables"],
-            iterations=meta["iterations"],
-            wall_time=meta["wall_time_s"],
-            status=meta["status"],
+            variables=statistics.variables,
+            iterations=statistics.iterations,
+            wall_time=statistics.wall_time_s,
+            status=statistics.status,
             errors=None,
         )
 
@@ -53,18 +55,17 @@ class Round:
         """Largest error of a phase, m."""
         return None if self.errors is None else max(self.errors)
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able; an error that is not finite is None."""
-        return jsonable(
-            {
-                "transcription": self.mesh.transcription,
-                "intervals": self.mesh.counts,
-                "variables": self.variables,
-                "iterations": self.iterations,
-                "wall_time_s": self.wall_time,
-                "status": self.status,
-                "errors_m": self.errors,
-            }
+    @property
+    def statistics(self) -> RoundStatistics:
+        """The round as solutions record it; an error that is not finite is None."""
+        return RoundStatistics(
+            transcription=self.mesh.transcription,
+            intervals=self.mesh.counts,
+            variables=self.variables,
+            iterations=self.iterations,
+            wall_time_s=self.wall_time,
+            status=self.status,
+            errors_m=None if self.errors is None else tuple(map(finite_or_none, self.errors)),
         )
 
 
@@ -105,17 +106,22 @@ class Graded:
         """Time of the solver in all rounds, s."""
         return sum(own.wall_time for own in self.rounds)
 
+    @property
+    def statistics(self) -> GradedStatistics:
+        """What was done, as solutions record it."""
+        return GradedStatistics(
+            reached=self.reached,
+            why=self.why,
+            spent_s=self.spent,
+            examined_s=self.examined,
+            rounds=tuple(each.statistics for each in self.rounds),
+            target_m=self.target,
+            error_m=None if self.target is None else finite_or_none(self.error),
+        )
+
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able."""
-        aimed = {} if self.target is None else {"target_m": self.target, "error_m": jsonable(self.error)}
-        return {
-            "reached": self.reached,
-            "why": self.why,
-            "spent_s": self.spent,
-            "examined_s": self.examined,
-            **aimed,
-            "rounds": [own.to_dict() for own in self.rounds],
-        }
+        """The statistics, JSON-able."""
+        return jsonable(asdict(self.statistics))
 
 
 def largest_error(accuracy: Accuracy | None) -> float:

@@ -144,8 +144,8 @@ def solve(
         judge: Check a motion that converged; False where the caller does.
 
     Returns:
-        A solution whose ``meta`` has status, success, advice, iterations, objective, times and the worst
-        blocks of rows.
+        A solution whose ``statistics`` have status, success, advice, iterations, objective, times and the
+        worst blocks of rows.
 
     Raises:
         InputError: For a value that is not allowed.
@@ -195,7 +195,7 @@ def solve_prepared(
     Args:
         prepared: The problem's NLP.
         start: Scaled variables (n_unknowns,).
-        origin: Where the start comes from, for ``meta``: ``seed`` and ``perturb`` at least.
+        origin: Where the start comes from, for the statistics: ``seed`` and ``perturb`` at least.
         solver: As in `solve`, like what follows.
         stop: Tolerance, and limits of iterations and time.
         options: The solver's own.
@@ -220,7 +220,7 @@ def solve_prepared(
     found = fail_on_gimbal_lock(found)
     if judge and prepared.transcription.problem.holds_contacts:
         found = judged(found)
-    told.end(result, found.meta["status"])
+    told.end(result, found.statistics.status)
     return found
 
 
@@ -276,31 +276,33 @@ def _solution(
     worst = float(violations.max()) if np.all(np.isfinite(violations)) else math.nan
     status = status_by_violation(result.status, worst, tolerance)
     success = status is Status.SOLVED
-    meta = {
-        "solver": solver,
-        "hessian": prepared.nlp.hessian,
-        "status": status.word,
-        "solver_status": result.solver_status,
-        "success": success,
-        "converged": success,
-        "advice": advice_for(status, place, worst <= TRUSTED_VIOLATION * tolerance),
-        "iterations": result.iterations,
-        "objective": finite_or_none(result.objective * t.objective_unit),
-        "tolerance": tolerance,
-        "variables": t.layout.n_unknowns,
-        "constraints": t.n_rows,
-        "max_violation": finite_or_none(worst),
-        "primal_infeasibility": finite_or_none(result.primal),
-        "dual_infeasibility": finite_or_none(result.dual),
-        "complementarity": finite_or_none(result.complementarity),
-        "worst_blocks": worst_blocks(t, result.x, violations, 3),
-        "wall_time_s": result.wall_time,
-        "function_time_s": result.function_time,
-        "build_time_s": prepared.build_time,
-        "compile_time_s": report.compile_time,
-        "functions_compiled": report.built,
-        "warm_start": prepared.warm is not None,
-        **result.figures,
+    solution = extract(
+        t,
+        result.x,
+        solver=solver,
+        hessian=prepared.nlp.hessian,
+        status=status.word,
+        solver_status=result.solver_status,
+        success=success,
+        converged=success,
+        advice=advice_for(status, place, worst <= TRUSTED_VIOLATION * tolerance),
+        iterations=result.iterations,
+        objective=finite_or_none(result.objective * t.objective_unit),
+        tolerance=tolerance,
+        variables=t.layout.n_unknowns,
+        constraints=t.n_rows,
+        max_violation=finite_or_none(worst),
+        primal_infeasibility=finite_or_none(result.primal),
+        dual_infeasibility=finite_or_none(result.dual),
+        complementarity=finite_or_none(result.complementarity),
+        worst_blocks=tuple(worst_blocks(t, result.x, violations, 3)),
+        wall_time_s=result.wall_time,
+        function_time_s=result.function_time,
+        build_time_s=prepared.build_time,
+        compile_time_s=report.compile_time,
+        functions_compiled=report.built,
+        warm_start=prepared.warm is not None,
+        more=dict(result.figures),
         **origin,
-    }
-    return with_multipliers(extract(t, result.x, meta), t, result.lam_g, result.lam_x)
+    )
+    return with_multipliers(solution, t, result.lam_g, result.lam_x)

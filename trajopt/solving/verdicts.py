@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,7 @@ def advice_for(status: Status, place: str | None, feasible: bool) -> str:
 def certified_infeasible(solution: Solution, why: str) -> Solution:
     """Mark a solution as a point of least violation, see `trajopt.solvers.elastic`; ``why``: in one line."""
     advice = f"{LEAST_VIOLATION}: {why}"
-    return replace(solution, meta={**solution.meta, "advice": advice, "certified_infeasible": True})
+    return solution.with_statistics(advice=advice, certified_infeasible=True)
 
 
 def fail_on_gimbal_lock(solution: Solution) -> Solution:
@@ -60,15 +59,15 @@ def fail_on_gimbal_lock(solution: Solution) -> Solution:
     margin = gimbal_margin_along(solution.model, solution.t, solution.q, solution.v)
     if margin is None:
         return solution
-    found: dict[str, Any] = {"gimbal_margin": finite_or_none(margin)}
+    changes: dict[str, Any] = {"gimbal_margin": finite_or_none(margin)}
     if not margin >= LEAST_MARGIN:
         status = Status.SINGULAR_BASE
-        found["advice"] = f"{status.advice} (margin {margin:.3f}, least {LEAST_MARGIN:g})"
+        advice = f"{status.advice} (margin {margin:.3f}, least {LEAST_MARGIN:g})"
         if solution.success:
-            found |= {"status": status.word, "success": False, "converged": False}
+            changes |= {"status": status.word, "success": False, "converged": False, "advice": advice}
         else:
-            found["advice"] = f"{solution.meta['advice']}; {found['advice']}"
-    return replace(solution, meta={**solution.meta, **found})
+            changes["advice"] = f"{solution.statistics.advice}; {advice}"
+    return solution.with_statistics(**changes)
 
 
 def judged(solution: Solution, tolerances: Tolerances = AT_POINTS) -> Solution:
@@ -82,25 +81,24 @@ def judged(solution: Solution, tolerances: Tolerances = AT_POINTS) -> Solution:
     except (TrajoptError, ArithmeticError, ValueError) as error:
         return _failed(solution, f"the motion cannot be checked: {error}")
     seconds = time.perf_counter() - begun
-    return judged_by(replace(solution, meta={**solution.meta, "verdict_time_s": seconds}), report, tolerances)
+    return judged_by(solution.with_statistics(verdict_time_s=seconds), report, tolerances)
 
 
 def judged_by(solution: Solution, report: CheckReport, tolerances: Tolerances) -> Solution:
     """Judge a solution that converged by a check of it; the advice names the worst figure and its place.
 
-    Its meta has that figure, and its value over what is allowed, as ``worst_figure`` and ``tolerance_used``.
+    Its statistics have that figure and its value over what is allowed: ``worst_figure``, ``tolerance_used``.
     """
     failures = report.failures(tolerances)
     name, used = report.worst(tolerances)
-    found = {
-        "status": Status.SOLVED.word,
-        "success": True,
-        "advice": Status.SOLVED.advice,
-        "failures": list(failures),
-        "worst_figure": FIGURES[name].text,
-        "tolerance_used": finite_or_none(used),
-    }
-    solution = replace(solution, meta={**solution.meta, **found})
+    solution = solution.with_statistics(
+        status=Status.SOLVED.word,
+        success=True,
+        advice=Status.SOLVED.advice,
+        failures=tuple(failures),
+        worst_figure=FIGURES[name].text,
+        tolerance_used=finite_or_none(used),
+    )
     if not failures:
         return solution
     beyond = f"{report.said(name)}, {used:.2g} times what is allowed"
@@ -108,8 +106,7 @@ def judged_by(solution: Solution, report: CheckReport, tolerances: Tolerances) -
 
 
 def _failed(solution: Solution, advice: str) -> Solution:
-    verdict = {"status": Status.COARSE_GRID.word, "success": False, "advice": advice}
-    return replace(solution, meta={**solution.meta, **verdict})
+    return solution.with_statistics(status=Status.COARSE_GRID.word, success=False, advice=advice)
 
 
 def finite_or_none(value: float) -> float | None:

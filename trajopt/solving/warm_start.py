@@ -116,8 +116,9 @@ def _require_same_robot(layout: Layout, solution: Solution) -> None:
         return [(name, own.shortname()) for name, own in zip(model.names, model.joints, strict=True)][1:]
 
     if joints(layout.robot.model) != joints(solution.model):
+        given = solution.description.robot
         raise InputError(
-            f"the solution's robot '{solution.meta['robot']}' has other joints than '{layout.robot.name}'",
+            f"the solution's robot '{given}' has other joints than '{layout.robot.name}'",
             "allowed: a solution of a robot with the same joints, in the same coordinates of its base",
         )
 
@@ -132,7 +133,7 @@ def _require_same_phases(layout: Layout, solution: Solution) -> None:
             f"the solution's phases have the contacts {_in_words(found)}, the problem's {_in_words(wanted)}",
             "allowed: a solution with the same phases",
         )
-    velocity = solution.meta.get("actuation") == "velocity"
+    velocity = solution.description.actuation == "velocity"
     if velocity != (layout.order == 1):
         raise InputError(
             "only one of solution and problem has velocity sources, whose nodes have no rates",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -79,7 +80,7 @@ def nonfinite_place(nlp: Nlp, x: np.ndarray) -> str | None:
     return f"{output}{block} in phase '{t.layout.schedule.phases[t.layout.phase_at(node)].name}', node {node}"
 
 
-def describe_block(block: dict[str, Any]) -> str:
+def describe_block(block: Mapping[str, Any]) -> str:
     """Description of a block of rows where it is worst."""
     place = "node" if block["point"] is None else "interval"
     size = "not finite" if block["violation"] is None else f"{block['violation']:.2e}"

@@ -17,12 +17,12 @@ class PhaseSpan:
 
 
 def phase_spans(solution: Solution) -> list[PhaseSpan]:
-    """Return the phases in time order, numbered where the solution has no names for them."""
-    names = solution.meta.get("phase_names") or []
-    spans = []
-    for rows in solution.phases:
-        index = int(solution.phase[rows.start])
-        name = str(names[index]) if index < len(names) else f"phase {index + 1}"
-        start, end = solution.t[rows.start], solution.t[rows.stop - 1]
-        spans.append(PhaseSpan(name=name, start=float(start), end=float(end)))
-    return spans
+    """Return the phases in time order."""
+    return [
+        PhaseSpan(
+            name=solution.phase_names[int(solution.phase[rows.start])],
+            start=float(solution.t[rows.start]),
+            end=float(solution.t[rows.stop - 1]),
+        )
+        for rows in solution.phases
+    ]

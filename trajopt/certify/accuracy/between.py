@@ -112,7 +112,7 @@ def _residuals(dense: Solution, units: NaturalUnits) -> IntervalResiduals:
     force = units.generalized_force(dense.model)
     base = dense.n_unactuated
     turning = np.array([1.0] * 3 + [1.0 / units.length] * 3)
-    if dense.meta.get("actuation") == "velocity":
+    if dense.description.actuation == "velocity":
         contact = rows.contact / (np.sqrt(units.gravity * units.length) * turning)
     else:
         contact = rows.contact / (units.gravity * turning)

@@ -82,7 +82,7 @@ def compare(plan: Solution, reference: Solution) -> Comparison:
 
 def objective_gap(plan: Solution, reference: Solution) -> float | None:
     """(J - J_ref) / |J_ref|, signed; of a reference without cost over ``LEAST_OBJECTIVE`` instead."""
-    own, best = (solution.meta.get("objective") for solution in (plan, reference))
+    own, best = (solution.statistics.objective for solution in (plan, reference))
     if own is None or best is None:
         return None
     return float((own - best) / max(abs(best), LEAST_OBJECTIVE))
@@ -92,9 +92,11 @@ def require_same_task(plan: Solution, reference: Solution) -> None:
     """Raise `InputError` unless both have the same joints, torques, actuation, and contacts in each phase."""
     sizes = [(s.q.shape[1], s.v.shape[1], s.tau.shape[1]) for s in (plan, reference)]
     if sizes[0] != sizes[1] or list(plan.model.names) != list(reference.model.names):
-        raise InputError("the reference is of another robot", f"one with the joints of {plan.meta['robot']}")
-    if plan.meta.get("actuation") != reference.meta.get("actuation"):
-        raise InputError("the reference is of another actuation", f"{plan.meta.get('actuation')}")
+        raise InputError(
+            "the reference is of another robot", f"one with the joints of {plan.description.robot}"
+        )
+    if plan.description.actuation != reference.description.actuation:
+        raise InputError("the reference is of another actuation", plan.description.actuation)
     contacts = [[_touching(s, phase) for phase in s.phases] for s in (plan, reference)]
     if contacts[0] != contacts[1]:
         own = "; ".join(", ".join(sorted(names)) or "none" for names in contacts[0])

@@ -47,7 +47,7 @@ def local_errors(plan: Solution, motion: InterpolatedMotion) -> LocalErrors:
     for number, samples in enumerate(plan.phases):
         own = plan.intervals_of(number)
         inside, dynamics = slice(own.start, own.stop), phase_dynamics(plan, samples.start)
-        if plan.meta.get("actuation") == "velocity":
+        if plan.description.actuation == "velocity":
             found = [integrated_interval_error(plan, dynamics, i) for i in own]
             position[inside], speed[inside] = (np.array(part) for part in zip(*found, strict=True))
         else:

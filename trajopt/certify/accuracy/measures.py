@@ -12,8 +12,8 @@ from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.certify.accuracy.open_loop import OpenLoopDrift, interval_drifts, motion_drift, phase_drifts
 from trajopt.certify.consistency import interval_gaps
 from trajopt.motion.samples import largest_known
-from trajopt.solution.descriptions import jsonable
 from trajopt.solution.input import SolutionOrFile, consistent_solution
+from trajopt.solution.meta import jsonable
 from trajopt.solution.solution import Solution
 
 
@@ -154,7 +154,7 @@ def interval_errors(solution: SolutionOrFile) -> np.ndarray:
 def _phases(
     plan: Solution, local: np.ndarray, dense: BetweenPoints, comparison: Comparison | None
 ) -> tuple[PhaseAccuracy, ...]:
-    names = plan.meta.get("phase_names") or [str(number) for number in range(len(plan.phases))]
+    names = plan.description.phase_names or [str(number) for number in range(len(plan.phases))]
     own, through = phase_drifts(plan), motion_drift(plan)
     found = []
     for number, rows in enumerate(plan.phases):

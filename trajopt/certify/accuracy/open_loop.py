@@ -75,7 +75,7 @@ def interval_drifts(plan: Solution) -> np.ndarray:
 
 def _local_error(plan: Solution, points: NamedPoints, row: int, end: RobotState, seconds: float) -> float:
     apart = np.linalg.norm(points.positions(end[0]) - points.positions(plan.q[row]), axis=1)
-    if plan.meta.get("actuation") != "velocity":
+    if plan.description.actuation != "velocity":
         faster = points.velocities(*end) - points.velocities(plan.q[row], plan.v[row])
         apart = apart + seconds * np.linalg.norm(faster, axis=1)
     return float(apart.max())

@@ -21,7 +21,7 @@ from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve
 from trajopt.solving.interruption import BESIDE, GRACE
-from trajopt.solving.ladder import rounds_of, total_effort
+from trajopt.solving.ladder import total_effort
 from trajopt.solving.monitoring import ProgressCallback
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.failure import failure_text, mode_of
@@ -134,7 +134,7 @@ def attempt(solution: Solution, seed: int | None, legged: bool) -> Attempt:
         legged=legged,
         scheme=mesh.transcription,
         intervals=sum(mesh.counts),
-        meshes=len(rounds_of(meta)),
+        meshes=len(solution.statistics.rounds),
         variables=meta["variables"],
         constraints=meta["constraints"],
         iterations=spent["iterations"],

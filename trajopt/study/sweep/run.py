@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +70,7 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
     if setting.model == "two-stage" and solution.converged:
         objective = objective_of(asked, setting, solution)
     if solution.converged:
-        replace(solution, meta={**meta, "objective": objective}).save(file)
+        solution.with_statistics(objective=objective).save(file)
     # The first solve pays for graphs and compilation, not the others.
     compile_time = first.total("compile_time_s")
     return TimedRun(

@@ -15,11 +15,10 @@ from trajopt.motion.carried import payload_wrenches
 from trajopt.motion.dynamics_rows import DynamicsRows, dynamics_rows
 from trajopt.motion.natural_units import NaturalUnits
 from trajopt.motion.samples import SampleQuantities, sample_quantities
-from trajopt.motion.touched import TouchedSurfaces, is_sole, touched_surfaces
+from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.robot.sole import centre_of_pressure
-from trajopt.solution.descriptions import body_scene_of, scene_of_meta
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.motion import LEAST_PRESSURE
 
@@ -46,8 +45,7 @@ class MotionQuantities:
     @cached_property
     def drives(self) -> tuple[Drive | None, ...]:
         """The drive of every actuated row, empty if the robot has none."""
-        entries = self.solution.meta.get("drives") or []
-        return tuple(None if entry is None else Drive.from_meta(entry) for entry in entries)
+        return self.solution.description.drives
 
     @cached_property
     def drive_torque(self) -> np.ndarray:
@@ -175,7 +173,7 @@ class MotionQuantities:
             np.einsum("kcij,kcj->kci", to_sole, part)
             for part in (self.solution.f[..., :3], self.solution.f[..., 3:])
         )
-        pressed = self.solution.active & is_sole(self.solution) & ~self.surfaces.bilateral
+        pressed = self.solution.active & self.solution.description.soles & ~self.surfaces.bilateral
         pressed &= force[..., 2] > LEAST_PRESSURE * self.units.weight
         centre = centre_of_pressure(force, moment, np.array([0.0, 0.0, 1.0]))[..., :2]
         return np.where(pressed[..., None], centre, np.nan)
@@ -196,9 +194,9 @@ class MotionQuantities:
 
         Of a motion with obstacles, by the shapes of its links; of an older file's by its capsules.
         """
-        model, meta = self.solution.model, self.solution.meta
-        given = scene_of_meta(model, meta.get("collision"))
-        scene = None if given is None else body_scene_of(model, meta) or given
+        model, plan = self.solution.model, self.solution.description
+        given = plan.capsule_scene(model)
+        scene = None if given is None else plan.body_scene(model) or given
         if scene is None or not scene.pairs:
             return {}
         distances = np.full((len(self.t), len(scene.pairs)), np.nan)

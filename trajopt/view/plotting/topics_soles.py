@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajopt.motion.touched import is_sole
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.page import (
@@ -36,7 +35,7 @@ def sole_pages(tracks: Tracks) -> list[PlotPage]:
     """Centres of pressure in the soles, seen from above and over time."""
     sizes = tracks[0].meta.get("contact_sizes") or []
     soles = [
-        i for i in contacts(tracks) if i < len(sizes) and sizes[i] and bool(is_sole(tracks[0].solution)[i])
+        i for i in contacts(tracks) if i < len(sizes) and sizes[i] and tracks[0].solution.description.soles[i]
     ]
     if not any(np.isfinite(track.dense.pressure_centre[:, soles]).any() for track in tracks):
         return []

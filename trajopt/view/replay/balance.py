@@ -23,9 +23,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from trajopt.dynamics.model_quantities import mass_of
 from trajopt.motion.carried import carrying_model
-from trajopt.motion.touched import TouchedSurfaces, contact_radii, is_sole
+from trajopt.motion.touched import TouchedSurfaces
 from trajopt.robot.sole import centre_of_pressure
-from trajopt.solution.descriptions import terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface
 from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
@@ -120,7 +119,7 @@ def supports_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfac
         plane = _plane(solution, motion, touched, middle, contacts)
         points = np.concatenate([_touching(solution, motion, middle, int(contact)) for contact in contacts])
         hull = _hull(points, plane)
-        rise = float(contact_radii(solution.meta)[contacts].mean())
+        rise = float(solution.description.radii[contacts].mean())
         previous = found[-1] if found else None
         if previous is not None and previous.hull.shape == hull.shape and np.allclose(previous.hull, hull):
             found[-1] = replace(previous, rows=previous.rows | rows, hull=hull)
@@ -150,9 +149,8 @@ def upward(model: pin.Model) -> np.ndarray:
 
 def _touching(solution: Solution, motion: ReplayMotion, row: int, contact: int) -> np.ndarray:
     """Points (k, 3) of a contact in the world, m: its frame's origin, or the corners of its sole."""
-    place, sizes = motion.contacts[row, contact], solution.meta.get("contact_sizes") or []
-    size = sizes[contact] if contact < len(sizes) else None
-    if not is_sole(solution)[contact] or size is None:
+    place, size = motion.contacts[row, contact], solution.description.contacts[contact].half_size
+    if size is None:
         return np.asarray(place[None, :3, 3])
     return np.asarray(_CORNERS * [*size, 0.0] @ place[:3, :3].T + place[:3, 3])
 
@@ -171,7 +169,7 @@ def _hull(points: np.ndarray, plane: Surface) -> np.ndarray:
 
 def on_ground(solution: Solution, places: np.ndarray) -> np.ndarray:
     """Where vertical lines through ``places`` (n, 3) meet the terrain (n, 3), m; NaN over holes, at walls."""
-    terrain = terrain_of(solution.meta.get("terrain"))
+    terrain = solution.description.ground
     if terrain is None or isinstance(terrain, Surface):
         plane, up = plane_of(solution), upward(solution.model)
         slope = float(plane.normal @ up)

@@ -10,8 +10,7 @@ import pinocchio as pin
 
 from trajopt.collision.coal_shapes import segment_placement
 from trajopt.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
-from trajopt.motion.carried import payload_inertia
-from trajopt.solution.descriptions import scene_of_meta
+from trajopt.solution.description import CarriedBody
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.commands import Animation
 from trajopt.view.replay.parts import UPRIGHT, box_corners, placed
@@ -28,9 +27,8 @@ DENSITY = 800.0
 
 def draw_obstacles(run: DrawnSolution) -> np.ndarray:
     """Draw the obstacles; returns their corners (k, 3), world, m."""
-    scene = scene_of_meta(run.solution.model, run.solution.meta.get("collision"))
     corners = [np.zeros((0, 3))]
-    for obstacle in scene.obstacles if scene is not None else ():
+    for obstacle in run.solution.description.obstacles:
         corners.append(_draw_obstacle(run.node["obstacles"][obstacle.name.replace("/", "_")], obstacle))
     return np.concatenate(corners)
 
@@ -59,12 +57,12 @@ def _solid(node: Any, shape: Any, placement: pin.SE3) -> None:
 def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
     """Animate payloads; returns points (k, 3) of their extent, m, world."""
     solution, motion, places = run.solution, run.motion, [np.zeros((0, 3))]
-    for number, (entry, phases) in enumerate(_bodies(solution)):
-        contact = solution.contact_frames.index(entry["frame"])
+    for number, (carried_body, phases) in enumerate(_bodies(solution)):
+        contact = solution.contact_frames.index(carried_body.frame)
         carried = np.isin(motion.phase, phases)
         if not carried.any():
             continue
-        body, part = payload_inertia(entry), run.node["payloads"][f"body{number}"]
+        body, part = carried_body.spatial, run.node["payloads"][f"body{number}"]
         extent = _draw_payload(part["shape"], body)
         # Before it is taken and after it is put down it stays in place.
         hand = hold_while_hidden(motion.contacts[:, contact], carried)
@@ -74,17 +72,18 @@ def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
     return np.concatenate(places)
 
 
-def _bodies(solution: Solution) -> list[tuple[dict[str, Any], list[int]]]:
-    """Each carried body with its phases; the file describes a body once per phase."""
-    found: list[tuple[dict[str, Any], list[int]]] = []
-    for entry in solution.meta.get("payloads") or []:
-        body = {key: value for key, value in entry.items() if key != "phases"}
-        same = [phases for other, phases in found if other == body]
+def _bodies(solution: Solution) -> list[tuple[CarriedBody, list[int]]]:
+    """Each carried body with its phases; a description has a body once for each phase."""
+    bodies: list[tuple[CarriedBody, list[int]]] = []
+    for body in solution.description.payloads:
+        same = [
+            phases for other, phases in bodies if other.frame == body.frame and other.spatial == body.spatial
+        ]
         if same:
-            same[0].extend(entry["phases"])
+            same[0].extend(body.phases)
         else:
-            found.append((body, list(entry["phases"])))
-    return found
+            bodies.append((body, list(body.phases)))
+    return bodies
 
 
 def _draw_payload(node: Any, body: pin.Inertia) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 
 from trajopt.solution.solution import Solution
@@ -35,7 +34,7 @@ def caption_lines(
 
 def title(solution: Solution) -> str:
     """Return problem and robot of a solution."""
-    names = [solution.meta.get("problem"), solution.meta.get("robot")]
+    names = [solution.description.problem, solution.description.robot]
     return " – ".join(dict.fromkeys(str(name) for name in names if name)) or "trajectory"
 
 
@@ -53,31 +52,24 @@ def _about(runs: Sequence[DrawnSolution]) -> list[Line]:
 
 def _state(solution: Solution) -> list[Line]:
     lines = [caption_line(solution_line(solution), "quiet")]
-    if not solution.meta.get("success", True):
-        lines.append(
-            caption_line(f"not solved: {str(solution.meta.get('status')).replace('_', ' ')}", "failed")
-        )
+    if not solution.success:
+        lines.append(caption_line(f"not solved: {solution.statistics.status.replace('_', ' ')}", "failed"))
     return lines
 
 
 def solution_line(solution: Solution) -> str:
     """Return length, grid, objective and, where it was measured, the open-loop error of a solution."""
-    meta = solution.meta
+    statistics, graded = solution.statistics, solution.statistics.graded
     said = [f"{solution.t[-1] - solution.t[0]:.2f} s"]
-    if meta.get("simulated"):
+    if statistics.simulated:
         said.append("simulated")
-    elif meta.get("transcription"):
-        said.append(f"{meta['transcription']}, {solution.n_intervals} intervals")
-    if _is_finite(meta.get("objective")):
-        said.append(f"objective {meta['objective']:.4g}")
-    measured = meta.get("aimed") or meta.get("refinement") or meta.get("graded") or {}
-    if _is_finite(measured.get("error_m")):
-        said.append(f"open-loop error {1e3 * measured['error_m']:.2g} mm")
+    elif statistics.transcription:
+        said.append(f"{statistics.transcription}, {solution.n_intervals} intervals")
+    if statistics.objective is not None:
+        said.append(f"objective {statistics.objective:.4g}")
+    if graded is not None and graded.error_m is not None:
+        said.append(f"open-loop error {1e3 * graded.error_m:.2g} mm")
     return "; ".join(said)
-
-
-def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def _legend(motions: Sequence[ReplayMotion], weight_arrow: float) -> list[Line]:

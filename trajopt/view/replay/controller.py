@@ -11,7 +11,6 @@ from typing import Any
 import meshcat.geometry as shapes
 import numpy as np
 
-from trajopt.motion.touched import contact_radii
 from trajopt.view.replay.arrows import LEAST_FORCE, ArrowLook, draw_arrow
 from trajopt.view.replay.balance_marks import THROUGH
 from trajopt.view.replay.commands import Animation
@@ -40,7 +39,7 @@ def draw_controller(
     look = ArrowLook(size=size, scale=weight_arrow, colour=ASKED_COLOUR, broad=BROAD, opacity=OPACITY)
     wrench, soles = motion.between(solution.asked_force), pressing_soles(solution)[motion.last]
     start = motion.feet + pressure_offsets(motion.contacts, wrench, soles, motion.weight)
-    below = contact_radii(solution.meta)[:, None] * motion.touched.normal
+    below = solution.description.radii[:, None] * motion.touched.normal
     wanted_feet = motion.between(solution.foot_goal) - below
     for contact, frame in enumerate(solution.contact_frames):
         name, force = frame.replace("/", "_"), wrench[:, contact, :3] / motion.weight

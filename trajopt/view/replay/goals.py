@@ -10,9 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.motion.touched import contact_radii
-from trajopt.schedule.targets import Target, targets_of
-from trajopt.solution.descriptions import surfaces_of, terrain_of
+from trajopt.schedule.targets import Target
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
 from trajopt.view.replay.parts import (
@@ -32,12 +30,12 @@ CROSS, AXIS, RADIUS, RING, LIFT = 0.05, 0.1, 0.004, 0.03, 0.0035
 
 
 def draw_goals(run: DrawnSolution, drop: float, size: float) -> np.ndarray:
-    """Draw the problem's goals (``meta["goals"]``); returns their positions (k, 3), m.
+    """Draw the problem's goals ; returns their positions (k, 3), m.
 
     drop: how far below the contacts the drawn ground lies, m. Raises `SolutionFileError`.
     """
     drawn: list[np.ndarray] = []
-    for target in targets_of(run.solution.meta.get("goals")):
+    for target in run.solution.description.goals:
         for placement, kind in _marks(run.solution, target):
             if not any(np.allclose(placement, other, atol=1e-9) for other in drawn):
                 _draw(run.node["goals"][f"{kind}{len(drawn)}"], kind, placement, drop, size)
@@ -56,7 +54,7 @@ def _marks(solution: Solution, target: Target) -> list[tuple[np.ndarray, str]]:
         return [(placed(target.position, target.rotation), "pose")]
     if _lands(solution, target):
         normal = _normal(solution, target)
-        radius = contact_radii(solution.meta)[solution.contact_frames.index(target.frame)]
+        radius = solution.description.radii[solution.contact_frames.index(target.frame)]
         return [(placed(target.position - radius * normal, frame_of_normal(normal)), "foothold")]
     return [(placed(target.position), "place")]
 
@@ -71,7 +69,7 @@ def _lands(solution: Solution, target: Target) -> bool:
 
 
 def _phase_index(solution: Solution, target: Target) -> int | None:
-    names = solution.meta.get("phase_names") or []
+    names = solution.phase_names
     return names.index(target.at.phase) if target.at.phase in names else None
 
 
@@ -90,12 +88,12 @@ def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
 def _normal(solution: Solution, target: Target) -> np.ndarray:
     """Normal under a contact that lands: of its own surface in that phase, else of the terrain."""
     index, position = _phase_index(solution, target), target.position
-    own = surfaces_of(solution.meta.get("surfaces"))
+    own = solution.description.surfaces
     if index is not None and index < len(own):
         surface = own[index].get(str(target.frame))
         if surface is not None:
             return surface.normal
-    terrain = terrain_of(solution.meta.get("terrain"))
+    terrain = solution.description.ground
     if terrain is None or position is None:
         return np.array(UP)
     if isinstance(terrain, Surface):

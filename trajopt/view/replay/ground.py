@@ -11,7 +11,6 @@ import numpy as np
 from pinocchio.visualize.meshcat_visualizer import Plane
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.solution.descriptions import terrain_of
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
@@ -77,7 +76,7 @@ def grounds_of(runs: list[DrawnSolution], size: float) -> list[DrawnGround]:
 
 def _ground_of(run: DrawnSolution, size: float) -> DrawnGround:
     standing, elsewhere = touches_of(run)
-    terrain, plane = terrain_of(run.solution.meta.get("terrain")), plane_of(run.solution)
+    terrain, plane = run.solution.description.ground, plane_of(run.solution)
     if isinstance(terrain, PiecewiseTerrain | SmoothTerrain):
         drop = depth_below_contacts(standing, run, size)
         return DrawnGround(plane=plane, seen=plane, drop=drop, elsewhere=elsewhere, uneven=terrain)
@@ -111,7 +110,7 @@ def draw_grounds(
     _draw_sky_and_light(vis, size)
     aside, drawn = any(run.shift.any() for run in runs), []
     for run, ground in zip(runs, grounds, strict=True):
-        described = ground.uneven and (run.solution.meta.get("terrain"), run.shift.tolist())
+        described = ground.uneven and (ground.uneven.describe(), run.shift.tolist())
         if described in drawn:
             continue
         drawn.append(described)

@@ -10,7 +10,6 @@ import pinocchio as pin
 
 from trajopt.collision.coal_shapes import segment_placement, thick
 from trajopt.collision.shapes import LinkShape
-from trajopt.solution.descriptions import bodies_of
 from trajopt.view.replay.commands import Animation, without_shadow
 from trajopt.view.replay.parts import UPRIGHT, ColouredMesh, ColouredMeshGeometry, colour_array
 from trajopt.view.replay.runs import DrawnSolution
@@ -22,7 +21,7 @@ PLACE = "shapes"
 
 def draw_shapes(run: DrawnSolution, tracks: Animation) -> None:
     """Draw the file's shapes of the links, and move them with their joints."""
-    bodies, model = bodies_of(run.solution.meta.get("bodies")), run.solution.model
+    bodies, model = run.solution.description.bodies, run.solution.model
     drawn = set()
     for shape in bodies.shapes if bodies is not None else ():
         frame = model.frames[model.getFrameId(shape.frame)]

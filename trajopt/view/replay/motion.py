@@ -11,7 +11,7 @@ import pinocchio as pin
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.errors import InputError, is_number
 from trajopt.motion.configurations import geodesic_configurations
-from trajopt.motion.touched import TouchedSurfaces, held_samples, is_sole, touched_surfaces
+from trajopt.motion.touched import TouchedSurfaces, held_samples, touched_surfaces
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.solution import Solution
 
@@ -183,7 +183,7 @@ def _impacts(solution: Solution, t: np.ndarray) -> np.ndarray:
 
 def pressing_soles(solution: Solution) -> np.ndarray:
     """Which contacts are soles that press, unilaterally (K, nc)."""
-    return np.asarray(~held_samples(solution) & is_sole(solution))
+    return np.asarray(~held_samples(solution) & solution.description.soles)
 
 
 def pressure_offsets(

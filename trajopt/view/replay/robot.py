@@ -15,7 +15,6 @@ from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
-from trajopt.robot.data import VisualSource
 from trajopt.robot.geometry import DescribedGeometry
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.collada import ColladaError, read_collada
@@ -53,14 +52,14 @@ def joint_path(model: pin.Model, joint: int) -> str:
 
 def draw_robot(vis: Any, solution: Solution) -> DrawnRobot:
     """Draw the robot of ``solution`` into the Meshcat node ``vis``: meshes if they are found, else bones."""
-    name = solution.meta.get("robot") or solution.model.name or "robot"
-    visual = solution.meta.get("visual")
+    name = solution.description.robot or solution.model.name or "robot"
+    visual = solution.description.visual
     try:
         if not visual:
             raise InputError("the solution names no URDF file")
-        visuals = visuals_of(VisualSource.from_meta(visual), solution.model)
+        visuals = visuals_of(visual, solution.model)
         if visuals.geometry.ngeoms == 0:
-            raise InputError(f"{visual['urdf']} has no visual geometry")
+            raise InputError(f"{visual.urdf} has no visual geometry")
     except InputError as error:
         drawn = draw_skeleton(vis, solution)
         drawn.note = f"'{name}' is drawn as a skeleton: {error}"

@@ -92,7 +92,7 @@ def drawn_runs(
     Raises `InputError` for an unknown layout and for labels of another number.
     """
     if layout is None:
-        layout = "side-by-side" if len({str(s.meta.get("robot")) for s in solutions}) > 1 else "overlaid"
+        layout = "side-by-side" if len({str(s.description.robot) for s in solutions}) > 1 else "overlaid"
     if layout not in LAYOUTS:
         raise InputError(f"unknown layout '{layout}'", f"allowed: {', '.join(LAYOUTS)}")
     require_labels(labels, len(solutions))
@@ -116,7 +116,7 @@ def drawn_runs(
 def _names(solutions: Sequence[Solution]) -> list[str]:
     """Problem and robot of each, numbered where they are the same."""
     names = [
-        " ".join(str(s.meta[key]) for key in ("problem", "robot") if s.meta.get(key)) or "trajectory"
+        " ".join(filter(None, (s.description.problem, s.description.robot))) or "trajectory"
         for s in solutions
     ]
     twice = len(set(names)) < len(names)

@@ -8,7 +8,6 @@ from typing import Any
 import meshcat.geometry as shapes
 import numpy as np
 
-from trajopt.solution.descriptions import surfaces_of, terrain_of
 from trajopt.solution.solution import Solution
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
@@ -41,7 +40,7 @@ def plane_of(solution: Solution) -> Surface:
 
     Level at height 0 where the solution has no terrain.
     """
-    terrain = terrain_of(solution.meta.get("terrain"))
+    terrain = solution.description.ground
     if isinstance(terrain, PiecewiseTerrain):
         return terrain.surface
     return terrain if isinstance(terrain, Surface) else Surface(point=np.zeros(3), normal=np.array(UP))
@@ -63,8 +62,8 @@ def touches_of(run: DrawnSolution) -> tuple[list[Touch], list[Touch]]:
     A contact whose own surface is the terrain's plane touches the terrain, unless that surface is bilateral.
     """
     solution, motion = run.solution, run.motion
-    terrain, own = plane_of(solution), surfaces_of(solution.meta.get("surfaces"))
-    described = terrain_of(solution.meta.get("terrain"))
+    terrain, own = plane_of(solution), solution.description.surfaces
+    described = solution.description.ground
     faces = described.faces if isinstance(described, PiecewiseTerrain) else ()
     planes = [terrain, *(face.surface for face in faces)]
     on_terrain, elsewhere = motion.active.copy(), []

@@ -1,0 +1,423 @@
+"""The key ``meta`` of a solution file, JSON, read into records once, and written from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, fields
+from typing import Any, TypeVar
+
+import numpy as np
+
+from trajopt.collision.description import RobotShapes
+from trajopt.collision.shapes import LinkShape, obstacle_from_description
+from trajopt.errors import InputError, SolutionFileError, is_number
+from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.data import VisualSource
+from trajopt.schedule.targets import Target
+from trajopt.solution.description import (
+    BodyMargins,
+    CarriedBody,
+    PeriodicImage,
+    PlanDescription,
+    PlannedContact,
+)
+from trajopt.solution.statistics import GradedStatistics, RoundStatistics, SolveStatistics
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.surface import Surface
+from trajopt.terrain.terrain import terrain_from_description
+from trajopt.transcription.mesh import Mesh, PhaseMesh
+
+_Read = TypeVar("_Read")
+_Json = dict[str, Any]
+
+# Keys that every file has.
+REQUIRED = (
+    "format",
+    "version",
+    "problem",
+    "parameters",
+    "robot",
+    "contact_frames",
+    "contact_kinds",
+    "friction",
+    "effort_limit",
+    "velocity_limit",
+    "terrain",
+    "transcription",
+    "solver",
+    "status",
+    "success",
+    "iterations",
+    "objective",
+    "tolerance",
+    "wall_time_s",
+    "gravity",
+    "versions",
+)
+# Keys of descriptions, and keys that follow from arrays: all others are of statistics.
+DESCRIBED = (
+    *("problem", "parameters", "robot", "actuation", "gravity", "effort_limit", "velocity_limit"),
+    *("contact_frames", "contact_names", "contact_kinds", "contact_sizes", "contact_radius", "friction"),
+    *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
+    *("visual", "phase_names"),
+)
+DERIVED = ("format", "version", "durations", "intervals", "simulated")
+# Fields of statistics that are numbers, words or flags, by their type.
+TEXTS = ("transcription", "solver", "status", "solver_status", "advice", "hessian", "worst_figure")
+FLAGS = ("success", "converged", "warm_start", "certified_infeasible")
+COUNTS = ("iterations", "variables", "constraints", "functions_compiled", "seed")
+# Those that are never null.
+STATED = ("transcription", "solver", "status", "success", "tolerance", "wall_time_s")
+PERIODIC = ("index", "sign", "origin", "translation", "velocity", "turn", "mirror")
+
+
+def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
+    """Read what a plan is of. Raises `SolutionFileError` for an entry that is not of its form."""
+    contacts = tuple(_contacts(meta))
+    frames = [contact.frame for contact in contacts]
+    bodies = _optional(meta, "bodies", RobotShapes.from_description)
+    scene = _optional(meta, "collision", _collision) or {}
+    return PlanDescription(
+        problem=str(meta["problem"]),
+        robot=str(meta["robot"]),
+        parameters=_object(meta, "parameters"),
+        contacts=contacts,
+        actuation=str(meta.get("actuation") or "torque"),
+        gravity=_optional(meta, "gravity", lambda given: tuple(_numbers(given, (3,)).tolist())),
+        effort_limit=_limit(meta, "effort_limit"),
+        velocity_limit=_limit(meta, "velocity_limit"),
+        terrain=_optional(meta, "terrain", terrain_from_description),
+        surfaces=_by_phase(meta, "surfaces", "surface", Surface.from_description),
+        patches=_by_phase(meta, "patches", "patch", Patch.from_description),
+        goals=tuple(_each(meta, "goals", Target.from_description)),
+        payloads=tuple(_each(meta, "payloads", lambda entry: _payload(entry, frames))),
+        periodicity=_optional(meta, "periodicity", _periodicity),
+        drives=tuple(_each(meta, "drives", lambda e: None if e is None else Drive.from_meta(e))),
+        bodies=bodies,
+        margins=None if bodies is None else _margins(meta["bodies"].get("margins"), bodies),
+        visual=_optional(meta, "visual", VisualSource.from_meta),
+        phase_names=_phase_names(meta, n_phases),
+        **scene,
+    )
+
+
+def statistics_of(meta: Mapping[str, Any]) -> SolveStatistics:
+    """Read how a solution was found. Raises `SolutionFileError` for an entry that is not of its form."""
+    typed = {field.name for field in fields(SolveStatistics)} - {"more"}
+    values: _Json = {}
+    for name in typed & set(meta):
+        value = meta[name]
+        if value is None:
+            continue
+        if name in TEXTS:
+            _require(isinstance(value, str), name, "a text")
+        elif name in FLAGS:
+            _require(isinstance(value, bool), name, "true or false")
+        elif name in COUNTS:
+            _require(type(value) is int and value >= 0, name, "a number of 0 or more")
+        elif name in ("versions", "redundant_contact_rows", "simulation"):
+            _require(isinstance(value, dict), name, "an object")
+        elif name in ("failures", "row_names"):
+            texts = isinstance(value, list) and all(isinstance(entry, str) for entry in value)
+            _require(texts, name, "a list of texts")
+            value = tuple(value)
+        elif name == "worst_blocks":
+            objects = isinstance(value, list) and all(isinstance(entry, dict) for entry in value)
+            _require(objects, name, "a list of objects")
+            value = tuple(value)
+        elif name == "mesh":
+            value = _entry(name, _mesh, value)
+        elif name == "graded":
+            value = _entry(name, _graded, value)
+        else:
+            _require(is_number(value), name, "a number")
+        values[name] = value
+    for name in STATED:
+        _require(name in values, name, "stated")
+    known = typed | {*DESCRIBED, *DERIVED}
+    return SolveStatistics(
+        **{"objective": None, "converged": meta["success"], "iterations": 0, **values},
+        more={name: value for name, value in meta.items() if name not in known},
+    )
+
+
+def require_keys(meta: Mapping[str, Any]) -> None:
+    """Raise `SolutionFileError` where a key of every file is missing."""
+    missing = [key for key in REQUIRED if key not in meta]
+    if missing:
+        raise SolutionFileError("meta lacks " + ", ".join(repr(key) for key in missing))
+
+
+def meta_of(description: PlanDescription, statistics: SolveStatistics) -> _Json:
+    """The JSON-able entries of both records, without those that follow from arrays."""
+    plan, contacts = description, description.contacts
+    described: _Json = {
+        "problem": plan.problem,
+        "parameters": dict(plan.parameters),
+        "robot": plan.robot,
+        "actuation": plan.actuation,
+        "gravity": plan.gravity,
+        "effort_limit": plan.effort_limit,
+        "velocity_limit": plan.velocity_limit,
+        "contact_frames": [contact.frame for contact in contacts],
+        "contact_names": [contact.name for contact in contacts],
+        "contact_kinds": [contact.kind for contact in contacts],
+        "contact_sizes": [contact.half_size for contact in contacts],
+        "contact_radius": [contact.radius for contact in contacts],
+        "friction": [contact.friction for contact in contacts],
+        "terrain": None if plan.terrain is None else plan.terrain.describe(),
+        "surfaces": _described_by_phase(plan.surfaces),
+        "patches": _described_by_phase(plan.patches),
+        "goals": [target.describe() for target in plan.goals],
+        "phase_names": plan.phase_names,
+        **_described_options(plan),
+    }
+    stated = {field.name: getattr(statistics, field.name) for field in fields(SolveStatistics)}
+    more = stated.pop("more")
+    if statistics.mesh is not None:
+        stated["mesh"] = statistics.mesh.describe()
+    if statistics.graded is not None:
+        graded = asdict(statistics.graded)
+        stated["graded"] = {name: value for name, value in graded.items() if value is not None}
+    required = {"objective"}
+    known = {name: value for name, value in stated.items() if value is not None or name in required}
+    simulated = {"simulated": True} if statistics.simulated else {}
+    return jsonable({**described, **known, **simulated, **more})
+
+
+def _described_options(plan: PlanDescription) -> _Json:
+    """Entries that a file has only where there is something to describe."""
+    options: _Json = {}
+    if plan.payloads:
+        options["payloads"] = [vars(body) for body in plan.payloads]
+    if plan.periodicity is not None:
+        options["periodicity"] = vars(plan.periodicity)
+    if plan.drives:
+        options["drives"] = [None if drive is None else drive.to_meta() for drive in plan.drives]
+    if plan.bodies is not None:
+        margins = {} if plan.margins is None else {"margins": vars(plan.margins)}
+        options["bodies"] = {**plan.bodies.describe(), **margins}
+    if plan.obstacles or plan.capsules:
+        options["collision"] = {
+            "capsules": [shape.describe() for shape in plan.capsules],
+            "obstacles": [obstacle.describe() for obstacle in plan.obstacles],
+            "self_pairs": plan.capsule_pairs,
+        }
+    if plan.visual is not None:
+        options["visual"] = plan.visual.to_meta()
+    return options
+
+
+def _described_by_phase(phases: Sequence[Mapping[str, Surface]] | Sequence[Mapping[str, Patch]]) -> Any:
+    described = [{frame: shape.describe() for frame, shape in phase.items()} for phase in phases]
+    return described or None
+
+
+def jsonable(value: Any) -> Any:
+    """Plain Python for JSON: lists for tuples and arrays, None for numbers that are not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): jsonable(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [jsonable(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _contacts(meta: Mapping[str, Any]) -> Iterator[PlannedContact]:
+    frames, kinds, friction = (meta[key] for key in ("contact_frames", "contact_kinds", "friction"))
+    if not all(isinstance(entry, list) for entry in (frames, kinds, friction)):
+        raise SolutionFileError("contact_frames, contact_kinds and friction of meta must be lists")
+    n = len(frames)
+    if not n == len(kinds) == len(friction):
+        raise SolutionFileError(
+            f"meta has {n} contact_frames, {len(kinds)} contact_kinds, {len(friction)} friction"
+        )
+    names = meta.get("contact_names") or frames
+    sizes = meta.get("contact_sizes") or [None] * n
+    radii = meta.get("contact_radius") or [0.0] * n
+    if not (isinstance(names, list) and len(names) == n and all(isinstance(name, str) for name in names)):
+        raise SolutionFileError(f"contact_names {names} are not a name for each of the {n} contact_frames")
+    if not all(kind in ("point", "surface") for kind in kinds):
+        raise SolutionFileError(f"contact_kinds {kinds} are not all 'point' or 'surface'")
+    if not all(is_number(mu) and mu >= 0 for mu in friction):
+        raise SolutionFileError(f"friction {friction} is not a list of numbers >= 0")
+    if not (isinstance(sizes, list) and len(sizes) == n and all(map(_is_size, sizes))):
+        raise SolutionFileError(
+            "contact_sizes of meta is not a list of null or [half_length, half_width] for each contact"
+        )
+    if not (isinstance(radii, list) and len(radii) == n and all(is_number(r) and r >= 0 for r in radii)):
+        raise SolutionFileError("contact_radius of meta is not a list of a number >= 0 for each contact")
+    if any(radius and kind == "surface" for radius, kind in zip(radii, kinds, strict=True)):
+        raise SolutionFileError("contact_radius of meta is not 0 for a sole")
+    for name, frame, kind, mu, size, radius in zip(names, frames, kinds, friction, sizes, radii, strict=True):
+        half_size = None if size is None else (float(size[0]), float(size[1]))
+        yield PlannedContact(
+            name=name, frame=frame, kind=kind, friction=float(mu), half_size=half_size, radius=float(radius)
+        )
+
+
+def _is_size(size: Any) -> bool:
+    return size is None or (isinstance(size, list) and len(size) == 2 and all(map(is_number, size)))
+
+
+def _limit(meta: Mapping[str, Any], key: str) -> np.ndarray | None:
+    limit = meta[key]
+    if limit is None:
+        return None
+    entries = isinstance(limit, list) and all(e is None or (is_number(e) and e >= 0) for e in limit)
+    _require(entries, key, "null or a list of numbers >= 0")
+    return np.array([np.inf if entry is None else entry for entry in limit], dtype=float)
+
+
+def _phase_names(meta: Mapping[str, Any], n_phases: int) -> tuple[str, ...]:
+    names = meta.get("phase_names")
+    if names is None:
+        return tuple(f"phase {number}" for number in range(n_phases))
+    texts = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    _require(
+        texts and len(names) == n_phases, "phase_names", f"a list of {n_phases} texts, one for each phase"
+    )
+    return tuple(names)
+
+
+def _by_phase(
+    meta: Mapping[str, Any], key: str, entry: str, read: Callable[[Any], _Read]
+) -> tuple[Mapping[str, _Read], ...]:
+    described = meta.get(key)
+    if described is None:
+        return ()
+    objects = isinstance(described, list) and all(isinstance(phase, dict) for phase in described)
+    _require(objects, key, f"null or a list of {{contact frame: {entry}}}")
+    return tuple({frame: _entry(key, read, shape) for frame, shape in phase.items()} for phase in described)
+
+
+def _payload(entry: Any, frames: Sequence[str]) -> CarriedBody:
+    wrong = InputError(f"it holds {entry!r:.80}", "frame, mass, centre, inertia, phases")
+    if not isinstance(entry, dict) or entry.get("frame") not in frames:
+        raise wrong
+    phases, mass = entry.get("phases"), entry.get("mass")
+    if not (isinstance(phases, list) and all(type(phase) is int for phase in phases) and is_number(mass)):
+        raise wrong
+    try:
+        centre, inertia = _numbers(entry["centre"], (3,)), _numbers(entry["inertia"], (3, 3))
+    except (KeyError, InputError):
+        raise wrong from None
+    return CarriedBody(
+        frame=entry["frame"], mass=float(mass), centre=centre, inertia=inertia, phases=tuple(phases)
+    )
+
+
+def _periodicity(given: Any) -> PeriodicImage:
+    if not isinstance(given, dict) or set(given) != set(PERIODIC):
+        raise InputError("it is not an object of its keys", ", ".join(PERIODIC))
+    n = len(given["index"]) if isinstance(given["index"], list) else 0
+    index, sign = _numbers(given["index"], (n,)), _numbers(given["sign"], (n,))
+    if (index != np.floor(index)).any() or not set(index.tolist()) <= set(range(n)) or (abs(sign) != 1).any():
+        raise InputError("index and sign are no rows with signs", "rows of v, and 1 or -1")
+    moved = {
+        key: None if given[key] is None else tuple(_numbers(given[key], (3,)).tolist())
+        for key in ("translation", "velocity")
+    }
+    return PeriodicImage(
+        index=index.astype(int),
+        sign=sign,
+        origin=_numbers(given["origin"], (3,)),
+        turn=float(_numbers(given["turn"], ())),
+        mirror=bool(given["mirror"]),
+        **moved,
+    )
+
+
+def _collision(given: Any) -> _Json:
+    keys = ("capsules", "obstacles", "self_pairs")
+    if not isinstance(given, dict) or not all(isinstance(given.get(key), list) for key in keys):
+        raise InputError("it is not an object of lists", f"keys: {', '.join(keys)}")
+    pairs = given["self_pairs"]
+    if not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
+        raise InputError("self_pairs are not pairs", "allowed: [capsule, capsule] by name")
+    return {
+        "capsules": tuple(LinkShape.from_description(entry) for entry in given["capsules"]),
+        "obstacles": tuple(obstacle_from_description(entry) for entry in given["obstacles"]),
+        "capsule_pairs": tuple((str(first), str(second)) for first, second in pairs),
+    }
+
+
+def _margins(given: Any, bodies: RobotShapes) -> BodyMargins | None:
+    if given is None:
+        return None
+    try:
+        obstacles, pairs = (
+            float(_numbers(given["obstacles"], ())),
+            _numbers(given["pairs"], (len(bodies.pairs),)),
+        )
+    except (KeyError, TypeError, InputError):
+        obstacles, pairs = math.nan, np.zeros(0)
+    if not (obstacles >= 0 and (pairs >= 0).all()):
+        raise SolutionFileError(
+            "margins of bodies of meta are not those of its pairs",
+            "allowed: {obstacles: m, pairs: [m, ...]}, not negative, one for each of pairs",
+        )
+    return BodyMargins(obstacles=obstacles, pairs=pairs)
+
+
+def _mesh(given: Any) -> Mesh:
+    return Mesh(phases=tuple(PhaseMesh.from_description(phase) for phase in given))
+
+
+def _graded(given: Any) -> GradedStatistics:
+    rounds = tuple(
+        RoundStatistics(
+            **{
+                **entry,
+                "intervals": tuple(entry["intervals"]),
+                "errors_m": None if entry.get("errors_m") is None else tuple(entry["errors_m"]),
+            }
+        )
+        for entry in given["rounds"]
+    )
+    return GradedStatistics(**{**given, "rounds": rounds})
+
+
+def _numbers(given: Any, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        array = np.array(given, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        array = np.full(1, np.nan)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise InputError(f"{given!r:.60} is not of shape {shape}", "finite numbers")
+    return array
+
+
+def _require(holds: bool, key: str, allowed: str) -> None:
+    if not holds:
+        raise SolutionFileError(f"{key} of meta is not {allowed}")
+
+
+def _object(meta: Mapping[str, Any], key: str) -> _Json:
+    _require(isinstance(meta[key], dict), key, "an object")
+    return dict(meta[key])
+
+
+def _entry(key: str, read: Callable[[Any], _Read], value: Any) -> _Read:
+    """Read one entry; an error in it names the key."""
+    try:
+        return read(value)
+    except SolutionFileError:
+        raise
+    except InputError as error:
+        raise SolutionFileError(f"{key} of meta: {error.what}", error.allowed) from None
+    except (TypeError, KeyError, ValueError, AttributeError, OverflowError):
+        raise SolutionFileError(f"{key} of meta is damaged") from None
+
+
+def _optional(meta: Mapping[str, Any], key: str, read: Callable[[Any], _Read]) -> _Read | None:
+    value = meta.get(key)
+    return None if value is None else _entry(key, read, value)
+
+
+def _each(meta: Mapping[str, Any], key: str, read: Callable[[Any], _Read]) -> list[_Read]:
+    entries = meta.get(key)
+    _require(entries is None or isinstance(entries, list), key, "null or a list")
+    return [_entry(key, read, entry) for entry in entries or []]

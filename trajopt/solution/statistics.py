@@ -1,0 +1,106 @@
+"""How a solution was found: solver, status, size, times, residuals, and rounds of refinement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from trajopt.transcription.mesh import Mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoundStatistics:
+    """One solve of a refinement: its mesh in words, its size, its effort, and errors of the phases in m."""
+
+    transcription: str
+    intervals: tuple[int, ...]
+    variables: int
+    iterations: int
+    wall_time_s: float
+    status: str
+    errors_m: tuple[float | None, ...] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class GradedStatistics:
+    """What a solve to a grade did: whether and why it ended, s of the solver and of checks, all rounds.
+
+    target_m, error_m: the error of a phase that was asked for, and the largest of the result.
+    """
+
+    reached: bool
+    why: str
+    spent_s: float
+    examined_s: float
+    rounds: tuple[RoundStatistics, ...] = ()
+    target_m: float | None = None
+    error_m: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolveStatistics:
+    """How a solution was found. Times in s, residuals in natural units; None where there is no such figure.
+
+    Attributes:
+        success: the verdict: the solver converged and the motion is within the tolerances it was judged by.
+        converged: the solver met its tolerance: all rows hold at the points.
+        status, solver_status, advice: in words, the library's, the solver's, and what to try.
+        worst_blocks: where rows are violated most, each with block, phase, node, point, time, violation.
+        failures, worst_figure, tolerance_used: figures beyond a tolerance; the worst one, over its tolerance.
+        row_names: blocks of rows that the arrays of multipliers name.
+        mesh: None where it follows from the times of the samples.
+        graded: rounds of refinement. simulation: report of a simulated motion.
+        more: figures of the solver, and entries of other programs, JSON-able.
+    """
+
+    transcription: str
+    solver: str
+    status: str
+    success: bool
+    converged: bool
+    iterations: int
+    objective: float | None
+    tolerance: float
+    wall_time_s: float
+    versions: Mapping[str, str] = field(default_factory=dict)
+    solver_status: str = ""
+    advice: str = ""
+    hessian: str | None = None
+    mesh: Mesh | None = None
+    variables: int = 0
+    constraints: int = 0
+    max_violation: float | None = None
+    primal_infeasibility: float | None = None
+    dual_infeasibility: float | None = None
+    complementarity: float | None = None
+    worst_blocks: tuple[Mapping[str, Any], ...] = ()
+    function_time_s: float | None = None
+    build_time_s: float | None = None
+    compile_time_s: float | None = None
+    verdict_time_s: float | None = None
+    functions_compiled: int | None = None
+    warm_start: bool = False
+    seed: int | None = None
+    perturb: float | None = None
+    failures: tuple[str, ...] = ()
+    worst_figure: str = ""
+    tolerance_used: float | None = None
+    certified_infeasible: bool = False
+    gimbal_margin: float | None = None
+    rotation_norm_error: float | None = None
+    redundant_contact_rows: Mapping[str, Any] = field(default_factory=dict)
+    row_names: tuple[str, ...] = ()
+    graded: GradedStatistics | None = None
+    simulation: Mapping[str, Any] | None = None
+    more: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the motion is one of a physics engine."""
+        return self.simulation is not None
+
+    @property
+    def rounds(self) -> tuple[RoundStatistics | SolveStatistics, ...]:
+        """All solves that led to the solution: of its refinement, or itself."""
+        return (self.graded and self.graded.rounds) or (self,)
