@@ -15,9 +15,9 @@ from trajopt_library import robots
 def families() -> dict[str, Family]:
     """All families by name."""
     modules = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
-    found = [module.FAMILY for module in modules if hasattr(module, "FAMILY")]
-    found += [family for module in modules for family in getattr(module, "FAMILIES", ())]
-    return {family.name: family for family in sorted(found, key=lambda family: family.name)}
+    families = [module.FAMILY for module in modules if hasattr(module, "FAMILY")]
+    families += [family for module in modules for family in getattr(module, "FAMILIES", ())]
+    return {family.name: family for family in sorted(families, key=lambda family: family.name)}
 
 
 def family(name: str) -> Family:

@@ -118,7 +118,7 @@ def raised_path(
         target = arm.at(0.0, radius - drawn * robot.length, height + raised * robot.length)
         waypoint = inverse_kinematics(robot, middle, {arm.tool: target})
         if waypoint.error < arms.REACHED:
-            best = max(best, through(waypoint.q), key=lambda found: found[0])
+            best = max(best, through(waypoint.q), key=lambda candidate: candidate[0])
         if best[0] >= least:
             break
     return best[1]

@@ -128,7 +128,7 @@ def _durations(
     if not min(least) > 0:
         raise InputError("two waypoints of arm-pick-place are the same", "allowed: turn and over not zero")
     whole = sum(least) * (1.0 if goal == "time" else UNHURRIED) if duration is None else duration
-    return [whole * own / sum(least) for own in least]
+    return [whole * shortest / sum(least) for shortest in least]
 
 
 def _below(arm: arms.Arm) -> float:
@@ -149,11 +149,7 @@ FAMILY = Family(
         arms.part("up", -0.1, "upward offset of both places from the tool's start"),
         arms.part("over", OVER, "height of the waypoints above the places", (0.0, 1.0)),
         common.number(
-            "payload",
-            None,
-            "kg",
-            "mass of the object (default: from the torque limits)",
-            (0.0, 1e4),
+            "payload", None, "kg", "mass of the object (default: from the torque limits)", (0.0, 1e4)
         ),
         common.goal("effort", "time", meaning="objective: torques or time"),
         common.duration("duration", None, "total duration (default: from the limits)", (1e-3, 120.0)),

@@ -23,15 +23,7 @@ UNHURRIED = 2.0
 
 
 def build(
-    *,
-    robot: str,
-    x: float | None,
-    y: float | None,
-    z: float | None,
-    roll: float,
-    pitch: float,
-    yaw: float,
-    duration: float | None,
+    *, robot: str, duration: float | None, roll: float, pitch: float, yaw: float, **place: float | None
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters. Raises InputError.
 
@@ -39,7 +31,7 @@ def build(
     reached still gives a problem, whose solution then reports the violated constraint.
     """
     arm = arms.load(robot)
-    goal, end = _goal(arm, (x, y, z), pin.rpy.rpyToMatrix(roll, pitch, yaw))
+    goal, end = _goal(arm, tuple(place[axis] for axis in "xyz"), pin.rpy.rpyToMatrix(roll, pitch, yaw))
     ends = (arm.robot.reference, end)
     least = arms.least_duration(arm.robot, ends)
     if not (duration or least > 0):
@@ -62,7 +54,7 @@ def build(
 def _goal(arm: arms.Arm, given: tuple[float | None, ...], turn: np.ndarray) -> tuple[pin.SE3, np.ndarray]:
     """Pose of the tool and a posture (nq,) there, or as near as inverse kinematics can get."""
     default = arm.pose(TURN, 0.0, UP).translation
-    position = np.where([own is None for own in given], default, np.array(given, dtype=float))
+    position = np.where([coordinate is None for coordinate in given], default, np.array(given, dtype=float))
     distance = float(np.linalg.norm(position - arm.axis))
     if distance > arm.robot.length:
         raise InputError(

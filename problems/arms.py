@@ -109,15 +109,15 @@ class Arm:
         """The posture (nq,) of `towards`. Raises InputError if the arm does not reach it."""
         return self.reached(self.towards(turn, out, up), self.pose(turn, out, up))
 
-    def reached(self, found: Posture, pose: pin.SE3) -> np.ndarray:
+    def reached(self, posture: Posture, pose: pin.SE3) -> np.ndarray:
         """The posture (nq,), if it brings the tool to ``pose``. Raises InputError."""
-        if found.error > REACHED:
+        if posture.error > REACHED:
             x, y, z = pose.translation
             raise InputError(
                 f"'{self.robot.name}' cannot bring '{self.tool}' to ({x:.3f}, {y:.3f}, {z:.3f}) m",
                 f"allowed: poses within its reach ({self.robot.length:.2f} m) and joint ranges",
             )
-        return found.q
+        return posture.q
 
     def arrival(self, pose: pin.SE3, q: np.ndarray) -> tuple[Term, Term]:
         """The tool ends at ``pose`` and the joints at rest, near ``q`` (nq,)."""

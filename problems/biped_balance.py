@@ -15,7 +15,6 @@ from trajopt.guesses import legged_guess
 from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, biped_legs
 from trajopt.schedule import Phase, Schedule
-from trajopt.terrain import FlatGround
 
 from . import bipeds, common
 
@@ -62,15 +61,7 @@ def _schedule(robot: Robot, recover: str, way: np.ndarray) -> Schedule:
     return bipeds.two_steps(robot, way, {name: part * unit for name, part in STEPS.items()})
 
 
-def build(
-    *,
-    robot: str,
-    push: float | None,
-    direction: float,
-    recover: str,
-    friction: float,
-    torque_share: float,
-) -> Problem:
+def build(*, robot: str, push: float | None, direction: float, recover: str, **limits: float) -> Problem:
     """Build the recovery; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
     push = PUSH * body.mass * math.sqrt(gravity_of(body.model) * body.length) if push is None else push
@@ -79,22 +70,18 @@ def build(
     start = pushed(body, push * np.array([math.cos(direction), math.sin(direction), 0.0]))
     way = np.append(BEYOND * _capture(body, start) if recover == "step" else np.zeros(2), 0.0)
     schedule = _schedule(body, recover, way)
-    path = [
-        bipeds.waypoint(body, 0.0, (0.0, 0.0, 0.0)),
-        bipeds.waypoint(body, schedule.duration, way),
-    ]
+    path = [bipeds.waypoint(body, 0.0, (0.0, 0.0, 0.0)), bipeds.waypoint(body, schedule.duration, way)]
     return common.problem(
         "biped-balance",
         body,
         schedule,
         legged_guess(body, schedule, path),
-        torques=common.share_of_torque(body, torque_share),
-        terrain=FlatGround(friction=friction),
         clearance=CLEARANCE * body.length if recover == "step" else None,
         end=common.displaced(body, way),
         initial_v=start,
         parameters={"push": push, "recover": recover},
         default_intervals=INTERVALS,
+        **limits,
     )
 
 

@@ -23,14 +23,7 @@ STYLES = {
 
 
 def build(
-    *,
-    style: str,
-    name: str,
-    robot: str,
-    cycle: str,
-    friction: float,
-    torque_share: float,
-    **commanded: Any,
+    *, style: str, name: str, robot: str, cycle: str, friction: float, torque_share: float, **commanded: Any
 ) -> Problem:
     """Build one periodic gait; see ``FAMILIES`` for the parameters. Raises InputError."""
     body, half = bipeds.biped(robot), cycle == "half"
@@ -51,14 +44,14 @@ def build(
 
 
 def _family(name: str, style: str) -> Family:
-    own, gait = STYLES[style], BIPED[style]
+    defaults, gait = STYLES[style], BIPED[style]
     return Family(
         name=name,
         robots=bipeds.ROBOTS,
         phases=("double_1", "single_1") if style == "walk" else ("single_1", "flight_1"),
-        summary=f"{style}, periodic at a commanded speed: {own.summary}",
+        summary=f"{style}, periodic at a commanded speed: {defaults.summary}",
         parameters=(
-            gait_common.forward(own),
+            gait_common.forward(defaults),
             common.duration(
                 "period", None, "duration of a cycle, two steps (default: from length and speed)", (0.05, 10)
             ),

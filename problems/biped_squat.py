@@ -6,7 +6,6 @@ from trajopt.guesses import legged_guess
 from trajopt.problem import Family, Problem
 from trajopt.schedule import Phase, Schedule, middle_of
 from trajopt.terms import FrameHeight
-from trajopt.terrain import FlatGround
 
 from . import bipeds, common, pushing
 
@@ -15,9 +14,7 @@ DEPTH, DURATION = 0.2, 6.0
 INTERVALS = 30
 
 
-def build(
-    *, robot: str, depth: float | None, duration: float | None, friction: float, torque_share: float
-) -> Problem:
+def build(*, robot: str, depth: float | None, duration: float | None, **limits: float) -> Problem:
     """Build the squat; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
     if depth is None:
@@ -38,12 +35,11 @@ def build(
         body,
         schedule,
         legged_guess(body, schedule, path),
-        torques=common.share_of_torque(body, torque_share),
-        terrain=FlatGround(friction=friction),
         more=(deepest,),
         end=body.reference,
         parameters={"depth": depth, "duration": duration},
         default_intervals=INTERVALS,
+        **limits,
     )
 
 

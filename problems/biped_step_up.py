@@ -49,8 +49,8 @@ def build(*, robot: str, friction: float, torque_share: float, **given: float | 
         "step": STEP * unit,
         "double": DOUBLE * unit,
     }
-    own = common.filled(defaults, given)
-    height, forward, shift, step, double = own.values()
+    values = common.filled(defaults, given)
+    height, forward, shift, step, double = values.values()
     if not forward > sole:
         raise InputError(
             f"biped-step-up moves {forward:g} m forward on soles of {sole:g} m", "allowed: more than a sole"
@@ -63,17 +63,18 @@ def build(*, robot: str, friction: float, torque_share: float, **given: float | 
     schedule = bipeds.two_steps(body, way, durations)
     times = np.cumsum([0.0, *durations.values()])
     lift = CLEARANCE * body.length
-    swing = swing_path(terrain, lift, reach=sole / 2, radii={own.name: own.radius for own in body.contacts})
+    radii = {contact.name: contact.radius for contact in body.contacts}
+    swing = swing_path(terrain, lift, reach=sole / 2, radii=radii)
     return common.problem(
         "biped-step-up",
         body,
         schedule,
         legged_guess(body, schedule, _path(body, times, forward, height), terrain=terrain, swing=swing),
-        torques=common.share_of_torque(body, torque_share),
+        torque_share=torque_share,
         terrain=terrain,
         clearance=lift,
         end=common.displaced(body, way),
-        parameters=own,
+        parameters=values,
         default_intervals=INTERVALS,
     )
 

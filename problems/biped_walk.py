@@ -18,7 +18,6 @@ from trajopt.reduced import FootstepPlan, Pendulum, Walk
 from trajopt.robot import Robot, require_soles
 from trajopt.schedule import Motion
 from trajopt.terms import TerminalRest
-from trajopt.terrain import FlatGround
 
 from . import bipeds, common
 
@@ -55,55 +54,49 @@ def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
 
 
 def build(
-    *,
-    robot: str,
-    steps: float,
-    turn: float,
-    friction: float,
-    torque_share: float,
-    **given: float | None,
+    *, robot: str, steps: float, turn: float, friction: float, torque_share: float, **given: float | None
 ) -> Problem:
     """Build the walk; see ``FAMILY`` for the parameters. Raises InputError."""
     count, body = common.whole("steps", steps), bipeds.biped(robot)
     require_soles(body)
     scale = body.length / LENGTH_OF_DEFAULTS
-    own = {name: value * scale for name, value in LENGTHS.items()}
-    own |= {name: value * math.sqrt(scale) for name, value in TIMES.items()}
-    own = common.filled(own, given)
+    values = {name: value * scale for name, value in LENGTHS.items()}
+    values |= {name: value * math.sqrt(scale) for name, value in TIMES.items()}
+    values = common.filled(values, given)
     walk = Walk(
         steps=count,
-        length=own["length"],
+        length=values["length"],
         turn=turn,
-        step_time=own["step_time"],
-        double_support=own["double_support"],
-        shift_time=own["shift"],
-        settle_time=own["settle"],
+        step_time=values["step_time"],
+        double_support=values["double_support"],
+        shift_time=values["shift"],
+        settle_time=values["settle"],
     )
     plan = walk.plan(body)
-    guess = _guess(body, plan, own["clearance"])
+    guess = _guess(body, plan, values["clearance"])
     intervals = common.intervals(INTERVALS_PER_SECOND * plan.duration / math.sqrt(scale))
     return common.problem(
         "biped-walk",
         body,
         plan.schedule(body),
         guess,
-        torques=common.share_of_torque(body, torque_share),
-        terrain=FlatGround(friction=friction),
-        clearance=own["clearance"],
+        torque_share=torque_share,
+        friction=friction,
+        clearance=values["clearance"],
         end=(TerminalRest(q=guess(plan.duration)),),
-        parameters=own | {"steps": walk.steps},
+        parameters=values | {"steps": walk.steps},
         default_intervals=max(len(plan.supports), intervals),
     )
 
 
 def _time(name: str, meaning: str) -> Parameter:
-    own = f"{meaning} (default: {TIMES[name]:g} s on Talos, scaled by sqrt(length))"
-    return common.duration(name, None, f"duration {own}", DURATIONS)
+    described = f"{meaning} (default: {TIMES[name]:g} s on Talos, scaled by sqrt(length))"
+    return common.duration(name, None, f"duration {described}", DURATIONS)
 
 
 def _way(name: str, meaning: str, within: common.Range) -> Parameter:
-    own = f"{meaning} (default: {LENGTHS[name]:g} m on Talos, scaled by length)"
-    return common.length(name, None, own, within)
+    described = f"{meaning} (default: {LENGTHS[name]:g} m on Talos, scaled by length)"
+    return common.length(name, None, described, within)
 
 
 FAMILY = Family(

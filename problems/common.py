@@ -215,14 +215,15 @@ def contact_cones(robot: Robot) -> tuple[Term, ...]:
     return (*points, SoleCone()) if "surface" in kinds else points
 
 
-def share_of_torque(robot: Robot, share: float) -> TorqueLimits:
-    """Torque limits as a fraction of the robot's; none if the robot has none."""
-    return TorqueLimits(limit=None if robot.torque_limit is None else share * robot.torque_limit)
-
-
-def torque_limit_of_all(robot: Robot, torque_limit: float | None) -> TorqueLimits:
-    """Torque limit of ``torque_limit`` N m for all joints; None: the robot's limits."""
-    return TorqueLimits(limit=None if torque_limit is None else np.full(robot.nu, torque_limit))
+def torque_limits(
+    robot: Robot, torque_limit: float | None = None, torque_share: float | None = None
+) -> TorqueLimits:
+    """Torque limits of ``torque_limit`` N m for all joints, or a share of the robot's; None: the robot's."""
+    if torque_limit is not None:
+        return TorqueLimits(limit=np.full(robot.nu, torque_limit))
+    if torque_share is None or robot.torque_limit is None:
+        return TorqueLimits()
+    return TorqueLimits(limit=torque_share * robot.torque_limit)
 
 
 def problem(
@@ -235,7 +236,10 @@ def problem(
     end: np.ndarray | Sequence[Term],
     torques: Term | None = None,
     cones: Sequence[Term] | None = None,
+    torque_limit: float | None = None,
+    torque_share: float | None = None,
     terrain: Terrain | None = None,
+    friction: float = 0.7,
     clearance: float | None = None,
     more: Sequence[Term] = (),
     initial_q: np.ndarray | None = None,
@@ -245,14 +249,31 @@ def problem(
 ) -> Problem:
     """A motion with costs and all limits, by default from rest in the reference posture on level ground.
 
-    costs: default `effort_costs`. end: a configuration (nq,) to end in at rest, or terms. torques: torque
-    limits, default the robot's; only with torque as control input. cones: friction terms, default
-    `contact_cones`. clearance: of swing feet over the terrain in mid swing, m, or None. more: further terms.
-    settings: other fields of `Problem`.
+    Args:
+        name: of the problem.
+        robot: of the problem.
+        schedule: of the problem.
+        guess: t -> (nq,), s.
+        costs: default `effort_costs`.
+        end: a configuration (nq,) to end in at rest, or terms.
+        torques: torque limits, default those of `torque_limits`; only with torque as control input.
+        torque_limit: see `torque_limits`.
+        torque_share: see `torque_limits`.
+        cones: friction terms, default `contact_cones`.
+        terrain: default level ground with the coefficient ``friction``.
+        friction: of the default terrain.
+        clearance: of swing feet over the terrain in mid swing, m, or None.
+        more: further terms.
+        initial_q: (nq,), default the reference.
+        initial_v: (nv,), default rest.
+        actuation: the control input.
+        settings: other fields of `Problem`.
     """
-    ground = FlatGround() if terrain is None else terrain
+    ground = FlatGround(friction=friction) if terrain is None else terrain
     running = effort_costs() if costs is None else costs
-    limits = (TorqueLimits() if torques is None else torques,) if actuation == "torque" else ()
+    if torques is None:
+        torques = torque_limits(robot, torque_limit, torque_share)
+    limits = (torques,) if actuation == "torque" else ()
     swings: tuple[Term, ...] = ()
     if clearance is not None:
         swings = swing_clearance(robot, schedule, ground, height=clearance, guess=guess)

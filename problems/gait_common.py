@@ -142,8 +142,6 @@ def periodic_problem(
     *,
     mirror: Mapping[str, str] | None,
     swing: float,
-    friction: float,
-    torque_share: float,
     goal: str = "effort",
     planned: bool = False,
     **settings: Any,
@@ -153,7 +151,7 @@ def periodic_problem(
     swing: height of swings of the guess, m. planned: feet land on planned footholds, not anywhere.
     """
     plan = plan_of_cycle(robot, schedule, asked.pace, mirror=mirror, clearance=swing)
-    schedule, ground = plan.schedule if planned else schedule, FlatGround(friction=friction)
+    schedule = plan.schedule if planned else schedule
     images = mirror or {foot: foot for foot in asked.gait.feet}
     return common.problem(
         name,
@@ -161,9 +159,7 @@ def periodic_problem(
         schedule,
         plan.guess,
         costs=gait_costs(goal, robot, schedule, asked.pace),
-        torques=common.share_of_torque(robot, torque_share),
-        terrain=ground,
-        more=swing_arcs(schedule, asked.gait.feet, height=asked.lift, terrain=ground, next_name=images),
+        more=swing_arcs(schedule, asked.gait.feet, height=asked.lift, terrain=FlatGround(), next_name=images),
         end=(),
         parameters=asked.parameters,
         default_intervals=INTERVALS if mirror is None else INTERVALS // 2,

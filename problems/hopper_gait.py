@@ -9,7 +9,7 @@ from trajopt.problem import Family, Periodicity, Problem
 from trajopt.robot import Robot
 from trajopt.schedule import Motion
 from trajopt.terms import goal_terms
-from trajopt.terrain import FlatGround, smooth_step
+from trajopt.terrain import smooth_step
 
 from . import common, hoppers
 from .gait_common import Style, forward
@@ -53,29 +53,27 @@ def build(
     duty: float,
     durations: str,
     goal: str,
-    friction: float,
-    torque_share: float,
+    **limits: float,
 ) -> Problem:
     """Build one cycle; see ``FAMILY`` for the parameters. Raises InputError."""
-    own = hoppers.hopper(robot)
-    speed = STYLE.speed(own) if speed is None else speed
-    period = STYLE.period(own, speed) if period is None else period
-    times, lift = (duty * period, (1 - duty) * period), STYLE.clearance * own.length
+    body = hoppers.hopper(robot)
+    speed = STYLE.speed(body) if speed is None else speed
+    period = STYLE.period(body, speed) if period is None else period
+    times, lift = (duty * period, (1 - duty) * period), STYLE.clearance * body.length
     named = dict(zip(("stance", "flight"), times, strict=True))
-    schedule = common.schedule_of(named, ((hoppers.foot_of(own),), ()))
+    schedule = common.schedule_of(named, ((hoppers.foot_of(body),), ()))
     schedule = common.freed(schedule, FREE) if durations == "free" else schedule
     return common.problem(
         "hopper-gait",
-        own,
+        body,
         schedule,
-        _guess(own, speed, times, lift),
-        costs=goal_terms(goal, own, schedule, travel=abs(speed) * period),
-        torques=common.share_of_torque(own, torque_share),
-        terrain=FlatGround(friction=friction),
+        _guess(body, speed, times, lift),
+        costs=goal_terms(goal, body, schedule, travel=abs(speed) * period),
         clearance=lift,
         end=(),
         parameters={"speed": speed, "period": period},
         default_intervals=INTERVALS,
+        **limits,
         periodicity=Periodicity(velocity=(speed, 0.0, 0.0)),
     )
 

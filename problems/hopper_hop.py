@@ -15,7 +15,6 @@ from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, StanceMode, stance_mode
 from trajopt.schedule import Motion, Schedule
 from trajopt.terms import ImpulseCost, TerminalPosture, TerminalRest, TerminalState, effort_costs, goal_terms
-from trajopt.terrain import FlatGround
 
 from . import common, hoppers
 
@@ -91,30 +90,30 @@ def build(
     goal: str,
 ) -> Problem:
     """Build the hop; see ``FAMILY`` for the parameters. Raises InputError."""
-    own = hoppers.hopper(robot)
-    durations, foot = (stance, flight, landing), hoppers.foot_of(own)
-    place = hoppers.standing_foot(own)
-    target, end = place + np.array([distance, 0.0, 0.0]), hoppers.moved(own, distance, 0.0)
+    body = hoppers.hopper(robot)
+    durations, foot = (stance, flight, landing), hoppers.foot_of(body)
+    place = hoppers.standing_foot(body)
+    target, end = place + np.array([distance, 0.0, 0.0]), hoppers.moved(body, distance, 0.0)
     impact, far = touchdown == "impact", goal == "distance"
     schedule = _schedule(foot, target, durations, goal, impact=impact)
     aim = goal_terms(
         goal,
-        own,
+        body,
         schedule,
-        frame=own.contacts[0].frame if far else hoppers.base_frame(own),
+        frame=body.contacts[0].frame if far else hoppers.base_frame(body),
         direction=(-1.0 if distance < 0 else 1.0, 0.0, 0.0),
         effort=COSTS,
     )
     return common.problem(
         "hopper-hop",
-        own,
+        body,
         schedule,
-        _guess(own, distance, durations),
+        _guess(body, distance, durations),
         costs=(*aim, *((ImpulseCost(weight=common.IMPULSE_WEIGHT),) if impact else ())),
-        terrain=FlatGround(friction=friction),
+        friction=friction,
         clearance=common.CLEARANCE,
         end=(TerminalPosture(q=end, over=foot) if far else TerminalState(q=end), TerminalRest(q=end)),
-        modes=_modes(own, place, target, goal) if coordinates == "minimal" else {},
+        modes=_modes(body, place, target, goal) if coordinates == "minimal" else {},
         default_intervals=INTERVALS[goal],
     )
 

@@ -47,6 +47,6 @@ def moved(robot: Robot, forward: float, up: float) -> np.ndarray:
 
 
 def posture(robot: Robot, forward: float, up: float, foot: np.ndarray) -> np.ndarray:
-    """Configuration (nq,) with the base so moved and the foot at ``foot`` (3,) m, or as near as possible."""
+    """Configuration (nq,) with the base moved and the foot at ``foot`` (3,) m, or as near as possible."""
     frame = robot.contacts[0].frame
     return inverse_kinematics(robot, moved(robot, forward, up), {frame: foot}).q

@@ -135,7 +135,6 @@ def problem(
     durations: tuple[float, float, float],
     *,
     terrain: Terrain,
-    torque_limit: float | None,
     turn: float = 0.0,
     goal: str = "effort",
     heights: tuple[float, float] = (0.0, 0.0),
@@ -145,9 +144,8 @@ def problem(
 ) -> Problem:
     """A leap between two postures (nq,), from rest to rest; see `common.problem`.
 
-    durations: of stance, flight and landing, s; free for goals other than effort. torque_limit: N m, of all
-    joints, None: the robot's own. turn: rad to the left, in all. heights: of the ground at both ends, m.
-    touchdown_rise: see `base_path`.
+    durations: of stance, flight and landing, s; free for goals other than effort. turn: rad to the
+    left, in all. heights: of the ground at both ends, m. touchdown_rise: see `base_path`.
     """
     robot, (start, end) = takeoff.robot, ends
     schedule = common.hop_schedule(footholds_at(robot, end, terrain), durations)
@@ -162,7 +160,6 @@ def problem(
         schedule,
         legged_guess(robot, schedule, path, start=start, terrain=terrain, clearance=lift),
         costs=goal_terms(goal, robot, schedule, effort=COSTS),
-        torques=common.torque_limit_of_all(robot, torque_limit),
         terrain=terrain,
         clearance=lift,
         more=(*below, *more),

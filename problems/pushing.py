@@ -91,7 +91,7 @@ def takeoff(robot: Robot, torque_limit: float | None = None) -> Takeoff:
             f"'{robot.name}' cannot leave the ground: its legs are straight in the reference posture",
             "allowed: bent knees (trajopt robot says more)",
         )
-    found = [
+    candidates = [
         Takeoff(
             robot=robot,
             posture=q,
@@ -101,7 +101,7 @@ def takeoff(robot: Robot, torque_limit: float | None = None) -> Takeoff:
         for height, q, done in zip(heights, postures, work, strict=True)
         if height >= 0
     ]
-    return max(reversed(found), key=lambda one: one.merit)  # of equally good ones the highest
+    return max(reversed(candidates), key=lambda one: one.merit)  # of equally good ones the highest
 
 
 def raised(robot: Robot, height: float) -> Posture:

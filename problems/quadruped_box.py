@@ -111,8 +111,8 @@ def build(
     size, default = "height", min(OF_RISE * highest, MOST_BOX * body.length)
     if kind == "gap":
         size, default = "width", GAP * body.length
-    own = common.filled({size: default, "stance": STANCE * unit, "landing": LANDING * unit}, given)
-    terrain, start, end = _site(body, kind, own[size], friction)
+    values = common.filled({size: default, "stance": STANCE * unit, "landing": LANDING * unit}, given)
+    terrain, start, end = _site(body, kind, values[size], friction)
     climb = float(end[2] - start[2])
     rise, touchdown = _leap(takeoff, climb, rise)
     least = climb - pushing.sink_of(body)
@@ -120,18 +120,18 @@ def build(
         raise InputError(
             f"the base rises by {rise:g} m onto a box of {climb:g} m", f"allowed: rise >= {least:.3g} m"
         )
-    own = {"flight": pushing.flight_time(takeoff, rise, takeoff.rise - touchdown - climb)} | own
+    values = {"flight": pushing.flight_time(takeoff, rise, takeoff.rise - touchdown - climb)} | values
     return leaping.problem(
         f"quadruped-{kind}",
         takeoff,
         (common.displaced(body, start), common.displaced(body, end, yaw)),
-        (own["stance"], own["flight"], own["landing"]),
+        (values["stance"], values["flight"], values["landing"]),
         terrain=terrain,
         torque_limit=torque_limit,
         turn=yaw,
         heights=(start[2], end[2]),
         touchdown_rise=touchdown,
-        parameters=own | {"rise": rise},
+        parameters=values | {"rise": rise},
     )
 
 

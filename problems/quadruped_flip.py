@@ -20,7 +20,6 @@ from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, contact_positions, quadruped_legs
 from trajopt.schedule import Moment, Schedule, footholds_at, middle_of
 from trajopt.terms import FrameDirection, Term
-from trajopt.terrain import FlatGround
 
 from . import common, leaping, pushing
 
@@ -142,18 +141,16 @@ def build(
     durations = common.filled(defaults, given)
     flip = _flip(body, kind, durations)
     end = common.displaced(body, flip.way)
-    schedule, ground = flip.schedule(end), FlatGround(friction=friction)
+    schedule = flip.schedule(end)
     lift = leaping.CLEARANCE_PART * body.length
     return common.problem(
         f"quadruped-{kind}",
         body,
         schedule,
-        legged_guess(
-            body, schedule, flip.waypoints(), terrain=ground, clearance=lift, tuck=TUCK * body.length
-        ),
+        legged_guess(body, schedule, flip.waypoints(), clearance=lift, tuck=TUCK * body.length),
         costs=leaping.COSTS,
-        torques=common.torque_limit_of_all(body, torque_limit),
-        terrain=ground,
+        torque_limit=torque_limit,
+        friction=friction,
         clearance=lift,
         more=(*leaping.above_ground(body, dict.fromkeys(PHASES, 0.0)), *flip.turning()),
         end=end,

@@ -70,14 +70,14 @@ def build(
 
 
 def _family(style: str) -> Family:
-    own, gait = STYLES[style], QUADRUPED[style]
+    defaults, gait = STYLES[style], QUADRUPED[style]
     return Family(
         name=f"quadruped-{style}",
         robots=ROBOTS[:1] if style in RARE else ROBOTS,
         phases=tuple(phase.name for phase in gait.phases(1.0)),
-        summary=f"{style}, periodic at a commanded speed: {own.summary}",
+        summary=f"{style}, periodic at a commanded speed: {defaults.summary}",
         parameters=(
-            gait_common.forward(own),
+            gait_common.forward(defaults),
             common.speed("lateral", 0.0, "speed to the left"),
             gait_common.TURN_RATE,
             gait_common.PERIOD,

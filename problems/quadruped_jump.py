@@ -68,20 +68,20 @@ def build(
     """
     body = load(robot)
     takeoff = pushing.takeoff(body, torque_limit)
-    own = common.filled(_defaults(takeoff, direction, given["height"]), given)
-    end = common.displaced(body, (own["distance"], own["sideways"], 0.0), own["yaw"])
-    top = body.reference[2] + own["height"]
+    values = common.filled(_defaults(takeoff, direction, given["height"]), given)
+    end = common.displaced(body, (values["distance"], values["sideways"], 0.0), values["yaw"])
+    top = body.reference[2] + values["height"]
     return leaping.problem(
         f"{kind}-jump-{direction}",
         takeoff,
         (body.reference, end),
-        (own["stance"], own["flight"], own["landing"]),
+        (values["stance"], values["flight"], values["landing"]),
         terrain=FlatGround(friction=friction),
         torque_limit=torque_limit,
-        turn=own["yaw"],
+        turn=values["yaw"],
         goal=goal,
         more=(FrameHeight(frame=body.model.names[1], height=top, at=middle_of("flight")),),
-        parameters=own,
+        parameters=values,
         default_intervals=INTERVALS[goal],
     )
 

@@ -10,7 +10,6 @@ from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, frame_pose
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import TimeCost
-from trajopt.terrain import FlatGround
 
 from . import common, leaping, pushing
 
@@ -84,8 +83,8 @@ def build(
         schedule,
         legged_guess(body, schedule, path, start=lying.q),
         costs=(*leaping.COSTS, TimeCost(weight=TIME_WEIGHT)) if fast else leaping.COSTS,
-        torques=common.torque_limit_of_all(body, torque_limit),
-        terrain=FlatGround(friction=friction),
+        torque_limit=torque_limit,
+        friction=friction,
         more=leaping.above_ground(body, {"rise": 0.0}),
         end=body.reference,
         initial_q=lying.q,

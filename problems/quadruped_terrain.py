@@ -43,57 +43,57 @@ STRIDES = 2.0
 Built = tuple[Terrain, float]
 
 
-def _stairs(own: Walker, *, rise: float, run: float, steps: float) -> Built:
+def _stairs(walker: Walker, *, rise: float, run: float, steps: float) -> Built:
     count = common.whole("steps", steps)
-    return PiecewiseTerrain.stairs(rise, run, count, **own.placed), own.way_across((count - 1) * run)
+    return PiecewiseTerrain.stairs(rise, run, count, **walker.placed), walker.way_across((count - 1) * run)
 
 
-def _steps(own: Walker, *, run: float, **heights: float) -> Built:
-    terrain = PiecewiseTerrain.steps(list(heights.values()), run, **own.placed)
-    return terrain, own.way_across((len(heights) - 1) * run)
+def _steps(walker: Walker, *, run: float, **heights: float) -> Built:
+    terrain = PiecewiseTerrain.steps(list(heights.values()), run, **walker.placed)
+    return terrain, walker.way_across((len(heights) - 1) * run)
 
 
-def _slope(own: Walker, *, ground: str, slope: float, length: float) -> Built:
+def _slope(walker: Walker, *, ground: str, slope: float, length: float) -> Built:
     if ground == "endless":
-        return FlatGround(friction=own.friction, normal=(-math.sin(slope), 0.0, math.cos(slope))), length
-    ramp = PiecewiseTerrain.slope(math.tan(slope) * length, length, **own.placed)
-    return ramp, own.way_across(length)
+        return FlatGround(friction=walker.friction, normal=(-math.sin(slope), 0.0, math.cos(slope))), length
+    ramp = PiecewiseTerrain.slope(math.tan(slope) * length, length, **walker.placed)
+    return ramp, walker.way_across(length)
 
 
-def _stones(own: Walker, *, stones: float, size: float, spacing: float, uneven: float) -> Built:
+def _stones(walker: Walker, *, stones: float, size: float, spacing: float, uneven: float) -> Built:
     """Two rows of stones under the feet of both sides, between two banks."""
     count, gap = common.whole("stones", stones), spacing - size
     if not gap > 0:
         raise InputError(f"stones of {size:g} m are {spacing:g} m apart", "allowed: spacing above their size")
-    legs = quadruped_legs(own.robot)
+    legs = quadruped_legs(walker.robot)
     sides = ((legs.front_left, legs.hind_left), (legs.front_right, legs.hind_right))
-    rows = [float(np.mean([own.feet[name][1] for name in side])) for side in sides]
-    first = own.edge + gap + size / 2
+    rows = [float(np.mean([walker.feet[name][1] for name in side])) for side in sides]
+    first = walker.edge + gap + size / 2
     centres = [(first + i * spacing, row) for row in rows for i in range(count)]
     heights = [uneven * (_halton(i + 1, base) - 0.5) for base in (2, 3) for i in range(count)]
-    kept: dict[str, Any] = {"friction": own.friction, "margin": own.margin}
+    kept: dict[str, Any] = {"friction": walker.friction, "margin": walker.margin}
     blocks = PiecewiseTerrain.stepping_stones(centres, size, heights, **kept)
     extent = count * spacing + gap
     banks = [
         Patch.rectangle((x, 0.0, 0.0), (REACH, 2 * REACH), **kept, name=name)
-        for name, x in (("before", own.edge - REACH / 2), ("beyond", own.edge + extent + REACH / 2))
+        for name, x in (("before", walker.edge - REACH / 2), ("beyond", walker.edge + extent + REACH / 2))
     ]
-    return PiecewiseTerrain(faces=(banks[0], *blocks.faces, banks[1])), own.way_across(extent)
+    return PiecewiseTerrain(faces=(banks[0], *blocks.faces, banks[1])), walker.way_across(extent)
 
 
-def _waves(own: Walker, *, amplitude: float, wavelength: float, yaw: float, way: float) -> Built:
+def _waves(walker: Walker, *, amplitude: float, wavelength: float, yaw: float, way: float) -> Built:
     wave = Wave(amplitude=amplitude, wavelength=wavelength, yaw=yaw)
-    return SmoothTerrain(shapes=(wave,), friction=own.friction), way
+    return SmoothTerrain(shapes=(wave,), friction=walker.friction), way
 
 
 def _halton(index: int, base: int) -> float:
     """Van der Corput's sequence: evenly spread, deterministic numbers in (0, 1)."""
-    found, part = 0.0, 1.0
+    number, part = 0.0, 1.0
     while index:
         index, digit = divmod(index, base)
         part /= base
-        found += part * digit
-    return found
+        number += part * digit
+    return number
 
 
 def _length(name: str, meaning: str, within: common.Range) -> Parameter:
@@ -106,16 +106,16 @@ def _count(name: str, default: int, meaning: str) -> Parameter:
 
 
 def _family(
-    name: str, summary: str, made: Callable[..., Built], *own: Parameter | Choice, kept: bool = True
+    name: str, summary: str, made: Callable[..., Built], *first: Parameter | Choice, kept: bool = True
 ) -> Family:
-    """The family whose terrain and distance ``made`` computes from its ``own`` parameters.
+    """The family whose terrain and distance ``made`` computes from the ``first`` parameters.
 
     kept: the terrain has edges, from which feet keep a margin.
     """
 
     def build(*, footholds: str, torque_share: float, **given: Any) -> Problem:
         """Build the walk; see the family's parameters. Raises InputError."""
-        chosen = {parameter.name: given.pop(parameter.name) for parameter in own}
+        chosen = {parameter.name: given.pop(parameter.name) for parameter in first}
         body = walker(**given)
         defaults = {key: part * body.length for key, part in LENGTHS.items()} | {"way": STRIDES * body.stride}
         derived = {key: defaults[key] if value is None else value for key, value in chosen.items()}
@@ -131,7 +131,7 @@ def _family(
         robots=ROBOTS,
         phases=("stand", "rest"),
         summary=summary,
-        parameters=parameters(*own, margin=kept),
+        parameters=parameters(*first, margin=kept),
         build=build,
     )
 

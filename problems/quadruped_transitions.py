@@ -73,15 +73,14 @@ def build(
             rest=time if STOPS[kind] else None,
         )
 
-    own = phases(count)
-    whole = own if kind == "go" else phases(count + 1)
-    pace = _pace(asked.pace, kind, own, asked.period)
-    first = len(whole) - len(own) if kind == "stop" else 0
-    plan = plan_of_part(body, Schedule(own), Schedule(whole), first, pace, clearance=HIGHER * asked.lift)
+    part = phases(count)
+    whole = part if kind == "go" else phases(count + 1)
+    pace = _pace(asked.pace, kind, part, asked.period)
+    first = len(whole) - len(part) if kind == "stop" else 0
+    plan = plan_of_part(body, Schedule(part), Schedule(whole), first, pace, clearance=HIGHER * asked.lift)
     held = replace(plan.schedule.phases[0], footholds={})  # these contacts are where the start has them
     schedule = Schedule((held, *plan.schedule.phases[1:]))
     begin, end = _ends(body, kind, plan, whole)
-    ground = FlatGround(friction=friction)
     ending = TerminalRest(q=end[0]) if STOPS[kind] else TerminalVelocity(q=end[0], v=end[1])
     return common.problem(
         f"quadruped-{kind}",
@@ -89,15 +88,15 @@ def build(
         schedule,
         plan.guess,
         costs=gait_costs(goal, body, schedule, pace),
-        torques=common.share_of_torque(body, torque_share),
-        terrain=ground,
-        more=swing_arcs(schedule, asked.gait.feet, height=asked.lift, terrain=ground),
+        torque_share=torque_share,
+        friction=friction,
+        more=swing_arcs(schedule, asked.gait.feet, height=asked.lift, terrain=FlatGround()),
         end=(TerminalState(q=end[0]), ending),
         initial_q=begin[0],
         initial_v=begin[1],
         parameters=asked.parameters | {"stand": time},
         default_intervals=max(
-            len(own), common.intervals(INTERVALS_PER_PERIOD * schedule.duration / asked.period)
+            len(part), common.intervals(INTERVALS_PER_PERIOD * schedule.duration / asked.period)
         ),
     )
 
@@ -106,15 +105,15 @@ def _ends(
     robot: Robot, kind: str, plan: GaitPlan, whole: tuple[Phase, ...]
 ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """States (nq,), (nv,) at the beginning and at the end: at rest, or those of the commanded gait."""
-    own = plan.schedule.phases
+    part = plan.schedule.phases
     begin = robot.reference, np.zeros(robot.nv)
     if not STARTS[kind]:
-        before = whole[len(whole) - len(own) - 1]
-        begin = plan.state(robot, 0.0, sorted({*before.contacts, *own[0].contacts}))
+        before = whole[len(whole) - len(part) - 1]
+        begin = plan.state(robot, 0.0, sorted({*before.contacts, *part[0].contacts}))
     end = plan.guess(plan.schedule.duration), np.zeros(robot.nv)
     if not STOPS[kind]:
-        after = whole[len(own)]
-        end = plan.state(robot, plan.schedule.duration, sorted({*own[-1].contacts, *after.contacts}))
+        after = whole[len(part)]
+        end = plan.state(robot, plan.schedule.duration, sorted({*part[-1].contacts, *after.contacts}))
     return begin, end
 
 
@@ -128,10 +127,12 @@ LEAST_CYCLES = 2
 
 
 def _family(kind: str) -> Family:
+    stand, rest = (0.5 if has[kind] else None for has in (STARTS, STOPS))
+    example = transition(QUADRUPED["trot"], 1.0, cycles=2, stand=stand, rest=rest)
     return Family(
         name=f"quadruped-{kind}",
         robots=ROBOTS,
-        phases=tuple(phase.name for phase in _example(kind)),
+        phases=tuple(phase.name for phase in example),
         summary=f"{kind}: {_SUMMARIES[kind]}",
         parameters=(
             Choice(name="gait", default="trot", choices=tuple(STYLES), meaning="name of the gait"),
@@ -151,12 +152,6 @@ def _family(kind: str) -> Family:
         ),
         build=partial(build, kind=kind),
     )
-
-
-def _example(kind: str) -> tuple[Phase, ...]:
-    """Phases of the default gait."""
-    stand, rest = (0.5 if has[kind] else None for has in (STARTS, STOPS))
-    return transition(QUADRUPED["trot"], 1.0, cycles=2, stand=stand, rest=rest)
 
 
 FAMILIES = tuple(_family(kind) for kind in _SUMMARIES)

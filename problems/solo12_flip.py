@@ -13,7 +13,6 @@ from trajopt.reduced import with_virtual_base
 from trajopt.robot import Robot, contact_positions, inverse_kinematics
 from trajopt.schedule import Motion, end_of
 from trajopt.terms import FrameHeight, FramePose
-from trajopt.terrain import FlatGround
 from trajopt_library import robots
 from trajopt_library.robots.solo12 import BASE
 
@@ -77,7 +76,7 @@ def build(
         common.schedule_of({"stance": stance, "flight": duration}, (feet, ())),
         _guess(robot, np.array([pitch, yaw]), stance, duration),
         costs=leaping.COSTS,
-        terrain=FlatGround(friction=friction),
+        friction=friction,
         clearance=common.CLEARANCE,
         end=(
             FrameHeight(frame=BASE, height=top, at=end_of("flight")),

@@ -14,7 +14,6 @@ from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, contact_positions, inverse_kinematics
 from trajopt.schedule import Motion, Schedule, footholds_at, middle_of
 from trajopt.terms import DriveLimits, FrameHeight, ImpulseCost, Term
-from trajopt.terrain import FlatGround
 from trajopt_library import robots
 from trajopt_library.robots import solo12
 
@@ -71,7 +70,7 @@ def _actuated(torque_limit: float | None, voltage: float | None) -> tuple[Robot,
     """The robot with its motors at a supply voltage, or without, and the term that limits torques."""
     robot = robots.load("solo12")
     if voltage is None:
-        return robot, common.torque_limit_of_all(robot, torque_limit)
+        return robot, common.torque_limits(robot, torque_limit)
     if torque_limit is not None:
         raise InputError(
             f"solo12-jump has both torque_limit={torque_limit:g} and voltage={voltage:g}",
@@ -109,7 +108,7 @@ def build(
         _guess(robot, schedule, end, _path(robot, schedule, distance, yaw)),
         costs=(*leaping.COSTS, *soft),
         torques=torque_limits,
-        terrain=FlatGround(friction=friction),
+        friction=friction,
         clearance=common.CLEARANCE,
         more=(FrameHeight(frame=solo12.BASE, height=robot.reference[2] + height, at=middle_of("flight")),),
         end=end,

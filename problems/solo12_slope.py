@@ -62,7 +62,7 @@ def build(
         common.hop_schedule(footholds_at(robot, end, ground), (stance, time, landing)),
         guess,
         costs=leaping.COSTS,
-        torques=common.torque_limit_of_all(robot, torque_limit),
+        torque_limit=torque_limit,
         cones=(FrictionCone(),),
         terrain=ground,
         clearance=common.CLEARANCE,

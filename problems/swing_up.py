@@ -59,23 +59,23 @@ def _pendulum(robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
 
 def build(*, robot: str, goal: str, duration: float | None, torque_share: float) -> Problem:
     """Build the swing-up; see ``FAMILIES`` for the parameters. Raises InputError."""
-    own = robots.load(robot)
-    turn, upright, period = _pendulum(own)
+    pendulum = robots.load(robot)
+    turn, upright, period = _pendulum(pendulum)
     nominal = PERIODS[goal] * period if duration is None else duration
     schedule = Schedule((Phase(name="swing", duration=nominal),))
     schedule = common.freed(schedule, FREE) if goal == "time" else schedule
 
     def turning(t: float) -> np.ndarray:
         turned = smooth_step(t / nominal) * turn
-        return np.asarray(pin.integrate(own.model, own.reference, turned))
+        return np.asarray(pin.integrate(pendulum.model, pendulum.reference, turned))
 
     return common.problem(
-        "acrobot" if own.passive else "double-pendulum",
-        own,
+        "acrobot" if pendulum.passive else "double-pendulum",
+        pendulum,
         schedule,
         turning,
-        costs=goal_terms(goal, own, schedule, effort=EFFORT),
-        torques=common.share_of_torque(own, torque_share),
+        costs=goal_terms(goal, pendulum, schedule, effort=EFFORT),
+        torque_share=torque_share,
         end=upright,
         parameters={"duration": nominal},
         default_intervals=max(LEAST_INTERVALS, round(INTERVALS_PER_PERIOD * nominal / period)),

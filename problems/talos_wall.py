@@ -11,7 +11,7 @@ from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, frame_pose, inverse_kinematics
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import FrictionCone, NormalForce, SoleCone, TerminalRest
-from trajopt.terrain import FlatGround, Surface
+from trajopt.terrain import Surface
 from trajopt_library import robots
 from trajopt_library.robots.talos import HAND, SIDES, SOLES
 
@@ -79,7 +79,7 @@ def build(
             *([] if wall.bilateral else [FrictionCone(contacts=("hand",))]),
             NormalForce(contact="hand", during="push", **bounds),
         ),
-        terrain=FlatGround(friction=friction),
+        friction=friction,
         end=(TerminalRest(q=end),),
         default_intervals=20,
     )

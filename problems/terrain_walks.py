@@ -54,8 +54,8 @@ class Walker:
     @property
     def feet(self) -> dict[str, np.ndarray]:
         """Positions (3,) of the feet in the reference posture, m, world."""
-        found = contact_positions(self.robot, self.robot.reference)
-        return {name: found[name] for name in self.asked.gait.feet}
+        places = contact_positions(self.robot, self.robot.reference)
+        return {name: places[name] for name in self.asked.gait.feet}
 
     @property
     def foremost(self) -> float:
@@ -99,14 +99,14 @@ def walker(
     )
 
 
-def schedule_for(own: Walker, way: float) -> tuple[Schedule, Pace, int]:
+def schedule_for(walker: Walker, way: float) -> tuple[Schedule, Pace, int]:
     """Standing, cycles, standing; the pace that moves ``way`` m forward; and the number of cycles.
 
     The pace rises over the first period and falls over the last. By default the number of cycles is the least
     for which strides at full pace are no longer than the gait's.
     """
-    counts = range(2, MOST_CYCLES + 1) if own.cycles is None else (own.cycles,)
-    gait, period = own.asked.gait, own.asked.period
+    counts = range(2, MOST_CYCLES + 1) if walker.cycles is None else (walker.cycles,)
+    gait, period = walker.asked.gait, walker.asked.period
     for cycles in counts:
         stand = STAND * period
         schedule = Schedule(transition(gait, period, cycles=cycles, stand=stand, rest=stand))
@@ -114,17 +114,17 @@ def schedule_for(own: Walker, way: float) -> tuple[Schedule, Pace, int]:
         change = min(period + stand, whole / 2)
         unit = Pace(velocity=(1.0, 0.0), starts=(0.0, change), stops=(whole - change, whole))
         speed = way / unit.progress(whole)
-        if own.cycles is not None or abs(speed) * period <= own.stride * (1 + 1e-9):
+        if walker.cycles is not None or abs(speed) * period <= walker.stride * (1 + 1e-9):
             return schedule, replace(unit, velocity=(speed, 0.0)), cycles
     raise InputError(
-        f"a distance of {way:.3g} m is more than {MOST_CYCLES} strides of {own.stride:.3g} m",
+        f"a distance of {way:.3g} m is more than {MOST_CYCLES} strides of {walker.stride:.3g} m",
         "allowed: a shorter distance",
     )
 
 
 def problem_over(
     name: str,
-    own: Walker,
+    walker: Walker,
     terrain: Terrain,
     way: float,
     *,
@@ -133,19 +133,19 @@ def problem_over(
     parameters: dict[str, Any],
 ) -> Problem:
     """From standing to standing ``way`` m ahead over terrain. Raises InputError."""
-    robot, lift = own.robot, own.asked.lift
-    schedule, pace, cycles = schedule_for(own, way)
+    robot, lift = walker.robot, walker.asked.lift
+    schedule, pace, cycles = schedule_for(walker, way)
     plan = plan_over_terrain(robot, schedule, pace, terrain, clearance=lift, free=footholds == "free")
     arcs: tuple[Term, ...] = ()  # over whole swings; terrain with edges has `SwingOver` instead
     if not isinstance(terrain, PiecewiseTerrain):
-        arcs = swing_arcs(plan.schedule, own.asked.gait.feet, height=lift, terrain=terrain)
+        arcs = swing_arcs(plan.schedule, walker.asked.gait.feet, height=lift, terrain=terrain)
     return common.problem(
         name,
         robot,
         plan.schedule,
         plan.guess,
         costs=(*effort_costs(), near(plan.guess)),
-        torques=common.share_of_torque(robot, torque_share),
+        torque_share=torque_share,
         terrain=terrain,
         clearance=None if arcs else lift,
         more=arcs,
@@ -154,13 +154,13 @@ def problem_over(
         parameters={"cycles": float(cycles), "clearance": lift, **parameters},
         default_intervals=max(
             len(schedule.phases),
-            common.intervals(INTERVALS_PER_PERIOD * schedule.duration / own.asked.period),
+            common.intervals(INTERVALS_PER_PERIOD * schedule.duration / walker.asked.period),
         ),
     )
 
 
-def parameters(*own: Parameter | Choice, margin: bool = True) -> tuple[Parameter | Choice, ...]:
-    """Parameters of a family: its ``own``, then those that all share."""
+def parameters(*first: Parameter | Choice, margin: bool = True) -> tuple[Parameter | Choice, ...]:
+    """Parameters of a family: the ``first`` ones, then those that all share."""
     kept = common.length(
         "margin",
         None,
@@ -168,7 +168,7 @@ def parameters(*own: Parameter | Choice, margin: bool = True) -> tuple[Parameter
         (0.0, 0.5),
     )
     return (
-        *own,
+        *first,
         common.choice("gait", "name of the gait", *GAITS),
         common.choice(
             "footholds",

@@ -72,7 +72,7 @@ def build(
             model=robot.model, postures=(robot.reference, _grasping(robot, board)), durations=(reach,)
         ),
         costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), WrenchCost(weight=1e-2)),
-        torques=common.share_of_torque(robot, torque_share),
+        torque_share=torque_share,
         cones=(),  # a grasp transmits any wrench
         end=(NormalForce(contact=GRIP, upper=-force, during="pull"),),
         default_intervals=30,

@@ -21,16 +21,7 @@ COSTS: dict[Actuation, tuple[Term, ...]] = {
 
 
 def build(
-    *,
-    x: float,
-    y: float,
-    z: float,
-    roll: float,
-    pitch: float,
-    yaw: float,
-    duration: float,
-    torque_share: float,
-    actuation: Actuation,
+    *, roll: float, pitch: float, yaw: float, duration: float, actuation: Actuation, **given: float
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters.
 
@@ -39,8 +30,8 @@ def build(
     """
     arm = arms.load("ur5")
     robot = arm.robot
-    turn = pin.rpy.rpyToMatrix(roll, pitch, yaw)
-    goal = pin.SE3(turn @ arm.at_reference.rotation, np.array([x, y, z]))
+    turn, place = pin.rpy.rpyToMatrix(roll, pitch, yaw), np.array([given[axis] for axis in "xyz"])
+    goal = pin.SE3(turn @ arm.at_reference.rotation, place)
     end = inverse_kinematics(robot, robot.reference, {arm.tool: goal}).q
     pose, rest = arm.arrival(goal, end)
     return arms.between(
@@ -50,7 +41,7 @@ def build(
         duration,
         phase="reach",
         costs=COSTS[actuation],
-        torques=common.share_of_torque(robot, torque_share),
+        torque_share=given["torque_share"],
         # With velocity input the arm can stop at any time.
         end=(pose,) if actuation == "velocity" else (rest, pose),
         actuation=actuation,

@@ -152,27 +152,3 @@ def solve_ipopt(
     False or KeyboardInterrupt stops with the current iterate, another exception is raised when the
     solver has stopped. Raises ValueError that names an unknown option or a value not allowed.
     """
-
-def solve_fatrop(
-    nlp: Nlp,
-    nx: Indices,
-    nu: Indices,
-    ng: Indices,
-    x0: Reals,
-    lbx: Reals,
-    ubx: Reals,
-    lbg: Reals,
-    ubg: Reals,
-    options: Mapping[str, str | int | float],
-    callback: Callable[[dict[str, Any], Callable[[], Reals]], bool | None] | None,
-    *,
-    lam_g0: Reals | None = None,
-) -> dict[str, Any]:
-    """Solve with FATROP; results, callback and errors are as of ``solve_ipopt``.
-
-    Besides FATROP's own options there is ``max_wall_time`` (s).
-
-    Stage k has the unknowns x_k (``nx[k]``), u_k (``nu[k]``) and the rows ``x_(k+1) - F(x_k, u_k)``
-    followed by ``ng[k]`` rows of its own unknowns; the last stage has no gap rows. ``status`` is the
-    name of FATROP's return flag, or UserRequestedStop, MaxWallTimeExceeded or InvalidNumber.
-    """

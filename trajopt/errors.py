@@ -5,17 +5,13 @@ from __future__ import annotations
 import difflib
 import math
 import traceback
-from collections.abc import Callable, Iterable, Mapping
-from functools import wraps
+from collections.abc import Callable, Iterable
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 if TYPE_CHECKING:
     import numpy as np
-
-
-_Renamed = TypeVar("_Renamed", bound=Callable[..., Any])
 
 # A message lists all allowed names up to this many, and of more this many.
 MANY, LISTED = 60, 8
@@ -179,52 +175,3 @@ def unit_vector(what: str, value: Any) -> np.ndarray:
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise InputError(f"{what} is {value!r}", "allowed: 3 finite numbers, not all 0")
     return np.asarray(vector / np.linalg.norm(vector))
-
-
-def renamed(**words: str) -> Callable[[_Renamed], _Renamed]:
-    """Refuse the old words for arguments, of a function or of a class and its subclasses, with the new ones.
-
-    Args:
-        **words: by the old word the new one, or several: those are named that a class has as fields.
-    """
-
-    def refuse(owner: str, given: Mapping[str, Any], fields: Iterable[str] | None) -> None:
-        for old in sorted(words.keys() & given.keys()):
-            new = words[old].split()
-            new = new if fields is None else [word for word in new if word in fields]
-            if fields is None or old not in fields:
-                said = f"allowed: {' or '.join(new)}" if new else "leave it out"
-                raise InputError(f"{owner} has no argument '{old}'", said)
-
-    def decorate(target: _Renamed) -> _Renamed:
-        if not isinstance(target, type):
-
-            @wraps(target)
-            def called(*arguments: Any, **given: Any) -> Any:
-                refuse(target.__name__, given, None)
-                return target(*arguments, **given)
-
-            return called  # type: ignore[return-value]
-
-        def made(kind: Any, *_: Any, **given: Any) -> Any:
-            refuse(kind.__name__, given, kind.__dataclass_fields__)
-            return object.__new__(kind)
-
-        target.__new__ = made  # type: ignore[method-assign, assignment]
-        return target
-
-    return decorate
-
-
-def lazy_names(
-    loader: tuple[Callable[[str], Any], Callable[[], list[str]], list[str]], module: str, **words: str
-) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """What `lazy_loader.attach_stub` makes; an old name raises an `ImportError` that names the new one."""
-    load, listed, names = loader
-
-    def found(name: str) -> Any:
-        if name in words:
-            raise ImportError(f"{module} has no '{name}'; it is now '{words[name]}'", name=module)
-        return load(name)
-
-    return found, listed, names

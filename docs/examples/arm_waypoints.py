@@ -35,5 +35,5 @@ problem = Problem(
 
 if __name__ == "__main__":
     solution = trajopt.solve(problem)
-    print(solution.meta["status"], f"in {solution.t[-1]:.2f} s", trajopt.check(solution).failures())
+    print(solution.statistics.status, f"in {solution.t[-1]:.2f} s", trajopt.check(solution).failures())
     solution.save("arm-waypoints.npz")

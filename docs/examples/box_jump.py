@@ -55,5 +55,5 @@ problem = Problem(
 
 if __name__ == "__main__":
     solution = trajopt.solve(problem)
-    print(solution.meta["status"], trajopt.check(solution).failures())
+    print(solution.statistics.status, trajopt.check(solution).failures())
     solution.save("box-jump.npz")

@@ -9,7 +9,7 @@ import numpy as np
 
 from scripts.measure.shared import head, median, row
 from trajopt.problem.problem import Problem
-from trajopt.solvers.drivers import LINEAR_SOLVER, STAGES
+from trajopt.solvers.ipopt import LINEAR_SOLVER, STAGES
 from trajopt.solving.solving import solve
 from trajopt_library import problems
 

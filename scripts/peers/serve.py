@@ -23,7 +23,7 @@ from trajopt.certify.reintegration import integrated_states
 from trajopt.motion.samples import state_distance
 from trajopt.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solvers.drivers import LINEAR_SOLVER
+from trajopt.solvers.ipopt import LINEAR_SOLVER
 from trajopt.solving.solving import PreparedProblem, prepare, solve_prepared
 
 _SOLVED: dict[tuple[str, str, int, str, int], Solution] = {}

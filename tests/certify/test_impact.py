@@ -10,7 +10,8 @@ from scipy.linalg import expm
 from tests.support.contact_cases import INDEPENDENT, body, close, independent, pinocchio_constraints, vanishes
 from tests.support.models import robot
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.certify.contact.impact import cone_margins, impact, momentum_of_links, total_wrench
+from trajopt.certify.contact.friction import cone_margins
+from trajopt.certify.contact.impact import impact, momentum_of_links, total_wrench
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from tests.support.lecture_models import named, three_joint_arm
 from tests.support.models import JOINT_KINDS, random_state, robot
-from trajopt.classical.newton_euler import joint_forces, newton_euler
+from trajopt.classical.newton_euler import joint_forces, recursive_newton_euler
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.errors import InputError, UnsupportedJointError
 
@@ -130,7 +130,7 @@ def test_the_lectures_formulas_for_revolute_joints_give_the_same():
 def test_derivatives_of_the_symbolic_function_are_pinocchios():
     model = named("ur5")
     q, v, a = random_state(model, 5)
-    function = newton_euler(model)
+    function = recursive_newton_euler(model)
     inputs = [function.sx_in(i) for i in range(3)]
     tau = function.call([*inputs, ca.SX(0, 1)])[0]
     slopes = ca.Function("slopes", inputs, [ca.jacobian(tau, symbol) for symbol in inputs])(q, v, a)
@@ -145,8 +145,8 @@ def test_a_function_is_built_once_for_the_content_of_a_model():
     model = robot("ur5")[0]
     heavier = model.copy()
     heavier.inertias[2] = pin.Inertia(9.0, np.zeros(3), np.eye(3))
-    assert newton_euler(model) is newton_euler(model.copy())
-    assert newton_euler(model) is not newton_euler(heavier)
+    assert recursive_newton_euler(model) is recursive_newton_euler(model.copy())
+    assert recursive_newton_euler(model) is not recursive_newton_euler(heavier)
 
 
 def test_bad_input_is_refused():
@@ -159,8 +159,8 @@ def test_bad_input_is_refused():
     with pytest.raises(InputError, match="no frame 'hoof'"):
         joint_forces(model, q, v, a, frames=["hoof"])
     with pytest.raises(InputError, match="0, 3, 6"):
-        newton_euler(model, FEET, [3, 4])
+        recursive_newton_euler(model, FEET, [3, 4])
     helical = pin.Model()
     helical.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Identity(), "screw")
     with pytest.raises(UnsupportedJointError, match="'screw'"):
-        newton_euler(helical)
+        recursive_newton_euler(helical)

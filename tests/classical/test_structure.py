@@ -22,7 +22,7 @@ from tests.support.lecture_models import (
 )
 from tests.support.models import JOINT_KINDS, random_state
 from trajopt.classical import structure
-from trajopt.dynamics.model_quantities import mass_of
+from trajopt.dynamics.model_quantities import mass_matrix_at, mass_of
 from trajopt.errors import InputError, UnsupportedJointError
 
 # Two ways of summing the same numbers of order 1 to 1e3.
@@ -45,7 +45,7 @@ def test_blocks_put_together_are_the_mass_matrix(name):
     assert blocks.base.shape == (rows, rows)
     assert blocks.joints.shape == (model.nv - rows, model.nv - rows)
     matrix = np.block([[blocks.base, blocks.coupling], [blocks.coupling.T, blocks.joints]])
-    assert_allclose(matrix, structure.mass_matrix_at(model, q), rtol=0, atol=0)
+    assert_allclose(matrix, mass_matrix_at(model, q), rtol=0, atol=0)
     with pytest.raises(FrozenInstanceError):
         blocks.base = matrix
 
@@ -85,7 +85,7 @@ def test_momentum_matrix_is_the_sum_over_links_about_the_centre_of_mass(name):
     maps = structure.momentum_maps(model, q, BASE_JOINTS.get(name))
     expected = link_momentum_matrix(model, q, structure.composite_inertia(model, q).centre)
     assert_allclose(maps.centroidal, expected, **SAME)
-    assert_allclose(structure.symbolic_momentum_matrix(model)(q).full(), expected, **SAME)
+    assert_allclose(structure.momentum_matrix(model)(q).full(), expected, **SAME)
     about_base = link_momentum_matrix(model, q, maps.placement.translation)
     to_base = np.kron(np.eye(2), maps.placement.rotation.T)
     assert_allclose(maps.base, to_base @ about_base, **SAME)
@@ -97,7 +97,7 @@ def test_base_rows_of_the_mass_matrix_are_the_transported_momentum_matrix(name, 
     model = named(name)
     q, _, _ = random_state(model, seed)
     maps, rows = structure.momentum_maps(model, q, BASE_JOINTS.get(name)), BASE_SIZES[name]
-    mass = structure.mass_matrix_at(model, q)
+    mass = mass_matrix_at(model, q)
     assert_allclose(maps.rows_of_mass_matrix, mass[:rows], **SAME)
     if rows == 6:
         assert_allclose(maps.at_centre_of_mass(mass[:rows]), maps.centroidal, **SAME)
@@ -112,10 +112,10 @@ def test_a_free_flyers_base_frame_is_its_body_and_virtual_joints_map_through_the
     q_chain = np.concatenate([q[:3], [yaw, pitch, roll], q[7:]])
     maps = structure.momentum_maps(chain, q_chain, VIRTUAL_BASE)
     jacobian = maps.base_jacobian
-    mass = structure.mass_matrix_at(free, q)
+    mass = mass_matrix_at(free, q)
     to_free = np.eye(free.nv)
     to_free[:6, :6] = jacobian
-    assert_allclose(structure.mass_matrix_at(chain, q_chain), to_free.T @ mass @ to_free, **SAME)
+    assert_allclose(mass_matrix_at(chain, q_chain), to_free.T @ mass @ to_free, **SAME)
     assert_allclose(maps.placement.rotation, rotation, **SAME)
 
 
@@ -123,7 +123,7 @@ def test_a_free_flyers_base_frame_is_its_body_and_virtual_joints_map_through_the
 def test_mass_matrix_is_symmetric_positive_definite_in_many_postures(name):
     model = named(name)
     for seed in range(20):
-        matrix = structure.mass_matrix_at(model, random_state(model, seed)[0])
+        matrix = mass_matrix_at(model, random_state(model, seed)[0])
         assert_allclose(matrix, matrix.T, rtol=0, atol=0)
         np.linalg.cholesky(matrix)
 
@@ -132,7 +132,7 @@ def test_mass_matrix_does_not_depend_on_where_a_free_flyer_is():
     model = named("solo12")
     q, v, _ = random_state(model, 4)
     moved = pin.integrate(model, q, np.concatenate([v[:6], np.zeros(model.nv - 6)]))
-    assert_allclose(structure.mass_matrix_at(model, moved), structure.mass_matrix_at(model, q), **SAME)
+    assert_allclose(mass_matrix_at(model, moved), mass_matrix_at(model, q), **SAME)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -143,10 +143,9 @@ def test_coriolis_matrix_makes_the_rate_of_the_mass_matrix_skew(name, seed):
     coriolis, data = structure.coriolis_matrix_at(model, q, v), model.createData()
     forces = pin.nonLinearEffects(model, data, q, v) - pin.computeGeneralizedGravity(model, data, q)
     assert_allclose(coriolis @ v, forces, **SAME)
-    rate = structure.symbolic_mass_matrix_rate(model)(q, v).full()
+    rate = structure.mass_matrix_rate(model)(q, v).full()
     ahead, behind = (
-        structure.mass_matrix_at(model, pin.integrate(model, q, sign * DIFFERENCE_STEP * v))
-        for sign in (1, -1)
+        mass_matrix_at(model, pin.integrate(model, q, sign * DIFFERENCE_STEP * v)) for sign in (1, -1)
     )
     assert_allclose(rate, (ahead - behind) / (2 * DIFFERENCE_STEP), **DIFFERENCE)
     skew = rate - 2 * coriolis
@@ -183,7 +182,7 @@ def test_gravity_column_of_a_free_flyer_is_in_its_axes_and_of_virtual_joints_in_
     free, chain = named("solo12"), named("virtual:solo12")
     for model, turned in ((free, True), (chain, False)):
         q, _, _ = random_state(model, 6)
-        linear, gravity = structure.mass_matrix_at(model, q)[:, :3], model.gravity.linear
+        linear, gravity = mass_matrix_at(model, q)[:, :3], model.gravity.linear
         rotation = structure.momentum_maps(model, q).placement.rotation if turned else np.eye(3)
         expected = pin.computeGeneralizedGravity(model, model.createData(), q)
         assert_allclose(-linear @ rotation.T @ gravity, expected, **SAME)
@@ -240,7 +239,7 @@ def test_bad_input_is_refused():
     model = named("solo12")
     q, v, _ = random_state(model, 0)
     with pytest.raises(InputError, match=r"q has shape \(18,\); shape \(19,\)"):
-        structure.mass_matrix_at(model, v)
+        mass_matrix_at(model, v)
     with pytest.raises(InputError, match="v has shape"):
         structure.kinetic_energy_parts(model, q, q)
     with pytest.raises(InputError, match="v has shape"):

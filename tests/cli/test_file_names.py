@@ -27,11 +27,11 @@ WORDS = {
     "a start": (("--start", "files/old.npz", "--compare"), ("start=files_old",)),
     "a target": (("--accuracy", "1e-3"), ("accuracy=0.001",)),
     "a solver": (
-        ("--solver", "fatrop", "--solver-option", "tol=1e-7"),
-        ("solver=fatrop", "tol=1e-7"),
+        ("--solver", "sqp", "--solver-option", "mu_init=1e-7"),
+        ("solver=sqp", "mu_init=1e-7"),
     ),
     "limits": (("--max-iterations", "3"), ("max-iterations=3",)),
-    "defaults": (("--solver", "ipopt", "--tol", "1e-6"), ()),
+    "defaults": (("--solver", "ipopt", "--tolerance", "1e-6"), ()),
     "no change of the motion": (("--watch", "--json", "--explain", "--threads", "2", "--diagnose"), ()),
 }
 

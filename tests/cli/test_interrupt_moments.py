@@ -148,7 +148,7 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         ],
     ),
     "suite": (
-        ("suite", "--problems", "t-reach,t-hanging", "--jobs", "2"),
+        ("bench", "suite", "--problems", "t-reach,t-hanging", "--jobs", "2"),
         [
             at("pool:run_all", CANCELLED),
             at("running:RunningTasks.ended", CANCELLED, event="return"),
@@ -156,7 +156,7 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         ],
     ),
     "sweep": (
-        ("sweep", "s-reach", *SWEPT, "--output-dir", "swept"),
+        ("bench", "sweep", "s-reach", *SWEPT, "--output-dir", "swept"),
         [
             at("executor:ProcessPerTaskExecutor.submit", CANCELLED),
             at("records:SweepRecords.add", CANCELLED, event="return"),

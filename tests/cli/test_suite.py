@@ -32,7 +32,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def suite(*arguments: object) -> Result:
-    return invoke("suite", *arguments)
+    return invoke("bench", "suite", *arguments)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_lists_take_several_words(lists: tuple[str, ...]):
         (("--resume",), "trajopt: --resume has no results to continue from; allowed: with --output-dir DIR"),
         (("--perturbed", "x"), "trajopt: Invalid value for '--perturbed': 'x' is not a whole number"),
         (("--sigma", "-1"), "trajopt: sigma is -1; allowed: > 0"),
-        (("--solver", "snopt"), "trajopt: unknown solver 'snopt'; allowed: ipopt, fatrop"),
+        (("--solver", "snopt"), "trajopt: unknown solver 'snopt'; allowed: ipopt, sqp"),
         (("--compare", "no/such"), "trajopt: cannot read no/such: No such file or directory; allowed: "),
         (("--update", "no/such"), "trajopt: cannot write no/such: the folder no does not exist"),
     ],
@@ -110,7 +110,7 @@ def test_results_are_printed_written_resumed_and_compared(tmp_path: Path):
 
 def running(package: Path) -> Running:
     """``trajopt suite`` in a process of its own on a good pair and one that hangs."""
-    arguments = ("suite", "--problems", "t-reach,t-hanging", "--json", "--jobs", "2")
+    arguments = ("bench", "suite", "--problems", "t-reach,t-hanging", "--json", "--jobs", "2")
     process = Running(*TRAJOPT, *arguments, env=environment(package))
     assert process.line().startswith("1/2 t-reach@arm: solved")
     assert task_processes(package)

@@ -12,8 +12,19 @@ import numpy as np
 import pytest
 
 import trajopt
+from tests.support.problems import reach
 from tests.support.repository import ROOT
+from tests.support.tumbling import errors_at_the_end, slope
+from trajopt.errors import InputError
+from trajopt.solution.grid import mesh_of
+from trajopt.solvers.drivers import SOLVERS, Solver
+from trajopt.solving.solving import solve
+from trajopt.transcription.schemes import FAMILIES, scheme
 
+# The measured order of a scheme is this near to what it says.
+SLOPE = 0.3
+# Two solvers at a tolerance of 1e-6.
+SAME_OPTIMUM = 1e-4
 BLOCK = re.compile(r"^```python ([\w.]+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
@@ -37,8 +48,8 @@ def module(path: Path) -> ModuleType:
     return made
 
 
-def test_the_document_has_a_robot_a_term_and_a_problem(files: dict[str, Path]) -> None:
-    assert set(files) == {"ur10.py", "joint_power.py", "arm_raise.py"}
+def test_the_document_has_an_example_of_each_kind(files: dict[str, Path]) -> None:
+    assert set(files) == {"ur10.py", "joint_power.py", "chebyshev.py", "slsqp.py", "arm_raise.py"}
 
 
 @pytest.mark.long
@@ -57,6 +68,45 @@ def test_the_term_saves_power(files: dict[str, Path]) -> None:
     assert saving.success
     powers = [np.trapezoid(np.sum((s.tau * s.v) ** 2, axis=1), s.t) for s in (saving, usual)]
     assert powers[0] < powers[1]
+
+
+@pytest.fixture
+def chebyshev(files: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scheme, entered in the table."""
+    monkeypatch.setitem(FAMILIES, "chebyshev", module(files["chebyshev.py"]).CHEBYSHEV)
+
+
+@pytest.mark.parametrize(("degree", "counts"), [(1, (20, 40, 80)), (3, (10, 20, 40))])
+@pytest.mark.usefixtures("chebyshev")
+def test_the_scheme_has_its_order(degree: int, counts: tuple[int, ...]) -> None:
+    method = scheme(f"chebyshev:{degree}")
+    assert method.order == degree + 1
+    assert slope(counts, errors_at_the_end(method, counts)) == pytest.approx(method.order, abs=SLOPE)
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("chebyshev")
+def test_the_scheme_is_refined() -> None:
+    problem = trajopt.load("ur5-reach")
+    fixed = trajopt.solve(problem, transcription="chebyshev:2", intervals=4)
+    assert (fixed.converged, fixed.success) == (True, False)
+    refined = trajopt.solve(replace(problem, default_transcription="chebyshev:2", default_intervals=4))
+    assert refined.success
+    assert mesh_of(refined).transcription.startswith("chebyshev:")
+
+
+@pytest.mark.long
+def test_the_solver_finds_the_optimum(files: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(files["slsqp.py"].parent)
+    monkeypatch.setitem(SOLVERS, "slsqp", Solver(driver="slsqp:solve_slsqp"))
+    usual = solve(reach(), transcription="legendre:2", intervals=6)
+    solution = solve(reach(), transcription="legendre:2", intervals=6, solver="slsqp")
+    assert solution.success
+    assert solution.meta["objective"] == pytest.approx(usual.meta["objective"], rel=SAME_OPTIMUM)
+    stopped = solve(reach(), intervals=6, solver="slsqp", progress=lambda figures: figures["iteration"] < 2)
+    assert stopped.meta["status"] == "interrupted"
+    with pytest.raises(InputError, match="slsqp: option 'tol' is unknown; allowed: none"):
+        solve(reach(), solver="slsqp", options={"tol": 1.0})
 
 
 @pytest.mark.long

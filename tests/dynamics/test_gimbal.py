@@ -190,7 +190,7 @@ def test_a_converged_plan_through_the_lock_is_no_success():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_half_a_flip_solves_with_the_quaternion(solver):
     flip = problems.load("solo12-flip")
     solution = trajopt.solve(flip, solver=solver, intervals=30)

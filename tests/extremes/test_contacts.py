@@ -78,7 +78,7 @@ def test_contacts_switch_at_once(what):
 
 @pytest.mark.parametrize(
     "solver",
-    ["fatrop", *(pytest.param(name, marks=pytest.mark.slow) for name in SOLVERS if name != "fatrop")],
+    ["sqp", *(pytest.param(name, marks=pytest.mark.slow) for name in SOLVERS if name != "sqp")],
 )
 def test_every_solver_swaps_diagonals_at_once(solver):
     sets = SWITCHES["one diagonal lands as the other lifts"][0]
@@ -227,7 +227,7 @@ def repeated(robot: Robot) -> Robot:
     return replace(robot, contacts=(*robot.contacts, replace(robot.contacts[0], name="again")))
 
 
-@pytest.mark.parametrize("solver", ["ipopt", pytest.param("fatrop", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("solver", ["ipopt", pytest.param("sqp", marks=pytest.mark.slow)])
 def test_a_contact_given_twice_shares_its_force(solver):
     robot = robots.load("solo12")
     twice = assert_outcome(

@@ -157,7 +157,7 @@ def hop(robot: Robot, *, away: tuple[float, float, float] = (0.0, 0.0, 0.0), ris
 # Far from the origin
 
 
-@pytest.mark.parametrize("solver", ["ipopt", pytest.param("fatrop", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("solver", ["ipopt", pytest.param("sqp", marks=pytest.mark.slow)])
 def test_a_hop_far_from_the_origin_is_the_same_hop_there(solver):
     coarse = Solved(HOP, coarse=CREEP)
     robot = limited(2.7)
@@ -173,7 +173,7 @@ def test_a_hop_far_from_the_origin_is_the_same_hop_there(solver):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_a_hop_on_a_mountain_is_the_same_hop(solver):
     """Heights over the ground are bounded relative to it: solvers relax a bound in proportion to its size."""
     robot, coarse = limited(2.7), Solved(HOP, coarse=CREEP)

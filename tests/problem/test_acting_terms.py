@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import dataclass, fields, replace
-from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -38,7 +37,6 @@ from trajopt.terms import (
     SwingClearance,
     Term,
     TerminalPosture,
-    TerminalState,
     TorqueCost,
     TrackingCost,
     WrenchCost,
@@ -96,43 +94,13 @@ def test_an_unknown_name_is_refused_with_the_one_that_may_be_meant(case):
     assert "\n" not in message
 
 
-POSE, HEIGHT = partial(FramePose, position=[0, 0, 1]), partial(FrameHeight, height=1.0)
-HOPS = (HOP.robot, HOP.schedule)
-OLD = {
-    "phase of a pose": (lambda: POSE(frame=FOOT, phase="flight"), "FramePose", "at"),
-    "phases of a pose": (lambda: POSE(frame=FOOT, phases=("flight",)), "FramePose", "at"),
-    "phase of a height": (lambda: HEIGHT(frame=FOOT, phase="flight"), "FrameHeight", "at"),
-    "fraction of a height": (lambda: HEIGHT(frame=FOOT, fraction=0.5), "FrameHeight", "at"),
-    "phases of a cost": (lambda: TorqueCost(weight=1.0, phases=("flight",)), "TorqueCost", "during"),
-    "phase of a cost": (lambda: TorqueCost(weight=1.0, phase="flight"), "TorqueCost", "during"),
-    "phases replaced": (lambda: replace(TorqueCost(weight=1.0), phases=()), "TorqueCost", "during"),
-    "phases of a user's": (lambda: OwnLanding(phases=("flight",)), "OwnLanding", "during"),
-    "phase of a goal": (
-        lambda: goal_terms("height", HOP.robot, HOP.schedule, phase="up"),
-        "goal_terms",
-        "at",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", OLD)
-def test_old_words_are_refused_with_the_new_one(case):
-    make, owner, new = OLD[case]
-    with pytest.raises(InputError) as refused:
-        make()
-    assert str(refused.value) == f"{owner} has no argument '{case.split()[0]}'; allowed: {new}"
-
-
-def test_old_names_of_classes_and_fields_are_refused_with_the_new_one():
-    with pytest.raises(ImportError, match=r"trajopt\.terms has no 'EffortLimits'; it is now 'TorqueLimits'"):
-        from trajopt.terms import EffortLimits  # noqa: F401
-    with pytest.raises(InputError, match=r"^Robot has no argument 'effort_limit'; allowed: torque_limit$"):
-        replace(HOP.robot, effort_limit=None)
-
-
-def test_a_term_at_the_end_has_no_phases_to_name():
-    with pytest.raises(InputError, match=r"^TerminalState has no argument 'phases'; leave it out$"):
-        TerminalState(q=HOP.initial_q, phases=("landing",))
+def test_an_unknown_argument_is_refused_with_those_there_are():
+    with pytest.raises(
+        InputError, match=r"^FrameHeight has no argument 'hight'; did you mean height\? allowed: "
+    ):
+        FrameHeight(frame=FOOT, hight=1.0, at=middle_of("stance"))
+    with pytest.raises(InputError, match=r"^goal_terms has no argument 'phase'; .*allowed: goal, robot, "):
+        goal_terms("height", HOP.robot, HOP.schedule, phase="up")
 
 
 @pytest.mark.parametrize("at", ["flight", None, 0.5, ("flight", 0.5)])

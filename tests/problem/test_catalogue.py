@@ -81,21 +81,7 @@ def test_a_value_with_the_unit_of_something_else_is_refused(text: str) -> None:
         SPEED.parse(text)
 
 
-@pytest.mark.parametrize(
-    ("family", "old", "new"),
-    [
-        ("solo12-jump", "effort", "torque_limit"),
-        ("biped-walk", "effort_share", "torque_share"),
-        ("irb1600-transfer", "minimise", "goal"),
-    ],
-)
-def test_a_parameter_that_had_another_name_is_refused_with_it(family: str, old: str, new: str) -> None:
-    with pytest.raises(InputError) as refused:
-        catalogue.load(family, **{old: 1.0})
-    assert str(refused.value) == f"{family} has no parameter '{old}'; allowed: {new}"
-
-
 def test_parameters_of_an_older_file_are_known_by_their_new_names() -> None:
     family = families()["solo12-jump"]
-    found = family.of_file({"effort": 2.2, "distance": 0.3, "yaw": None, "lost": 1.0})
-    assert found == {"torque_limit": 2.2, "distance": 0.3}
+    known = family.of_file({"effort": 2.2, "distance": 0.3, "yaw": None, "lost": 1.0})
+    assert known == {"torque_limit": 2.2, "distance": 0.3}

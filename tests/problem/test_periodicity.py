@@ -244,8 +244,6 @@ def test_problems_that_cannot_close_are_refused() -> None:
     planar = hopper.build()
     with pytest.raises(InputError, match="free-flyer"):
         closing_map(planar, Periodicity(mirror=True), planar.reference)
-    with pytest.raises(InputError, match="allowed: ipopt"):
-        trajopt.solve(trot(half=True), solver="fatrop", fixed_mesh=True)
     with pytest.raises(InputError, match="duration_bounds"):
         replace(problem, duration_bounds=(1.0, 2.0))
     with pytest.raises(InputError, match="duration_bounds"):

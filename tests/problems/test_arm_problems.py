@@ -14,7 +14,7 @@ from trajopt.certify.report import AT_POINTS
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import frame_pose
 from trajopt_library.problems import arm_reach, arm_transfer, arm_wipe, arms
-from trajopt_library.problems.strokes import Stroke
+from trajopt_library.problems.arm_wipe import Stroke
 
 # Rows of a solved problem hold to 1e-6 of the reach.
 PLACE = 1e-5  # m

@@ -68,8 +68,8 @@ def test_hop_leaves_with_all_contacts_and_lands_on_all_footholds(impact):
 
 def test_share_of_effort_scales_limits_and_leaves_a_robot_without_limits_alone():
     robot = robots.load("ur5")
-    assert_allclose(common.share_of_torque(robot, 0.5).limit, robot.torque_limit / 2)
-    assert common.share_of_torque(replace(robot, torque_limit=None), 0.5).limit is None
+    assert_allclose(common.torque_limits(robot, torque_share=0.5).limit, robot.torque_limit / 2)
+    assert common.torque_limits(replace(robot, torque_limit=None), torque_share=0.5).limit is None
 
 
 def test_wall_is_upright_without_tilt_and_a_table_at_a_right_angle():

@@ -76,7 +76,7 @@ def test_optima_of_both_coordinates_approach_each_other_with_the_grid():
 
 @pytest.mark.parametrize("coordinates", ["excess", "minimal"])
 def test_both_solvers_find_the_same_hop(coordinates):
-    first, second = (solved(coordinates, "soft", solver) for solver in ("ipopt", "fatrop"))
+    first, second = (solved(coordinates, "soft", solver) for solver in ("ipopt", "sqp"))
     assert second.statistics.objective == pytest.approx(first.statistics.objective, rel=1e-4)
 
 

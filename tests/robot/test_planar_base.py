@@ -110,7 +110,7 @@ def hop(robot: Robot) -> Problem:
 
 @pytest.mark.long
 @pytest.mark.parametrize("make", [go2, solo])
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_a_planar_quadruped_hops_and_passes_its_check(make, solver):
     solution = trajopt.solve(hop(make("planar")), solver=solver, fixed_mesh=True)
     assert solution.converged, solution.statistics.advice

@@ -22,8 +22,7 @@ from trajopt.robot.mirror import (
     pairs,
 )
 from trajopt.scenes.half import half_robot, turned_by_mirror
-from trajopt.scenes.lock import lock_joints
-from trajopt.scenes.reduction import Reduction
+from trajopt.scenes.reduction import Reduction, lock_joints
 from trajopt.scenes.smallest_scene import smallest
 
 # Rounding of sums over some ten bodies, parts of the largest entry.

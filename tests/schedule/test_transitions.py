@@ -148,7 +148,7 @@ def test_acceleration_source_has_accelerations_but_no_torques():
         trajopt.solve(replace(problem, terms=(TorqueCost(weight=1.0),)), fixed_mesh=True)
 
 
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_minimum_time_of_a_double_integrator_is_that_of_full_torque_both_ways(solver):
     """Without gravity a joint of inertia I turns by an angle in T = 2 sqrt(I angle / torque)."""
     torque = 30.0

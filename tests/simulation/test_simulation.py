@@ -179,13 +179,13 @@ def test_robots_of_any_size_do_the_same_in_their_own_units(scale, stand):
         own = model.frames[frame].placement
         model.frames[frame].placement = pin.SE3(own.rotation, scale * own.translation)
     model.armature[:] *= scale**5
-    radii = [scale * radius for radius in stand.meta["contact_radius"]]
+    contacts = tuple(replace(one, radius=scale * one.radius) for one in stand.description.contacts)
     slow, q = np.sqrt(scale), stand.q.copy()
     q[:, :3] *= scale
     scaled = replace(
         stand, model=model, q=q, t=slow * stand.t, interval_t=slow * stand.interval_t,
         tau=scale**4 * stand.tau, f=scale**3 * stand.f,
-        meta={**stand.meta, "effort_limit": None, "contact_radius": radii},
+        description=replace(stand.description, effort_limit=None, contacts=contacts),
     )  # fmt: skip
     free = with_meta(stand, effort_limit=None)
     mine = simulate(free, noise=0.005).report
@@ -262,7 +262,7 @@ def test_simulated_motion_is_a_solution_file(jump, tmp_path):
     found = simulate(jump)
     loaded = Solution.load(found.as_solution().save(tmp_path / "simulated.npz"))
     assert loaded.statistics.simulated is True
-    assert loaded.description.phase_names == [*jump.description.phase_names, "hold"]
+    assert loaded.description.phase_names == (*jump.description.phase_names, "hold")
     assert loaded.statistics.simulation["passed"] is True
     assert loaded.t[-1] == pytest.approx(jump.t[-1] + found.report.held)
     np.testing.assert_allclose(loaded.q[0], jump.q[0], atol=1e-12)

@@ -139,7 +139,7 @@ def test_a_fall_fails_a_suite_unless_the_data_know_of_it(
     records = SuiteRecords(tmp_path, SETTINGS, versions())
     records.open(resume=False)
     records.add(outcome)  # taken over below: nothing is solved here
-    arguments = ["suite", "--problems", "hopper-hop", "--robots", "hopper", "--simulate", "--json"]
+    arguments = ["bench", "suite", "--problems", "hopper-hop", "--robots", "hopper", "--simulate", "--json"]
     arguments += ["--output-dir", str(tmp_path), "--resume"]
     if before is not None:
         entry = replace(data.entry_of(outcome, SETTINGS), physics=before)

@@ -213,7 +213,7 @@ def test_foreign_file_is_refused(saved, write, message):
         ({"parameters": 7}, "parameters of meta is not an object"),
         ({"versions": 1}, "versions of meta is not an object"),
         ({"tolerance": None}, "tolerance of meta is not"),
-        ({"phase_names": [1]}, "phase_names of meta is not a list of 1 texts"),
+        ({"phase_names": [1]}, "phase_names of meta is not a list of texts"),
         ({"phase_names": ["one", "two"]}, "phase_names of meta is not a list of 1 texts"),
         ({"payloads": "box"}, "payloads of meta is not null or a list"),
         ({"payloads": [3]}, "payloads of meta: .* 3"),

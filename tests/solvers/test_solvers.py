@@ -1,4 +1,4 @@
-"""Solvers on transcribed problems: IPOPT, FATROP and CasADi's own IPOPT agree; stops, options, threads."""
+"""Solvers on transcribed problems: IPOPT, the SQP and CasADi's own IPOPT agree; stops, options, threads."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from numpy.testing import assert_array_equal
 from tests.support.problems import hop, lean, reach
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.solvers.drivers import IPOPT_OPTIONS, SOLVERS, run_solver
+from trajopt.solvers.drivers import SOLVERS, run_solver
+from trajopt.solvers.ipopt import IPOPT_OPTIONS
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import PreparedProblem, prepare, solve
@@ -96,15 +97,15 @@ def test_iteration_limit_is_a_status(solver):
     made = prepared()
     result = run_solver(made.nlp, made.guess, solver, StoppingCriteria(max_iterations=2), {}, go_on)
     assert result.status is Status.ITERATION_LIMIT
-    assert result.iterations <= 3  # FATROP counts the one it did not finish
+    assert result.iterations <= 3
 
 
 def test_solvers_agree_on_the_optimum_of_a_jump():
     options = {"transcription": "legendre:2", "intervals": 12}
     problem = problems.load("solo12-jump")
-    ipopt, fatrop = (solve(problem, solver=solver, **options) for solver in ("ipopt", "fatrop"))
-    assert [ipopt.converged, fatrop.converged] == [True, True]
-    assert fatrop.statistics.objective == pytest.approx(ipopt.statistics.objective, rel=AGREEMENT)
+    ipopt, sqp = (solve(problem, solver=solver, **options) for solver in ("ipopt", "sqp"))
+    assert [ipopt.converged, sqp.converged] == [True, True]
+    assert sqp.statistics.objective == pytest.approx(ipopt.statistics.objective, rel=AGREEMENT)
 
 
 def symbolic(t: Transcription) -> tuple[ca.MX, ca.MX, ca.MX]:

@@ -53,7 +53,7 @@ def kkt(nlp: Nlp, x: np.ndarray, lam_g: np.ndarray, lam_x: np.ndarray) -> tuple[
     """Primal, dual and complementarity errors from the engine's functions alone."""
     t = nlp.transcription
     g = nlp.engine.g(x)
-    jacobian = sparse.csr_matrix((nlp.engine.jacobian(x), (nlp.row, nlp.column)), shape=(len(g), len(x)))
+    jacobian = nlp.jacobian(x)
     dual = np.abs(nlp.engine.gradient(x) + jacobian.T @ lam_g + lam_x).max()
     primal, products = 0.0, 0.0
     for value, low, high, multiplier in (

@@ -139,7 +139,7 @@ def test_solutions_in_different_optima_are_told_from_those_on_different_meshes()
 @pytest.mark.long
 def test_commands_make_a_reference_and_check_against_it(tmp_path):
     made, plan = tmp_path / "reference.npz", tmp_path / "plan.npz"
-    result = invoke("reference", "ur5-reach", "--output", made, "--json")
+    result = invoke("bench", "reference", "ur5-reach", "--output", made, "--json")
     assert result.exit_code == 0
     assert json.loads(result.stdout)["file"] == str(made)
     assert "30 intervals" in result.stderr
@@ -158,7 +158,7 @@ def test_commands_make_a_reference_and_check_against_it(tmp_path):
 
 def test_command_that_finds_none_writes_no_file(tmp_path):
     made = tmp_path / "reference.npz"
-    arguments = ["reference", "ur5-reach", "--distance", "1e-15", "--max-time", "0.5"]
+    arguments = ["bench", "reference", "ur5-reach", "--distance", "1e-15", "--max-time", "0.5"]
     result = invoke(*arguments, "--output", made)
     assert result.exit_code == 1
     assert re.search(TIME, result.stderr)

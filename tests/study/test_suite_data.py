@@ -125,7 +125,7 @@ def test_what_is_outside_its_band_is_named():
     assert said(iterations=121) == "121 iterations, band 20 to 120"
     assert said(mode="dual", detail="step_failed: x") == "dual: step_failed: x"
     words = "solved on a {} mesh with {}, the data on a refined mesh with ipopt"
-    assert said(replace(VIRTUAL_MACHINE, solver="fatrop")) == words.format("refined", "fatrop")
+    assert said(replace(VIRTUAL_MACHINE, solver="sqp")) == words.format("refined", "sqp")
     assert said(replace(VIRTUAL_MACHINE, fixed_mesh=True)) == words.format("fixed", "ipopt")
     assert data.deviations([inside], VIRTUAL_MACHINE, {}) == {"jump@dog": "no line of data"}
 
@@ -155,7 +155,7 @@ def test_a_foreign_table_is_one_line(text: str, tmp_path: Path):
         ({"sigma": 0.0}, "sigma is 0; allowed: > 0"),
         ({"sigma": math.nan}, "sigma is nan; allowed: > 0"),
         ({"sigma": 1e3}, "perturb is 1000; allowed: 0 to"),
-        ({"solver": "snopt"}, "unknown solver 'snopt'; allowed: ipopt, fatrop"),
+        ({"solver": "snopt"}, "unknown solver 'snopt'; allowed: ipopt, sqp"),
         ({"max_time": 0.0}, "max_time is 0 s; allowed: > 0"),
     ],
 )

@@ -75,7 +75,7 @@ def test_times_of_warm_starts_and_second_stages_count():
 
 FAST, FINE, SLOW, FAILED = (
     replace(BASE, **changes)
-    for changes in ({"intervals": 5}, {"intervals": 20}, {"solver": "fatrop"}, {"tolerance": 1e-3})
+    for changes in ({"intervals": 5}, {"intervals": 20}, {"solver": "sqp"}, {"tolerance": 1e-3})
 )
 PLAN = SweepPlan(base=BASE, settings=(BASE, FAST, FINE, SLOW, FAILED))
 
@@ -118,7 +118,7 @@ def test_a_front_is_read_back_as_it_was_written(tmp_path: Path):
     )
     assert [point.setting for point in read.points] == [FAST, BASE, SLOW, FINE]
     assert [point.setting for point in read.best()] == [FAST, BASE, FINE]
-    assert [point.setting for point in read.best(lambda one: one.solver == "fatrop")] == [SLOW]
+    assert [point.setting for point in read.best(lambda one: one.solver == "sqp")] == [SLOW]
     assert read.default.setting == BASE
     assert read.points[0].relative_time == pytest.approx(0.1)
     assert read.points[0].relative_error == pytest.approx(1e-2 / units.length, rel=DIGITS)

@@ -60,7 +60,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def sweep(*arguments: object) -> Result:
-    return invoke("sweep", *arguments)
+    return invoke("bench", "sweep", *arguments)
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -121,7 +121,7 @@ def test_two_stages_are_judged_by_the_whole_problem(tmp_path: Path):
 
 
 def test_a_setting_that_does_not_fit_is_refused(tmp_path: Path):
-    setting = Setting(transcription="legendre:2", intervals=8, solver="fatrop", hessian="limited-memory")
+    setting = Setting(transcription="legendre:2", intervals=8, solver="sqp", hessian="limited-memory")
     with pytest.raises(InputError):
         run_setting(weighed(), setting, Job(setting=setting.name, start=0), REQUEST, tmp_path / "run.npz")
 
@@ -193,7 +193,7 @@ def test_a_sweep_is_written_printed_and_resumed(tmp_path: Path):
     assert found["complete"]
     assert [row["label"] for row in found["settings"]] == list(settings)
     assert (out / "runs.csv").read_text() == before  # nothing was run again
-    other = sweep(*asked[:-1], out, "--resume", "--tol", "1e-4")
+    other = sweep(*asked[:-1], out, "--resume", "--tolerance", "1e-4")
     assert (other.exit_code, other.stdout) == (2, "")
     assert other.stderr.startswith(f"trajopt: {out} holds a sweep with another plan; allowed: ")
     assert other.stderr.count("\n") == 1
@@ -204,7 +204,7 @@ def test_a_sweep_is_written_printed_and_resumed(tmp_path: Path):
     [
         (("s-raech",), "trajopt: problem 's-raech' is unknown; did you mean s-reach? "),
         (("s-reach", "--set", "gravity=9"), "trajopt: parameter gravity is 9; allowed: 0 to 1"),
-        (("s-reach", "--solver", "snopt"), "trajopt: unknown solver 'snopt'; allowed: ipopt, fatrop"),
+        (("s-reach", "--solver", "snopt"), "trajopt: unknown solver 'snopt'; allowed: ipopt, sqp"),
         (
             ("s-reach", "--intervals", "5,x"),
             "trajopt: Invalid value for '--intervals': '5,x' is not a list of whole",
@@ -230,13 +230,13 @@ def test_bad_input_is_one_line(arguments: tuple[str, ...], words: str, tmp_path:
 
 
 def test_a_plan_can_be_listed():
-    result = sweep("s-reach", "--solver", "ipopt,fatrop", "--list")
-    assert result.stdout == "legendre:2@10 (default)\nlegendre:2@10 fatrop\n"
+    result = sweep("s-reach", "--solver", "ipopt,sqp", "--list")
+    assert result.stdout == "legendre:2@10 (default)\nlegendre:2@10 sqp\n"
     assert result.stderr.endswith("2 settings, 6 runs\n")
 
 
 def test_an_unsolved_default_has_exit_status_one(tmp_path: Path):
-    arguments = ("--intervals", "11", "--tol", "1e-4,1e-6", *QUICK, "--reference", "0")
+    arguments = ("--intervals", "11", "--tolerance", "1e-4,1e-6", *QUICK, "--reference", "0")
     result = sweep("s-losing", *arguments, "--output-dir", tmp_path)
     assert result.exit_code == 1
     assert "lost: crash: RuntimeError" in result.stdout
@@ -251,7 +251,7 @@ def swept(folder: Path) -> tuple[str, ...]:
 
 def running(package: Path, folder: Path) -> Running:
     """That sweep in a process of its own, some of whose runs have ended."""
-    process = Running(*TRAJOPT, "sweep", *swept(folder), env=environment(package))
+    process = Running(*TRAJOPT, "bench", "sweep", *swept(folder), env=environment(package))
     while "solved" not in process.line():
         assert process.popen.poll() is None
     return process

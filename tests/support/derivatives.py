@@ -23,9 +23,7 @@ class Matrices:
         self.nlp, self.n = nlp, nlp.transcription.layout.n_unknowns
 
     def jacobian(self, x: np.ndarray) -> sparse.csr_matrix:
-        values = self.nlp.engine.jacobian(x)
-        shape = (self.nlp.transcription.n_rows, self.n)
-        return sparse.csr_matrix((values, (self.nlp.row, self.nlp.column)), shape=shape)
+        return self.nlp.jacobian(x)
 
     def hessian(self, x: np.ndarray, sigma: float, multipliers: np.ndarray) -> sparse.csr_matrix:
         values = self.nlp.engine.hessian(x, sigma, multipliers)

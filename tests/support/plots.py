@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tests.support import synthetic_motions
@@ -50,18 +51,23 @@ def track_of(solution: Solution) -> Track:
 
 def drawn(solution: Solution, name: str, *others: Solution) -> list[Figure]:
     tracks = tracks_of([solution, *others])
-    return [figure_of(page, tracks, fixed=True) for page in pages_of(tracks, [name])]
+    return [figure_of([page], tracks, fixed=True) for page in pages_of(tracks, [name])]
+
+
+def panels(figure: Figure) -> list[Axes]:
+    """All axes of a figure, those side by side in a row and colour bars among them."""
+    return figure.findobj(Axes)
 
 
 def lines(figures: list[Figure], panel: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Data of the named lines of a panel, without gaps."""
     found = {}
-    for axes in (axes for figure in figures for axes in figure.axes if axes.get_label() == panel):
+    for axes in (axes for figure in figures for axes in panels(figure) if axes.get_label() == panel):
         for line in axes.get_lines():
             name = str(line.get_label())
             if not name.startswith("_"):
                 x, y = (np.asarray(values, dtype=float) for values in line.get_data())
                 keep = np.isfinite(y)
-                found[name.partition("/")[0]] = (x[keep], y[keep])
+                found.setdefault(name, (x[keep], y[keep]))
     assert found, f"no panel {panel}"
     return found

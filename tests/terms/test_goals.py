@@ -16,7 +16,7 @@ from trajopt_library.robots.ur5 import TOOL
 SOLVED = 1e-5
 
 
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_tool_passes_its_goal_with_the_velocity_asked(solver):
     velocity = np.array([0.2, -0.1, 0.05, 0.0, 0.3, 0.0])
     reach = problems.load("ur5-reach")

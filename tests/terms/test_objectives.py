@@ -101,7 +101,7 @@ def test_height_is_counted_at_the_middle_of_its_phase_and_distance_at_the_end():
 
 
 @pytest.mark.parametrize("goal", ["height", "distance"])
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_highest_point_is_that_of_full_thrust(goal, solver):
     costs = {
         "height": FrameHeightCost(weight=1.0, frame="top", at=end_of("thrust")),
@@ -203,7 +203,7 @@ def test_transport_counts_cost_of_transport():
     assert_allclose(objective(with_terms(problem, sharp), x), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_least_time_of_a_double_integrator_is_bang_bang(solver):
     arm = one_joint_arm()
     inertia, torque = pin.crba(arm.model, arm.model.createData(), np.zeros(1))[0, 0], 3.0

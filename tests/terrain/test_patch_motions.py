@@ -71,7 +71,7 @@ def hop_onto(step: float, distance: float, flat: PiecewiseTerrain, face: Patch) 
     return replace(problem, schedule=schedule, terrain=flat, guess=guess, terms=terms)
 
 
-@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_a_hop_onto_a_step_lands_inside_its_face_and_cuts_no_edge(solver):
     step = PiecewiseTerrain.steps([0.08], 1.0, at=(0.08, 0.0), margin=0.03)
     face = step.face("beyond")

@@ -182,7 +182,7 @@ def test_depth_landing_and_friction_are_those_of_the_normal_under_the_foot():
 )
 def test_damaged_terrain_of_a_file_is_refused(terrain):
     solution = stands()
-    with pytest.raises(SolutionFileError, match="terrain in meta"):
+    with pytest.raises(SolutionFileError, match="terrain of meta"):
         check(with_meta(solution, terrain=terrain))
 
 

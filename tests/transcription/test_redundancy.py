@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import sparse
 
 import trajopt
 from tests.support.problems import hop
@@ -31,8 +30,7 @@ def smallest_singular_value(problem: Problem) -> float:
     nlp = prepare(problem, intervals=6).nlp
     t = nlp.transcription
     x = trajopt.transcription.guess.perturbed(t, trajopt.transcription.guess.initial_guess(t), 0, 1e-2)
-    shape = (t.n_rows, len(x))
-    jacobian = sparse.csr_matrix((nlp.engine.jacobian(x), (nlp.row, nlp.column)), shape=shape).toarray()
+    jacobian = nlp.jacobian(x).toarray()
     equal, free = t.lower_g == t.upper_g, t.lower_x < t.upper_x
     return float(np.linalg.svd(jacobian[equal][:, free], compute_uv=False)[-1])
 

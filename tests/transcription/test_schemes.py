@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from math import factorial
+
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
 from numpy.testing import assert_allclose
 
 from trajopt.errors import InputError
-from trajopt.transcription.schemes import MAX_DEGREE, scheme
+from trajopt.transcription.schemes import FAMILIES, scheme
 
 # Integrals of Lagrange polynomials of degree up to 4 on [0, 1]: tens of roundings.
 ROUNDING = 1e-13
 # A quadrature that is not exact misses a monomial of low degree by far more than this.
 INEXACT = 1e-6
-FAMILIES = ("legendre", "radau")
-COLLOCATION = [f"{family}:{degree}" for family in FAMILIES for degree in range(1, MAX_DEGREE + 1)]
-UNKNOWN = ("legendre", "legendre:0", "legendre:5", "radau:-1", "radau:2x", "radau:²", "radau:02", "euler", "")
-CLASSIC = ("trapezoidal", "hermite-simpson", "semi-implicit-euler")
+# What a scheme misses is a difference of numbers near 1/8, down to 2e-5: so many roundings of it.
+CONSTANT = 1e-9
+COLLOCATION = [
+    f"{name}:{degree}" for name, family in FAMILIES.items() for degree in range(1, family.degrees + 1)
+]
+UNKNOWN = (
+    "legendre", "legendre:0", "legendre:5", "radau:-1", "radau:2x", "radau:²", "radau:02", "euler", "",
+    "trapezoidal:", "trapezoidal:1",
+)  # fmt: skip
+CLASSIC = tuple(name for name, family in FAMILIES.items() if not family.degrees)
 
 
 def exact_degree(name: str) -> int:
@@ -97,6 +105,20 @@ def test_scheme_knows_its_name_and_cannot_be_changed(name):
     assert method.name == name
     with pytest.raises(ValueError, match="read-only"):
         method.b1[0] = 0.0
+
+
+@pytest.mark.parametrize("s", range(1, FAMILIES["legendre"].degrees + 1))
+def test_error_constants_are_those_of_the_literature(s):
+    gauss = factorial(s) ** 4 / ((2 * s + 1) * factorial(2 * s) ** 3)
+    radau = s * factorial(s - 1) ** 4 / (2 * factorial(2 * s - 1) ** 3)
+    assert scheme(f"legendre:{s}").error_constant == pytest.approx(gauss, rel=CONSTANT)
+    assert scheme(f"radau:{s}").error_constant == pytest.approx(radau, rel=CONSTANT)
+
+
+def test_the_next_degree_is_asked_of_the_scheme():
+    assert scheme("radau:3").finer is scheme("radau:4")
+    assert scheme("radau:4").finer is None
+    assert scheme("trapezoidal").finer is None
 
 
 @pytest.mark.parametrize("name", UNKNOWN)

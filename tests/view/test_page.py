@@ -77,9 +77,8 @@ def test_facts_hold_phases_times_and_layers(hop, tmp_path):
 
 
 def test_caption_tells_problem_grid_objective_and_measured_error(hop, tmp_path):
-    solution = with_meta(
-        hop, transcription="legendre:2", objective=0.25, refinement={"error_m": 2e-4}, success=True
-    )
+    graded = {"reached": True, "why": "", "spent_s": 0.1, "examined_s": 0.1, "rounds": [], "error_m": 2e-4}
+    solution = with_meta(hop, transcription="legendre:2", objective=0.25, graded=graded, success=True)
     text, facts = page_of(solution, tmp_path)
     assert facts["title"] == "hop – solo12"
     assert "<title>hop – solo12</title>" in text

@@ -91,7 +91,7 @@ def text_of(view: OpenedPage, selector: str) -> str:
 
 
 def test_clock_and_phase_bar_show_the_time_that_is_drawn(view):
-    for time, phase in ((0.05, "phase 1"), (FLIGHT, "phase 2"), (END, "phase 3")):
+    for time, phase in ((0.05, "phase 0"), (FLIGHT, "phase 1"), (END, "phase 2")):
         view.seek(time)
         assert view.state()["phase"] == text_of(view, "#phase") == text_of(view, "#segments .now") == phase
         assert text_of(view, "#time") == f"t = {time:.2f} s"
@@ -217,7 +217,7 @@ def test_every_control_has_a_name_for_those_who_do_not_see_it(view):
     assert view.evaluate(f"{CONTROLS}.filter({nameless}).length") == 0
     assert view.evaluate(f"{CONTROLS}.length") > 15
     view.seek(FLIGHT)
-    assert view.evaluate("document.getElementById('phases').ariaValueText") == "0.25 seconds, phase 2"
+    assert view.evaluate("document.getElementById('phases').ariaValueText") == "0.25 seconds, phase 1"
 
 
 @pytest.fixture

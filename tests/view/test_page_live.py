@@ -142,7 +142,7 @@ def test_page_shows_the_scene_and_what_a_script_adds_and_says_when_the_server_en
             view.goto(f"{window.url}#t=0.25&camera=top")
             view.evaluate("trajopt.ready")
             state = view.evaluate("trajopt.state()")
-            assert (state["time"], state["phase"], state["camera"]) == (0.25, "phase 2", "top")
+            assert (state["time"], state["phase"], state["camera"]) == (0.25, "phase 1", "top")
             assert view.evaluate(SPHERE) == 0
             meshcat.Visualizer(window=window.window)["added"].set_object(shapes.Sphere(0.1))
             view.wait_for_function(f"{SPHERE} === 1", timeout=1e3 * LIMIT)

@@ -212,7 +212,6 @@ def test_collada_file_that_cannot_be_read_is_drawn_from_pinocchios_mesh(arm, tmp
             },
             "mesh",
         ),
-        ({"file": "solo12.urdf"}, "malformed"),
     ],
 )
 def test_robot_without_meshes_is_drawn_as_a_skeleton_and_one_line_says_so(

@@ -140,11 +140,10 @@ def test_faces_of_one_plane_which_may_overlap_have_one_colour(hop, tmp_path):
 
 
 @pytest.mark.parametrize("normal", [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-def test_vertical_and_overhead_terrain_is_drawn(bones, tmp_path, normal):
+def test_ground_that_does_not_face_upwards_is_refused(bones, normal):
     terrain = {"kind": "flat", "height": 0.0, "normal": normal, "friction": 0.7}
-    scene = shown(with_meta(bones, terrain=terrain), tmp_path)
-    assert_allclose(placements_of(scene)["ground/plane"][:3, 2], normal, atol=SINGLE_PRECISION)
-    assert all(np.isfinite(matrix).all() for matrix in placements_of(scene).values())
+    with pytest.raises(SolutionFileError, match=r"terrain of meta: normal .*upwards"):
+        with_meta(bones, terrain=terrain)
 
 
 def test_terrain_of_an_unknown_kind_is_refused(hop, tmp_path):

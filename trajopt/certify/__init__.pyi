@@ -1,4 +1,4 @@
 from .contact.contact_dynamics import forward_dynamics as forward_dynamics
 from .contact.contact_set import ContactSet as ContactSet
-from .contact.impact import cone_margins as cone_margins
+from .contact.friction import cone_margins as cone_margins
 from .contact.impact import impact as impact

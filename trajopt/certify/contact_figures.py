@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trajopt.certify.contact.friction import sole_margins
 from trajopt.certify.sliding import sliding_error
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.motion.samples import ContactPlaces
 from trajopt.motion.touched import TouchedSurfaces, held_part
 from trajopt.motion.traces import Trace, Traces
-from trajopt.robot.sole import pressure_rows, yaw_rows
 from trajopt.solution.solution import Solution
 
 
@@ -55,9 +55,8 @@ def _sole_margin(plan: Solution, places: ContactPlaces, surfaces: TouchedSurface
             np.einsum("kij,kj->ik", to_sole, part) / weight
             for part in (plan.f[rows, index, :3], plan.f[rows, index, 3:])
         )
-        margins = pressure_rows(force, moment, size)
-        margins += yaw_rows(force, moment, size, surfaces.friction[rows, index])
-        counts[rows, index], margin[rows, index] = True, np.min(margins, axis=0)
+        counts[rows, index] = True
+        margin[rows, index] = sole_margins(force, moment, size, surfaces.friction[rows, index])
     return Trace.of(margin, counts, plan.contact_frames, margin=True)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.certify.contact.impact import cone_margins, momentum_of_links, total_wrench
+from trajopt.certify.contact.friction import cone_margins
+from trajopt.certify.contact.impact import momentum_of_links, total_wrench
 from trajopt.certify.reintegration import active_contacts
 from trajopt.dynamics.base_joint import base_of
 from trajopt.dynamics.model_quantities import gravity_of, mass_of

@@ -1,4 +1,19 @@
-"""Classical forms of the dynamics, to compare with: Lagrange, Newton and Euler, blocks of the mass matrix."""
+"""Classical forms of the dynamics, as lectures teach them, to learn from and to compare with.
+
+Lagrange's equations from the energies of the links, the recursive Newton-Euler method link by link, the
+Newton-Euler equations of the whole robot, and the structure of the mass matrix. No solver, check or command
+uses this room: problems are built on `trajopt.dynamics`. Lagrange's equations and the recursion are derived
+without Pinocchio's algorithms, and agree with them for every kind of joint. docs/modelling/structure.md says
+which function is which equation of the lectures.
+
+Lagrange: `kinetic_energies`, `potential_energies`, `inertia_matrix`, `coriolis_matrix`, `gravity_forces`,
+    `equations_of_motion`; CasADi functions.
+Newton-Euler: `joint_forces`, numeric; `recursive_newton_euler`, a CasADi function.
+Whole robot: `whole_body_balance`, `momentum_maps`, `momentum_matrix`, `composite_inertia`.
+Mass matrix: `mass_blocks`, `mass_matrix_rate`, `coriolis_matrix_at`, `kinetic_energy_parts`,
+    `gravity_vector`, `gravity_from_base_columns`.
+Bounds of its eigenvalues: `a_priori_bounds`, `eigenvalue_range`, `random_postures`.
+"""
 
 import lazy_loader
 

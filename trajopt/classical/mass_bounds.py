@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.classical.structure import mass_matrix_at
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.dynamics.model_content import joint_kind
+from trajopt.dynamics.model_quantities import mass_matrix_at
 from trajopt.errors import InputError
 
 # Number of translational and rotational directions of each kind of joint, by the beginning of its name.
@@ -61,11 +61,21 @@ def eigenvalue_range(model: pin.Model, postures: np.ndarray) -> EigenvalueRange:
 
 
 def random_postures(model: pin.Model, count: int, seed: int) -> np.ndarray:
-    """Postures (count, nq) within the position limits, uniform in coordinates.
+    """Postures within the position limits, uniform in coordinates.
 
     Rotations without limits are drawn within half a turn of neutral. A base that translates without limits
-    stays at neutral, since M does not depend on it. Raises `InputError` for an unlimited prismatic joint
-    behind a rotating one, since no interval is natural.
+    stays at neutral, since M does not depend on it.
+
+    Args:
+        model: of any robot.
+        count: number of postures.
+        seed: of the random numbers.
+
+    Returns:
+        (count, nq).
+
+    Raises:
+        InputError: for an unlimited prismatic joint behind a rotating one, since no interval is natural.
     """
     generator = np.random.default_rng(seed)
     lowest, highest = np.full(model.nv, -np.pi), np.full(model.nv, np.pi)

@@ -28,7 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics import rigid_body
-from trajopt.dynamics.model_content import frame_content, once_per_content
+from trajopt.dynamics.model_content import once_per_content
 from trajopt.errors import InputError
 
 _LINK = "link"
@@ -62,10 +62,19 @@ def joint_forces(
     frames: Sequence[str] = (),
     wrenches: np.ndarray | None = None,
 ) -> JointForces:
-    """Actuator, joint and constraint forces of a motion q (nq,), v (nv,), a (nv,).
+    """Actuator, joint and constraint forces of a motion.
 
-    ``wrenches`` (n, 6: force N, moment N m) act on the robot at the origins of ``frames`` in world axes.
-    Raises `InputError` for wrong shapes or names and `UnsupportedJointError` for an unknown kind of joint.
+    Args:
+        model: of any robot.
+        q: configuration (nq,).
+        v: velocity (nv,).
+        a: acceleration (nv,).
+        frames: at whose origins wrenches act on the robot.
+        wrenches: (n, 6: force N, moment N m), world axes.
+
+    Raises:
+        InputError: for wrong shapes or names.
+        UnsupportedJointError: for an unknown kind of joint.
     """
     outer = np.zeros((len(frames), 6)) if wrenches is None else np.asarray(wrenches, dtype=float)
     for name, value, shape in (
@@ -76,7 +85,7 @@ def joint_forces(
     ):
         if np.shape(value) != shape:
             raise InputError(f"{name} has shape {np.shape(value)}", f"shape {shape}")
-    function = newton_euler(model, frames, [6] * len(frames))
+    function = recursive_newton_euler(model, frames, [6] * len(frames))
     tau, *columns = (value.full() for value in function.call([ca.DM(x) for x in (q, v, a, outer.ravel())]))
     force, moment, constraint_force, constraint_moment = (value.T for value in columns)
     return JointForces(
@@ -89,7 +98,7 @@ def joint_forces(
     )
 
 
-def newton_euler(
+def recursive_newton_euler(
     model: pin.Model, frames: Sequence[str] = (), wrench_kinds: Sequence[int] = ()
 ) -> ca.Function:
     """``(q, v, a, w) -> (tau, force, moment, constraint_force, constraint_moment)`` on SX.
@@ -98,12 +107,7 @@ def newton_euler(
     axes. Outputs as in `JointForces`, one column per joint. Built once per model content. Raises `InputError`
     for an unknown frame or wrench size, `UnsupportedJointError` for an unsupported joint.
     """
-    if len(frames) != len(wrench_kinds) or not set(wrench_kinds) <= set(rigid_body.WRENCH_SIZES):
-        raise InputError(
-            f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}", "one of 0, 3, 6 per frame"
-        )
-    pairs = zip(frames, wrench_kinds, strict=True)
-    return _function(model, tuple(frame_content(model, name, size) for name, size in pairs))
+    return _function(model, rigid_body.loaded_frames(model, frames, wrench_kinds))
 
 
 @dataclass(frozen=True, kw_only=True)

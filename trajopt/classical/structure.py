@@ -26,6 +26,7 @@ from trajopt.classical import lagrange
 from trajopt.dynamics import rigid_body
 from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS, base_of
 from trajopt.dynamics.model_content import joint_kind, once_per_content
+from trajopt.dynamics.model_quantities import mass_matrix_at, require_shapes
 from trajopt.errors import InputError
 
 # Relative tolerance on the part of gravity a base cannot follow, and on a base Jacobian's singular values.
@@ -116,13 +117,6 @@ class KineticEnergy:
     quadratic_form: float
 
 
-def mass_matrix_at(model: pin.Model, q: np.ndarray) -> np.ndarray:
-    """M (nv, nv) at q (nq,), symmetric, armature included."""
-    require_shapes(model, q=q)
-    upper = np.triu(pin.crba(model, model.createData(), q))
-    return upper + np.triu(upper, 1).T
-
-
 def mass_blocks(model: pin.Model, q: np.ndarray, base_joint: str | None = None) -> MassBlocks:
     """Blocks of M at q (nq,), split into base and joints. Raises `InputError` for a wrong base or shape."""
     matrix, rows = mass_matrix_at(model, q), base_joint_and_rows(model, base_joint)[1]
@@ -209,7 +203,7 @@ def gravity_vector(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 
 @once_per_content
-def symbolic_momentum_matrix(model: pin.Model) -> ca.Function:
+def momentum_matrix(model: pin.Model) -> ca.Function:
     """A_G on SX, ``q -> (6, nv)``: world axes, about the centre of mass."""
     q, v = ca.SX.sym("q", model.nq), ca.SX.sym("v", model.nv)
     matrix = ca.jacobian(rigid_body.centroidal_momentum(model)(q, v), v)
@@ -217,7 +211,7 @@ def symbolic_momentum_matrix(model: pin.Model) -> ca.Function:
 
 
 @once_per_content
-def symbolic_mass_matrix_rate(model: pin.Model) -> ca.Function:
+def mass_matrix_rate(model: pin.Model) -> ca.Function:
     """Rate of M along a motion on SX, ``(q, v) -> M'`` (nv, nv): the exact directional derivative."""
     q, v, t = ca.SX.sym("q", model.nq), ca.SX.sym("v", model.nv), ca.SX.sym("t")
     along = rigid_body.mass_matrix(model)(rigid_body.integrate(model)(q, t * v))
@@ -247,11 +241,3 @@ def base_joint_and_rows(model: pin.Model, base_joint: str | None) -> tuple[int, 
     if others:
         raise InputError(f"joint '{model.names[others[0]]}' is not behind '{base_joint}'", "all must be")
     return joint, model.joints[joint].idx_v + model.joints[joint].nv
-
-
-def require_shapes(model: pin.Model, **values: np.ndarray) -> None:
-    """Raise `InputError` unless ``q`` is (nq,) and every other value (nv,)."""
-    for name, value in values.items():
-        size = model.nq if name == "q" else model.nv
-        if np.shape(value) != (size,):
-            raise InputError(f"{name} has shape {np.shape(value)}", f"shape ({size},)")

@@ -13,15 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.classical.structure import (
-    MomentumMaps,
-    base_joint_and_rows,
-    composite_inertia,
-    momentum_maps,
-    require_shapes,
-)
+from trajopt.classical.structure import MomentumMaps, base_joint_and_rows, composite_inertia, momentum_maps
 from trajopt.dynamics.model_content import frame_content
-from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.dynamics.model_quantities import generalized_force, require_shapes
 from trajopt.errors import InputError
 
 
@@ -58,10 +52,17 @@ def whole_body_balance(
     wrenches: np.ndarray | None = None,
     base_joint: str | None = None,
 ) -> WholeBodyBalance:
-    """Balance of the robot as a whole in a motion q (nq,), v (nv,), a (nv,).
+    """Balance of the robot as a whole in a motion.
 
-    ``wrenches`` (n, 6: N, N m) act on the robot at the origins of ``frames`` in world axes. Raises
-    `InputError` for a wrong frame, base or shape.
+    Args:
+        model: of any robot.
+        motion: q (nq,), v (nv,), a (nv,).
+        frames: at whose origins wrenches act on the robot.
+        wrenches: (n, 6: force N, moment N m), world axes.
+        base_joint: last of the joints of a virtual base; default the root's.
+
+    Raises:
+        InputError: for a wrong frame, base or shape.
     """
     q, v, a = motion
     outer = np.zeros((len(frames), 6)) if wrenches is None else np.asarray(wrenches, dtype=float)

@@ -2,36 +2,27 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-from types import FrameType
 
-INTERRUPTED = 130
+from trajopt.cli.interruption import CANCELLED, INTERRUPTION
 
 
 def main() -> int:
     """Run the command line; Ctrl-C while importing ends without a traceback."""
-    presses: list[int] = []
+    with INTERRUPTION.handling():
+        try:
+            from trajopt.cli.commands import main as run
 
-    def press(number: int, frame: FrameType | None) -> None:
-        presses.append(number)
-        raise KeyboardInterrupt
-
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, press)
-    try:
-        from trajopt.cli.commands import main as run
-
-        if not presses:  # importing a library may lose the exception
+            INTERRUPTION.check()  # importing a library may have lost the exception
             return run()
-    except KeyboardInterrupt:
-        pass
-    except Exception:
-        if not presses:
-            raise
-    finally:
-        # Under `-m`, CPython ends by SIGINT, not with a status, after Ctrl-C in text given to `exec` (by
-        # `dataclass`, for example), until another text is executed.
-        exec("")
-    print("trajopt: cancelled", file=sys.stderr)
-    return INTERRUPTED
+        except KeyboardInterrupt:
+            pass
+        except Exception:
+            if not INTERRUPTION.pressed:
+                raise
+        finally:
+            # Under `-m`, CPython ends by SIGINT, not with a status, after Ctrl-C in text given to `exec` (by
+            # `dataclass`, for example), until another text is executed.
+            exec("")
+        print("trajopt: cancelled", file=sys.stderr)
+        return CANCELLED

@@ -71,7 +71,7 @@ def solve_aimed(
     """Solve, measure and refine, with progress."""
     from trajopt.solving.budget import solve_within
     from trajopt.solving.graded import solve_graded
-    from trajopt.solving.interruption import BESIDE
+    from trajopt.solving.time_limits import BESIDE
 
     accuracy, budget = arguments.pop("accuracy"), arguments.pop("budget")
     if accuracy is not None and budget is not None:
@@ -90,7 +90,7 @@ def solve_aimed(
             result = solve_within(problem, budget, **settings)
             reached, target = result.reached and result.spent <= budget, f"budget of {budget:g} s"
     lines = _lines(result, f"{target} {'reached' if reached else 'not reached'}")
-    return SolveReport(result.solution, reached, lines, {"graded": result.solution.meta["graded"]})
+    return SolveReport(result.solution, reached, lines, {"graded": result.to_dict()})
 
 
 def _lines(result: Graded, verdict: str) -> list[str]:

@@ -21,10 +21,10 @@ from trajopt.cli.input import (
     solver_option,
     tolerance_option,
 )
+from trajopt.cli.interruption import CANCELLED
 from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, plain_table, to_json
 from trajopt.errors import InputError
-from trajopt.solving.interruption import CANCELLED
 
 if TYPE_CHECKING:
     from trajopt.study.batch.cluster import Cluster

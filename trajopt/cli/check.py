@@ -8,7 +8,7 @@ import click
 
 from trajopt.cli.input import NOT_REACHED, json_option
 from trajopt.cli.progress import busy
-from trajopt.cli.report import to_json
+from trajopt.cli.report import say, to_json
 
 
 @click.command("check")
@@ -40,5 +40,5 @@ def check_command(file: Path, accuracy: bool, reference: Path | None, as_json: b
             accuracy_figures = measure(plan, reference)
         shown["accuracy"] = accuracy_figures.to_dict()
         text = f"{text}\n\n{accuracy_table(accuracy_figures)}"
-    click.echo(to_json(shown) if as_json else text)
+    say(to_json(shown) if as_json else text)
     return 0 if report.ok else NOT_REACHED

@@ -20,10 +20,10 @@ import click
 from typing_extensions import override
 
 from trajopt import __version__
-from trajopt.cli.bench import COMMANDS as BENCH
 from trajopt.cli.groups import LazyGroup
+from trajopt.cli.interruption import CANCELLED, INTERRUPTION
+from trajopt.cli.report import say
 from trajopt.errors import TrajoptError
-from trajopt.solving.interruption import CANCELLED, interruptible
 
 BAD_INPUT = 2
 # Commands by name, each as ``module:function``.
@@ -54,7 +54,7 @@ class CommandLine(LazyGroup):
         self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any
     ) -> None:
         extra["standalone_mode"] = False
-        with warnings.catch_warnings(), interruptible() as interruption:
+        with warnings.catch_warnings(), INTERRUPTION.handling():
             warnings.simplefilter("ignore")  # deprecations inside libraries
             warnings.simplefilter("always", UserWarning)
             warnings.showwarning = _show_warning
@@ -63,7 +63,7 @@ class CommandLine(LazyGroup):
             except (KeyboardInterrupt, click.Abort):
                 status = _cancelled()
             except Exception:
-                if not interruption.pressed:  # else the error was caused by Ctrl-C
+                if not INTERRUPTION.pressed:  # else the error was caused by Ctrl-C
                     raise
                 status = _cancelled()
         sys.exit(status)
@@ -90,15 +90,14 @@ class CommandLine(LazyGroup):
 
 
 def _cancelled() -> int:
-    with interruptible() as interruption:
-        interruption.record()
-        interruption.answer()
-    click.echo("trajopt: cancelled", err=True)
+    INTERRUPTION.deferred = True
+    INTERRUPTION.answer()
+    say("trajopt: cancelled", err=True)
     return CANCELLED
 
 
 def _refuse(message: str) -> int:
-    click.echo(f"trajopt: {' '.join(message.split())}", err=True)
+    say(f"trajopt: {' '.join(message.split())}", err=True)
     return BAD_INPUT
 
 
@@ -108,14 +107,12 @@ def _usage(error: click.UsageError) -> str:
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    click.echo(f"trajopt: warning: {' '.join(str(message).split())}", err=True)
+    say(f"trajopt: warning: {' '.join(str(message).split())}", err=True)
 
 
-# The commands of `trajopt bench` stood beside the others in earlier versions.
 @click.group(
     cls=CommandLine,
-    modules={**COMMANDS, **BENCH},
-    earlier=BENCH,
+    modules=COMMANDS,
     no_args_is_help=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

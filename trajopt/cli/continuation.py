@@ -20,7 +20,7 @@ from trajopt.cli.input import (
     tolerance_option,
 )
 from trajopt.cli.progress import watched
-from trajopt.cli.report import console, plain_table, to_json
+from trajopt.cli.report import console, plain_table, say, to_json
 from trajopt.cli.warm import cost
 from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
 from trajopt.errors import InputError, expanded
@@ -76,7 +76,7 @@ def continue_command(
     from trajopt.problem.family import choose
     from trajopt.solution.input import solution_of
     from trajopt.solving.continuation import continuation
-    from trajopt.solving.interruption import BESIDE
+    from trajopt.solving.time_limits import BESIDE
 
     family, fixed = choose(families(), problem), parse_settings(settings, "--set")
     name, values = parse_vary(family, vary, fixed)
@@ -102,7 +102,7 @@ def continue_command(
         for value, solution in found.solutions.items():
             files[f"{value:.9g}"] = str(solution.save(folder / targets[value]))
     if as_json:
-        click.echo(to_json({"problem": problem, "parameter": name, "files": files, **found.to_dict()}))
+        say(to_json({"problem": problem, "parameter": name, "files": files, **found.to_dict()}))
     else:
         _print(found, problem, name, files)
     show_until_interrupted(viewer, found.steps[-1].solution)

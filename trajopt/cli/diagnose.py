@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import chosen_problem, compile_option, json_option
+from trajopt.cli.input import chosen_problem, json_option
 from trajopt.cli.progress import busy
-from trajopt.cli.report import to_json
+from trajopt.cli.report import say, to_json
 from trajopt.errors import InputError, TrajoptError
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 @click.argument("file", type=Path)
 @click.option("--problem", metavar="NAME", help="The problem of FILE.  [default: as named in FILE]")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter of --problem.")
-@compile_option
 @json_option
 def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...], as_json: bool) -> None:
     """Explain why FILE failed or is hard, and what to try.
@@ -37,7 +36,7 @@ def diagnose_command(file: Path, problem: str | None, settings: tuple[str, ...],
     given = None if problem is None else chosen_problem(problem, settings)
     with busy(f"diagnosing {file}: ranks, curvature, conflicts"):
         diagnosis = diagnose(file, given)
-    click.echo(to_json(diagnosis.to_dict()) if as_json else str(diagnosis))
+    say(to_json(diagnosis.to_dict()) if as_json else str(diagnosis))
 
 
 diagnose_option = click.option("--diagnose", "diagnosed", is_flag=True, help="Diagnose the result.")

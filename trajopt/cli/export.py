@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from trajopt.cli.input import COUNT, default_option, is_given
+from trajopt.cli.input import COUNT, default_option, is_given, load_plan
+from trajopt.cli.report import say
 from trajopt.errors import InputError
 from trajopt.export.formats import FORMATS, OPTIONS, keyword_arguments, require_count, require_options
 from trajopt.solution.output import check_apart, check_folder, check_output, require_ending
-
-if TYPE_CHECKING:
-    from trajopt.solution.solution import Solution
 
 # Endings of files by format: samples of the solution, and its model.
 ENDINGS = {"csv": ".csv", "parquet": ".parquet", "npz": ".npz", "mjcf": ".xml"}
@@ -133,10 +130,10 @@ def _export_motions(
         _refuse_solution_file(check_output(target))
     else:
         check_folder(target, chosen.marker)
-    plans = [_load_plan(file) for file in files]
+    plans = [load_plan(file) for file in files]
     written = export_motion(plans, form, target, rate, cycles, **given)
     count = "1 motion" if len(plans) == 1 else f"{len(plans)} motions"
-    click.echo(f"{written}: {count} at {rate:g} Hz, {form}")
+    say(f"{written}: {count} at {rate:g} Hz, {form}")
 
 
 def _export_one(file: Path, form: str, output: Path | None, rate: float, conventions: dict[str, Any]) -> None:
@@ -146,23 +143,13 @@ def _export_one(file: Path, form: str, output: Path | None, rate: float, convent
     check_apart([target], [file])
     _refuse_solution_file(check_output(target))
     if samples:
-        motion = _load_plan(file).sample(rate, **conventions)
-        click.echo(f"{motion.save(target)}: {len(motion.t)} samples at {rate:g} Hz")
+        motion = load_plan(file).sample(rate, **conventions)
+        say(f"{motion.save(target)}: {len(motion.t)} samples at {rate:g} Hz")
     else:
         from trajopt.simulation.mjcf import write_mjcf
 
         _refuse_options(form, ("rate", *OF_SAMPLES))
-        click.echo(write_mjcf(file, target))
-
-
-def _load_plan(file: Path) -> Solution:
-    """The solution in a file; warns where it is not a success."""
-    from trajopt.solution.solution import Solution
-
-    plan = Solution.load(file)
-    if not plan.success:
-        warnings.warn(f"{file} is not a success: {plan.statistics.status}", UserWarning, stacklevel=2)
-    return plan
+        say(write_mjcf(file, target))
 
 
 def _format(format: str | None, output: Path | None) -> str:

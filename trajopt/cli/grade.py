@@ -54,7 +54,7 @@ def solve_to_grade(
 ) -> SolveReport:
     """Solve, examine and refine, with progress; a mesh that is named stays."""
     from trajopt.solving.graded import MOST_ROUNDS, solve_graded
-    from trajopt.solving.interruption import BESIDE
+    from trajopt.solving.time_limits import BESIDE
     from trajopt.transcription.transcription import chosen_mesh
 
     named = _names_mesh(arguments)
@@ -78,7 +78,7 @@ def solve_whole(problem: Problem, lifted: Solution, arguments: dict[str, Any]) -
     from trajopt.certify.check import check
     from trajopt.solution.grid import mesh_of
     from trajopt.solving.graded import solve_graded
-    from trajopt.solving.interruption import BESIDE
+    from trajopt.solving.time_limits import BESIDE
 
     if not lifted.success or check(lifted, integrate=False).ok:
         return lifted, []

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import collections
 import importlib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
 from typing_extensions import override
+
+from trajopt.errors import not_among
 
 
 class GroupedCommand(click.Command):
@@ -42,18 +45,16 @@ class GroupedCommand(click.Command):
 class LazyGroup(click.Group):
     """A group whose commands are imported when they are looked up.
 
-    modules: by the command's name ``module:function``. earlier: names that are accepted, and not listed.
+    modules: by the command's name ``module:function``.
     """
 
-    def __init__(
-        self, *args: Any, modules: Mapping[str, str], earlier: Collection[str] = (), **settings: Any
-    ) -> None:
+    def __init__(self, *args: Any, modules: Mapping[str, str], **settings: Any) -> None:
         super().__init__(*args, **settings)
-        self.modules, self.earlier = modules, earlier
+        self.modules = modules
 
     @override
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted(set(self.modules) - set(self.earlier))
+        return sorted(self.modules)
 
     @override
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -68,6 +69,20 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args[0] not in self.modules:
-            known = ", ".join(self.list_commands(ctx))
-            raise click.UsageError(f"no command '{args[0]}', allowed: {known}", ctx)
-        return super().resolve_command(ctx, args)
+            error = not_among(self.list_commands(ctx), args[0], f"no command '{args[0]}'")
+            raise click.UsageError(str(error), ctx)
+        name, command, rest = super().resolve_command(ctx, args)
+        if command is not None:
+            _require_once(command, click.Context(command, parent=ctx, info_name=name), rest)
+        return name, command, rest
+
+
+def _require_once(command: click.Command, context: click.Context, args: Sequence[str]) -> None:
+    """Raise for an option of one value that is given several: click would keep the last one silently."""
+    if isinstance(command, click.Group):
+        return  # whose command is not resolved yet
+    _, _, order = command.make_parser(context).parse_args(list(args))
+    for option, times in collections.Counter(order).items():
+        if times > 1 and isinstance(option, click.Option) and not (option.multiple or option.is_flag):
+            name = max(option.opts, key=len)
+            raise click.UsageError(f"{name} is given {times} times; allowed: once", context)

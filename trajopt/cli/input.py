@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -10,9 +11,13 @@ import click
 from typing_extensions import override
 
 from trajopt.errors import InputError
+from trajopt.solvers.drivers import SOLVERS
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from trajopt.problem.problem import Problem
+    from trajopt.solution.solution import Solution
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
@@ -20,6 +25,13 @@ _INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
 NOT_REACHED = 1
 # Solvers count in C's int.
 LARGEST_INTEGER = 2**31 - 1
+# Options of solvers that have one of the command's own.
+LIMITS = {
+    "tol": "--tolerance",
+    "tolerance": "--tolerance",
+    "max_iter": "--max-iterations",
+    "max_wall_time": "--max-time",
+}
 
 
 class WholeNumber(click.ParamType):
@@ -45,21 +57,6 @@ COUNT = WholeNumber(0, LARGEST_INTEGER)
 # A finer mesh takes tens of gigabytes before solving starts; the least number depends on the problem.
 GRID = WholeNumber(-LARGEST_INTEGER, 100_000)
 THREADS = WholeNumber(1, 1024)
-FORMER_LEVELS = ("none", "quick", "fast", "background")
-
-
-class RenamedOption(click.Option):
-    """An option whose earlier name is accepted, and not shown."""
-
-    def __init__(self, *declarations: Any, earlier: str, **settings: Any) -> None:
-        super().__init__(*declarations, **settings)
-        self.earlier = earlier
-
-    @override
-    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
-        shown, self.opts = self.opts, [*self.opts, self.earlier]
-        super().add_to_parser(parser, ctx)
-        self.opts = shown
 
 
 def default_option(
@@ -75,10 +72,6 @@ def default_option(
     """Return an option with a default that its help shows; ``to`` names the command's argument."""
     names, settings = (name,) if to is None else (name, to), {"show_default": True, **settings}
     return click.option(*names, default=default, type=kind, metavar=metavar, help=help, **settings)
-
-
-# The tolerance's option had a shorter name.
-TOLERANCE: dict[str, Any] = {"cls": RenamedOption, "earlier": "--tol"}
 
 
 def is_given(name: str) -> bool:
@@ -98,21 +91,9 @@ def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command
     return decorate
 
 
-def _note_no_compiler(context: click.Context, option: click.Parameter, levels: str | None) -> None:
-    """What is left of ``--compile``, which earlier versions had: one line."""
-    if levels is None:
-        return
-    for level in levels.split(","):
-        if level not in FORMER_LEVELS:
-            allowed = ", ".join(FORMER_LEVELS)
-            raise click.BadParameter(f"unknown compile level '{level}'; allowed: {allowed}", context, option)
-    click.echo("note: functions are no longer compiled by a C compiler: --compile has no effect", err=True)
-
-
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-solver_option = default_option("--solver", "ipopt", "NAME", "ipopt, fatrop or sqp.")
-compile_option = click.option("--compile", callback=_note_no_compiler, hidden=True, expose_value=False)
-_threads_option = default_option(
+solver_option = default_option("--solver", "ipopt", "NAME", f"One of {', '.join(SOLVERS)}.")
+threads_option = default_option(
     "--threads", 1, "N", "Threads for functions and linear systems.", kind=THREADS
 )
 grid_options = option_group(
@@ -124,14 +105,12 @@ grid_options = option_group(
     ),
     solver_option,
 )
-tolerance_option = default_option("--tolerance", 1e-6, "TOL", "Solver tolerance.", **TOLERANCE)
-function_options = option_group(compile_option, _threads_option)
-
+tolerance_option = default_option("--tolerance", 1e-6, "TOL", "Solver tolerance.")
 
 solver_options = option_group(
     default_option("--max-iterations", 500, "N", "Iteration limit of a solve.", kind=COUNT),
     default_option("--max-time", 600.0, "S", "Time limit of a solve, s."),
-    function_options,
+    threads_option,
     click.option(
         "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="Option of the solver."
     ),
@@ -167,6 +146,16 @@ def chosen_problem(name: str, settings: Sequence[str]) -> Problem:
     return choose(families(), name).load(parse_settings(settings, "--set"))
 
 
+def load_plan(file: Path) -> Solution:
+    """The solution in a file; warns where it is not a success."""
+    from trajopt.solution.solution import Solution
+
+    plan = Solution.load(file)
+    if not plan.success:
+        warnings.warn(f"{file} is not a success: {plan.statistics.status}", UserWarning, stacklevel=2)
+    return plan
+
+
 def parse_settings(settings: Sequence[str], option: str) -> dict[str, str]:
     """Values by name of repeated NAME=VALUE; raises `InputError` for a wrong form or a name given twice."""
     values: dict[str, str] = {}
@@ -184,6 +173,8 @@ def parse_settings(settings: Sequence[str], option: str) -> dict[str, str]:
 def options_of(settings: Sequence[str]) -> dict[str, str | int | float]:
     """Solver options by name, as whole numbers, numbers or words; raises `InputError`."""
     values = parse_settings(settings, "--solver-option")
+    for name in LIMITS.keys() & values.keys():
+        raise InputError(f"--solver-option {name} is an option of the command", f"allowed: {LIMITS[name]}")
     return {name: _option(name, text.strip()) for name, text in values.items()}
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.report import console, plain_table, to_json
+from trajopt.cli.report import console, plain_table, say, to_json
 from trajopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def list_command(
     wanted = {case.problem for case in select(known, problems, [] if robot is None else [robot])}
     listed = [family for name, family in known.items() if name in wanted]
     if as_json:
-        click.echo(to_json({"problems": [_family_dict(family) for family in listed]}))
+        say(to_json({"problems": [_family_dict(family) for family in listed]}))
     elif brief or not (full or problems):
         _print_brief(listed)
     else:
@@ -70,12 +70,12 @@ def _print_brief(families: Sequence[Family]) -> None:
             indent = max(len(family.name) for family in own) + 4
             for family in own:
                 _print_wrapped(f"  {family.name:{indent - 2}}{family.summary}", indent)
-            click.echo()
-    click.echo("trajopt list PROBLEM shows its robots, phases and parameters.")
+            say()
+    say("trajopt list PROBLEM shows its robots, phases and parameters.")
 
 
 def _print_wrapped(text: str, indent: int) -> None:
-    click.echo("\n".join(textwrap.wrap(text, WIDTH, subsequent_indent=indent * " ")))
+    say("\n".join(textwrap.wrap(text, WIDTH, subsequent_indent=indent * " ")))
 
 
 def _family_dict(family: Family) -> Mapping[str, Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from trajopt.cli.progress import busy
+from trajopt.cli.report import say
 from trajopt.solution.output import check_apart
 
 
@@ -41,4 +42,4 @@ def plot_command(
     with busy(f"plotting {output}"):
         plotted = write_plots(list(files), output, labels=labels or None, pages=names or None)
     shown = ", ".join(dict.fromkeys(plotted.pages))
-    click.echo(f"{plotted.path}: {shown}, {plotted.size / 1e6:.2f} MB")
+    say(f"{plotted.path}: {shown}, {plotted.size / 1e6:.2f} MB")

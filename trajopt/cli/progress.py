@@ -11,7 +11,8 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from trajopt.cli.input import NOT_REACHED
-from trajopt.solving.interruption import GRACE, Interruption, end_at_once, interruptible
+from trajopt.cli.interruption import INTERRUPTION, end_at_once
+from trajopt.solving.time_limits import GRACE
 
 if TYPE_CHECKING:
     from trajopt.solving.monitoring import Watch
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 LINES = "-"
 # Seconds between two displays of `busy`; and what clears the rest of a terminal's line.
 SECOND, CLEAR = 1.0, "\x1b[K"
-# Added to the message of a second Ctrl-C while a problem is solved.
-LOST = ", nothing was written"
 
 
 class SolveControl:
@@ -29,38 +28,38 @@ class SolveControl:
 
     From the first iteration on, Ctrl-C raises nothing but stops the solver at its iterate. If a solver has
     not returned ``GRACE`` seconds after its time limit, the program ends and nothing is written. That is the
-    last resort: solvers test their time limit between steps, FATROP within steps too, and one factorisation
-    of a large problem may take long. A solver in another thread cannot be stopped from outside.
+    last resort: solvers test their time limit between steps, and one factorisation of a large problem may
+    take long. A solver in another thread cannot be stopped from outside.
     """
 
-    def __init__(self, interruption: Interruption, max_time: float) -> None:
-        self._interruption, self._max_time = interruption, max_time
-        self._started = False
+    def __init__(self, max_time: float) -> None:
+        self._max_time, self._started = max_time, False
         self._timer = threading.Timer(min(max_time + GRACE, threading.TIMEOUT_MAX), self._end)
         self._timer.daemon = True
-        self.cancel_deadline = self._timer.cancel
 
     def __call__(self, figures: dict[str, float]) -> bool:
         """Return False to stop the solver."""
-        if not self._interruption.pressed:
-            self._interruption.record()
-            self._started = True
-        if self._timer.ident is None:
+        if not self._started and not INTERRUPTION.pressed:
+            self._started = INTERRUPTION.deferred = True
             self._timer.start()
-        return not self._interruption.pressed
+        return not INTERRUPTION.pressed
 
     @property
     def stopping(self) -> bool:
         """Whether the solver has been asked to stop."""
-        return self._started and self._interruption.pressed
+        return self._started and INTERRUPTION.pressed
+
+    def close(self) -> None:
+        """Wait for no solver any more."""
+        self._timer.cancel()
 
     def settle(self) -> None:
         """The solves have ended: raise KeyboardInterrupt if Ctrl-C came before the first one started."""
         if not self._started:
-            self._interruption.check()
-        elif self._interruption.pressed:
-            self._interruption.stops = True
-            self._interruption.answer()
+            INTERRUPTION.check()
+        elif INTERRUPTION.pressed:
+            INTERRUPTION.stops = True
+            INTERRUPTION.answer()
 
     def _end(self) -> None:
         end_at_once(
@@ -84,13 +83,9 @@ def watched(
     from trajopt.solving.monitoring import combine_watches
     from trajopt.view.watching.record import IterationLines, IterationTable
 
-    with ExitStack() as stack:
-        stack.enter_context(_stdout_to_stderr())
-        interruption = stack.enter_context(interruptible())
-        stack.enter_context(interruption.recording())
-        interruption.note = LOST
-        stack.callback(setattr, interruption, "note", "")
-        control = SolveControl(interruption, max_time)
+    control = SolveControl(max_time)
+    with INTERRUPTION.handling(), INTERRUPTION.deferring(), _stdout_to_stderr(), ExitStack() as stack:
+        stack.callback(control.close)
         table = stack.enter_context(IterationTable(log)) if log not in (None, LINES) else None
         shown: Watch | None = None
         if log == LINES:
@@ -100,13 +95,14 @@ def watched(
 
             shown = stack.enter_context(ConvergencePanel(title, lambda: control.stopping))
         try:
-            with interruption.raising():
-                yield {"progress": control, "watch": combine_watches(shown, table, viewer)}
+            INTERRUPTION.deferred = False  # until the first iteration
+            INTERRUPTION.check()
+            yield {"progress": control, "watch": combine_watches(shown, table, viewer)}
         except Exception:
-            interruption.check()  # the error may have been caused by Ctrl-C
+            INTERRUPTION.check()  # the error may have been caused by Ctrl-C
             raise
         finally:
-            control.cancel_deadline()
+            INTERRUPTION.deferred = True
         control.settle()
 
 
@@ -138,13 +134,13 @@ def busy(text: str) -> Iterator[None]:
 
 def runs_to_its_end(work: Callable[[Callable[[], None]], object]) -> bool:
     """Run ``work``; False if Ctrl-C ended it: the function passed to it raises after Ctrl-C."""
-    with interruptible() as interruption, interruption.recording():
+    with INTERRUPTION.handling(), INTERRUPTION.deferring():
         try:
-            work(interruption.check)
+            work(INTERRUPTION.check)
             complete = True
         except KeyboardInterrupt:
             complete = False
-        interruption.answer()  # also a Ctrl-C after the work was done
+        INTERRUPTION.answer()  # also a Ctrl-C after the work was done
     return complete
 
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from trajopt.cli.input import COUNT, default_option, json_option
+from trajopt.cli.input import COUNT, default_option, json_option, load_plan
 from trajopt.cli.progress import busy
-from trajopt.cli.report import to_json
+from trajopt.cli.report import say, to_json
 from trajopt.solution.output import check_apart
 
 if TYPE_CHECKING:
@@ -60,15 +60,12 @@ def push_command(
     the robot does not fall. Directions are degrees from the base's front, counter-clockwise.
     """
     from trajopt.simulation.push import CONTROLLERS, largest_pushes
-    from trajopt.solution.solution import Solution
     from trajopt.view.plotting.pushes import check_push_plot, write_push_plot
 
     check_apart([output], [file])
     if output is not None:
         check_push_plot(output)
-    plan = Solution.load(file)
-    if not plan.success:
-        click.echo(f"trajopt: warning: {file} is no success: {plan.statistics.status}", err=True)
+    plan = load_plan(file)
     chosen = CONTROLLERS if controller is None else (controller,)
     with busy(f"pushing {file} in MuJoCo"):
         report = largest_pushes(
@@ -81,5 +78,5 @@ def push_command(
         )
         if output is not None:
             write_push_plot(report, output)
-    click.echo(to_json(report.to_dict()) if as_json else report.table())
+    say(to_json(report.to_dict()) if as_json else report.table())
     return 0

@@ -10,13 +10,12 @@ import click
 from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.input import (
     NOT_REACHED,
-    TOLERANCE,
     chosen_problem,
     default_option,
-    function_options,
     json_option,
+    threads_option,
 )
-from trajopt.cli.report import to_json
+from trajopt.cli.report import say, to_json
 from trajopt.solution.output import check_solution_output
 
 if TYPE_CHECKING:
@@ -28,11 +27,11 @@ if TYPE_CHECKING:
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter, e.g. yaw=45deg.")
 @default_option("--transcription", "legendre:3", "NAME", "Scheme.", to="scheme")
 @default_option("--solver", "ipopt", "NAME", "As for `solve`.")
-@default_option("--tolerance", 1e-9, "TOL", "Tolerance.", **TOLERANCE)
+@default_option("--tolerance", 1e-9, "TOL", "Tolerance.")
 @default_option("--objective", 1e-5, "PART", "Agreement of objectives, relative.")
 @default_option("--distance", 1e-3, "PART", "Agreement of motions, over the reach.")
 @default_option("--max-time", 600.0, "S", "Time limit, s.")
-@function_options
+@threads_option
 @click.option(
     "-o",
     "--output",
@@ -62,14 +61,14 @@ def reference_command(
     bounds = Agreement(objective=objective, distance=distance)
 
     def show(rung: MeshSolve) -> None:
-        click.echo(str(rung), err=True)
+        say(str(rung), err=True)
 
     try:
         converged = converged_reference(loaded, agreement=bounds, progress=show, **arguments)
     except NoReferenceError as error:
-        click.echo(f"trajopt: {error}", err=True)
+        say(f"trajopt: {error}", err=True)
         return NOT_REACHED
     converged.solution.save(target)
     shown = {**converged.to_dict(), "file": str(target)}
-    click.echo(to_json(shown) if as_json else f"{converged}\n{target}")
+    say(to_json(shown) if as_json else f"{converged}\n{target}")
     return 0

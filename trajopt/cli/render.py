@@ -13,6 +13,7 @@ import click
 from typing_extensions import override
 
 from trajopt.cli.input import WholeNumber, default_option, layout_options
+from trajopt.cli.report import say
 from trajopt.solution.output import check_apart
 
 # Most digits of a side: more would be too many pixels in any case.
@@ -85,7 +86,7 @@ def render_command(
             **options,
         )
     length = f"{done.pictures} pictures, {done.duration:.2f} s, " if done.duration else ""
-    click.echo(f"{done.path}: {length}{done.width}x{done.height}, {done.size / 1e6:.1f} MB")
+    say(f"{done.path}: {length}{done.width}x{done.height}, {done.size / 1e6:.1f} MB")
 
 
 @contextlib.contextmanager

@@ -8,8 +8,9 @@ from pathlib import Path
 import click
 
 from trajopt.cli.input import default_option, layout_options
+from trajopt.cli.interruption import INTERRUPTION
+from trajopt.cli.report import say
 from trajopt.solution.output import check_apart, check_output, require_ending
-from trajopt.solving.interruption import interruptible
 
 
 @click.command("replay")
@@ -44,10 +45,10 @@ def replay_command(
         labels=list(labels) or None,
     )
     if shown.html is not None:
-        click.echo(f"{shown.html}: {shown.duration:.2f} s, {shown.size / 1e6:.1f} MB")
+        say(f"{shown.html}: {shown.duration:.2f} s, {shown.size / 1e6:.1f} MB")
         return
     sys.stdout.flush()  # the address is printed before waiting
-    with interruptible() as interruption, interruption.recording():
-        click.echo("Ctrl-C stops the server", err=True)
-        serve(shown, lambda: interruption.pressed)
-        interruption.answer()
+    with INTERRUPTION.deferring():
+        say("Ctrl-C stops the server", err=True)
+        serve(shown, lambda: INTERRUPTION.pressed)
+        INTERRUPTION.answer()

@@ -10,6 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import click
+from typing_extensions import override
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -79,11 +82,30 @@ def solve_dict(solution: Solution, report: CheckReport | None, file: Path | None
     }
 
 
-def console(width: int = PIPE_WIDTH) -> Console:
-    """Return a console for tables; ``width`` columns if stdout is not a terminal."""
-    from rich.console import Console
+def printable(text: object) -> str:
+    """Text with its control characters, which a name from a file may have, as Python's `repr` shows them."""
+    return "".join(
+        each if each.isprintable() or each in "\n\t" else each.encode("unicode_escape").decode()
+        for each in str(text)
+    )
 
-    shown = Console(highlight=False, markup=False)
+
+def say(text: object = "", err: bool = False) -> None:
+    """Print lines on stdout or stderr; what could steer a terminal is escaped."""
+    click.echo(printable(text), err=err)
+
+
+def console(width: int = PIPE_WIDTH) -> Console:
+    """Return a console for tables, which escapes as `say`; ``width`` columns if stdout is not a terminal."""
+    from rich.console import Console
+    from rich.text import Text
+
+    class EscapingConsole(Console):
+        @override
+        def render_str(self, text: str, **settings: Any) -> Text:
+            return super().render_str(printable(text), **settings)
+
+    shown = EscapingConsole(highlight=False, markup=False)
     if not shown.is_terminal:
         shown.width = width
     return shown

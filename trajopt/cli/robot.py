@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from trajopt.cli.input import json_option
-from trajopt.cli.report import to_json
+from trajopt.cli.report import say, to_json
 from trajopt.errors import InputError
 from trajopt.solution.output import check_apart, check_output, replacing, require_ending
 
@@ -46,18 +46,18 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
     loaded = _loaded(robot, base, write)
     text = None if write is None else _starter(loaded, write)
     found = robot_report(loaded)
-    click.echo(to_json(found.to_dict()) if as_json else found.table())
+    say(to_json(found.to_dict()) if as_json else found.table())
     if write is not None and text is not None:
         with replacing(write) as unfinished:
             unfinished.write_text(text, encoding="utf-8")
-        click.echo(f"  file       {write}: feet and posture are guesses, edit them", err=as_json)
+        say(f"  file       {write}: feet and posture are guesses, edit them", err=as_json)
     if html is not None:
         from trajopt.solving.rest import rest
         from trajopt.solving.solving import solve
         from trajopt.view.replay.show import replay
 
         shown = replay(solve(rest(loaded)), html=html)
-        click.echo(f"  page       {html}: {shown.size / 1e6:.1f} MB", err=as_json)
+        say(f"  page       {html}: {shown.size / 1e6:.1f} MB", err=as_json)
 
 
 def _loaded(name: str, base: str | None, write: Path | None) -> Robot:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,12 +14,17 @@ from trajopt.cli.input import (
     default_option,
     is_given,
     json_option,
+    load_plan,
     parse_settings,
 )
 from trajopt.cli.progress import busy
-from trajopt.cli.report import to_json
+from trajopt.cli.report import say, to_json
 from trajopt.errors import InputError
 from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
+
+if TYPE_CHECKING:
+    from trajopt.simulation.simulate import Simulation
+    from trajopt.solution.solution import Solution
 
 
 @click.command("simulate")
@@ -73,7 +78,6 @@ def simulate_command(
     ends too far from it, 2 for bad input.
     """
     from trajopt.simulation.simulate import simulate
-    from trajopt.solution.solution import Solution
 
     check_apart([output, html], [file])
     if is_given("seed") and not settings["noise"] and not settings["sensor_noise"]:
@@ -84,14 +88,25 @@ def simulate_command(
             raise InputError(f"--{option} has no effect here", f"allowed: with --controller {own}")
     offsets = parse_settings(settings["ground_offsets"], "--ground-offset")
     settings["ground_offsets"] = {frame: _metres(frame, text) for frame, text in offsets.items()}
-    motion, page = output and check_solution_output(output), html and check_output(html)
-    if page is not None:
-        require_ending(page, ".html")
-    plan = Solution.load(file)
-    if not plan.success:
-        click.echo(f"trajopt: warning: {file} is no success: {plan.statistics.status}", err=True)
+    motion, page = output and check_solution_output(output), page_output(html)
+    plan = load_plan(file)
     with busy(f"simulating {plan.t[-1]:.3g} s of {file} in MuJoCo"):
         simulated = simulate(plan, **settings)
+    return report_simulation(plan, simulated, motion, page, as_json)
+
+
+def page_output(html: Path | None) -> Path | None:
+    """The page, if one is named and can be written; raises `InputError`."""
+    page = html and check_output(html)
+    if page is not None:
+        require_ending(page, ".html")
+    return page
+
+
+def report_simulation(
+    plan: Solution, simulated: Simulation, motion: Path | None, page: Path | None, as_json: bool
+) -> int:
+    """Write what a simulation is asked for, print its report; the exit status."""
     if motion is not None:
         simulated.as_solution().save(motion)
     if page is not None:
@@ -99,7 +114,7 @@ def simulate_command(
 
         replay([plan, simulated.as_solution()], html=page, labels=["plan", "simulation"])
     report = simulated.report
-    click.echo(to_json(report.to_dict()) if as_json else report.table())
+    say(to_json(report.to_dict()) if as_json else report.table())
     return 0 if report.passed else NOT_REACHED
 
 

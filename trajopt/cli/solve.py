@@ -25,7 +25,7 @@ from trajopt.cli.input import (
     tolerance_option,
 )
 from trajopt.cli.nearest import Search, nearest_option, wants_other_way
-from trajopt.cli.report import failed_figures, solve_dict, solve_summary, to_json
+from trajopt.cli.report import failed_figures, say, solve_dict, solve_summary, to_json
 from trajopt.cli.warm import solve_warm, warm_options
 from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
 from trajopt.errors import InputError, TrajoptError
@@ -135,7 +135,7 @@ def solve_command(
         grid = {name: arguments[name] for name in ("transcription", "intervals")}
         scene = smallest_scene(loaded, keep=keep, **grid)
         if explain and not as_json:
-            click.echo(str(scene.report))
+            say(str(scene.report))
     extra: dict[str, Any] = {"scene": scene.report.to_dict()} if scene else {}
     if not (smallest or keep):
         scene = None  # only explained
@@ -155,11 +155,11 @@ def solve_command(
     diagnosis = diagnosis_of(solved.solution, asked) if diagnosed else None
     if as_json:
         extra |= {"diagnosis": diagnosis[0]} if diagnosis else {}
-        click.echo(to_json(solve_dict(solution, report, file) | extra | solved.extra))
+        say(to_json(solve_dict(solution, report, file) | extra | solved.extra))
     else:
-        click.echo(solve_summary(solution, report, file, solved.notes + whole + notes))
+        say(solve_summary(solution, report, file, solved.notes + whole + notes))
         if diagnosis:
-            click.echo(diagnosis[1])
+            say(diagnosis[1])
     show_until_interrupted(viewer, solution)
     return 0 if solved.reached and (solution.success or not scene) else NOT_REACHED
 

@@ -13,17 +13,16 @@ from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
     THREADS,
-    compile_option,
     controller_option,
     default_option,
     json_option,
     solver_option,
 )
+from trajopt.cli.interruption import CANCELLED
 from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, to_json
 from trajopt.errors import InputError
 from trajopt.solution.output import check_output
-from trajopt.solving.interruption import CANCELLED
 
 if TYPE_CHECKING:
     from trajopt.study.suite.cases import Case
@@ -73,7 +72,6 @@ def _each(option: str, words: str) -> list[str]:
 @solver_option
 @default_option("--max-iterations", 500, "N", "Iteration limit.", kind=COUNT)
 @default_option("--max-time", 300.0, "S", "Time limit of a solve, s.")
-@compile_option
 @click.option("--fixed-mesh", is_flag=True, help="Solve once, on each problem's own mesh.")
 @click.option("--simulate", is_flag=True, help="Also run solved plans of legged robots in MuJoCo.")
 @controller_option

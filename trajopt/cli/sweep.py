@@ -13,15 +13,13 @@ from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
     THREADS,
-    TOLERANCE,
-    compile_option,
     default_option,
     json_option,
     parse_settings,
 )
+from trajopt.cli.interruption import CANCELLED
 from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, to_json
-from trajopt.solving.interruption import CANCELLED
 
 if TYPE_CHECKING:
     from trajopt.study.sweep.plan import SweepPlan
@@ -58,14 +56,13 @@ NUMBER_LIST = _values(float, "numbers")
 @click.option("--set", "values", multiple=True, metavar="NAME=VALUE", help="A parameter of the problem.")
 @click.option("--transcription", callback=WORD_LIST, metavar="A,B", help="Schemes, e.g. legendre:1,radau:2.")
 @click.option("--intervals", callback=COUNT_LIST, metavar="N,M", help="Numbers of intervals in all.")
-@click.option("--solver", callback=WORD_LIST, metavar="A,B", help="ipopt, fatrop, sqp.")
-@click.option("--tolerance", callback=NUMBER_LIST, metavar="T,U", help="Tolerances.", **TOLERANCE)
+@click.option("--solver", callback=WORD_LIST, metavar="A,B", help="ipopt, sqp.")
+@click.option("--tolerance", callback=NUMBER_LIST, metavar="T,U", help="Tolerances.")
 @click.option("--hessian", callback=WORD_LIST, metavar="A,B", help="exact, gauss-newton, limited-memory.")
-@compile_option
 @click.option("--cone", callback=WORD_LIST, metavar="A,B", help="smooth, pyramid: of point contacts.")
 @click.option("--model", callback=WORD_LIST, metavar="A,B", help="full, two-stage: torques after the motion.")
 @click.option("--start", callback=WORD_LIST, metavar="A,B", help="cold, warm: start from half the intervals.")
-@click.option("--also", multiple=True, metavar="WORDS", help="Another setting: 'legendre:1@10 fatrop 1e-3'.")
+@click.option("--also", multiple=True, metavar="WORDS", help="Another setting: 'legendre:1@10 sqp 1e-3'.")
 @click.option("--full", is_flag=True, help="All combinations of the values given.")
 @default_option("--repeats", 2, "K", "Perturbed starts per setting.", kind=COUNT)
 @default_option("--perturb", 0.1, "SIGMA", "Noise of perturbed starts, scaled units.", to="sigma")

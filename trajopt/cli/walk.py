@@ -7,10 +7,11 @@ from typing import Any
 
 import click
 
-from trajopt.cli.input import COUNT, NOT_REACHED, default_option, json_option
+from trajopt.cli.input import COUNT, default_option, json_option
 from trajopt.cli.progress import busy
-from trajopt.cli.report import to_json
-from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
+from trajopt.cli.report import say
+from trajopt.cli.simulate import page_output, report_simulation
+from trajopt.solution.output import check_apart, check_solution_output
 
 
 @click.command("walk")
@@ -58,9 +59,7 @@ def walk_command(
     """
     check_apart([plan, output, html], [Path(robot)])
     planned, motion = plan and check_solution_output(plan), output and check_solution_output(output)
-    page = html and check_output(html)
-    if page is not None:
-        require_ending(page, ".html")
+    page = page_output(html)
     from trajopt.guesses.pendulum_walk import commanded_walk, walk_plan
     from trajopt.robot.catalogue import robot as load
     from trajopt.robot.legs import legs_only
@@ -73,15 +72,7 @@ def walk_command(
     if planned is not None:
         made.save(planned)
     if not made.success:
-        click.echo(f"trajopt: warning: the walk of the pendulum is {made.statistics.status}", err=True)
+        say(f"trajopt: warning: the walk of the pendulum is {made.statistics.status}", err=True)
     with busy(f"simulating {made.t[-1]:.3g} s in MuJoCo"):
         simulated = simulate(made, controller="whole-body")
-    if motion is not None:
-        simulated.as_solution().save(motion)
-    if page is not None:
-        from trajopt.view.replay.show import replay
-
-        replay([made, simulated.as_solution()], html=page, labels=["plan", "simulation"])
-    report = simulated.report
-    click.echo(to_json(report.to_dict()) if as_json else report.table())
-    return 0 if report.passed else NOT_REACHED
+    return report_simulation(made, simulated, motion, page, as_json)

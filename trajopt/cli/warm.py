@@ -40,8 +40,8 @@ def solve_warm(
 ) -> SolveReport:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
     from trajopt.solution.input import solution_of
-    from trajopt.solving.interruption import BESIDE
     from trajopt.solving.ladder import solve_ladder
+    from trajopt.solving.time_limits import BESIDE
 
     grid = (settings.pop("transcription"), settings.pop("intervals"))
     if ladder is not None and grid != (None, None):

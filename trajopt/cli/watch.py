@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 import click
 
 from trajopt.cli.input import option_group
-from trajopt.solving.interruption import LOOK, interruptible
+from trajopt.cli.interruption import INTERRUPTION
+from trajopt.cli.report import say
 
 if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
     from trajopt.view.watching.viewer import Viewer
 
+# Seconds between two checks for Ctrl-C.
+LOOK = 0.1
 # Time limit for drawing the solution, s.
 DRAWN = 60.0
 
@@ -37,7 +40,7 @@ def open_viewer(watch: bool) -> Viewer | None:
 
     viewer = Viewer(open_browser=_at_terminal())
     click.get_current_context().call_on_close(viewer.close)
-    click.echo(server_address_text(viewer.url), err=True)
+    say(server_address_text(viewer.url), err=True)
     return viewer
 
 
@@ -50,21 +53,21 @@ def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
         return
     from trajopt.solving.rounds import INTERRUPTED
 
-    with interruptible() as interruption, interruption.recording():
-        late = interruption.stops and solution.statistics.status != INTERRUPTED
+    with INTERRUPTION.deferring():
+        late = INTERRUPTION.stops and solution.statistics.status != INTERRUPTED
 
         def leaving() -> bool:
-            return late or interruption.pressed
+            return late or INTERRUPTION.pressed
 
         viewer.show(solution)
         end = time.monotonic() + DRAWN
         while not (leaving() or viewer.flush(LOOK) or time.monotonic() > end):
             pass
         if viewer.alive and _at_terminal() and not leaving():
-            click.echo(f"shown at {viewer.url}, Ctrl-C stops the server", err=True)
+            say(f"shown at {viewer.url}, Ctrl-C stops the server", err=True)
             while not (leaving() or viewer.wait(LOOK)):
                 pass
-        interruption.answer()
+        INTERRUPTION.answer()
         viewer.close()
 
 

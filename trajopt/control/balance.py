@@ -83,9 +83,9 @@ class Balance:
         if len(support.axes) and self.lasts[k]:
             mass = units.weight / units.gravity
             here, planned = support.places.mean(axis=0), support.planned.mean(axis=0)
-            own = state.angular_momentum()[0] + mass * cross(position - here, velocity)
+            momentum = state.angular_momentum()[0] + mass * cross(position - here, velocity)
             asked = targets.momentum[k] + mass * cross(wanted - planned, rate)
-            turned = support.axes.T @ (support.lines @ (own - asked)) / units.weight
+            turned = support.axes.T @ (support.lines @ (momentum - asked)) / units.weight
             poles = 3 * tilt * change + 3 * tilt**2 * (error - support.offset)
             feedback -= across @ (poles + feedback) + tilt**3 * turned
         elif len(support.axes):
@@ -113,11 +113,11 @@ class Balance:
     def _lasting(self, reference: ReferenceTrajectory) -> np.ndarray:
         """Ticks (n,) of stances on one line or point that last: shorter ones follow the plan as it is."""
         active = reference.active
-        found = np.zeros(len(active), dtype=bool)
+        lasting = np.zeros(len(active), dtype=bool)
         if self._walks or self.wide[active.any(axis=1)].any():
-            return found  # the next steps, or a wider support, balance the robot
+            return lasting  # the next steps, or a wider support, balance the robot
         changes = np.flatnonzero((active[1:] != active[:-1]).any(axis=1)) + 1
         for begin, end in pairwise([0, *changes.tolist(), len(active)]):
             lasts = (end - begin) * reference.period >= LASTING * self._units.time
-            found[begin:end] = lasts and bool(active[begin].any()) and not self.wide[begin]
-        return found
+            lasting[begin:end] = lasts and bool(active[begin].any()) and not self.wide[begin]
+        return lasting

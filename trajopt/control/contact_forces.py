@@ -5,19 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
 
 import numpy as np
 
 from trajopt.control.robot_state import RobotState
+from trajopt.robot.friction import inscribed_rows, pressure_rows, yaw_rows
 
-# Faces of the pyramid inscribed in Coulomb's cone: it holds back up to 8 % of the friction, four faces 29 %.
-FACES = 8
-ANGLES = 2.0 * math.pi / FACES * np.arange(FACES)
-COSINES, SINES = np.cos(ANGLES)[:, None], np.sin(ANGLES)[:, None]
+# Sides of the pyramid inscribed in Coulomb's cone: it holds back up to 8 % of the friction, four sides 29 %.
+SIDES = 8
 # An axis is too near to the normal to project if the square of its projection is less than this.
 LEAST_PROJECTION = 1e-2
-INSCRIBED = math.cos(math.pi / FACES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,18 +46,16 @@ class ActiveContact:
     def force_rows(self, state: RobotState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows (m, dimension) on the force in world axes, and their bounds (m,).
 
-        A pyramid, the normal force in its bounds, and of a sole the wrench cone of its four corners: centre
-        of pressure within the rectangle, and moment about the normal (Caron, Pham and Nakamura, ICRA 2015,
-        eq. 13 to 18; at most that of Coulomb's cones, mu f_n times half the diagonal). What slides transmits
-        mu f_n against its way.
+        A pyramid, the normal force in its bounds, and of a sole the wrench cone of its four corners (see
+        `trajopt.robot.friction`). What slides transmits mu f_n against its way.
         """
         n, size = self.normal, self.dimension
         if self.bilateral:
             return np.zeros((0, size)), np.zeros(0), np.zeros(0)
         if size == 3 and self.sliding is None:
             return _pyramid(tuple(n.tolist()), self.friction, self.most)
-        axes = state.frame(self.frame).placement.rotation
-        x, y = _tangents(n, axes[:, 0], axes[:, 1])
+        rotation = state.frame(self.frame).placement.rotation
+        x, y = _tangents(n, rotation[:, 0], rotation[:, 1])
         if self.sliding is None:
             force, low, high = _cone(n, x, y, self.friction, self.most)
         else:
@@ -69,26 +64,23 @@ class ActiveContact:
             low, high = np.zeros(3), np.array([self.most, 0.0, 0.0])
         if size == 3:
             return force, low, high
-        moments = self._moments(x, y)
+        axes = np.array([x, y, n])
+        rows = _sole_rows(self.friction, self.half_size)
+        moments = np.hstack([rows[:, :3] @ axes, rows[:, 3:] @ axes])
         whole = np.vstack([np.hstack([force, np.zeros((len(force), 3))]), moments])
         return whole, np.append(low, np.zeros(len(moments))), np.append(high, np.full(len(moments), np.inf))
-
-    def _moments(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Rows (m, 6), >= 0, of a sole's wrench with axes x, y along its sides."""
-        force, moment = _sole_rows(self.friction, *self.half_size)
-        axes = np.array([self.normal, x, y])
-        return np.hstack([force @ axes, moment @ axes])
 
     def motion_rows(self, state: RobotState, damping: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows (m, nv) and values (m,) of an acceleration that takes the contact's velocity out.
 
         J a = -dJ v - damping J v; of what slides along the normal alone. ``damping`` in 1/s.
         """
-        own = state.frame(self.frame)
-        jacobian = own.jacobian[: self.dimension]
-        value = -own.drift[: self.dimension] - damping * own.velocity[: self.dimension]
+        frame = state.frame(self.frame)
+        jacobian = frame.jacobian[: self.dimension]
+        value = -frame.drift[: self.dimension] - damping * frame.velocity[: self.dimension]
         if self.sliding is not None:
-            rows = self.normal[None] if self.dimension == 3 else _without_sliding(self.normal)
+            rows = np.eye(self.dimension)[2:]  # of a sole with all its rotations
+            rows[0, :3] = self.normal
             return rows @ jacobian, rows @ value
         return jacobian, value
 
@@ -112,12 +104,15 @@ def _cone(
     n: np.ndarray, x: np.ndarray, y: np.ndarray, friction: float, most: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows (9, 3) of a pyramid and the normal force, with their bounds."""
-    rows = np.empty((FACES + 1, 3))
-    rows[:-1] = INSCRIBED * friction * n - COSINES * x - SINES * y
-    rows[-1] = n
-    high = np.full(FACES + 1, np.inf)
-    high[-1] = most
-    return rows, np.zeros(FACES + 1), high
+    rows = _pyramid_rows(friction) @ np.array([x, y, n])
+    return rows, np.zeros(SIDES + 1), np.append(np.full(SIDES, np.inf), most)
+
+
+@lru_cache(maxsize=256)
+def _pyramid_rows(friction: float) -> np.ndarray:
+    """Rows (9, 3) on the force along two axes and the normal."""
+    force = np.eye(3)
+    return np.array([*inscribed_rows(force, friction, SIDES), force[2]])
 
 
 @lru_cache(maxsize=256)
@@ -130,17 +125,14 @@ def _pyramid(
 
 
 @lru_cache(maxsize=256)
-def _sole_rows(mu: float, length: float, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (14, 3) on the force and on the moment of a sole, along its normal and its two axes."""
-    turn, first, second = np.array(list(product((-1.0, 1.0), repeat=3))).T
-    force, moment = np.zeros((14, 3)), np.zeros((14, 3))
-    force[:6, 0] = np.repeat([width, length, mu * math.hypot(length, width)], 2)
-    moment[[0, 2, 4], [1, 2, 0]], moment[[1, 3, 5], [1, 2, 0]] = -1.0, 1.0
-    force[6:] = np.column_stack([np.full(8, mu * (length + width)), -first * width, -second * length])
-    moment[6:] = np.column_stack([turn, turn * mu * first, turn * mu * second])
-    return force, moment
+def _sole_rows(friction: float, half_size: tuple[float, float]) -> np.ndarray:
+    """Rows (14, 6) on a sole's wrench along its two axes and its normal, >= 0.
 
-
-def _without_sliding(normal: np.ndarray) -> np.ndarray:
-    """Rows (4, 6) of a sole that slides: along the normal, and all rotations."""
-    return np.block([[normal[None], np.zeros((1, 3))], [np.zeros((3, 3)), np.eye(3)]])
+    Its centre of pressure, its moment about the normal, and what friction leaves of that. The moment is at
+    most that of Coulomb's cones at the corners, mu f_n times half the diagonal.
+    """
+    force, moment = np.eye(6)[:3], np.eye(6)[3:]
+    most = friction * math.hypot(*half_size) * force[2]
+    turning = [most - moment[2], most + moment[2]]
+    pressure = pressure_rows(force, moment, half_size)
+    return np.array([*pressure, *turning, *yaw_rows(force, moment, half_size, friction)])

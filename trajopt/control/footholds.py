@@ -63,9 +63,9 @@ class FootholdOffsets:
 
     def copy(self) -> FootholdOffsets:
         """These offsets, apart."""
-        own = object.__new__(FootholdOffsets)
-        own.__dict__ = {**self.__dict__, "offset": self.offset.copy(), "rate": self.rate.copy()}
-        return own
+        twin = object.__new__(FootholdOffsets)
+        twin.__dict__ = {**self.__dict__, "offset": self.offset.copy(), "rate": self.rate.copy()}
+        return twin
 
     def stand(self, foot: int, offset: np.ndarray) -> None:
         """A foot stands at an offset (2,)."""

@@ -106,12 +106,13 @@ class TaskSpaceInverseDynamics:
         for relaxed in range(3):
             rows = program.rows(relaxed)
             if relaxed == 2:
-                cost, slope = program.with_penalty(cost, slope)
-            found = self._solver(("first", relaxed == 2), contacts, rows).solve(cost, slope, rows)
-            iterations += found.iterations
-            if not found.solved:
+                cost = cost + PENALTY * program.motion.T @ program.motion
+                slope = slope - PENALTY * (program.still @ program.motion)
+            solution = self._solver(("first", relaxed == 2), contacts, rows).solve(cost, slope, rows)
+            iterations += solution.iterations
+            if not solution.solved:
                 continue
-            x = found.x
+            x = solution.x
             if second is not None:
                 equal, value = np.vstack([rows.equal, kept]), np.append(rows.value, kept @ x)
                 rows = replace(rows, equal=equal, value=value)
@@ -169,7 +170,7 @@ class _Program:
         equal, value = scaled[:u], -h[:u] / scale[:u]
         if relaxed < 2 and len(self.still):
             equal, value = np.vstack([equal, self.motion]), np.append(value, self.still)
-        own = h[u:] + limits.friction
+        bias = h[u:] + limits.friction
         forces = [contact.force_rows(owner.state) for contact in self.contacts]
         between = np.zeros((nv - u + sum(len(low) for _, low, _ in forces), n))
         between[: nv - u] = scaled[u:]
@@ -178,8 +179,8 @@ class _Program:
             columns = slice(first, first + contact.dimension)
             between[row : row + len(low), columns] = own_rows * (self.unit[columns] / owner.force_units[0])
             row += len(low)
-        lows = [(limits.torque[0] - own) / scale[u:], *(low / owner.force_units[0] for _, low, _ in forces)]
-        highs = [(limits.torque[1] - own) / scale[u:], *(high / owner.force_units[0] for *_, high in forces)]
+        lows = [(limits.torque[0] - bias) / scale[u:], *(low / owner.force_units[0] for _, low, _ in forces)]
+        highs = [(limits.torque[1] - bias) / scale[u:], *(high / owner.force_units[0] for *_, high in forces)]
         units, (least, most) = owner.acceleration_unit[u:], limits.acceleration
         return QpRows(
             equal=equal,
@@ -194,29 +195,24 @@ class _Program:
 
     def objective(self, tasks: Sequence[Task]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """P (n, n) and c (n,) of the tasks of one priority, and their rows (r, n), on scaled unknowns."""
-        found = [task.rows(self.owner.state, self.contacts) for task in tasks]
-        ends = [0, *accumulate(len(own.value) for own in found)]
+        parts = [task.rows(self.owner.state, self.contacts) for task in tasks]
+        ends = [0, *accumulate(len(part.value) for part in parts)]
         rows, value = np.zeros((ends[-1], self.n)), np.zeros(ends[-1])
-        for task, own, (begin, end) in zip(tasks, found, pairwise(ends), strict=True):
+        for task, part, (begin, end) in zip(tasks, parts, pairwise(ends), strict=True):
             root = math.sqrt(task.weight)
-            rows[begin:end, : self.nv] = root * own.acceleration
-            if own.force is not None:
-                rows[begin:end, self.nv :] = root * own.force
-            value[begin:end] = root * own.value
+            rows[begin:end, : self.nv] = root * part.acceleration
+            if part.force is not None:
+                rows[begin:end, self.nv :] = root * part.force
+            value[begin:end] = root * part.value
         if not np.isfinite(value).all():
             bad = next(
-                task for task, own in zip(tasks, found, strict=True) if not np.isfinite(own.value).all()
+                task for task, part in zip(tasks, parts, strict=True) if not np.isfinite(part.value).all()
             )
             raise InputError(f"{type(bad).__name__} asks for what is not finite", "allowed: finite numbers")
         rows *= self.unit
         cost = rows.T @ rows
         cost.flat[:: self.n + 1] += REGULARISATION
         return cost, -(value @ rows), rows
-
-    def with_penalty(self, cost: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The objective with contact rows penalised."""
-        rows = self.motion
-        return cost + PENALTY * rows.T @ rows, slope - PENALTY * (self.still @ rows)
 
     def result(self, scaled: np.ndarray, relaxed: int, iterations: int) -> TickResult:
         """Torques, accelerations and forces of scaled unknowns."""
@@ -242,7 +238,7 @@ class _Program:
             return 0.0
         joints = slice(self.owner.n_unactuated, self.nv)
         low, high = self.limits.acceleration
-        unit, own = self.owner.acceleration_unit[joints], scaled[joints]
-        beyond = np.maximum(low / unit - own, own - high / unit)
+        unit, accelerations = self.owner.acceleration_unit[joints], scaled[joints]
+        beyond = np.maximum(low / unit - accelerations, accelerations - high / unit)
         moved = np.abs(self.motion @ scaled - self.still)
         return float(max(0.0, beyond.max(initial=0.0), moved.max(initial=0.0) if relaxed == 2 else 0.0))

@@ -25,8 +25,8 @@ def limits_with_drives(
     low, high = low.copy(), high.copy()
     for row, drive in enumerate(drives):
         if drive is not None:
-            own = drive.torque_range(float(rate[row]))
-            low[row], high[row] = float(own[0]), float(max(own[0], own[1]))
+            torques = drive.torque_range(float(rate[row]))
+            low[row], high[row] = float(torques[0]), float(max(torques[0], torques[1]))
     return low, high
 
 

@@ -70,21 +70,21 @@ def plan_targets(plan: Solution, reference: ReferenceTrajectory) -> PlanTargets:
     turned, rate, change = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 6)), np.zeros((n, 6))
     data = [model.createData() for model in models]
     for k in range(n):
-        model, own = models[reference.source[k]], data[reference.source[k]]
+        model, state_data = models[reference.source[k]], data[reference.source[k]]
         state = (reference.q[k], reference.v[k], reference.a[k])
-        pin.forwardKinematics(model, own, *state)
-        pin.updateFramePlacements(model, own)
-        pin.centerOfMass(model, own, *state)
-        momentum[k] = pin.computeCentroidalMomentum(model, own).angular
-        com[k] = own.com[0], own.vcom[0], own.acom[0]
+        pin.forwardKinematics(model, state_data, *state)
+        pin.updateFramePlacements(model, state_data)
+        pin.centerOfMass(model, state_data, *state)
+        momentum[k] = pin.computeCentroidalMomentum(model, state_data).angular
+        com[k] = state_data.com[0], state_data.vcom[0], state_data.acom[0]
         for i, frame in enumerate(frames):
-            position[k, i], rotation[k, i] = own.oMf[frame].translation, own.oMf[frame].rotation
-            velocity[k, i] = pin.getFrameVelocity(model, own, frame, axes).vector
-            acceleration[k, i] = pin.getFrameClassicalAcceleration(model, own, frame, axes).vector
+            position[k, i], rotation[k, i] = state_data.oMf[frame].translation, state_data.oMf[frame].rotation
+            velocity[k, i] = pin.getFrameVelocity(model, state_data, frame, axes).vector
+            acceleration[k, i] = pin.getFrameClassicalAcceleration(model, state_data, frame, axes).vector
         if moving:
-            turned[k] = own.oMf[base].rotation
-            rate[k] = pin.getFrameVelocity(model, own, base, axes).vector
-            change[k] = pin.getFrameClassicalAcceleration(model, own, base, axes).vector
+            turned[k] = state_data.oMf[base].rotation
+            rate[k] = pin.getFrameVelocity(model, state_data, base, axes).vector
+            change[k] = pin.getFrameClassicalAcceleration(model, state_data, base, axes).vector
     return PlanTargets(
         com=com,
         momentum=momentum,
@@ -103,9 +103,9 @@ def plan_targets(plan: Solution, reference: ReferenceTrajectory) -> PlanTargets:
 
 def _until(active: np.ndarray) -> np.ndarray:
     """Rows (n, nc) until the next true one, zero where true, n where there is none."""
-    n, found = len(active), np.zeros(active.shape, dtype=int)
+    n, ticks = len(active), np.zeros(active.shape, dtype=int)
     ahead = np.full(active.shape[1], n)
     for k in range(n - 1, -1, -1):
         ahead = np.where(active[k], 0, np.minimum(ahead + 1, n))
-        found[k] = ahead
-    return found
+        ticks[k] = ahead
+    return ticks

@@ -49,9 +49,9 @@ class PlanTasks:
 
     def copy(self) -> PlanTasks:
         """These tasks, apart."""
-        own = copy.copy(self)
-        own._swings = self._swings.copy()
-        return own
+        twin = copy.copy(self)
+        twin._swings = self._swings.copy()
+        return twin
 
     def stand(self, k: int, active: np.ndarray, state: RobotState) -> None:
         """Contacts (nc,) of a mask stand where they are."""
@@ -129,12 +129,12 @@ class PlanTasks:
 def _determined_joints(plan: Solution, stands: np.ndarray) -> np.ndarray:
     """Joints (nc, nu) of legs that have no more than the pose of their foot has components."""
     first = plan.n_unactuated
-    found = np.zeros((len(stands), plan.model.nv - first), dtype=bool)
+    determined = np.zeros((len(stands), plan.model.nv - first), dtype=bool)
     for i in np.flatnonzero(stands):
         rows = sorted(moving_rows(plan.model, plan.contact_frames[i]))
-        own = [row - first for row in rows if row >= first]
-        found[i, own] = len(own) <= (6 if plan.description.contacts[i].is_sole else 3)
-    return found
+        joints = [row - first for row in rows if row >= first]
+        determined[i, joints] = len(joints) <= (6 if plan.description.contacts[i].is_sole else 3)
+    return determined
 
 
 def _without(axes: np.ndarray) -> np.ndarray:

@@ -115,14 +115,14 @@ class _Osqp(QuadraticSolver):
             self._solver = self._set_up(p, c, a, low, high)
         else:
             self._solver.update(Px=p[self._upper], Ax=a.T.ravel(), q=c, l=low, u=high)
-        found = self._solver.solve(raise_error=False)
-        if found.info.status_val == 1:
-            return QuadraticSolution(np.array(found.x, dtype=float), True, int(found.info.iter))
+        result = self._solver.solve(raise_error=False)
+        if result.info.status_val == 1:
+            return QuadraticSolution(np.array(result.x, dtype=float), True, int(result.info.iter))
         # PIQP tells slow programs from infeasible ones.
         exact = self._second.solve(p, c, rows)
         if exact.solved:
             self._solver.warm_start(x=exact.x)
-        return QuadraticSolution(exact.x, exact.solved, exact.iterations + int(found.info.iter))
+        return QuadraticSolution(exact.x, exact.solved, exact.iterations + int(result.info.iter))
 
     def _set_up(
         self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray

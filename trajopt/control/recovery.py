@@ -108,10 +108,10 @@ class Recovery:
 
     def copy(self) -> Recovery:
         """This state, apart."""
-        own = copy.copy(self)
-        own._offsets = self._offsets.copy()
-        own._landed, own._lifted = self._landed.copy(), self._lifted.copy()
-        return own
+        twin = copy.copy(self)
+        twin._offsets = self._offsets.copy()
+        twin._landed, twin._lifted = self._landed.copy(), self._lifted.copy()
+        return twin
 
     def step(self, k: int, t: float, state: RobotState, touching: np.ndarray) -> RecoveryStep | None:
         """Go on by one tick; None while the plan is followed as it is.
@@ -197,23 +197,23 @@ class Recovery:
 
     def _standing(self, t: float, places: np.ndarray, hips: dict[int, np.ndarray]) -> np.ndarray:
         """Contacts (nc,) that transmit forces: landed, touching, and within the reach of their legs."""
-        found = np.zeros(len(places), dtype=bool)
+        standing = np.zeros(len(places), dtype=bool)
         lately = t - self._touched_at <= LOST * self._units.time
         for i, leg in self._legs.items():
             near = float(np.linalg.norm(places[i] - hips[i])) < TORN * leg.reach
-            found[i] = self._landed[i] and lately[i] and near
-        return found
+            standing[i] = self._landed[i] and lately[i] and near
+        return standing
 
     def _pressure(
         self, k: int, places: np.ndarray, active: np.ndarray, mass: FallingMass
     ) -> np.ndarray | None:
         """Centre of pressure (2,) within the feet that stand, to brake the centre of mass; None in flight."""
-        own = np.flatnonzero(active)
-        if not len(own):
+        standing = np.flatnonzero(active)
+        if not len(standing):
             return None
-        beside = (places - self._targets.position[k])[own, :2].mean(axis=0)
+        beside = (places - self._targets.position[k])[standing, :2].mean(axis=0)
         middle = self._targets.com[k, 0, :2] + beside
-        return SupportPolygon(places[own]).nearest(mass.holding(middle, RETURNING))
+        return SupportPolygon(places[standing]).nearest(mass.holding(middle, RETURNING))
 
     def _acceleration(
         self, k: int, state: RobotState, mass: FallingMass, pressure: np.ndarray | None
@@ -240,7 +240,7 @@ class Recovery:
         """Paths of the feet that do not stand, to where the next stance catches the centre of mass."""
         done = (t - self._since) / (SWING * self._units.time)
         left = max(1.0 - done, 0.0) * SWING * self._units.time
-        then, found = mass.after(left, pressure), {}
+        then, paths = mass.after(left, pressure), {}
         error = np.append(then.place - self._targets.com[k, 0, :2], 0.0)
         for i in self._feet:
             planned = self._targets.position[k, i]
@@ -255,12 +255,12 @@ class Recovery:
             time = FOLLOWS * self._units.time if lost else left
             change = np.zeros(2) if rises else self._offsets.swing(i, error, foothold - planned, time)
             height, speed, rise = swing_height(1.0 if lost else done, self._units)
-            found[i] = FootPath(
+            paths[i] = FootPath(
                 position=planned + np.array([*self._offsets.offset[i], height]),
                 velocity=np.array([*self._offsets.rate[i], speed]),
                 acceleration=np.array([*change, rise]),
             )
-        return found
+        return paths
 
     def _foothold(self, i: int, below: np.ndarray, hip: np.ndarray, then: FallingMass) -> np.ndarray:
         """Where (3,) a foot that would stand ``below`` the body catches it, within the reach of its leg."""

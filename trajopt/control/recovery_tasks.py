@@ -39,7 +39,7 @@ class RecoveryTasks:
     def of(self, k: int, step: RecoveryStep, state: RobotState) -> list[Task]:
         """Tasks of tick ``k``; in flight joints and feet alone."""
         gains, units, reference = self._gains, self._units, self._reference
-        found: list[Task] = [
+        tasks: list[Task] = [
             PostureTask(
                 weight=RECOVERING * gains.joint_weight,
                 q=reference.q[k],
@@ -52,8 +52,8 @@ class RecoveryTasks:
             )
         ]
         if step.active.any():
-            found += self._standing(k, step, state)
-        return found + [
+            tasks += self._standing(k, step, state)
+        return tasks + [
             FrameTask(
                 weight=gains.foot_weight,
                 frame=self._frames[i],

@@ -102,14 +102,14 @@ def _mean_acceleration(plan: Solution, t: np.ndarray, period: float, middle: np.
     A contact that lifts within a period, and may carry three times the weight, would otherwise give or lose
     up to half a period of its force.
     """
-    found = middle.copy()
+    mean = middle.copy()
     ends = np.array([plan.t[rows.start] for rows in plan.phases[1:]])
     for k in {int(np.searchsorted(t, end, side="right")) - 1 for end in ends}:
         last = t[k] + period
         cuts = np.array([t[k], *ends[(ends > t[k]) & (ends < last)], last])
         parts = np.diff(cuts)
-        found[k] = parts @ plan.sample(times=cuts[:-1] + parts / 2).a / period
-    return found
+        mean[k] = parts @ plan.sample(times=cuts[:-1] + parts / 2).a / period
+    return mean
 
 
 def _repeated(plan: Solution, one: ReferenceTrajectory, times: int) -> ReferenceTrajectory:
@@ -153,11 +153,11 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
     forces = np.concatenate([np.zeros(0), *(reference.f[-1, i, :size] for i, size in picked)])
     missing = gravity[:first] - jacobian[:, :first].T @ forces
     forces += np.linalg.lstsq(jacobian[:, :first].T, missing, rcond=None)[0]
-    found, row = np.zeros_like(reference.f[-1]), 0
+    wrenches, row = np.zeros_like(reference.f[-1]), 0
     for index, size in picked:
-        found[index, :size] = forces[row : row + size]
+        wrenches[index, :size] = forces[row : row + size]
         row += size
-    return gravity[first:] - jacobian[:, first:].T @ forces, found
+    return gravity[first:] - jacobian[:, first:].T @ forces, wrenches
 
 
 def _with_hold(plan: Solution, reference: ReferenceTrajectory, hold: float) -> ReferenceTrajectory:

@@ -58,20 +58,20 @@ class RobotState:
 
     def frame(self, frame: int | str) -> FrameState:
         """The state of a frame, by name or by index in the model. Raises `InputError` for an unknown one."""
-        found = self._frames.get(frame)
-        if found is None:
+        known = self._frames.get(frame)
+        if known is None:
             number = self._index(frame)
             axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             jacobian = pin.getFrameJacobian(self.model, self.data, number, axes).reshape(6, self.model.nv)
             drift = pin.getFrameClassicalAcceleration(self.model, self.data, number, axes).vector
-            found = FrameState(
+            known = FrameState(
                 placement=self.data.oMf[number],
                 jacobian=jacobian,
                 velocity=jacobian @ self.v,
                 drift=drift,
             )
-            self._frames[frame] = found
-        return found
+            self._frames[frame] = known
+        return known
 
     def _index(self, frame: int | str) -> int:
         if isinstance(frame, str):

@@ -40,12 +40,12 @@ class Support:
         One for each of ``axes``, a quarter turn to the left of it, of unit length seen from above. The line
         of feet of different heights slopes: about a level one they would have a lever.
         """
-        found = self.axes @ TURNED.T
-        if len(found) == 1:
+        directions = self.axes @ TURNED.T
+        if len(directions) == 1:
             apart = self.places - self.places.mean(axis=0)
-            along = apart @ found[0]
-            found[0, 2] = (along @ apart[:, 2]) / (along @ along)
-        return found
+            along = apart @ directions[0]
+            directions[0, 2] = (along @ apart[:, 2]) / (along @ along)
+        return directions
 
     @property
     def offset(self) -> np.ndarray:
@@ -98,9 +98,9 @@ def next_narrow(active: np.ndarray, wide: np.ndarray) -> np.ndarray:
         active: which contacts stand (n, nc).
         wide: whether they hold the body in all directions (n,).
     """
-    found = np.zeros_like(active)
+    narrow = np.zeros_like(active)
     for k in range(len(active) - 2, -1, -1):
         same = bool((active[k] == active[k + 1]).all())
-        after = found[k + 1] if same else active[k + 1] & ~wide[k + 1]
-        found[k] = after & bool(wide[k] and (active[k] >= after).all())
-    return found
+        after = narrow[k + 1] if same else active[k + 1] & ~wide[k + 1]
+        narrow[k] = after & bool(wide[k] and (active[k] >= after).all())
+    return narrow

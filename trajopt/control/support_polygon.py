@@ -18,9 +18,9 @@ class SupportPolygon:
     """
 
     def __init__(self, points: np.ndarray) -> None:
-        own = sorted({(float(point[0]), float(point[1])) for point in points})
-        lower, upper = _chain(own), _chain(own[::-1])
-        self.corners = np.array(own if len(own) < 3 else lower[:-1] + upper[:-1])
+        places = sorted({(float(point[0]), float(point[1])) for point in points})
+        lower, upper = _chain(places), _chain(places[::-1])
+        self.corners = np.array(places if len(places) < 3 else lower[:-1] + upper[:-1])
 
     def nearest(self, point: np.ndarray) -> np.ndarray:
         """The point (2,) of the hull that is nearest to a point (2,)."""
@@ -44,12 +44,12 @@ class SupportPolygon:
 
 def _chain(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """One side of the hull of points in lexicographic order (Andrew, Inf. Proc. Letters 9, 1979)."""
-    found: list[tuple[float, float]] = []
+    chain: list[tuple[float, float]] = []
     for point in points:
-        while len(found) > 1 and _turn(found[-2], found[-1], point) <= STRAIGHT:
-            found.pop()
-        found.append(point)
-    return found
+        while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= STRAIGHT:
+            chain.pop()
+        chain.append(point)
+    return chain
 
 
 def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:

@@ -48,9 +48,9 @@ class SwingTasks:
 
     def copy(self) -> SwingTasks:
         """These tasks, apart."""
-        own = copy.copy(self)
-        own._offsets, own._steady = self._offsets.copy(), self._steady.copy()
-        return own
+        twin = copy.copy(self)
+        twin._offsets, twin._steady = self._offsets.copy(), self._steady.copy()
+        return twin
 
     def stand(self, k: int, active: np.ndarray, state: RobotState) -> None:
         """Contacts (nc,) of a mask stand where they are; once a tick."""

@@ -113,17 +113,17 @@ class FrameTask(Task):
 
     def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
         """Rows of J a + drift = wanted."""
-        own = state.frame(self.frame)
+        frame = state.frame(self.frame)
         error = np.concatenate(
             [
-                self.pose.translation - own.placement.translation,
-                pin.log3(self.pose.rotation @ own.placement.rotation.T),
+                self.pose.translation - frame.placement.translation,
+                pin.log3(self.pose.rotation @ frame.placement.rotation.T),
             ]
         )
-        wanted = _feedback(error, self.velocity - own.velocity, self.acceleration, self.bandwidth)
+        wanted = _feedback(error, self.velocity - frame.velocity, self.acceleration, self.bandwidth)
         unit = np.array([self.units[0]] * 3 + [self.units[1]] * 3)
-        rows = self.selection @ (own.jacobian / unit[:, None])
-        return TaskRows(acceleration=rows, value=self.selection @ ((wanted - own.drift) / unit))
+        rows = self.selection @ (frame.jacobian / unit[:, None])
+        return TaskRows(acceleration=rows, value=self.selection @ ((wanted - frame.drift) / unit))
 
 
 @dataclass(frozen=True, kw_only=True)

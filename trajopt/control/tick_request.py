@@ -49,12 +49,12 @@ class TickRequest:
             com: planned centre of mass (3,), m, which a `CenterOfMassTask` leads to.
             frames: of all contacts (nc,).
         """
-        found = cls.none(len(frames))
+        request = cls.none(len(frames))
         for contact, force in zip(contacts, forces, strict=True):
-            found.forces[contact.number] = force
+            request.forces[contact.number] = force
         for task in tasks:
             if isinstance(task, CenterOfMassTask):
-                found.com[:] = com
+                request.com[:] = com
             elif isinstance(task, FrameTask) and task.frame in frames:
-                found.feet[frames.index(int(task.frame))] = task.pose.translation
-        return found
+                request.feet[frames.index(int(task.frame))] = task.pose.translation
+        return request

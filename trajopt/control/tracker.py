@@ -92,14 +92,10 @@ class Tracker:
 
     def copy(self) -> Tracker:
         """A tracker that goes on from here, apart; both count their ticks together."""
-        own = copy.copy(self)
-        own._contacts, own._tasks = self._contacts.copy(), self._tasks.copy()
-        own._recovery = self._recovery.copy()
-        return own
-
-    def tick_of(self, t: float) -> int:
-        """The tick at ``t`` s from the start of the plan, within its ticks."""
-        return int(np.clip(round(t / self.reference.period), 0, len(self.reference.t) - 1))
+        twin = copy.copy(self)
+        twin._contacts, twin._tasks = self._contacts.copy(), self._tasks.copy()
+        twin._recovery = self._recovery.copy()
+        return twin
 
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
         """Torques of the drives (nu,) for the tick at ``t`` s.
@@ -114,7 +110,8 @@ class Tracker:
             InputError: for a state that is not finite or has another shape.
         """
         begin = time.perf_counter()
-        k, contacts, frames = self.tick_of(t), np.asarray(touching, dtype=bool), self._contacts.frames
+        k = int(np.clip(round(t / self.reference.period), 0, len(self.reference.t) - 1))
+        contacts, frames = np.asarray(touching, dtype=bool), self._contacts.frames
         if contacts.shape != (len(frames),):
             raise InputError(
                 f"touching has shape {contacts.shape}",
@@ -136,16 +133,16 @@ class Tracker:
             tasks = self._tasks.of(k, active, self._contacts, state)
         else:
             tasks = self._recovery_tasks.of(k, step, state)
-        found = program.solve(taken, tasks, self._limits(q, v))
-        self.request = TickRequest.of(found.forces, taken, tasks, self.targets.com[k, 0], frames)
-        self.counts.relaxed[found.relaxed] += 1
-        self.counts.iterations += found.iterations
-        self.counts.slack = max(self.counts.slack, found.slack)
+        result = program.solve(taken, tasks, self._limits(q, v))
+        self.request = TickRequest.of(result.forces, taken, tasks, self.targets.com[k, 0], frames)
+        self.counts.relaxed[result.relaxed] += 1
+        self.counts.iterations += result.iterations
+        self.counts.slack = max(self.counts.slack, result.slack)
         self.counts.times.append(time.perf_counter() - begin)
-        self.last = found
-        if RELAXED[found.relaxed] == "everything":
+        self.last = result
+        if RELAXED[result.relaxed] == "everything":
             return self._held(k, state)
-        return found.torque
+        return result.torque
 
     def _program(self, phase: int) -> TaskSpaceInverseDynamics:
         if phase not in self._programs:
@@ -165,10 +162,10 @@ class Tracker:
         low, high, friction = self._low, self._high, np.zeros(len(rate))
         if any(drive is not None for drive in drives):
             low, high = limits_with_drives(drives, rate, low, high)
-            own = [
+            torques = [
                 0.0 if d is None else float(d.friction_torque(r)) for d, r in zip(drives, rate, strict=True)
             ]
-            friction = np.array(own)
+            friction = np.array(torques)
         return TickLimits(torque=(low, high), acceleration=self._range.bounds(q, rate), friction=friction)
 
     def _held(self, k: int, state: RobotState) -> np.ndarray:
@@ -183,11 +180,11 @@ class Tracker:
 
 def _require_robot(plan: Solution, robot: Robot) -> None:
     """Raise `InputError` if the joints of a plan are not those of a robot."""
-    planned, own = (
+    planned, robots = (
         [(name, joint.shortname()) for name, joint in zip(model.names, model.joints, strict=True)]
         for model in (plan.model, robot.model)
     )
-    if planned != own:
+    if planned != robots:
         missing = next((name for name, _ in planned if name not in robot.model.names), None)
         cause = f"it has no joint '{missing}'" if missing else "its joints have another order or other kinds"
         raise InputError(

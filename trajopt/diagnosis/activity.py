@@ -62,8 +62,8 @@ def active_limits(snapshot: Snapshot) -> list[ActiveLimit]:
         name = names.row(index)
         key = (name.block, name.about, int(snapshot.side[index]), names.phase_index(name.site.stage))
         groups.setdefault(key, []).append(index)
-    found = [_limit(snapshot, *key, of[key[0], key[3]], members) for key, members in groups.items()]
-    return sorted(found, key=lambda limit: (-(limit.multiplier or 0.0), -limit.places))
+    limits = [_limit(snapshot, *key, of[key[0], key[3]], members) for key, members in groups.items()]
+    return sorted(limits, key=lambda limit: (-(limit.multiplier or 0.0), -limit.places))
 
 
 def _limit(

@@ -60,25 +60,25 @@ CURVING = {
 }
 
 
-def advice(found: Diagnosis) -> Iterator[Advice]:
+def advice(diagnosis: Diagnosis) -> Iterator[Advice]:
     """All advice from a diagnosis, the most urgent first."""
-    yield from _of_values(found)
-    yield from _of_conflict(found)
-    yield from _of_rows(found)
-    yield from _of_contacts(found)
-    yield from _of_curvature(found)
-    yield from _of_scaling(found)
-    yield from _of_mesh(found)
-    yield from _of_limits(found)
-    for text in found.start:
+    yield from _of_values(diagnosis)
+    yield from _of_conflict(diagnosis)
+    yield from _of_rows(diagnosis)
+    yield from _of_contacts(diagnosis)
+    yield from _of_curvature(diagnosis)
+    yield from _of_scaling(diagnosis)
+    yield from _of_mesh(diagnosis)
+    yield from _of_limits(diagnosis)
+    for text in diagnosis.start:
         exactly = "exactly on" in text
         remedy = "move it inside by a little" if exactly else "start within the limits"
-        if not exactly or not found.solved:
+        if not exactly or not diagnosis.solved:
             yield Advice(text, remedy)
 
 
-def _of_values(found: Diagnosis) -> Iterator[Advice]:
-    wrong = found.nonfinite
+def _of_values(diagnosis: Diagnosis) -> Iterator[Advice]:
+    wrong = diagnosis.nonfinite
     if wrong is None:
         return
     finding = str(wrong)
@@ -94,10 +94,10 @@ def _of_values(found: Diagnosis) -> Iterator[Advice]:
         yield Advice(finding, "give the term values and slopes there, or start elsewhere")
 
 
-def _of_rows(found: Diagnosis) -> Iterator[Advice]:
-    for group in found.dependent:
+def _of_rows(diagnosis: Diagnosis) -> Iterator[Advice]:
+    for group in diagnosis.dependent:
         yield Advice(str(group), _untangled(group))
-    for report in found.ranks:
+    for report in diagnosis.ranks:
         if report.condition is not None and report.condition > ILL and report.full:
             where = "all phases together" if report.phase is None else f"phase '{report.phase}'"
             yield Advice(
@@ -124,12 +124,12 @@ def _untangled(group: DependentRows) -> str:
     return "the same constraint is stated twice: remove one of these rows"
 
 
-def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
-    clash = found.conflict
-    if not found.worst or found.nonfinite is not None:
+def _of_conflict(diagnosis: Diagnosis) -> Iterator[Advice]:
+    clash = diagnosis.conflict
+    if not diagnosis.worst or diagnosis.nonfinite is not None:
         return
     if clash is None:
-        yield Advice(f"violated: {found.worst[0].row}", "another start, or an easier goal first")
+        yield Advice(f"violated: {diagnosis.worst[0].row}", "another start, or an easier goal first")
         return
     misses = (
         f"rows are violated by {clash.before:.2e} in sum, which a small step reduces to {clash.after:.2e}"
@@ -144,7 +144,7 @@ def _of_conflict(found: Diagnosis) -> Iterator[Advice]:
     kind = "goal out of reach" if goal else "rows contradict each other"
     against = (_remedy(one.block, one.what, f"ask less of {one.block}") for one in clash.against[:3])
     remedies = list(dict.fromkeys(against))
-    if not clash.stuck or found.status is None:  # at a guess the linearisation says little
+    if not clash.stuck or diagnosis.status is None:  # at a guess the linearisation says little
         kind = f"{misses}; left are"
         remedies = ["more iterations, or an easier goal first and its solution as the start", *remedies]
     finding = f"{kind}: {_parties(clash)}"
@@ -165,9 +165,9 @@ def _remedy(block: str, what: str, otherwise: str) -> str:
     return REMEDIES.get(block, otherwise)
 
 
-def _of_contacts(found: Diagnosis) -> Iterator[Advice]:
-    for phase in found.contacts:
-        if phase.singular and not found.solved:
+def _of_contacts(diagnosis: Diagnosis) -> Iterator[Advice]:
+    for phase in diagnosis.contacts:
+        if phase.singular and not diagnosis.solved:
             yield Advice(
                 f"phase '{phase.phase}': {phase}",
                 "postures there are singular, such as a straight leg: bend it in the guess and at the "
@@ -175,8 +175,8 @@ def _of_contacts(found: Diagnosis) -> Iterator[Advice]:
             )
 
 
-def _of_curvature(found: Diagnosis) -> Iterator[Advice]:
-    curved = found.curvature
+def _of_curvature(diagnosis: Diagnosis) -> Iterator[Advice]:
+    curved = diagnosis.curvature
     if curved is None:
         return
     if curved.negative and curved.known:
@@ -193,12 +193,12 @@ def _of_curvature(found: Diagnosis) -> Iterator[Advice]:
         )
 
 
-def _of_scaling(found: Diagnosis) -> Iterator[Advice]:
-    if found.scaling is None:
+def _of_scaling(diagnosis: Diagnosis) -> Iterator[Advice]:
+    if diagnosis.scaling is None:
         return
-    for block in found.scaling.worst_blocks[:2]:
+    for block in diagnosis.scaling.worst_blocks[:2]:
         much = block.multiplier is not None and block.multiplier.largest > max(1.0, block.row_norm.far)
-        if much and not found.feasible:  # then they only tell how far the rows are from feasible
+        if much and not diagnosis.feasible:  # then they only tell how far the rows are from feasible
             continue
         what = f"multipliers {block.multiplier}" if much else f"row norms {block.row_norm}"
         yield Advice(
@@ -207,7 +207,7 @@ def _of_scaling(found: Diagnosis) -> Iterator[Advice]:
             if not much
             else "look at weights of costs far from one, or a constraint that can hardly be met",
         )
-    for kind in found.scaling.worst_kinds[:1]:
+    for kind in diagnosis.scaling.worst_kinds[:1]:
         yield Advice(
             f"variables of kind {kind.kind} are far from scale one: values {kind.value}, "
             f"columns {kind.column_norm}",
@@ -215,8 +215,8 @@ def _of_scaling(found: Diagnosis) -> Iterator[Advice]:
         )
 
 
-def _of_mesh(found: Diagnosis) -> Iterator[Advice]:
-    for phase, error in (found.local_error or {}).items():
+def _of_mesh(diagnosis: Diagnosis) -> Iterator[Advice]:
+    for phase, error in (diagnosis.local_error or {}).items():
         if not error <= COARSE:
             yield Advice(
                 f"one interval of phase '{phase}' has an error of {error:.1e} m",
@@ -224,10 +224,10 @@ def _of_mesh(found: Diagnosis) -> Iterator[Advice]:
             )
 
 
-def _of_limits(found: Diagnosis) -> Iterator[Advice]:
-    tried = found.status is not None and not found.solved  # limits at a guess mean nothing
+def _of_limits(diagnosis: Diagnosis) -> Iterator[Advice]:
+    tried = diagnosis.status is not None and not diagnosis.solved  # limits at a guess mean nothing
     saturated = 0
-    for limit in found.limits:
+    for limit in diagnosis.limits:
         decides = limit.of > 1 and limit.places >= SATURATED * limit.of and not limit.weak
         duration = limit.about.endswith("duration") or limit.block == "duration"
         if duration and not limit.weak:

@@ -111,9 +111,9 @@ def _elastic(
     status = solver.solve()
     if status not in (piqp.PIQP_SOLVED, piqp.PIQP_MAX_ITER_REACHED):
         return None
-    found = solver.result
+    result = solver.result
     weights = np.zeros(len(snapshot.lower))
-    weights[np.flatnonzero(equal)] = found.y
-    weights[np.flatnonzero(~equal)] = found.z_u - found.z_l
-    weights[m + free] = found.z_bu[:n] * (upper_room < BOX) - found.z_bl[:n] * (lower_room > -BOX)
-    return np.array(found.x), weights
+    weights[np.flatnonzero(equal)] = result.y
+    weights[np.flatnonzero(~equal)] = result.z_u - result.z_l
+    weights[m + free] = result.z_bu[:n] * (upper_room < BOX) - result.z_bl[:n] * (lower_room > -BOX)
+    return np.array(result.x), weights

@@ -110,12 +110,12 @@ def _sparse(hessian: sparse.csc_matrix, active: sparse.csc_matrix) -> Curvature:
     start = project(np.random.default_rng(0).standard_normal(n))
     if np.linalg.norm(start) < np.sqrt(np.finfo(float).eps) * np.sqrt(n):
         return _none(n, exact=False)
-    found = [lanczos(lambda p: project(scaled @ p), start)]
+    vectors = [lanczos(lambda p: project(scaled @ p), start)]
     for shift in (0.0, BETWEEN):
         inverse = _operator(scaled - shift * sparse.eye(n, format="csc"), active)
         if inverse is not None:
-            found.append(lanczos(inverse, start))
-    return _from_vectors(np.hstack(found), scaled, active, project, unit)
+            vectors.append(lanczos(inverse, start))
+    return _from_vectors(np.hstack(vectors), scaled, active, project, unit)
 
 
 def _operator(first: sparse.csc_matrix, active: sparse.csc_matrix) -> Operator | None:

@@ -25,7 +25,6 @@ from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.solving.verdicts import STILL_FEASIBLE, finite_or_none
@@ -39,7 +38,6 @@ WORST = 5
 SAME = 1e-4
 
 
-@accepts_compile
 @checked
 def diagnose(
     what: Solution | PreparedProblem | str | Path,
@@ -80,23 +78,23 @@ def _problem_of(solution: Solution) -> Problem:
             "allowed: trajopt.diagnose(solution, problem=...) in Python, or --problem NAME",
         )
     family = known[name]
-    own = {parameter.name: parameter for parameter in family.parameters}
+    parameters = {parameter.name: parameter for parameter in family.parameters}
     values = family.of_file(solution.description.parameters or {})
     try:
         return family.load(values)
     except InputError:  # a derived value may be outside the parameter's range
-        asked = {key: value for key, value in values.items() if own[key].default is not None}
+        asked = {key: value for key, value in values.items() if parameters[key].default is not None}
         return family.load(asked)
 
 
 def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
     """The solution's own variables, and its multipliers if they belong to the same rows."""
     t = prepared.transcription
-    found = warm_start(t, solution)
+    start = warm_start(t, solution)
     known = _same_rows(t, solution)
     return Snapshot(
         nlp=prepared.nlp,
-        x=found.x,
+        x=start.x,
         row_multiplier=solution.row_multiplier if known else None,
         bound_multiplier=solution.bound_multiplier if known else None,
         tolerance=float(solution.statistics.tolerance),
@@ -128,7 +126,7 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
     largest = float(snapshot.violations.max(initial=0.0)) if np.isfinite(snapshot.violations).all() else None
     statistics = None if solution is None else solution.statistics
     motion = extract(t, snapshot.x) if solution is None else solution
-    found = Diagnosis(
+    diagnosis = Diagnosis(
         problem=t.problem.name,
         robot=t.problem.robot.name,
         source=source,
@@ -150,24 +148,24 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
         start=tuple(start_findings(t.problem)),
         notes=tuple(_notes(snapshot, solution, largest)),
     )
-    return replace(found, advice=tuple(advice(found)))
+    return replace(diagnosis, advice=tuple(advice(diagnosis)))
 
 
 def _worst(snapshot: Snapshot, limit: float) -> list[Violation]:
     """The worst violated rows and bounds, each block once."""
     names = snapshot.names
     amounts = np.where(np.isfinite(snapshot.violations), snapshot.violations, np.inf)
-    found: dict[str, Violation] = {}
+    worst: dict[str, Violation] = {}
     for index in np.argsort(-amounts, kind="stable")[: np.count_nonzero(amounts > limit)].tolist():
         block = names.block(index)
-        if block not in found and len(found) < WORST:
-            found[block] = Violation(
+        if block not in worst and len(worst) < WORST:
+            worst[block] = Violation(
                 row=names.row_text(index),
                 block=block,
                 phase=names.phase(names.sites[index].stage),
                 amount=finite_or_none(float(amounts[index])),
             )
-    return list(found.values())
+    return list(worst.values())
 
 
 def _local_errors(solution: Solution | None) -> dict[str, float] | None:

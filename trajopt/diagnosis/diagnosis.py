@@ -78,10 +78,10 @@ class Diagnosis:
     @property
     def dependent(self) -> tuple[DependentRows, ...]:
         """Groups of dependent rows: of single phases, then across phases."""
-        own = [group for report in self.ranks[1:] for group in report.dependent]
-        known = {group.rows for group in own}
+        within = [group for report in self.ranks[1:] for group in report.dependent]
+        known = {group.rows for group in within}
         across = [group for report in self.ranks[:1] for group in report.dependent]
-        return (*own, *(group for group in across if group.rows not in known))
+        return (*within, *(group for group in across if group.rows not in known))
 
     @property
     def feasible(self) -> bool:
@@ -96,34 +96,36 @@ class Diagnosis:
         return "\n".join(_lines(self))
 
 
-def _lines(found: Diagnosis) -> Iterator[str]:
+def _lines(diagnosis: Diagnosis) -> Iterator[str]:
     """Sections in reading order: what, why, what to try."""
-    state = "guess" if found.status is None else found.status.replace("_", " ")
-    yield f"{found.problem} on {found.robot}: {state} ({found.source})"
-    yield _line("size", f"{found.variables} variables, {found.constraints} rows")
-    yield from _listed("note", found.notes)
-    if found.nonfinite is not None:
-        yield _line("not finite", str(found.nonfinite))
-    steady = "" if found.stationarity is None else f"; gradient of the Lagrangian {found.stationarity:.1e}"
-    yield _line("violation", f"{_amount(found.max_violation)}{steady}")
-    yield from _listed("worst", (f"{one.row}: {_amount(one.amount)}" for one in found.worst))
-    yield from _rank_lines(found)
-    yield from _listed("contacts", (f"phase '{one.phase}': {one}" for one in found.contacts))
-    if found.curvature is not None:
-        yield _line("curvature", str(found.curvature))
-        flat = found.curvature.flat_along
-        along = (*found.curvature.smallest_along, *(one for one in flat if found.curvature.negative))
+    state = "guess" if diagnosis.status is None else diagnosis.status.replace("_", " ")
+    yield f"{diagnosis.problem} on {diagnosis.robot}: {state} ({diagnosis.source})"
+    yield _line("size", f"{diagnosis.variables} variables, {diagnosis.constraints} rows")
+    yield from _listed("note", diagnosis.notes)
+    if diagnosis.nonfinite is not None:
+        yield _line("not finite", str(diagnosis.nonfinite))
+    steady = (
+        "" if diagnosis.stationarity is None else f"; gradient of the Lagrangian {diagnosis.stationarity:.1e}"
+    )
+    yield _line("violation", f"{_amount(diagnosis.max_violation)}{steady}")
+    yield from _listed("worst", (f"{one.row}: {_amount(one.amount)}" for one in diagnosis.worst))
+    yield from _rank_lines(diagnosis)
+    yield from _listed("contacts", (f"phase '{one.phase}': {one}" for one in diagnosis.contacts))
+    if diagnosis.curvature is not None:
+        yield _line("curvature", str(diagnosis.curvature))
+        flat = diagnosis.curvature.flat_along
+        along = (*diagnosis.curvature.smallest_along, *(one for one in flat if diagnosis.curvature.negative))
         yield from _listed("", map(str, along))
-    yield from _scaling_lines(found)
-    yield from _limit_lines(found)
-    if found.conflict is not None:
-        yield from _conflict_lines(found.conflict)
-    if found.local_error:
-        worst = ", ".join(f"'{name}' {error:.1e} m" for name, error in found.local_error.items())
+    yield from _scaling_lines(diagnosis)
+    yield from _limit_lines(diagnosis)
+    if diagnosis.conflict is not None:
+        yield from _conflict_lines(diagnosis.conflict)
+    if diagnosis.local_error:
+        worst = ", ".join(f"'{name}' {error:.1e} m" for name, error in diagnosis.local_error.items())
         yield _line("intervals", f"largest error of one interval, from its own start: {worst}")
-    yield from _listed("start", found.start)
-    yield from _listed("try", map(str, found.advice), limit=None)
-    if found.clean:
+    yield from _listed("start", diagnosis.start)
+    yield from _listed("try", map(str, diagnosis.advice), limit=None)
+    if diagnosis.clean:
         yield _line("try", "nothing: rows are independent, curved and scaled as they should be")
 
 
@@ -144,11 +146,11 @@ def _amount(value: float | None) -> str:
     return "not finite" if value is None else f"{value:.2e}"
 
 
-def _rank_lines(found: Diagnosis) -> Iterator[str]:
+def _rank_lines(diagnosis: Diagnosis) -> Iterator[str]:
     texts = []
-    for report in found.ranks:
+    for report in diagnosis.ranks:
         texts.append(f"{'all' if report.phase is None else repr(report.phase)}: {report}")
-        told = {group.rows for one in found.ranks[1:] for group in one.dependent}
+        told = {group.rows for one in diagnosis.ranks[1:] for group in one.dependent}
         fresh = [g for g in report.dependent if report.phase is not None or g.rows not in told]
         texts += [f"  {group}" for group in fresh[:SHOWN]]
         if len(fresh) > SHOWN:
@@ -156,10 +158,10 @@ def _rank_lines(found: Diagnosis) -> Iterator[str]:
     yield from _listed("rank", texts, limit=None)
 
 
-def _scaling_lines(found: Diagnosis) -> Iterator[str]:
-    if found.scaling is None:
+def _scaling_lines(diagnosis: Diagnosis) -> Iterator[str]:
+    if diagnosis.scaling is None:
         return
-    scale = found.scaling
+    scale = diagnosis.scaling
     yield _line("scaling", f"Jacobian {scale.jacobian}, Hessian {scale.hessian}, gradient {scale.gradient}")
     for block in scale.blocks[:3]:
         paid = "" if block.multiplier is None else f", multipliers {block.multiplier}"
@@ -168,13 +170,13 @@ def _scaling_lines(found: Diagnosis) -> Iterator[str]:
         yield _line("", f"{kind.kind}: values {kind.value}, columns {kind.column_norm}")
 
 
-def _limit_lines(found: Diagnosis) -> Iterator[str]:
-    if not found.scaling:
+def _limit_lines(diagnosis: Diagnosis) -> Iterator[str]:
+    if not diagnosis.scaling:
         return
-    blocks = Counter(limit.block for limit in found.limits)
+    blocks = Counter(limit.block for limit in diagnosis.limits)
     counts = ", ".join(f"{name if name != BOUNDS else 'bounds of nodes'} {n}" for name, n in blocks.items())
     yield _line("limits", f"active: {counts}" if counts else "none is active")
-    yield from _listed("", map(str, found.limits))
+    yield from _listed("", map(str, diagnosis.limits))
 
 
 def _conflict_lines(clash: Conflict) -> Iterator[str]:

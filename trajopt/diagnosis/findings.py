@@ -95,8 +95,8 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
     matrix = matrix[:, touched]
     seeing = np.diff(matrix.indptr) > 0
     blind, seen = rows[~seeing], rows[seeing]
-    found = spectrum(matrix[seeing])
-    groups = [(seen[group.rows], group.excess) for group in dependencies(found.vectors)]
+    result = spectrum(matrix[seeing])
+    groups = [(seen[group.rows], group.excess) for group in dependencies(result.vectors)]
     merged = _merged(snapshot, groups, fixed=False)
     merged += _merged(snapshot, [(np.array([row]), 1) for row in blind], fixed=True)
     return RankReport(
@@ -104,12 +104,12 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
         equations=snapshot.equations_only,
         rows=len(rows),
         unknowns=len(touched),
-        rank=found.rank,
-        nullity=found.nullity + len(blind),
-        complete=found.complete,
-        smallest=found.smallest,
-        largest=found.largest,
-        condition=found.condition,
+        rank=result.rank,
+        nullity=result.nullity + len(blind),
+        complete=result.complete,
+        smallest=result.smallest,
+        largest=result.largest,
+        condition=result.condition,
         dependent=tuple(merged),
     )
 
@@ -121,12 +121,12 @@ def _merged(snapshot: Snapshot, groups: list[tuple[np.ndarray, int]], *, fixed: 
     for rows, excess in groups:
         what = sorted({names.row(int(row)).what for row in rows})
         kinds[*what, names.phase(names.sites[int(rows[0])].stage)].append((rows, excess))
-    found = []
+    merged = []
     for same in kinds.values():
         rows, _ = same[0]
         subjects = list(dict.fromkeys(names.row(int(row)).what for row in rows))
         sites = sorted({names.sites[int(row)] for members, _ in same for row in members})
-        found.append(
+        merged.append(
             DependentRows(
                 rows=tuple(subjects[:NAMED_ROWS]),
                 blocks=tuple(dict.fromkeys(names.block(int(row)) for row in rows)),
@@ -139,10 +139,7 @@ def _merged(snapshot: Snapshot, groups: list[tuple[np.ndarray, int]], *, fixed: 
                 equations=bool(snapshot.equality[np.concatenate([members for members, _ in same])].all()),
             )
         )
-    return sorted(found, key=lambda one: -one.excess)
-
-
-# Curvature
+    return sorted(merged, key=lambda one: -one.excess)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,19 +190,19 @@ class CurvatureReport:
 def curvature_report(snapshot: Snapshot) -> CurvatureReport:
     """Curvature on the null space of the active rows, with the directions of the least curvature named."""
     free, rows = snapshot.free, snapshot.active_rows
-    found = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
-    named = range(found.vectors.shape[1])
-    nearest = np.argsort(np.abs(found.values[named]), kind="stable")[:NAMED_DIRECTIONS]
+    result = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
+    named = range(result.vectors.shape[1])
+    nearest = np.argsort(np.abs(result.values[named]), kind="stable")[:NAMED_DIRECTIONS]
 
     def along(which: Iterable[int]) -> tuple[Direction, ...]:
-        return tuple(_direction(snapshot, float(found.values[i]), found.vectors[:, i]) for i in which)
+        return tuple(_direction(snapshot, float(result.values[i]), result.vectors[:, i]) for i in which)
 
     shared = ("directions", "smallest", "largest", "flat", "holds", "negative", "exact")
     return CurvatureReport(
-        **{name: getattr(found, name) for name in shared},
+        **{name: getattr(result, name) for name in shared},
         known=snapshot.row_multiplier is not None,
         smallest_along=along(named[:NAMED_DIRECTIONS]),
-        flat_along=along(nearest[np.abs(found.values[nearest]) <= found.flat]),
+        flat_along=along(nearest[np.abs(result.values[nearest]) <= result.flat]),
     )
 
 
@@ -228,19 +225,16 @@ def _direction(snapshot: Snapshot, value: float, vector: np.ndarray) -> Directio
     )
 
 
-# The start
-
-
 def start_findings(problem: Problem) -> Iterator[str]:
     """Problems of a start: joints outside their limits, or exactly on one, which is degenerate."""
     if problem.periodicity is not None or not any(isinstance(t, PositionLimits) for t in problem.terms):
         return
     robot, q = problem.robot, problem.initial_q
     for name, joint in zip(list(robot.model.names)[1:], list(robot.model.joints)[1:], strict=True):
-        own = slice(joint.idx_q, joint.idx_q + joint.nq)
+        entries = slice(joint.idx_q, joint.idx_q + joint.nq)
         if joint.nq != 1:
             continue
-        low, value, high = robot.position_lower[own][0], q[own][0], robot.position_upper[own][0]
+        low, value, high = robot.position_lower[entries][0], q[entries][0], robot.position_upper[entries][0]
         for bound, beyond, side in ((low, low - value, "lower"), (high, value - high, "upper")):
             if beyond > ON_LIMIT:
                 yield f"the start has {name} at {value:.4g}, beyond its {side} limit {bound:.4g}"

@@ -93,12 +93,14 @@ def first_nonfinite(nlp: Nlp, names: NlpNames, x: np.ndarray) -> NonFinite | Non
     number, position, output, index = first
     t = nlp.transcription
     where = _where(t, names, number, position)
-    own = _own(t, where)
-    inputs = _inputs(where, x[own])
+    variables = int(t.layout.node_offset[where.site.stage]) + np.arange(where.group.gather.shape[1])
+    with np.errstate(invalid="ignore"):  # NaN times a structural zero is not NaN
+        seen, rows = x[variables], where.group.gather.toarray()
+        inputs = np.array([row[row != 0] @ seen[row != 0] for row in rows])
     guilty = []
     if where.place is not None:
         guilty = nonfinite_terms(names, where.site, where.form, where.place, inputs)
-    causes = _suspects(names.unknown_labels, x, own[~np.isfinite(x[own])])
+    causes = _suspects(names.unknown_labels, x, variables[~np.isfinite(x[variables])])
     kinds: tuple[str, ...] = ()
     if not causes:
         function, parameters = where.group.point, where.group.parameters[where.position]
@@ -185,20 +187,9 @@ def _labels(
         return node_labels(form, names.free_phases)
     labels = rotation_labels(form.robot, form.coordinates)
     for kind in ("position", "rate")[: form.order]:
-        own = coordinate_labels(form.robot, form.coordinates, kind)
-        labels += [own[int(index)] for index in form.coordinates.rotation_index]
+        coordinates = coordinate_labels(form.robot, form.coordinates, kind)
+        labels += [coordinates[int(index)] for index in form.coordinates.rotation_index]
     return labels
-
-
-def _own(t: Transcription, where: _Where) -> np.ndarray:
-    """Indices of the variables that the function may depend on."""
-    return int(t.layout.node_offset[where.site.stage]) + np.arange(where.group.gather.shape[1])
-
-
-def _inputs(where: _Where, seen: np.ndarray) -> np.ndarray:
-    """Inputs of the function, from the variables that it may depend on."""
-    with np.errstate(invalid="ignore"):  # NaN times a structural zero is not NaN
-        return np.array([row[row != 0] @ seen[row != 0] for row in where.group.gather.toarray()])
 
 
 def _causes(
@@ -217,8 +208,8 @@ def _causes(
     members = {kind: np.flatnonzero(kinds == kind).tolist() for kind in dict.fromkeys(kinds.tolist())}
     return (), tuple(
         kind
-        for kind, own in members.items()
-        if any(_mended(functions, inputs, own, units * change) for change in CHANGES)
+        for kind, group in members.items()
+        if any(_mended(functions, inputs, group, units * change) for change in CHANGES)
     )
 
 

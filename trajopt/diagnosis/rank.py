@@ -126,12 +126,12 @@ def _iterated(
     for _ in range(ITERATIONS):
         solved = factor.solve(np.vstack([np.zeros((n, basis.shape[1])), basis]))[n:]
         basis = np.linalg.qr(solved)[0]
-        _, found, right = np.linalg.svd(matrix.T @ basis, full_matrices=False)
-        basis, found = basis @ right[::-1].T, found[::-1]
-        first = int(np.argmax(found > RANK_TOLERANCE))
-        settled = abs(found[first] - values[first]) <= CONVERGED * found[first]
-        values = found
-        if settled or found[-1] <= RANK_TOLERANCE:
+        _, singular, right = np.linalg.svd(matrix.T @ basis, full_matrices=False)
+        basis, singular = basis @ right[::-1].T, singular[::-1]
+        first = int(np.argmax(singular > RANK_TOLERANCE))
+        settled = abs(singular[first] - values[first]) <= CONVERGED * singular[first]
+        values = singular
+        if settled or singular[-1] <= RANK_TOLERANCE:
             break
     return values, basis
 
@@ -151,13 +151,13 @@ def dependencies(vectors: np.ndarray) -> list[RowDependency]:
     count, which = sparse.csgraph.connected_components(
         sparse.csr_matrix(np.abs(inner) > COUPLED * scale), directed=False
     )
-    found = []
+    groups = []
     for group in range(count):
         rows = members[which == group]
         order = np.lexsort((rows, -np.round(share[rows], SHARE_DIGITS)))
         excess = max(1, round(float(share[rows].sum())))
-        found.append(RowDependency(rows=rows[order], excess=excess))
-    return found
+        groups.append(RowDependency(rows=rows[order], excess=excess))
+    return groups
 
 
 def quiet_factor(matrix: sparse.csc_matrix) -> sparse_linalg.SuperLU | None:

@@ -110,7 +110,7 @@ def scaling(snapshot: Snapshot) -> Scaling:
 def _blocks(snapshot: Snapshot, norms: np.ndarray) -> tuple[BlockScale, ...]:
     info, known = snapshot.transcription.rows, snapshot.row_multiplier
     members = [np.flatnonzero(info.block == index) for index in range(len(info.names))]
-    found = [
+    blocks = [
         BlockScale(
             block=name,
             rows=len(rows),
@@ -120,23 +120,23 @@ def _blocks(snapshot: Snapshot, norms: np.ndarray) -> tuple[BlockScale, ...]:
         )
         for name, rows in zip(info.names, members, strict=True)
     ]
-    return tuple(sorted(found, key=lambda block: -block.row_norm.far))
+    return tuple(sorted(blocks, key=lambda block: -block.row_norm.far))
 
 
 def _kinds(snapshot: Snapshot, norms: np.ndarray, diagonal: np.ndarray) -> tuple[KindScale, ...]:
     labels = np.array([label.kind for label in snapshot.names.unknown_labels])
     free = ~snapshot.fixed
     members = {kind: np.flatnonzero((labels == kind) & free) for kind in dict.fromkeys(labels.tolist())}
-    found = [
+    kinds = [
         KindScale(
             kind=kind,
-            unknowns=len(own),
-            value=Spread.of(snapshot.x[own]),
-            unit=Spread.of(snapshot.transcription.scale[own]),
-            column_norm=Spread.of(norms[own]),
-            hessian=Spread.of(diagonal[own]),
+            unknowns=len(variables),
+            value=Spread.of(snapshot.x[variables]),
+            unit=Spread.of(snapshot.transcription.scale[variables]),
+            column_norm=Spread.of(norms[variables]),
+            hessian=Spread.of(diagonal[variables]),
         )
-        for kind, own in members.items()
-        if len(own)
+        for kind, variables in members.items()
+        if len(variables)
     ]
-    return tuple(sorted(found, key=lambda one: -one.column_norm.far))
+    return tuple(sorted(kinds, key=lambda one: -one.column_norm.far))

@@ -46,12 +46,7 @@ class Snapshot:
     @cached_property
     def names(self) -> NlpNames:
         """Variables and rows in words."""
-        t = self.transcription
-        return NlpNames(t, t.layout.times(self.x * t.scale), self._slopes)
-
-    def _slopes(self, row: int) -> tuple[np.ndarray, np.ndarray]:
-        own = slice(self.jacobian.indptr[row], self.jacobian.indptr[row + 1])
-        return self.jacobian.indices[own], self.jacobian.data[own]
+        return NlpNames(self.nlp, self.x)
 
     @cached_property
     def finite(self) -> bool:
@@ -76,9 +71,7 @@ class Snapshot:
     @cached_property
     def jacobian(self) -> sparse.csr_matrix:
         """Of the rows (n_rows, n_unknowns)."""
-        values = np.asarray(self.nlp.engine.jacobian(self.x)).copy()
-        shape = (self.transcription.n_rows, len(self.x))
-        return sparse.csr_matrix((values, (self.nlp.row, self.nlp.column)), shape=shape)
+        return self.nlp.jacobian(self.x)
 
     @cached_property
     def hessian(self) -> sparse.csr_matrix:

@@ -24,8 +24,8 @@ def nonfinite_terms(
     """
     made = list(_terms(names, site, form, place))
     for kind in (value_function, derivative_function):
-        found = [(name, kind(function, parameters)) for name, function, parameters in made]
-        guilty = [(name, value) for name, value in found if not np.isfinite(value(inputs)).all()]
+        evaluations = [(name, kind(function, parameters)) for name, function, parameters in made]
+        guilty = [(name, value) for name, value in evaluations if not np.isfinite(value(inputs)).all()]
         if guilty:
             return guilty
     return []
@@ -67,8 +67,8 @@ def _terms(
         context = names.functions.context(phase, form, place)
         cost, rows = ca.SX(0), []
         if hasattr(term, "rows"):
-            found = term.rows(context, units, *more)
-            rows = [] if found is None or not found.expression.numel() else [found.expression]
+            result = term.rows(context, units, *more)
+            rows = [] if result is None or not result.expression.numel() else [result.expression]
         else:
             cost = term.value(context, units, *more)
         if rows or not cost.is_zero():

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.manifold import CONTINUOUS_JOINTS
+from trajopt.dynamics.rerooting import joint_motion
 
 Placements = tuple[np.ndarray, np.ndarray]
 
@@ -30,36 +31,34 @@ def _within(model: pin.Model, index: int, q: np.ndarray) -> Placements:
     """What joint ``index`` adds: rotations (K, 3, 3) and displacements (K, 3) m."""
     joint = model.joints[index]
     kind = joint.shortname().removeprefix("JointModel")
-    own = q[:, joint.idx_q : joint.idx_q + joint.nq]
+    q_joint = q[:, joint.idx_q : joint.idx_q + joint.nq]
     still, straight = np.zeros((len(q), 3)), np.broadcast_to(np.eye(3), (len(q), 3, 3))
     if kind == "FreeFlyer":
-        return _of_quaternions(own[:, 3:]), own[:, :3]
+        return _of_quaternions(q_joint[:, 3:]), q_joint[:, :3]
     if kind == "Spherical":
-        return _of_quaternions(own), still
+        return _of_quaternions(q_joint), still
     if kind == "Translation":
-        return straight, own
+        return straight, q_joint
     if kind == "Planar":
-        moved = np.column_stack([own[:, :2], np.zeros(len(q))])
-        return _about(np.array([0.0, 0.0, 1.0]), own[:, 2], own[:, 3]), moved
+        moved = np.column_stack([q_joint[:, :2], np.zeros(len(q))])
+        return _about(np.array([0.0, 0.0, 1.0]), q_joint[:, 2], q_joint[:, 3]), moved
     if joint.nv == 1 and not kind.startswith(("H", "Composite", "Mimic")):
-        data = joint.createData()
-        joint.calc(data, pin.neutral(model))
-        motion = pin.Motion(np.ravel(data.S))
+        motion = joint_motion(joint)
         if kind in CONTINUOUS_JOINTS:
-            return _about(motion.angular, own[:, 0], own[:, 1]), still
+            return _about(motion.angular, q_joint[:, 0], q_joint[:, 1]), still
         if motion.angular.any():
-            return _about(motion.angular, np.cos(own[:, 0]), np.sin(own[:, 0])), still
-        return straight, own * motion.linear
+            return _about(motion.angular, np.cos(q_joint[:, 0]), np.sin(q_joint[:, 0])), still
+        return straight, q_joint * motion.linear
     return _one_by_one(joint, q)
 
 
 def _one_by_one(joint: pin.JointModel, q: np.ndarray) -> Placements:
     """The same for any joint, by Pinocchio."""
-    data, found = joint.createData(), []
+    data, rows = joint.createData(), []
     for row in q:
         joint.calc(data, row)
-        found.append(data.M.homogeneous)
-    places = np.array(found).reshape(-1, 4, 4)
+        rows.append(data.M.homogeneous)
+    places = np.array(rows).reshape(-1, 4, 4)
     return places[:, :3, :3], places[:, :3, 3]
 
 

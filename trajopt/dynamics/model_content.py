@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt import _pinocchio
+from trajopt.dynamics.rerooting import joint_motion
 from trajopt.errors import InputError, UnsupportedJointError
 
 SUPPORTED_JOINTS = (
@@ -98,15 +99,9 @@ def _joint_content(model: pin.Model, index: int) -> tuple:
 
 
 def _axis(joint: pin.JointModel) -> tuple:
-    """Axis of a joint of one degree of freedom, from its motion subspace.
-
-    Pinocchio's bindings do not show the axis of every kind.
-    """
-    data = joint.createData()
-    neutral = [1.0, 0.0] if joint.nq == 2 else [0.0]  # (cos, sin) of a continuous joint
-    joint.calc(data, np.array(neutral))
-    subspace = np.ravel(data.S)
-    return tuple((subspace[:3] + subspace[3:]).tolist())
+    """Axis of a joint of one degree of freedom; Pinocchio's bindings do not show that of every kind."""
+    motion = joint_motion(joint)
+    return tuple((motion.linear + motion.angular).tolist())
 
 
 def _placement(placement: pin.SE3) -> tuple[tuple, tuple]:

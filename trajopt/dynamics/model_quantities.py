@@ -1,4 +1,4 @@
-"""Numeric quantities of a Pinocchio model that several modules use: weight and contact forces."""
+"""Numeric quantities of a Pinocchio model that several modules use: mass, weight, contact forces."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
+
+from trajopt.errors import InputError
 
 # Scale of accelerations where a model has no gravity, m/s^2.
 STANDARD_GRAVITY = 9.81
@@ -19,6 +21,21 @@ def gravity_of(model: pin.Model) -> float:
 def mass_of(model: pin.Model) -> float:
     """Total mass of the moving bodies in kg."""
     return float(sum(inertia.mass for inertia in list(model.inertias)[1:]))
+
+
+def require_shapes(model: pin.Model, **values: np.ndarray) -> None:
+    """Raise `InputError` unless ``q`` is (nq,) and every other value (nv,)."""
+    for name, value in values.items():
+        size = model.nq if name == "q" else model.nv
+        if np.shape(value) != (size,):
+            raise InputError(f"{name} has shape {np.shape(value)}", f"shape ({size},)")
+
+
+def mass_matrix_at(model: pin.Model, q: np.ndarray) -> np.ndarray:
+    """M (nv, nv) at q (nq,), symmetric, armature included. Raises `InputError` for another shape."""
+    require_shapes(model, q=q)
+    upper = np.triu(pin.crba(model, model.createData(), q))
+    return upper + np.triu(upper, 1).T
 
 
 def contact_jacobian(

@@ -61,8 +61,9 @@ def path_to_base(model: pin.Model, joint: int) -> list[int]:
 
 def joint_motion(joint: pin.JointModel) -> pin.Motion:
     """Motion subspace of a joint of one degree of freedom, in its own frame."""
-    data = joint.createData()
-    joint.calc(data, np.array([1.0, 0.0] if joint.nq == 2 else [0.0]))
+    data, q = joint.createData(), np.zeros(joint.idx_q + joint.nq)
+    q[joint.idx_q] = float(joint.nq == 2)  # (cos, sin) of a continuous joint
+    joint.calc(data, q)
     return pin.Motion(np.ravel(data.S))
 
 
@@ -86,24 +87,17 @@ def reroot(
     first = new.addJoint(0, passive, root, passive_name)
     bodies = {path[0]: Body(first, pin.SE3(turned, -turned @ foot.placement.translation))}
     for child, parent in pairwise(path):
-        bodies[parent] = _turned_round(model, new, child, bodies[child])
+        body, half_turn = bodies[child], _half_turn(joint_motion(model.joints[child]))
+        placement = body.placement * half_turn
+        reverse = new.addJoint(body.joint, model.joints[child], placement, model.names[child])
+        bodies[parent] = Body(reverse, half_turn.inverse() * model.jointPlacements[child].inverse())
     for joint in reversed(path):  # the base's limbs first: Pinocchio needs a depth-first order
         _hang_limbs(model, new, joint, path, bodies)
-    for joint, body in bodies.items():
-        new.appendBodyToJoint(body.joint, model.inertias[joint], body.placement)
-    copy_rows(model, new)
-    copy_frames(model, new, bodies)
+    copy_bodies(model, new, bodies)
     if not new.existFrame(BASE_FRAME):
         base = bodies[1]
         new.addFrame(pin.Frame(BASE_FRAME, base.joint, 0, base.placement, pin.FrameType.OP_FRAME))
     return new
-
-
-def _turned_round(model: pin.Model, new: pin.Model, child: int, body: Body) -> Body:
-    """Add the joint of ``child`` reversed; returns where the parent's body then is."""
-    half_turn = _half_turn(joint_motion(model.joints[child]))
-    added = new.addJoint(body.joint, model.joints[child], body.placement * half_turn, model.names[child])
-    return Body(added, half_turn.inverse() * model.jointPlacements[child].inverse())
 
 
 def _half_turn(motion: pin.Motion) -> pin.SE3:
@@ -141,7 +135,15 @@ def joints_with(model: pin.Model, marked: np.ndarray) -> list[str]:
     return [name for name in list(model.names)[1:] if marked[joint_slices(model, name)[rows]].any()]
 
 
-def copy_rows(model: pin.Model, new: pin.Model) -> None:
+def copy_bodies(model: pin.Model, new: pin.Model, bodies: dict[int, Body]) -> None:
+    """Add the old model's inertias and frames to its bodies, and the rows and limits of its joints."""
+    for joint, body in bodies.items():
+        new.appendBodyToJoint(body.joint, model.inertias[joint], body.placement)
+    _copy_rows(model, new)
+    _copy_frames(model, new, bodies)
+
+
+def _copy_rows(model: pin.Model, new: pin.Model) -> None:
     """Copy what belongs to a joint to the joint of that name; other joints have no limits and no effort."""
     for name in list(new.names)[1:]:
         q, v = joint_slices(new, name)
@@ -159,7 +161,7 @@ def copy_rows(model: pin.Model, new: pin.Model) -> None:
         new.upperPositionLimit[q] = model.upperPositionLimit[old_q]
 
 
-def copy_frames(model: pin.Model, new: pin.Model, bodies: dict[int, Body]) -> None:
+def _copy_frames(model: pin.Model, new: pin.Model, bodies: dict[int, Body]) -> None:
     """Add the old model's frames on their bodies and on the world; frames of joints where those are now."""
     holders = {0: 0} | {joint: new.addJointFrame(joint, 0) for joint in range(1, new.njoints)}
     world = {0: Body(0, pin.SE3.Identity())}

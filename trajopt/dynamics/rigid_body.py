@@ -43,12 +43,16 @@ def fused(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) 
       in the world; ``velocity`` (6: linear, angular) and ``acceleration`` (6: classical linear,
       angular) in world-aligned axes at the frame's origin.
     """
+    return _fused(model_content(model), loaded_frames(model, frames, wrench_kinds))
+
+
+def loaded_frames(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) -> tuple:
+    """Contents of frames with the sizes of their wrenches. Raises `InputError` for another size."""
     if len(frames) != len(wrench_kinds) or not set(wrench_kinds) <= set(WRENCH_SIZES):
-        raise InputError(
-            f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}", "one of 0, 3, 6 per frame"
-        )
+        what = f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}"
+        raise InputError(what, "one of 0, 3, 6 per frame")
     pairs = zip(frames, wrench_kinds, strict=True)
-    return _fused(model_content(model), tuple(frame_content(model, name, size) for name, size in pairs))
+    return tuple(frame_content(model, name, size) for name, size in pairs)
 
 
 def rnea(model: pin.Model) -> Function:

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import AXES, ORDERS, virtual_joint_names, virtual_order
-from trajopt.dynamics.rerooting import Body, copy_frames, copy_rows
+from trajopt.dynamics.rerooting import Body, copy_bodies
 from trajopt.errors import InputError
 
 DEFAULT_ORDER = "ZYX"
@@ -59,10 +59,7 @@ def virtual_model(model: pin.Model, order: str = DEFAULT_ORDER) -> pin.Model:
         on = bodies[holder].joint if holder else 0
         added = new.addJoint(on, model.joints[joint], model.jointPlacements[joint], model.names[joint])
         bodies[joint] = Body(added, pin.SE3.Identity())
-    for joint, body in bodies.items():
-        new.appendBodyToJoint(body.joint, model.inertias[joint], body.placement)
-    copy_rows(model, new)
-    copy_frames(model, new, bodies)
+    copy_bodies(model, new, bodies)
     return new
 
 
@@ -168,7 +165,9 @@ def angles_of(order: str, rotation: np.ndarray, near: np.ndarray | None = None) 
 
 def to_free_flyer(model: pin.Model, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Triple:
     """Free-flyer coordinates (nq + 1, nv, nv) of those of the virtual-base ``model``."""
-    order = _order(model)
+    order = virtual_order(model)
+    if order is None:
+        raise InputError(f"model '{model.name}' has no virtual base", "base='virtual'")
     rotation = rotation_of(order, q[3:6])
     jacobian = rotation.T @ rotation_jacobian(order, q[3:6])
     change = rotation.T @ rotation_jacobian_rate(order, q[3:6], v[3:6])
@@ -210,10 +209,3 @@ def from_free_flyer(
         np.concatenate([rotation @ linear, rates, v[6:]]),
         np.concatenate([acceleration, second, a[6:]]),
     )
-
-
-def _order(model: pin.Model) -> str:
-    order = virtual_order(model)
-    if order is None:
-        raise InputError(f"model '{model.name}' has no virtual base", "base='virtual'")
-    return order

@@ -81,26 +81,27 @@ class BaseWaypoint:
 class WaypointPath:
     """Placement of the base over time, C1: cubics where feet stand, parabolas at a constant rate in flight.
 
-    schedule: says which stretches are flights. waypoints: in time order, the first at 0, two at the ends
-    of every flight and none within it. gravity: m/s^2, along -z. Raises `InputError`.
-
     Between two waypoints R(t) = exp(theta(t)) R_(i-1), theta along the turn at a constant rate in flight,
     else the cubic whose ends have the angular velocities there: theta' = J_l(theta)^-1 omega.
+
+    Args:
+        schedule: says which stretches are flights.
+        waypoints: in time order, the first at 0, two at the ends of every flight and none within it.
+        gravity: m/s^2, along -z.
+
+    Raises:
+        InputError: for other times, and turns of a whole turn while feet stand.
     """
 
     def __init__(
-        self,
-        schedule: Schedule,
-        waypoints: Sequence[BaseWaypoint],
-        gravity: float = STANDARD_GRAVITY,
+        self, schedule: Schedule, waypoints: Sequence[BaseWaypoint], gravity: float = STANDARD_GRAVITY
     ) -> None:
         self._points, self._gravity = tuple(waypoints), gravity
         self._times = np.array([point.time for point in self._points])
         tolerance = SAME_TIME * schedule.duration
         if len(self._points) < 1 or abs(self._times[0]) > tolerance or (np.diff(self._times) <= 0).any():
             raise InputError(
-                f"the base's waypoints are at {self._times} s",
-                "allowed: rising times that begin with 0",
+                f"the base's waypoints are at {self._times} s", "allowed: rising times that begin with 0"
             )
         self._flying = self._flights(schedule, tolerance)
         self._require_turns()
@@ -144,13 +145,13 @@ class WaypointPath:
         mean, given = self._steps(what), "rate" if what == "turn" else "velocity"
         rates = []
         for i, point in enumerate(self._points):
-            own = getattr(point, given)
+            stated = getattr(point, given)
             if i > 0 and self._flying[i - 1]:
                 rates.append(mean[i - 1] - self._pull(what, i - 1))
             elif i < len(mean) and self._flying[i]:
                 rates.append(mean[i] + self._pull(what, i))
-            elif own is not None:
-                rates.append(own)
+            elif stated is not None:
+                rates.append(stated)
             elif i in (0, len(mean)):
                 rates.append(np.zeros(3))
             else:
@@ -187,16 +188,11 @@ class WaypointPath:
         else:
             before, after = self._velocities[i : i + 2]
             position = hermite(s, duration, first.position, before, last.position, after)
-            turned = hermite(
-                s, duration, np.zeros(3), self._spins[i], np.asarray(last.turn), self._end_rate(i)
-            )
+            turn = np.asarray(last.turn)
+            # theta' = J_l(theta)^-1 omega at the end, with J_l(theta) = J_r(theta)^T.
+            end_rate = np.linalg.solve(pin.Jexp3(turn).T, self._spins[i + 1])
+            turned = hermite(s, duration, np.zeros(3), self._spins[i], turn, end_rate)
         return pin.SE3(pin.exp3(turned) @ self._rotations[i], position)
-
-    def _end_rate(self, stretch: int) -> np.ndarray:
-        """Rate theta' (3,) at the end of a stretch: J_l(theta)^-1 omega, with J_l(theta) = J_r(theta)^T."""
-        turn = np.asarray(self._points[stretch + 1].turn)
-        turned: np.ndarray = np.linalg.solve(pin.Jexp3(turn).T, self._spins[stretch + 1])
-        return turned
 
 
 def _gentle_slope(before: np.ndarray, after: np.ndarray) -> np.ndarray:
@@ -220,12 +216,12 @@ def turn_to_heading(rotation: np.ndarray) -> np.ndarray:
 
 
 def flights(schedule: Schedule) -> list[tuple[float, float]]:
-    """Begin and end in s of every stretch without any contact; consecutive phases are joined."""
-    found: list[tuple[float, float]] = []
+    """Begin and end in s of every stretch without any contact; consecutive phases are stretches."""
+    stretches: list[tuple[float, float]] = []
     t, flew = 0.0, False
     for phase in schedule.phases:
         end = t + phase.duration
         if not phase.contacts:
-            found = [*found[:-1], (found[-1][0], end)] if flew else [*found, (t, end)]
+            stretches = [*stretches[:-1], (stretches[-1][0], end)] if flew else [*stretches, (t, end)]
         t, flew = end, not phase.contacts
-    return found
+    return stretches

@@ -44,9 +44,9 @@ class BasePath:
     def __call__(self, t: float) -> pin.SE3:
         """Placement at ``t`` in s; at a time between two phases that of the later one; times are clipped."""
         i = int(np.searchsorted(self._starts[1:-1], t, side="right"))
-        own = self._pieces[i].t
+        times = self._pieces[i].t
         fraction = (t - self._starts[i]) / (self._starts[i + 1] - self._starts[i])
-        return self._pieces[i].placement(float(own[0] + fraction * (own[-1] - own[0])))
+        return self._pieces[i].placement(float(times[0] + fraction * (times[-1] - times[0])))
 
 
 class _PhasePath:
@@ -97,13 +97,13 @@ class _LegPosture:
         ).q
 
     def _foot(self, name: str, t: float, placement: pin.SE3) -> Foothold:
-        found = self.feet.at(name, t)
-        if not (isinstance(found, FootSwing) and found.airborne):
+        swing = self.feet.at(name, t)
+        if not (isinstance(swing, FootSwing) and swing.airborne):
             return self.feet.foothold(name, t)
-        part = smooth_step(found.fraction)
+        part = smooth_step(swing.fraction)
         before, after = (
             self.base(when).actInv(foot.position)
-            for when, foot in zip(found.times, (found.start, found.end), strict=True)
+            for when, foot in zip(swing.times, (swing.start, swing.end), strict=True)
         )
         carried = placement.act((1 - part) * before + part * after)
         return Foothold(position=carried, yaw=self.feet.foothold(name, t).yaw)

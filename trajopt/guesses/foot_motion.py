@@ -63,14 +63,10 @@ class FootMotion:
         """Times between supports, s, with the start and the end."""
         return [0.0, *accumulate(support.duration for support in self.plan.supports)]
 
-    def support_at(self, t: float) -> int:
-        """Index of the support at ``t``, the later one at a change; times are clipped."""
-        last = len(self.plan.supports) - 1
-        return int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, last))
-
     def at(self, name: str, t: float) -> Foothold | FootSwing:
         """The foothold on which the foot ``name`` stands at ``t``, or its swing; times are clipped."""
-        supports, now = self.plan.supports, self.support_at(t)
+        supports = self.plan.supports
+        now = int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(supports) - 1))
         if name in supports[now].feet:
             return supports[now].feet[name]
         before = next((i for i in range(now, -1, -1) if name in supports[i].feet), -1)
@@ -84,14 +80,14 @@ class FootMotion:
 
     def foothold(self, name: str, t: float) -> Foothold:
         """Position of the foot in the world; a swing is lifted by ``clearance`` at its middle."""
-        found = self.at(name, t)
-        if isinstance(found, Foothold):
-            return found
-        part = smooth_step(found.fraction)
-        position = (1 - part) * found.start.position + part * found.end.position
-        lift = np.array([0.0, 0.0, self.clearance * swing_profile(found.fraction)])
-        turn = math.remainder(found.end.yaw - found.start.yaw, math.tau)
-        return Foothold(position=position + lift, yaw=found.start.yaw + part * turn)
+        swing = self.at(name, t)
+        if isinstance(swing, Foothold):
+            return swing
+        part = smooth_step(swing.fraction)
+        position = (1 - part) * swing.start.position + part * swing.end.position
+        lift = np.array([0.0, 0.0, self.clearance * swing_profile(swing.fraction)])
+        turn = math.remainder(swing.end.yaw - swing.start.yaw, math.tau)
+        return Foothold(position=position + lift, yaw=swing.start.yaw + part * turn)
 
     def heading(self, t: float) -> float:
         """Mean turn of the feet since the start, rad."""

@@ -38,9 +38,14 @@ DIFFERENCE_STEP = 1e-4
 class Pace:
     """A commanded motion of the base over level ground: along an arc, optionally from or to rest.
 
-    velocity: (forward, left) m/s in axes of the base; turn_rate: rad/s to the left. starts, stops: times
-    (begin, end) in s between which the pace rises from zero, and falls to zero; None: it does not.
-    Raises `InputError`.
+    Args:
+        velocity: forward and to the left, in axes of the base, m/s.
+        turn_rate: to the left, rad/s.
+        starts: times (begin, end) in s between which the pace rises from zero; None: it does not.
+        stops: times (begin, end) in s between which the pace falls to zero; None: it does not.
+
+    Raises:
+        InputError: for numbers that are not finite, and times that do not rise.
     """
 
     velocity: tuple[float, float]
@@ -147,15 +152,14 @@ def _waypoint_times(schedule: Schedule) -> list[float]:
     ends = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
     flown = flights(schedule)
     rounding = SAME_TIME * schedule.duration
-
-    def between_flights(t: float) -> bool:
-        landed = [end for _, end in flown if end < t - rounding]
-        leaving = [begin for begin, _ in flown if begin > t + rounding]
-        return bool(landed and leaving)
-
     edges = {time for flight in flown for time in flight}
-    at_edge = [any(abs(t - edge) < rounding for edge in edges) for t in ends]
-    return [float(t) for t, edge in zip(ends, at_edge, strict=True) if edge or not between_flights(t)]
+
+    def counts(t: float) -> bool:
+        landed = any(end < t - rounding for _, end in flown)
+        leaves = any(begin > t + rounding for begin, _ in flown)
+        return any(abs(t - edge) < rounding for edge in edges) or not (landed and leaves)
+
+    return [float(t) for t in ends if counts(t)]
 
 
 def _velocity(robot: Robot, pace: Pace, t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -178,9 +182,17 @@ class GaitPlan:
     guess: Motion
 
     def state(self, robot: Robot, t: float, resting: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Configuration (nq,) and velocity (nv,) of the guess at ``t`` s, these contacts exactly at rest.
+        """State of the guess at a time, with some contacts exactly at rest.
 
         Rates by differences; joint rates get the least correction that stops the contacts.
+
+        Args:
+            robot: the robot.
+            t: s.
+            resting: names of these contacts.
+
+        Returns:
+            Configuration (nq,) and velocity (nv,).
         """
         q, step = self.guess(t), DIFFERENCE_STEP
         v = pin.difference(robot.model, self.guess(t - step), self.guess(t + step)) / (2 * step)
@@ -195,10 +207,18 @@ class GaitPlan:
 def plan_of_cycle(
     robot: Robot, cycle: Schedule, pace: Pace, *, mirror: Mapping[str, str] | None = None, clearance: float
 ) -> GaitPlan:
-    """The plan of a periodic motion, the middle one of five cycles of ``cycle``.
+    """The plan of a periodic motion, the middle one of five cycles.
 
-    mirror: where the cycle is half of one, the contact on the other side, for every contact: halves before
-    and after are its mirror images. clearance: height of swings, m. Raises `InputError`.
+    Args:
+        robot: the robot.
+        cycle: contacts over one cycle, or half of one.
+        pace: of the base.
+        mirror: where the cycle is half of one, the contact on the other side, for every contact: halves
+            before and after are its mirror images.
+        clearance: height of swings, m.
+
+    Raises:
+        InputError: for a clearance that is negative or not finite.
     """
     whole, first = _repeated(cycle, mirror)
     return plan_of_part(robot, cycle, whole, first * len(cycle.phases), pace, clearance=clearance)
@@ -208,18 +228,29 @@ def plan_of_cycle(
 def plan_of_part(
     robot: Robot, part: Schedule, whole: Schedule, first: int, pace: Pace, *, clearance: float
 ) -> GaitPlan:
-    """The plan of a ``part`` of a longer schedule, whose phases ``first`` and on it repeats.
+    """The plan of a part of a longer schedule.
 
     The whole determines how feet in the air at the part's ends move, and the middle of stances that go on
-    beyond them. ``pace`` is over time from the part's beginning, where the base is at the reference's
-    position. clearance: height of swings, m. Raises `InputError`.
+    beyond them.
+
+    Args:
+        robot: the robot.
+        part: contacts over time.
+        whole: the longer schedule.
+        first: index of the phase of the whole with which the part begins.
+        pace: over time from the part's beginning, where the base is at the reference's position.
+        clearance: height of swings, m.
+
+    Raises:
+        InputError: for a clearance that is negative or not finite.
     """
     begin = sum(phase.duration for phase in whole.phases[:first])
     path = gait_path(robot, whole, pace, begin=-begin)
     motion = legged_guess(robot, whole, path, clearance=clearance)
     landings = with_footholds(robot, whole, path).phases[first:]
     phases = [
-        replace(own, footholds=landing.footholds) for own, landing in zip(part.phases, landings, strict=False)
+        replace(phase, footholds=landing.footholds)
+        for phase, landing in zip(part.phases, landings, strict=False)
     ]
     return GaitPlan(schedule=Schedule(tuple(phases)), guess=lambda t: motion(t + begin))
 
@@ -230,13 +261,11 @@ def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedu
     Two, since a foot that swings at the beginning left a stance of the cycle before, where the base
     already moved as it does in every cycle.
     """
-    own = other = cycle.phases
+    this = other = cycle.phases
     if mirror is not None:
-        other = tuple(
-            replace(phase, contacts=tuple(mirror[name] for name in phase.contacts)) for phase in own
-        )
+        other = tuple(replace(p, contacts=tuple(mirror[name] for name in p.contacts)) for p in this)
     first = 2 if mirror is None else 4
-    pieces = (own, other) * first + (own,)
+    pieces = (this, other) * first + (this,)
     phases = [replace(phase, name=f"{phase.name}_{i}") for i, piece in enumerate(pieces) for phase in piece]
     return Schedule(tuple(phases)), first
 

@@ -75,9 +75,9 @@ class LeggedPosture:
         the base's axes from their reference positions.
         """
         joints = slice(self.robot.nq - self.robot.nu, None)
-        found = inverse_kinematics(self.robot, q, contact_targets(self.robot, feet)).q
-        if np.abs(found[joints] - q[joints]).max() < FAR:
-            return found
+        direct = inverse_kinematics(self.robot, q, contact_targets(self.robot, feet)).q
+        if np.abs(direct[joints] - q[joints]).max() < FAR:
+            return direct
         placement = pin.XYZQUATToSE3(q[:7])
         reference = pin.XYZQUATToSE3(self.robot.reference[:7])
         for part in np.linspace(0.0, 1.0, STEPS + 1)[1:]:
@@ -146,12 +146,12 @@ class LeggedPosture:
         @cache
         def between(name: str, start: tuple[float, ...], end: tuple[float, ...]) -> Crossing:
             ends, radius = (np.array(start), np.array(end)), self.robot.contact(name).radius
-            found = crossing_of(self.terrain, *ends)
+            ground = crossing_of(self.terrain, *ends)
             rise, fall = (
                 edge and edge.kept_from(point[None], self.clearance, radius)
-                for edge, point in zip((found.rise, found.fall), ends, strict=True)
+                for edge, point in zip((ground.rise, ground.fall), ends, strict=True)
             )
-            return replace(found.offset(radius, *ends), rise=rise, fall=fall)
+            return replace(ground.offset(radius, *ends), rise=rise, fall=fall)
 
         return between
 
@@ -172,8 +172,8 @@ class LeggedPosture:
     def stances(self) -> dict[str, list[FootStance]]:
         """Stances of every contact in time order: at the start's positions, then where they land."""
         ends = np.cumsum([phase.duration for phase in self.schedule.phases])
-        found: dict[str, list[FootStance]] = {contact.name: [] for contact in self.robot.contacts}
-        for name, stances in found.items():
+        by_contact: dict[str, list[FootStance]] = {contact.name: [] for contact in self.robot.contacts}
+        for name, stances in by_contact.items():
             for i, phase in enumerate(self.schedule.phases):
                 if name not in phase.contacts or (i and self.schedule.beginning(name, i) != i):
                     continue
@@ -185,7 +185,7 @@ class LeggedPosture:
                 if i:
                     place = self._landing(name, phase, (begin + end) / 2)
                 stances.append(FootStance(begin=begin, end=end, place=place))
-        return found
+        return by_contact
 
     def _landing(self, name: str, phase: Phase, middle: float) -> pin.SE3:
         """Where a contact lands: its foothold, or its nominal position at the base's pose in mid-stance."""

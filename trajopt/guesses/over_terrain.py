@@ -45,13 +45,23 @@ class TerrainPlan:
 def plan_over_terrain(
     robot: Robot, schedule: Schedule, pace: Pace, terrain: Terrain, *, clearance: float, free: bool = False
 ) -> TerrainPlan:
-    """The plan of a gait that starts from standing and goes over ``terrain`` at ``pace``.
+    """The plan of a gait that starts from standing and goes over terrain.
 
-    Feet land under their hips in mid-stance (`gaits`), moved to the nearest point of the terrain that
-    keeps the margin from edges. With ``free`` they may land anywhere on that face, or anywhere on ground
-    without faces; only each foot's last landing is planned, so that the posture at the end is that of the
-    guess. The feet start under the reference's, vertically. clearance: least height of swings, m, also over
-    edges; those of the guess are higher (`swing_path`). Raises `InputError` for a gait with flights.
+    Feet land under their hips in mid-stance (`gaits`), moved to the nearest point of the terrain that keeps
+    the margin from edges. The feet start under the reference's, vertically.
+
+    Args:
+        robot: the robot.
+        schedule: contacts over time, without flights.
+        pace: of the base.
+        terrain: the ground.
+        clearance: least height of swings, m, also over edges; those of the guess are higher (`swing_path`).
+        free: feet may land anywhere on the face on which they are planned, or anywhere on ground without
+            faces; only each foot's last landing is planned, so that the posture at the end is that of the
+            guess.
+
+    Raises:
+        InputError: for a gait with flights, and ground that legs do not reach at the start.
     """
     require_free_flyer(robot)
     if flights(schedule):
@@ -69,7 +79,7 @@ def plan_over_terrain(
         start=start,
         terrain=terrain,
         clearance=clearance,
-        swing=swing_path(terrain, clearance, radii={own.name: own.radius for own in robot.contacts}),
+        swing=swing_path(terrain, clearance, radii={each.name: each.radius for each in robot.contacts}),
     )
     path = _path_over(robot, placed, pace, posture.stances)
     guess = legged_guess(robot, placed, path, start=start, terrain=terrain, swing=posture.swing)
@@ -122,7 +132,7 @@ def _over_face(place: np.ndarray, terrain: PiecewiseTerrain) -> np.ndarray:
     if terrain.face_at(float(place[0]), float(place[1])) is not None:
         return place
     candidates = [face.nearest(place) for face in terrain.faces]
-    return min(candidates, key=lambda found: float(np.linalg.norm((found - place)[:2])))
+    return min(candidates, key=lambda candidate: float(np.linalg.norm((candidate - place)[:2])))
 
 
 def _path_over(
@@ -131,7 +141,7 @@ def _path_over(
     """The base at every change of supports: at the pace seen from above, over the ground under the feet."""
     waypoints, before = [], np.eye(3)
     for time in np.cumsum([0.0, *(phase.duration for phase in schedule.phases)]):
-        under = {name: _ground_under(found, float(time)) for name, found in stances.items()}
+        under = {name: _ground_under(of_foot, float(time)) for name, of_foot in stances.items()}
         pose = _pose_over(robot, base_pose(robot, pace, float(time)), under)
         turn = pin.log3(pose.rotation @ before.T)
         waypoints.append(BaseWaypoint(time=float(time), position=pose.translation, turn=turn))

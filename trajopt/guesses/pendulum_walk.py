@@ -136,9 +136,9 @@ def walk_plan(
     units = NaturalUnits.of(robot.model)
     height = CLEARANCE * units.length if clearance is None else clearance
     first: _OutOfReachError | None = None
-    for own in [part * units.length for part in CROUCHES] if crouch is None else [crouch]:
+    for depth in [part * units.length for part in CROUCHES] if crouch is None else [crouch]:
         try:
-            return _walk_plan(robot, walk, own, height, friction)
+            return _walk_plan(robot, walk, depth, height, friction)
         except _OutOfReachError as error:
             first = first or error
     assert first is not None
@@ -181,12 +181,12 @@ def _crouched(robot: Robot, crouch: float) -> np.ndarray:
         return start
     feet = contact_targets(robot, contact_poses(robot, start))
     start[2] -= crouch
-    found = inverse_kinematics(robot, start, feet)
-    if found.error > REACHED * robot.length:
+    posture = inverse_kinematics(robot, start, feet)
+    if posture.error > REACHED * robot.length:
         raise _OutOfReachError(
             f"the legs of '{robot.name}' do not bend by a crouch of {crouch:g} m", "a smaller one"
         )
-    return found.q
+    return posture.q
 
 
 class _Samples:
@@ -290,21 +290,21 @@ class _Samples:
                 ContactForceTask(wanted=wanted, units=self.dynamics.force_units),
             )
             self.dynamics.state.update(q[k], v[k])
-            found = self.dynamics.solve(standing, tasks, limits)
-            tau[k], f[k, active[k]] = found.torque, found.forces
-            missed = float(np.abs((found.acceleration - a[k]) / self.unit).max())
-            feasible = feasible and found.relaxed == 0 and missed <= FEASIBLE
+            result = self.dynamics.solve(standing, tasks, limits)
+            tau[k], f[k, active[k]] = result.torque, result.forces
+            missed = float(np.abs((result.acceleration - a[k]) / self.unit).max())
+            feasible = feasible and result.relaxed == 0 and missed <= FEASIBLE
         return tau, f, feasible
 
     def _contact(self, number: int) -> ActiveContact:
-        own = self.robot.contacts[number]
+        contact = self.robot.contacts[number]
         return ActiveContact(
             number=number,
-            frame=self.robot.model.getFrameId(own.frame),
+            frame=self.robot.model.getFrameId(contact.frame),
             dimension=6,
             normal=np.array(UP),
             friction=self.problem.terrain.friction,
-            half_size=(own.half_length, own.half_width),
+            half_size=(contact.half_length, contact.half_width),
         )
 
     def _require_reached(self, t: float, q: np.ndarray) -> None:

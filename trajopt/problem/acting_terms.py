@@ -91,7 +91,10 @@ def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
         if not term.made_for_schedule and not any(term.acts_at(place) for place in _places(schedule)):
             raise InputError(f"{term.name} acts at no node of any phase", "allowed: terms that act")
         return
-    if not _uses_phases(term, schedule):
+    anywhere: Any = copy.copy(term)
+    object.__setattr__(anywhere, "during", None)
+    places = (*_places(schedule), *_places(schedule, name=NO_PHASE))
+    if all(term.acts_at(place) == anywhere.acts_at(place) for place in places):
         what = f"during of {term.name}: {term.during!r}, which this term does not use"
         raise InputError(what, "allowed: leave it out")
     for name in term.phases:
@@ -99,14 +102,6 @@ def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
             raise InputError(
                 f"{term.name} acts at no node of phase '{name}'", "allowed: phases where it acts"
             )
-
-
-def _uses_phases(term: Any, schedule: Schedule) -> bool:
-    """Whether the places where the term acts depend on ``during``."""
-    anywhere = copy.copy(term)
-    object.__setattr__(anywhere, "during", None)
-    places = (*_places(schedule), *_places(schedule, name=NO_PHASE))
-    return any(term.acts_at(place) != anywhere.acts_at(place) for place in places)
 
 
 def _places(schedule: Schedule, name: str = "") -> Iterator[NodePlace]:

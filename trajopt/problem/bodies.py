@@ -7,20 +7,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.collision.description import RobotShapes, above_ground, robot_shapes
 from trajopt.collision.near import CollisionScene, ShapePair, separable_pairs
 from trajopt.collision.planes import PlacedBody, SeparatingPlane, beyond_foot, separating_plane
 from trajopt.collision.shapes import LinkShape
 from trajopt.errors import InputError
-from trajopt.problem.placed_link import placed_link
 from trajopt.problem.places import CONTACT_GAP, PLACE_SLACK
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
+from trajopt.schedule.targets import Target
 from trajopt.terms.clearance import Clearance
 from trajopt.terms.terminal import TerminalPosture
 from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.smooth import SmoothTerrain
 
 # Shapes this near to the ball of a contact, or to a corner of its sole, m, touch with it.
 TOUCHING = 0.01
@@ -29,6 +31,9 @@ TOUCHING = 0.01
 GIVE, DEEPER = 4e-4, 1e-4
 # A pair this much nearer than it may be, m, is too near: what a solver and a look between moments leave.
 TOO_NEAR = 5e-4
+# A ball of this radius, m, stands for the origin of a frame.
+POINT = 1e-4
+POINT_NAME = "origin of the frame"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,10 +61,10 @@ class ProblemBodies:
         if contact.kind == "surface":
             return True
         model = self.scene.model
-        own, carrier = (
+        centre, carrier = (
             model.frames[model.getFrameId(name)].placement for name in (contact.frame, shape.frame)
         )
-        points = [(own.inverse() * carrier).act(point) for point in shape.points]
+        points = [(centre.inverse() * carrier).act(point) for point in shape.points]
         reach = float(np.linalg.norm(points, axis=1).max()) + shape.radius
         return reach <= max(shape.radius, contact.radius) + TOUCHING
 
@@ -79,24 +84,24 @@ class ProblemBodies:
             feet: of each the contacts of the pair's first link: where these are clear, planes leave them so.
         """
         margins = dict(zip(self.pairs, self.margins.tolist(), strict=True))
-        found = self.scene.approaches(configurations, wanted, within)
+        by_pair = self.scene.approaches(configurations, wanted, within)
         return [
             tuple(
                 separating_plane(
-                    own if foot is None else beyond_foot(own, foot, margins[pair]), margins[pair]
+                    near if foot is None else beyond_foot(near, foot, margins[pair]), margins[pair]
                 )
-                for own in approaches
+                for near in approaches
             )
-            for (_, pair), approaches, foot in zip(wanted, found, feet, strict=True)
+            for (_, pair), approaches, foot in zip(wanted, by_pair, feet, strict=True)
         ]
 
 
 def clearance_of(problem: Problem) -> Clearance:
     """The problem's `Clearance`, or the default. Raises InputError for several."""
-    found = [term for term in problem.terms if isinstance(term, Clearance)]
-    if len(found) > 1:
-        raise InputError(f"problem '{problem.name}' has {len(found)} clearance terms", "allowed: one")
-    return found[0] if found else Clearance()
+    terms = [term for term in problem.terms if isinstance(term, Clearance)]
+    if len(terms) > 1:
+        raise InputError(f"problem '{problem.name}' has {len(terms)} clearance terms", "allowed: one")
+    return terms[0] if terms else Clearance()
 
 
 def shapes_of(problem: Problem) -> RobotShapes:
@@ -112,16 +117,16 @@ def shapes_of(problem: Problem) -> RobotShapes:
 
 
 def bodies_of(problem: Problem) -> ProblemBodies:
-    """The bodies of a problem. Raises InputError where they are in each other at its start or at a goal."""
+    """The bodies of a problem. Raises InputError where two overlap at its start or at a goal."""
     clearance = clearance_of(problem)
     scene = shapes_of(problem).scene(problem.robot.model, problem.terrain, clearance.obstacles)
     # A periodic motion's start is free.
     start = scene.distances(problem.initial_q)[0] if problem.periodicity is None else None
-    found = ProblemBodies(scene=scene, margins=_margins(problem.robot, scene, clearance.margin, start))
+    bodies = ProblemBodies(scene=scene, margins=_margins(problem.robot, scene, clearance.margin, start))
     if start is not None:
-        _require_clear(found, "starts", found.pairs, start)
-    _require_clear_goals(problem, found)
-    return found
+        _require_clear(bodies, "starts", bodies.pairs, start)
+    _require_clear_goals(problem, bodies)
+    return bodies
 
 
 def _margins(robot: Robot, scene: CollisionScene, margin: float, start: np.ndarray | None) -> np.ndarray:
@@ -129,17 +134,17 @@ def _margins(robot: Robot, scene: CollisionScene, margin: float, start: np.ndarr
 
     start: distances (n_pairs,) m at a fixed start.
     """
-    found = np.full(len(scene.pairs), margin)
+    margins = np.full(len(scene.pairs), margin)
     if scene.n_ground:
         flat = CollisionScene(model=robot.model, shapes=scene.shapes, terrain=FlatGround())
         standing = flat.distances(robot.reference)[0]
         if start is not None:
             standing = np.minimum(standing, start[: scene.n_ground])
         touching = _touching(robot, scene.moving)
-        found[: scene.n_ground] = np.where(touching, np.minimum(standing - DEEPER, -GIVE), 0.0)
+        margins[: scene.n_ground] = np.where(touching, np.minimum(standing - DEEPER, -GIVE), 0.0)
     if margin > 0 and scene.self_pairs:
-        found[scene.n_outer :] = self_margins(robot, scene, margin)
-    return found
+        margins[scene.n_outer :] = self_margins(robot, scene, margin)
+    return margins
 
 
 def self_margins(robot: Robot, scene: CollisionScene, margin: float) -> np.ndarray:
@@ -152,8 +157,7 @@ def contacts_by_shape(robot: Robot, shapes: Sequence[LinkShape]) -> dict[str, li
     """Contacts of the link that carries each shape, by the shape's name."""
     joints = {frame.name: frame.parentJoint for frame in robot.model.frames}
     return {
-        shape.name: [own for own in robot.contacts if joints[own.frame] == joints[shape.frame]]
-        for shape in shapes
+        shape.name: [c for c in robot.contacts if joints[c.frame] == joints[shape.frame]] for shape in shapes
     }
 
 
@@ -168,8 +172,8 @@ def _touching(robot: Robot, shapes: Sequence[LinkShape]) -> np.ndarray:
         ]
         for contact in robot.contacts
     }
-    own = contacts_by_shape(robot, shapes)
-    pairs = [(s.name, ball.name) for s in shapes for contact in own[s.name] for ball in balls[contact.name]]
+    on_link = contacts_by_shape(robot, shapes)
+    pairs = [(s.name, ball.name) for s in shapes for c in on_link[s.name] for ball in balls[c.name]]
     every = (*shapes, *itertools.chain.from_iterable(balls.values()))
     scene = CollisionScene(model=robot.model, shapes=every, self_pairs=tuple(pairs))
     distances = scene.distances(robot.reference)[0]
@@ -190,7 +194,7 @@ def _require_clear(
         slack: m.
     """
     margins = dict(zip(bodies.pairs, bodies.margins.tolist(), strict=True))
-    short = [float(own) - margins[pair] for pair, own in zip(pairs, distances, strict=True)]
+    short = [float(distance) - margins[pair] for pair, distance in zip(pairs, distances, strict=True)]
     worst = min(range(len(short)), key=short.__getitem__, default=None)
     if worst is not None and short[worst] < -TOO_NEAR - slack:
         (first, second), margin = pairs[worst], margins[pairs[worst]]
@@ -201,7 +205,7 @@ def _require_clear(
 
 
 def _require_clear_goals(problem: Problem, bodies: ProblemBodies) -> None:
-    """Raise `InputError` where bodies are in each other at a goal, as far as it is known before solving.
+    """Raise `InputError` where bodies overlap at a goal, as far as it is known before solving.
 
     Of a configuration all pairs are; of one that is placed where a contact lands, those of two links; of a
     frame's pose, its link with ground and obstacles. Of a position the link may turn about it.
@@ -212,8 +216,8 @@ def _require_clear_goals(problem: Problem, bodies: ProblemBodies) -> None:
     scene = bodies.scene
     for term in problem.terms if bodies.pairs else ():
         if isinstance(term, TerminalPosture):
-            own = scene.distances(term.q)[0, scene.n_outer :]
-            _require_clear(bodies, f"in q of {term.name} is", scene.self_pairs, own, slack)
+            distances = scene.distances(term.q)[0, scene.n_outer :]
+            _require_clear(bodies, f"in q of {term.name} is", scene.self_pairs, distances, slack)
         for target in term.targets():
             if target.q is not None:
                 what = f"in q of {term.name} is"
@@ -223,3 +227,48 @@ def _require_clear_goals(problem: Problem, bodies: ProblemBodies) -> None:
                 what = f"at the goal of {term.name} of '{target.frame}' {known}"
                 placed = placed_link(scene, target)
                 _require_clear(bodies, what, list(placed), np.array(list(placed.values())), slack)
+
+
+def placed_link(scene: CollisionScene, target: Target) -> dict[ShapePair, float]:
+    """Signed distances in m of the link that carries a target's frame from ground and obstacles, by pair.
+
+    Where the target leaves its rotation free they are upper bounds for all rotations. With ``d`` the distance
+    of the frame's origin from a shape of its link, negative inside, and ``e`` that of the target from another
+    body, the shape has a point within ``d`` of the target, or all points within ``-d``: so its distance from
+    the body is at most ``d + e``. Smooth ground, whose distances are those from tangent planes, is left out
+    then.
+
+    Args:
+        scene: of a problem.
+        target: position of a frame, or its pose.
+    """
+    if target.frame is None or target.position is None:
+        return {}
+    frames = {frame.name: frame for frame in scene.model.frames}
+    carrier = frames[target.frame]
+    shapes = tuple(s for s in scene.moving if frames[s.frame].parentJoint == carrier.parentJoint)
+    if not shapes:
+        return {}
+    link = pin.Model()
+    joint = link.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "link")
+    for name in {target.frame, *(shape.frame for shape in shapes)}:
+        link.addFrame(pin.Frame(name, joint, frames[name].placement, pin.FrameType.OP_FRAME))
+    rotation = np.eye(3) if target.rotation is None else target.rotation
+    q = pin.SE3ToXYZQUAT(pin.SE3(rotation, target.position) * carrier.placement.inverse())
+    if target.rotation is not None:
+        alone = CollisionScene(model=link, shapes=shapes, obstacles=scene.obstacles, terrain=scene.terrain)
+        return dict(zip(alone.pairs, alone.distances(q)[0].tolist(), strict=True))
+    origin = LinkShape.sphere(POINT_NAME, target.frame, np.zeros(3), POINT)
+    alone = CollisionScene(
+        model=link,
+        shapes=(*shapes, origin),
+        obstacles=scene.obstacles,
+        self_pairs=tuple((shape.name, POINT_NAME) for shape in shapes),
+        terrain=None if isinstance(scene.terrain, SmoothTerrain) else scene.terrain,
+    )
+    distances = dict(zip(alone.pairs, (alone.distances(q)[0] + POINT).tolist(), strict=True))
+    return {
+        (shape, other): distances[shape, POINT_NAME] + distances[POINT_NAME, other]
+        for shape, other in alone.pairs[: alone.n_outer]
+        if shape != POINT_NAME
+    }

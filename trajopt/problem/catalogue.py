@@ -26,19 +26,19 @@ def families() -> dict[str, Family]:
 
     Raises `TrajoptError` when there is none, or when two packages use the same name.
     """
-    found: dict[str, Family] = {}
+    known: dict[str, Family] = {}
     origin: dict[str, str] = {}
     for entry in {entry.value: entry for entry in entry_points(group=GROUP)}.values():
         for name, family in _families_of(entry).items():
-            if name in found:
+            if name in known:
                 raise TrajoptError(f"problem '{name}' is offered by both {origin[name]} and {entry.value}")
-            found[name], origin[name] = family, entry.value
-    if not found:
+            known[name], origin[name] = family, entry.value
+    if not known:
         raise TrajoptError(
             f"no problem families are installed: no usable entry point in the group '{GROUP}'; "
             "install the package that offers them again"
         )
-    return dict(sorted(found.items()))
+    return dict(sorted(known.items()))
 
 
 def _families_of(entry: EntryPoint) -> Mapping[str, Family]:

@@ -15,7 +15,7 @@ from trajopt.kinds import shown
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
 
-# Parameters that the library's families had, and their names of today.
+# Parameters as solution files of earlier versions name them, and their names of today.
 RENAMED = {"effort": "torque_limit", "effort_share": "torque_share", "minimise": "goal"}
 
 # Unit -> how it and its rate per second may be written, and the size of each in that unit.
@@ -176,15 +176,12 @@ class Family:
         known = {parameter.name: parameter for parameter in self.parameters}
         if name in known:
             return known[name]
-        what = f"{self.name} has no parameter '{name}'"
-        if RENAMED.get(name) in known:
-            raise InputError(what, f"allowed: {RENAMED[name]}")
-        raise not_among(known, name, what)
+        raise not_among(known, name, f"{self.name} has no parameter '{name}'")
 
     def load(self, values: Mapping[str, object]) -> Problem:
         """Build the problem with ``values`` over the defaults. Raises InputError."""
         given = {name: self.parameter(name) for name in values}
-        chosen: dict[str, float | str | None] = {own.name: own.default for own in self.parameters}
+        chosen: dict[str, float | str | None] = {each.name: each.default for each in self.parameters}
         chosen |= {name: given[name].parse(value) for name, value in values.items()}
         from trajopt.problem.problem import Problem
 

@@ -74,12 +74,12 @@ def default_guess(
 
 def _goals(schedule: Schedule, ends: Sequence[float], terms: Sequence[Term]) -> dict[float, list[Target]]:
     """Goals of the terms by their nominal times, s."""
-    found: dict[float, list[Target]] = {}
+    goals: dict[float, list[Target]] = {}
     for target in (target for term in terms for target in term.targets()):
         time = _nominal(schedule, ends, target.at)
-        same = next((known for known in found if abs(known - time) <= SAME_TIME * ends[-1]), time)
-        found.setdefault(same, []).append(target)
-    return found
+        same = next((known for known in goals if abs(known - time) <= SAME_TIME * ends[-1]), time)
+        goals.setdefault(same, []).append(target)
+    return goals
 
 
 def _nominal(schedule: Schedule, ends: Sequence[float], moment: Moment) -> float:
@@ -124,8 +124,8 @@ class _Guess:
         q, n = self.knots[-1][1].copy(), BASE_POSITION[self.robot.base]
         standing = {
             name: stance.pose
-            for name, own in self.stances.items()
-            for stance in own
+            for name, stances in self.stances.items()
+            for stance in stances
             if stance.begin <= time <= stance.end
         }
         if n:
@@ -147,7 +147,7 @@ class _Guess:
         phase, lift = self.schedule.phases[self._phase_at(t)], SWING * robot.length
         poses = {
             name: pin.SE3(pose.rotation, pose.translation + hop)
-            for name, pose in ((name, _at(own, t, lift)) for name, own in self.stances.items())
+            for name, pose in ((name, _at(stances, t, lift)) for name, stances in self.stances.items())
             if n or name in phase.contacts
         }
         targets = self._targets(poses)
@@ -210,8 +210,8 @@ class _Guess:
 
 def _at(stances: Sequence[_Stance], t: float, lift: float) -> pin.SE3:
     """Pose of a contact at ``t`` s: where it stands, or on the arc to where it stands next."""
-    before = next((own for own in reversed(stances) if own.begin <= t), stances[0])
-    after = next((own for own in stances if own.begin > t), before)
+    before = next((stance for stance in reversed(stances) if stance.begin <= t), stances[0])
+    after = next((stance for stance in stances if stance.begin > t), before)
     if t <= before.end or after is before:
         return before.pose
     part = (t - before.end) / (after.begin - before.end)

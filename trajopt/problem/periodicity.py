@@ -33,7 +33,7 @@ from trajopt.terms.interfaces import Rows
 from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
 
 if TYPE_CHECKING:
-    from trajopt.schedule.schedule import Phase, Schedule
+    from trajopt.schedule.schedule import Schedule
 
 # Contacts are each other's mirror images within this part of the robot's length: real robots have small
 # offsets from one side to the other, and a half cycle only needs to match the feet.
@@ -76,11 +76,9 @@ class Periodicity:
 
     def images(self, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
         """For each rate of the image the index and the sign of the rate (nv,) that it comes from."""
-        return mirrored_rows(robot, find_mirror(robot)) if self.mirror else _same(robot.nv)
-
-
-def _same(n: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.arange(n), np.ones(n)
+        if self.mirror:
+            return mirrored_rows(robot, find_mirror(robot))
+        return np.arange(robot.nv), np.ones(robot.nv)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,12 +129,12 @@ def closing_map(robot: Robot, periodicity: Periodicity, initial_q: np.ndarray) -
     left_rotation, right_rotation = _rotation_rows(origin[:n4], periodicity)
     left = _block(left_rotation, np.eye(len(additive)), np.eye(robot.nv))
     right = _block(right_rotation, positions, rates)
-    zeros = np.zeros((len(left_rotation), 3)), np.zeros((robot.nv, 3))
+    before, after = np.zeros((len(left_rotation), 3)), np.zeros((robot.nv, 3))
     return ClosingMap(
         left=left,
         right=right,
-        constant=np.concatenate([np.zeros(len(left_rotation)), fixed, np.zeros(robot.nv)]),
-        translated=np.vstack([zeros[0], moved, zeros[1]]),
+        constant=np.concatenate([before[:, 0], fixed, after[:, 0]]),
+        translated=np.vstack([before, moved, after]),
     )
 
 
@@ -205,14 +203,9 @@ def landing_at_start(robot: Robot, schedule: Schedule, periodicity: Periodicity)
         images = {c.name: robot.contacts[pairs[i]].name for i, c in enumerate(robot.contacts)}
     first, last = schedule.phases[0], schedule.phases[-1]
     for name in first.contacts:
-        if _never_lands(name, images, schedule.phases):
+        if all({name, images[name]} <= set(phase.contacts) for phase in schedule.phases):
             raise InputError(
                 f"'{name}' is in contact all the time of a periodic motion",
                 "allowed: contacts that land within the cycle, or no periodicity",
             )
     return tuple(name for name in first.contacts if images[name] not in last.contacts)
-
-
-def _never_lands(name: str, images: dict[str, str], phases: tuple[Phase, ...]) -> bool:
-    both = {name, images[name]}
-    return all(both <= set(phase.contacts) for phase in phases)

@@ -1,4 +1,4 @@
-"""Whether start, footholds and goals can be, judged before solving by what a check allows afterwards."""
+"""Whether start, footholds and goals are possible, judged before solving with the tolerances of the check."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.problem.validation import require_limits
@@ -65,14 +64,11 @@ class Stances:
 
 
 def require_places(
-    stances: Stances,
-    start: np.ndarray | None,
-    terms: Sequence[Term],
-    rows: Sequence[PointConstraint],
+    stances: Stances, start: np.ndarray | None, terms: Sequence[Term], rows: Sequence[PointConstraint]
 ) -> None:
-    """Raise `InputError` for a start, a foothold or a goal at which no motion can be.
+    """Raise `InputError` for a start, a foothold or a goal that no motion can have.
 
-    Whether bodies are clear there, `trajopt.problem.bodies` judges.
+    `trajopt.problem.bodies` judges whether bodies are clear there.
 
     Args:
         stances: where contacts stand.
@@ -100,7 +96,10 @@ def require_start_contacts(stances: Stances, q: np.ndarray) -> None:
     for name, ground in stances.grounds[0].items():
         contact, where = robot.contact(name), "initial_q has"
         _require_gap(where, contact, ground, poses[name].translation, allowed)
-        tilt = _tilt(contact, ground, poses[name])
+        if contact.kind == "point" or not isinstance(ground, Surface):
+            continue
+        chord = float(np.linalg.norm(poses[name].rotation[:, 2] - ground.normal))
+        tilt = 2 * math.asin(min(chord / 2, 1.0))
         if tilt > SOLE_TILT:
             raise InputError(
                 f"{where} sole '{name}' tilted by {tilt:.4g} rad on its ground",
@@ -119,14 +118,6 @@ def _require_gap(where: str, contact: Contact, ground: Ground, place: np.ndarray
 
 def _side(gap: float) -> str:
     return f"{abs(gap):.4g} m {'above' if gap > 0 else 'below'}"
-
-
-def _tilt(contact: Contact, ground: Ground, pose: pin.SE3) -> float:
-    """Angle of a sole's z axis from the normal of its ground, rad; zero for a point."""
-    if contact.kind == "point" or not isinstance(ground, Surface):
-        return 0.0
-    chord = float(np.linalg.norm(pose.rotation[:, 2] - ground.normal))
-    return 2 * math.asin(min(chord / 2, 1.0))
 
 
 def require_footholds(stances: Stances) -> None:

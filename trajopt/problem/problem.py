@@ -33,9 +33,8 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.schedule.moment import start_of
-from trajopt.schedule.placing import footholds_at
+from trajopt.schedule.placing import footholds_at, require_standing
 from trajopt.schedule.schedule import Motion, Schedule
-from trajopt.schedule.standing import require_standing
 from trajopt.terms.context_symbols import Actuation
 from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity
 from trajopt.terms.interfaces import Cost, PointConstraint, Term
@@ -168,7 +167,7 @@ class Problem:
 
     def _standing(self, phase: int) -> dict[str, np.ndarray]:
         """Where contacts of a phase are known to stand (3,) m: not those that slide or land anywhere."""
-        phases, found = self.schedule.phases, {}
+        phases, places = self.schedule.phases, {}
         for name in phases[phase].contacts:
             begins = self.schedule.beginning(name, phase)
             if begins == 0 and self.periodicity is not None:
@@ -176,8 +175,8 @@ class Problem:
             grounds = [phases[index].surfaces.get(name) for index in range(begins, phase + 1)]
             place = self.contact_place(name, phase)
             if place is not None and all(ground is None or ground.slip_speed is None for ground in grounds):
-                found[name] = place
-        return found
+                places[name] = place
+        return places
 
     def robot_in(self, phase: str) -> Robot:
         """The robot in a phase, with the payload it carries there."""
@@ -223,11 +222,11 @@ class Problem:
         What they touch, or its parallel surface at the contact's radius. A contact that stands from the start
         and for which nothing is stated touches the terrain there.
         """
-        starts, schedule, found = self._starts, self.schedule, {}
+        starts, schedule, surfaces = self._starts, self.schedule, {}
         for name in schedule.phases[phase].contacts:
             radius = self.robot.contact(name).radius
-            found[name] = schedule.surface(phase, name, self.terrain, starts, radius)
-        return found
+            surfaces[name] = schedule.surface(phase, name, self.terrain, starts, radius)
+        return surfaces
 
     @property
     def _starts(self) -> dict[str, np.ndarray]:

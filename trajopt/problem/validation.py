@@ -31,8 +31,8 @@ def checked_vector(what: str, values: np.ndarray, size: int) -> np.ndarray:
     """Return a read-only copy of a finite vector (size,). Raises `InputError` for anything else."""
     array = np.array(values, dtype=float)
     if array.shape != (size,) or not np.all(np.isfinite(array)):
-        found = f"has shape {array.shape}" if array.shape != (size,) else "is not finite"
-        raise InputError(f"{what} {found}", f"allowed: ({size},), finite")
+        fault = f"has shape {array.shape}" if array.shape != (size,) else "is not finite"
+        raise InputError(f"{what} {fault}", f"allowed: ({size},), finite")
     array.setflags(write=False)
     return array
 

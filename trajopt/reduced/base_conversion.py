@@ -19,13 +19,7 @@ from typing_extensions import override
 
 from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import AXES, virtual_order
-from trajopt.dynamics.virtual_base import (
-    DEFAULT_ORDER,
-    LEAST_MARGIN,
-    angles_of,
-    from_free_flyer,
-    margin_of,
-)
+from trajopt.dynamics.virtual_base import DEFAULT_ORDER, LEAST_MARGIN, angles_of, from_free_flyer, margin_of
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
@@ -41,11 +35,18 @@ SAMPLES = 120
 
 @checked
 def with_virtual_base(problem: Problem, order: str = DEFAULT_ORDER) -> Problem:
-    """Return ``problem`` on the robot `Robot.with_virtual_base`, with angles about the axes of ``order``.
+    """Return the problem on the robot `Robot.with_virtual_base`.
 
     Start, guess and every configuration ``q`` (nq,) of a term are mapped; `VelocityCost` and
-    `AccelerationCost` become `BaseVelocityCost` and `BaseAccelerationCost`. Raises `InputError` for a robot
-    of another base, phases in minimal coordinates, a periodic motion, or a start in gimbal lock.
+    `AccelerationCost` become `BaseVelocityCost` and `BaseAccelerationCost`.
+
+    Args:
+        problem: of a robot on a free-flyer.
+        order: of the axes of the angles.
+
+    Raises:
+        InputError: for a robot of another base, phases in minimal coordinates, a periodic motion, or a start
+            in gimbal lock.
     """
     robot = problem.robot.with_virtual_base(order)
     if problem.modes:
@@ -97,20 +98,17 @@ class _ContinuedGuess:
     @cached_property
     def angles(self) -> np.ndarray:
         """Angles (SAMPLES + 1, 3) along the motion, each nearest to those before."""
-        found = [self.start]
+        angles = [self.start]
         for t in np.linspace(0.0, self.duration, SAMPLES + 1):
-            found.append(angles_of(self.order, _rotation(self.motion(float(t))), found[-1]))
-        return np.array(found[1:])
+            quaternion = pin.Quaternion(*self.motion(float(t))[[6, 3, 4, 5]])
+            angles.append(angles_of(self.order, np.array(quaternion.toRotationMatrix()), angles[-1]))
+        return np.array(angles[1:])
 
     def __call__(self, t: float) -> np.ndarray:
         q = self.motion(t)
         sample = round(np.clip(t / self.duration, 0.0, 1.0) * SAMPLES)
         still = np.zeros(len(q) - 1)
         return from_free_flyer(self.order, q, still, still, self.angles[int(sample)])[0]
-
-
-def _rotation(q: np.ndarray) -> np.ndarray:
-    return np.array(pin.Quaternion(*q[[6, 3, 4, 5]]).toRotationMatrix())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -98,7 +98,12 @@ def analytic_motion(
             times += [times[-1] + support.duration / 2, times[-1] + support.duration]
     pieces = np.array(zmp)
     pieces[0, 0] = first_zmp_for(pendulum, np.array(times), pieces, com_start)
-    _require_inside(pieces[0, 0], support_vertices(robot, plan.supports[0]), plan.supports[0])
+    support, begins = plan.supports[0], pieces[0, 0]
+    if distance_outside(begins, support_vertices(robot, support)) > INSIDE:
+        raise InputError(
+            f"from rest the ZMP would begin outside support '{support.name}', at {np.round(begins, 3)} m",
+            f"allowed: inside; make it longer than {support.duration:g} s",
+        )
     return PendulumMotion(
         pendulum=pendulum, times=np.array(times), zmp=pieces, com_start=com_start, dcm_end=pieces[-1, 1]
     )
@@ -119,11 +124,3 @@ def distance_outside(point: np.ndarray, vertices: np.ndarray) -> float:
 
     centred = np.vstack([(vertices - point).T, np.ones(len(vertices))])
     return float(nnls(centred, np.array([0.0, 0.0, 1.0]))[1])
-
-
-def _require_inside(point: np.ndarray, vertices: np.ndarray, support: StepPhase) -> None:
-    if distance_outside(point, vertices) > INSIDE:
-        raise InputError(
-            f"from rest the ZMP would begin outside support '{support.name}', at {np.round(point, 3)} m",
-            f"allowed: inside; make it longer than {support.duration:g} s",
-        )

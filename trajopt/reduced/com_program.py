@@ -129,10 +129,7 @@ def _zmp_rate_model(omega: float, h: float) -> _Model:
         B=flow[:3, 3:],
         Zx=np.array([[0.0, 0, 1], [0, 0, 1]]),
         Zu=np.array([[0.0], [h]]),
-        terminal={
-            "rest": np.array([[0.0, 1, 0], [1, 0, -1]]),
-            "captured": np.array([[1.0, 1 / omega, -1]]),
-        },
+        terminal={"rest": np.array([[0.0, 1, 0], [1, 0, -1]]), "captured": np.array([[1.0, 1 / omega, -1]])},
     )
 
 
@@ -147,10 +144,7 @@ def _jerk_model(omega: float, h: float) -> _Model:
         B=np.array([[h**3 / 6], [h**2 / 2], [h]]),
         Zx=bernstein @ powers_x,
         Zu=bernstein @ powers_u,
-        terminal={
-            "rest": np.array([[0.0, 1, 0], [0, 0, 1]]),
-            "captured": np.array([[0.0, 1 / omega, down]]),
-        },
+        terminal={"rest": np.array([[0.0, 1, 0], [0, 0, 1]]), "captured": np.array([[0.0, 1 / omega, down]])},
     )
 
 

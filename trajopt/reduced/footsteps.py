@@ -80,10 +80,7 @@ class FootstepPlan:
             }
             phases.append(
                 Phase(
-                    name=support.name,
-                    duration=support.duration,
-                    contacts=tuple(support.feet),
-                    footholds=new,
+                    name=support.name, duration=support.duration, contacts=tuple(support.feet), footholds=new
                 )
             )
             before = support.feet

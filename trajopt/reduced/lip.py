@@ -31,7 +31,15 @@ from trajopt.errors import InputError, finite_array, require_positive
 
 @dataclass(frozen=True, kw_only=True)
 class Pendulum:
-    """Linear inverted pendulum of ``height`` (m, of the CoM over the ground) under ``gravity`` (m/s^2)."""
+    """Linear inverted pendulum.
+
+    Args:
+        height: of the centre of mass over the ground, m.
+        gravity: m/s^2.
+
+    Raises:
+        InputError: for numbers that are not above zero.
+    """
 
     height: float
     gravity: float = STANDARD_GRAVITY
@@ -187,12 +195,12 @@ def first_zmp_for(
 
     xi(0) is affine in it, so one division replaces a search. To start at rest at c, set xi(0) = c.
     """
-    found = []
+    starts = []
     for value in (0.0, 1.0):
         trial = np.array(zmp, dtype=float)
         trial[0, 0] = value
         motion = PendulumMotion(
             pendulum=pendulum, times=times, zmp=trial, com_start=np.zeros(2), dcm_end=trial[-1, 1]
         )
-        found.append(motion.dcm(times[0]))
-    return np.asarray((np.asarray(dcm_start) - found[0]) / (found[1] - found[0]))
+        starts.append(motion.dcm(times[0]))
+    return np.asarray((np.asarray(dcm_start) - starts[0]) / (starts[1] - starts[0]))

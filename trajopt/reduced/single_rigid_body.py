@@ -207,11 +207,7 @@ class FootReach(PointConstraint):
 
 @checked
 def body_problem(
-    problem: Problem,
-    *,
-    terms: tuple[Term, ...] = (),
-    shortest: float = SHORTEST,
-    longest: float = LONGEST,
+    problem: Problem, *, terms: tuple[Term, ...] = (), shortest: float = SHORTEST, longest: float = LONGEST
 ) -> Problem:
     """Return the problem on one rigid body: same schedule, footholds of `footholds_of`, reach of the feet.
 

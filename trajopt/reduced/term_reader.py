@@ -6,7 +6,7 @@ result tell which frames, joints, torques and contacts it uses.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -82,17 +82,21 @@ class TermInstance:
         return self.uses_dynamics and self.uses(self.context.generalized_forces[unactuated:])
 
     def function(self) -> ca.Function:
-        """The expression as a function of the place's inputs z."""
-        expression = self.expression
-        o, layers = robot_layers(self.context, expression)
-        terms = ca.Function("terms", [self.context.z, o, self.context.parameters], [expression])
-        z = ca.SX.sym("z", self.context.z.numel())
-        value = z
-        for layer in layers:
-            value = layer(value)
-        found = value if layers else ca.SX(0, 1)
+        """The expression as a function of the place's inputs z, for all times in one column."""
         values = [self.context.parameter_values_at(t) for t in self.times]
-        return ca.Function("instance", [z], [ca.vertcat(*[terms(z, found, ca.DM(own)) for own in values])])
+        z, expressions = on_inputs(self.context, self.expression, values)
+        return ca.Function("instance", [z], [ca.vertcat(*expressions)])
+
+
+def on_inputs(context: Context, expression: ca.SX, values: Sequence[np.ndarray]) -> tuple[ca.SX, list[ca.SX]]:
+    """Fresh symbols of the inputs z of a context, and its expression in them for each of ``values``."""
+    symbols, layers = robot_layers(context, expression)
+    terms = ca.Function("terms", [context.z, symbols, context.parameters], [expression])
+    z = value = ca.SX.sym("z", context.z.numel())
+    for layer in layers:
+        value = layer(value)
+    quantities = value if layers else ca.SX(0, 1)
+    return z, [terms(z, quantities, ca.DM(parameters)) for parameters in values]
 
 
 class TermReader:

@@ -53,11 +53,14 @@ def torque_terms(problem: Problem) -> list[Term]:
 def base_rows_problem(problem: Problem, *, replacement: tuple[Cost, ...] | None = None) -> Problem:
     """Stage one of a problem: its terms without those on torques, and costs in their place.
 
-    replacement: costs in place of those left out. Default: for a `TorqueCost`, a `WrenchCost` with the same
-    cost for standing still at the reference (`standing_share`); and an `AccelerationCost`, if none is left,
-    to make the motion unique.
+    Args:
+        problem: the full problem.
+        replacement: costs in place of those left out. Default: for a `TorqueCost`, a `WrenchCost` with the
+            same cost for standing still at the reference (`standing_share`); and an `AccelerationCost`, if
+            none is left, to make the motion unique.
 
-    Raises InputError unless the control input is torque.
+    Raises:
+        InputError: unless the control input is torque.
     """
     if problem.actuation != "torque":
         raise InputError(f"actuation of problem '{problem.name}' is {problem.actuation}", "allowed: torque")

@@ -77,9 +77,9 @@ def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
     changed, points = 0, np.flatnonzero(solution.collocation)
     for row in points:
         phase = phases.get(int(solution.phase[row]))
-        found = phase.share(solution, samples, bounds, int(row)) if phase else None
-        if found is not None:
-            f[row], torque[row] = found
+        shared = phase.share(solution, samples, bounds, int(row)) if phase else None
+        if shared is not None:
+            f[row], torque[row] = shared
             changed += 1
     f, torque = interpolated(solution, f), interpolated(solution, torque)
     limit = np.asarray(problem.robot.actuated_row_limit(problem_torque_limit(problem)))
@@ -103,17 +103,15 @@ class _Rows:
 
     @classmethod
     def of(cls, terms: list[PointConstraint], context: Context, units: Units) -> _Rows:
-        found = [rows for rows in (term.rows(context, units) for term in terms) if rows is not None]
+        term_rows = [rows for rows in (term.rows(context, units) for term in terms) if rows is not None]
         none = np.zeros(0)
         w = ca.vertcat(*context.unknown_wrenches.values())
-        unit = np.concatenate([none, *[rows.unit for rows in found]])
-        phi = ca.vertcat(ca.SX(0, 1), *[rows.expression for rows in found]) / ca.DM(unit)
+        unit = np.concatenate([none, *[rows.unit for rows in term_rows]])
+        phi = ca.vertcat(ca.SX(0, 1), *[rows.expression for rows in term_rows]) / ca.DM(unit)
         inputs = [w, context.frame_symbols(), context.parameters]
         function = ca.Function("contact_rows", inputs, [phi, ca.jacobian(phi, w)])
-        bounds = (
-            np.concatenate([none, *[getattr(rows, side) for rows in found]]) for side in ("lower", "upper")
-        )
-        lower, upper = (bound / unit for bound in bounds)
+        lower = np.concatenate([none, *[rows.lower for rows in term_rows]]) / unit
+        upper = np.concatenate([none, *[rows.upper for rows in term_rows]]) / unit
         return cls(function, context.parameter_values, lower, upper)
 
     def at(self, w: np.ndarray, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -58,7 +58,7 @@ def leaving_plane(model: pin.Model, axis: int, q: np.ndarray) -> set[int]:
     """Joints behind the root whose motion at q (nq,) leaves planes normal to the world's axis ``axis``."""
     data = model.createData()
     pin.computeJointJacobians(model, data, q)
-    found = set()
+    leaving = set()
     for joint in range(2, model.njoints):
         rows = slice(model.joints[joint].idx_v, model.joints[joint].idx_v + model.joints[joint].nv)
         axes = data.J[:, rows].copy()
@@ -66,8 +66,8 @@ def leaving_plane(model: pin.Model, axis: int, q: np.ndarray) -> set[int]:
         turning = np.delete(axes[3:], axis, axis=0)
         slides = axes[axis] if not axes[3:].any() else np.zeros(0)
         if (np.abs(turning) > PARALLEL).any() or (np.abs(slides) > PARALLEL).any():
-            found.add(joint)
-    return found
+            leaving.add(joint)
+    return leaving
 
 
 def _carried_by(model: pin.Model, frame: str) -> set[int]:
@@ -187,7 +187,9 @@ def put_on_ground(model: pin.Model, base: Base, contacts: Sequence[Contact], q: 
     up = (model.jointPlacements[1].rotation.T @ np.array([0.0, 0.0, 1.0]))[height]
     if abs(up) < 0.5:
         return upright
-    lowest = min(data.oMf[model.getFrameId(own.frame)].translation[2] - own.radius for own in contacts)
+    lowest = min(
+        data.oMf[model.getFrameId(contact.frame)].translation[2] - contact.radius for contact in contacts
+    )
     upright[height] -= lowest / up
     return upright
 

@@ -24,10 +24,10 @@ def robot(name: str) -> Robot:
     A package's module may offer ``robot(name) -> Robot``, which raises InputError for an unknown name; this
     function raises it if no package knows the name. A package that cannot be loaded is skipped.
     """
-    found = _from_packages("robot", name)
-    if found is None:
+    loaded = _from_packages("robot", name)
+    if loaded is None:
         raise InputError(f"robot '{name}' is unknown", "an installed package that offers robots")
-    return cast("Robot", found)
+    return cast("Robot", loaded)
 
 
 def robot_kind(name: str) -> str | None:
@@ -36,8 +36,8 @@ def robot_kind(name: str) -> str | None:
     A package's module may offer ``robot_kind(name) -> str``, which raises InputError for an unknown name;
     this function raises it if no package knows the name. A package that cannot be loaded is skipped.
     """
-    found = _from_packages("robot_kind", name)
-    return None if found is None else str(found)
+    kind = _from_packages("robot_kind", name)
+    return None if kind is None else str(kind)
 
 
 def _from_packages(function: str, name: str) -> object:

@@ -224,19 +224,23 @@ def inverse_kinematics_branches(
     if separation is None:
         separation = SEPARATION if redundant else SAME_BRANCH
     turning = _turning_joints(robot)
-    searched = robot if redundant else _without_limits(robot, turning)
-    found: list[np.ndarray] = []
+    searched = robot
+    if not redundant:  # limits only choose among the turns of an isolated posture
+        lower, upper = robot.position_lower.copy(), robot.position_upper.copy()
+        lower[turning], upper[turning] = -np.inf, np.inf
+        searched = replace(robot, position_lower=lower, position_upper=upper)
+    branches: list[np.ndarray] = []
     for start in _starts(robot, near, starts):
         posture = inverse_kinematics(searched, start, targets)
         if posture.error > TOLERANCE:
             continue
         q = _in_nearest_turn(robot, posture.q, near, turning)
-        if q is not None and all(_distance(robot, q, other, turning) > separation for other in found):
-            found.append(q)
+        if q is not None and all(_distance(robot, q, other, turning) > separation for other in branches):
+            branches.append(q)
     if turns:
-        found = [turned for q in found for turned in _all_turns(robot, q, turning)]
-    found.sort(key=lambda q: float(np.linalg.norm(pin.difference(robot.model, near, q))))
-    return tuple(Posture(q, float(np.linalg.norm(_errors(robot.model, data, q, targets)))) for q in found)
+        branches = [turned for q in branches for turned in _all_turns(robot, q, turning)]
+    branches.sort(key=lambda q: float(np.linalg.norm(pin.difference(robot.model, near, q))))
+    return tuple(Posture(q, float(np.linalg.norm(_errors(robot.model, data, q, targets)))) for q in branches)
 
 
 def _turning_joints(robot: Robot) -> list[int]:
@@ -248,13 +252,6 @@ def _turning_joints(robot: Robot) -> list[int]:
         and joint.idx_v >= robot.n_unactuated
         and joint.shortname().removeprefix("JointModel").startswith("R")
     ]
-
-
-def _without_limits(robot: Robot, turning: list[int]) -> Robot:
-    """The robot with revolute joints free to turn: limits only choose among an isolated posture's turns."""
-    lower, upper = robot.position_lower.copy(), robot.position_upper.copy()
-    lower[turning], upper[turning] = -np.inf, np.inf
-    return replace(robot, position_lower=lower, position_upper=upper)
 
 
 def _starts(robot: Robot, near: np.ndarray, count: int) -> Iterator[np.ndarray]:

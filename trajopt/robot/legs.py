@@ -49,7 +49,7 @@ class Legs:
     def mirror(self) -> Mapping[str, str]:
         """Contact on the other side of the body, for every contact."""
         pairs = ((self.front_left, self.front_right), (self.hind_left, self.hind_right))
-        return MappingProxyType({own: other for pair in pairs for own, other in (pair, pair[::-1])})
+        return MappingProxyType({name: other for pair in pairs for name, other in (pair, pair[::-1])})
 
 
 @checked
@@ -162,20 +162,20 @@ def leg_joints(robot: Robot) -> tuple[str, ...]:
     model, data = robot.model, robot.model.createData()
     pin.forwardKinematics(model, data, robot.reference)
     named = Counter(frame.name for frame in model.frames)
-    found = []
+    joints = []
     for joint in range(2, model.njoints):
         parent = model.parents[joint]
         apart = np.linalg.norm(data.oMi[joint].translation - data.oMi[parent].translation)
         if parent != 1 and apart <= SAME_JOINT * robot.length:
             continue
-        found += [
+        joints += [
             frame.name
             for frame in model.frames
             if frame.parentJoint == joint
             and named[frame.name] == 1
             and np.abs(frame.placement.translation).max() < SAME_PLACE
         ][:1]
-    return tuple(found)
+    return tuple(joints)
 
 
 def require_free_flyer(robot: Robot) -> None:

@@ -82,49 +82,49 @@ class _Search:
         for joint in range(1, self.model.njoints):
             self.children[int(self.model.parents[joint])].append(joint)
 
-    def body(self, i: int, k: int, offset: pin.SE3, found: _Match) -> None:
+    def body(self, i: int, k: int, offset: pin.SE3, match: _Match) -> None:
         """Compare bodies i and k and match their children."""
         error = self.inertia_error(self.model.inertias[i], self.model.inertias[k], offset)
-        found.note(error, f"inertia of '{self.model.names[i]}' and '{self.model.names[k]}'")
+        match.note(error, f"inertia of '{self.model.names[i]}' and '{self.model.names[k]}'")
         ours, theirs = self.children[i], self.children[k]
         if len(ours) != len(theirs):
-            found.note(math.inf, f"numbers of joints on '{self.model.names[i]}' and '{self.model.names[k]}'")
+            match.note(math.inf, f"numbers of joints on '{self.model.names[i]}' and '{self.model.names[k]}'")
             return
         taken: set[int] = set()
         for a in ours:
             candidates = [(self.joint(a, b, offset), b) for b in theirs if b not in taken]
             best, b = min(candidates, key=lambda entry: entry[0].error)
             taken.add(b)
-            found.take(best)
+            match.take(best)
 
     def joint(self, i: int, k: int, parent: pin.SE3) -> _Match:
         """Match joints i and k, whose parents are images of each other with that offset."""
-        model, found = self.model, _Match()
+        model, match = self.model, _Match()
         names = f"'{model.names[i]}' and '{model.names[k]}'"
         sizes = [(model.joints[j].nq, model.joints[j].nv) for j in (i, k)]
         if sizes[0] != sizes[1] or sizes[0][1] != 1:
-            found.note(math.inf, f"kinds of joints {names}")
-            return found
+            match.note(math.inf, f"kinds of joints {names}")
+            return match
         offset = reflected(model.jointPlacements[i]).inverse() * parent * model.jointPlacements[k]
-        own = TWIST * joint_motion(model.joints[i]).vector
+        motion = TWIST * joint_motion(model.joints[i]).vector
         image = offset.act(joint_motion(model.joints[k])).vector
-        sign = 1.0 if own @ image >= 0 else -1.0
+        sign = 1.0 if motion @ image >= 0 else -1.0
         scale = np.array([1 / self.length] * 3 + [1.0] * 3)
-        if not own[3:].any():
+        if not motion[3:].any():
             scale[:3] = 1.0
         alone = f"'{model.names[i]}' on one side, or off the plane"
-        error = float(np.abs((sign * image - own) * scale).max())
-        found.note(error, f"axes of {names}" if i != k else alone)
+        error = float(np.abs((sign * image - motion) * scale).max())
+        match.note(error, f"axes of {names}" if i != k else alone)
         armature = np.array([model.armature[model.joints[j].idx_v] for j in (i, k)])
-        unit = self.mass * (self.length**2 if own[3:].any() else 1.0)
-        found.note(float(np.abs(np.diff(armature))[0]) / unit, f"armature of {names}")
-        found.images[i] = (k, sign, offset)
-        if math.isfinite(found.error):
-            self.body(i, k, offset, found)
-        return found
+        unit = self.mass * (self.length**2 if motion[3:].any() else 1.0)
+        match.note(float(np.abs(np.diff(armature))[0]) / unit, f"armature of {names}")
+        match.images[i] = (k, sign, offset)
+        if math.isfinite(match.error):
+            self.body(i, k, offset, match)
+        return match
 
-    def inertia_error(self, own: pin.Inertia, other: pin.Inertia, offset: pin.SE3) -> float:
-        difference = np.abs(reflected_inertia(own).matrix() - offset.act(other).matrix())
+    def inertia_error(self, inertia: pin.Inertia, other: pin.Inertia, offset: pin.SE3) -> float:
+        difference = np.abs(reflected_inertia(inertia).matrix() - offset.act(other).matrix())
         units = np.full((6, 6), self.mass * self.length)
         units[:3, :3], units[3:, 3:] = self.mass, self.mass * self.length**2
         return float((difference / units).max())
@@ -139,24 +139,24 @@ def find_mirror(robot: Robot) -> Mirror:
     model = robot.model
     if robot.base != "freeflyer" or not model.jointPlacements[1].isIdentity():
         raise InputError(f"robot '{robot.name}' has a {robot.base} base", "a free-flyer in world axes")
-    found = _Match()
-    found.images[1] = (1, 1.0, pin.SE3.Identity())
-    _Search(robot).body(1, 1, pin.SE3.Identity(), found)
-    if not math.isfinite(found.error):
+    match = _Match()
+    match.images[1] = (1, 1.0, pin.SE3.Identity())
+    _Search(robot).body(1, 1, pin.SE3.Identity(), match)
+    if not math.isfinite(match.error):
         raise InputError(
-            f"robot '{robot.name}' has no mirror image: {found.worst} differ", "a symmetric robot"
+            f"robot '{robot.name}' has no mirror image: {match.worst} differ", "a symmetric robot"
         )
     every = range(1, model.njoints)
-    partner = (0, *(found.images[j][0] for j in every))
+    partner = (0, *(match.images[j][0] for j in every))
     lonely = [model.names[j] for j in every if partner[partner[j]] != j]
     if lonely:
         raise InputError(f"robot '{robot.name}' has joints without a mirror image: {', '.join(lonely)}")
     return Mirror(
         partner=partner,
-        sign=(1.0, *(found.images[j][1] for j in every)),
-        offset=(pin.SE3.Identity(), *(found.images[j][2] for j in every)),
-        asymmetry=found.error,
-        worst=found.worst,
+        sign=(1.0, *(match.images[j][1] for j in every)),
+        offset=(pin.SE3.Identity(), *(match.images[j][2] for j in every)),
+        asymmetry=match.error,
+        worst=match.worst,
     )
 
 
@@ -181,15 +181,15 @@ def paired_contacts(robot: Robot, mirror: Mirror, tolerance: float) -> tuple[int
 
 def contact_error(robot: Robot, mirror: Mirror, name: str, other: str) -> float:
     """Distance between one contact's mirror image and another, parts of the robot's length (and rad)."""
-    own, image = robot.contact(name), robot.contact(other)
-    frames = [robot.model.frames[robot.model.getFrameId(contact.frame)] for contact in (own, image)]
+    given, image = robot.contact(name), robot.contact(other)
+    frames = [robot.model.frames[robot.model.getFrameId(contact.frame)] for contact in (given, image)]
     joint = int(frames[0].parentJoint)
-    if int(frames[1].parentJoint) != mirror.partner[joint] or own.kind != image.kind:
+    if int(frames[1].parentJoint) != mirror.partner[joint] or given.kind != image.kind:
         return math.inf
     apart = reflected(frames[0].placement).inverse() * (mirror.offset[joint] * frames[1].placement)
-    error = (float(np.linalg.norm(apart.translation)) + abs(own.radius - image.radius)) / robot.length
-    if own.kind == "surface":
-        sizes = np.array([[c.half_length, c.half_width] for c in (own, image)])
+    error = (float(np.linalg.norm(apart.translation)) + abs(given.radius - image.radius)) / robot.length
+    if given.kind == "surface":
+        sizes = np.array([[c.half_length, c.half_width] for c in (given, image)])
         error = max(error, float(np.abs(np.diff(sizes, axis=0)).max()) / robot.length)
         error = max(error, float(np.abs(np.abs(apart.rotation) - np.eye(3)).max()))
     return error
@@ -215,17 +215,19 @@ def mirrored_range(lower: float, upper: float, sign: float) -> tuple[float, floa
 
 
 def _same_limits(robot: Robot, mirror: Mirror, joint: int, image: int) -> bool:
-    own, other = robot.model.joints[joint], robot.model.joints[image]
+    source, target = robot.model.joints[joint], robot.model.joints[image]
     ranges = [
-        (robot.position_lower[j.idx_q], robot.position_upper[j.idx_q]) for j in (own, other)
+        (robot.position_lower[j.idx_q], robot.position_upper[j.idx_q]) for j in (source, target)
     ]  # continuous joints have none
     same = [np.allclose(mirrored_range(*ranges[0], mirror.sign[joint]), ranges[1], rtol=1e-9, atol=1e-9)]
-    same.append(bool(robot.velocity_limit[own.idx_v] == robot.velocity_limit[other.idx_v]))
+    same.append(bool(robot.velocity_limit[source.idx_v] == robot.velocity_limit[target.idx_v]))
     first = robot.n_unactuated
-    if robot.torque_limit is not None and min(own.idx_v, other.idx_v) >= first:
-        same.append(bool(robot.torque_limit[own.idx_v - first] == robot.torque_limit[other.idx_v - first]))
-    if robot.drives is not None and min(own.idx_v, other.idx_v) >= first:
-        same.append(robot.drives[own.idx_v - first] == robot.drives[other.idx_v - first])
+    if robot.torque_limit is not None and min(source.idx_v, target.idx_v) >= first:
+        same.append(
+            bool(robot.torque_limit[source.idx_v - first] == robot.torque_limit[target.idx_v - first])
+        )
+    if robot.drives is not None and min(source.idx_v, target.idx_v) >= first:
+        same.append(robot.drives[source.idx_v - first] == robot.drives[target.idx_v - first])
     return all(same)
 
 
@@ -260,9 +262,9 @@ def mirrored_configuration(robot: Robot, mirror: Mirror, q: np.ndarray, y0: floa
     image[1] = 2 * y0 - q[1]
     image[3:7] = [-q[3], q[4], -q[5], q[6]]
     for joint in range(2, robot.model.njoints):
-        own, other = robot.model.joints[joint], robot.model.joints[mirror.partner[joint]]
-        value = q[own.idx_q : own.idx_q + own.nq]
-        image[other.idx_q : other.idx_q + other.nq] = signed(value, mirror.sign[joint])
+        source, target = robot.model.joints[joint], robot.model.joints[mirror.partner[joint]]
+        value = q[source.idx_q : source.idx_q + source.nq]
+        image[target.idx_q : target.idx_q + target.nq] = signed(value, mirror.sign[joint])
     return image
 
 
@@ -276,6 +278,6 @@ def mirrored_rows(robot: Robot, mirror: Mirror) -> tuple[np.ndarray, np.ndarray]
     index, sign = np.arange(robot.nv), np.ones(robot.nv)
     sign[:6] = TWIST
     for joint in range(2, robot.model.njoints):
-        own, other = (robot.model.joints[j].idx_v for j in (joint, mirror.partner[joint]))
-        index[other], sign[other] = own, mirror.sign[joint]
+        source, target = (robot.model.joints[j].idx_v for j in (joint, mirror.partner[joint]))
+        index[target], sign[target] = source, mirror.sign[joint]
     return index, sign

@@ -25,8 +25,8 @@ class LinkPoint:
     def of_frame(cls, model: pin.Model, frame: str) -> LinkPoint:
         """The origin of a frame. Raises `InputError` that lists close names."""
         frame_content(model, frame)
-        found = model.frames[model.getFrameId(frame)]
-        return cls(int(found.parentJoint), np.array(found.placement.translation))
+        place = model.frames[model.getFrameId(frame)]
+        return cls(int(place.parentJoint), np.array(place.placement.translation))
 
     def root(self, model: pin.Model) -> LinkPoint:
         """Where the first joint on the path to it is attached, in the world."""

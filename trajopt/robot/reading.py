@@ -80,14 +80,15 @@ def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
     source = existing_file(path, "MJCF")
     try:
         model = pin.buildModelFromMJCF(str(source))
-        own = base_of(model)
-        if base is None or base == own:
+        kind = base_of(model)
+        if base is None or base == kind:
             return model
-        if (own, base) == ("freeflyer", "virtual"):
+        if (kind, base) == ("freeflyer", "virtual"):
             return virtual_model(model)
-        if own != "fixed":
+        if kind != "fixed":
             raise InputError(
-                f"{source} has a {own} root joint of its own, base={base!r} contradicts it", f"{own!r}"
+                f"{source} has a {kind} root joint of its own, base={base!r} contradicts it",
+                f"{kind!r}",
             )
         root = pin.JointModelPlanar() if base == "planar" else pin.JointModelFreeFlyer()
         model = pin.buildModelFromMJCFAndRootJoint(str(source), pin.JointModel(root))

@@ -16,7 +16,7 @@ from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import Base, base_of, position_limits
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
-from trajopt.errors import InputError, expanded, renamed
+from trajopt.errors import InputError, expanded
 from trajopt.kinds import ArrayShape
 from trajopt.robot import building
 from trajopt.robot.actuators.drive import Drive
@@ -28,7 +28,6 @@ from trajopt.robot.validation import require_contacts, require_inertias, require
 
 
 @checked
-@renamed(effort_limit="torque_limit")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
     """A robot as problems use it. Arrays are copied and read-only.
@@ -69,10 +68,10 @@ class Robot:
     drives: tuple[Drive | None, ...] | None = None
 
     def __post_init__(self) -> None:
-        found = base_of(self.model)
-        if found != self.base:
+        kind = base_of(self.model)
+        if kind != self.base:
             raise InputError(
-                f"robot '{self.name}' has a {found} root joint but base={self.base!r}", f"{found!r}"
+                f"robot '{self.name}' has a {kind} root joint but base={self.base!r}", f"{kind!r}"
             )
         object.__setattr__(self, "contacts", building.within_plane(self.model, self.contacts))
         building.count_unactuated_rows(self.model, self.base, self.passive)
@@ -116,8 +115,8 @@ class Robot:
     @cached_property
     def scalar_joints(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows of q, and of v, of the joints with one coordinate."""
-        own = [joint for joint in self.model.joints if joint.nq == joint.nv == 1]
-        rows = np.array([[joint.idx_q, joint.idx_v] for joint in own], dtype=int).reshape(-1, 2)
+        joints = [joint for joint in self.model.joints if joint.nq == joint.nv == 1]
+        rows = np.array([[joint.idx_q, joint.idx_v] for joint in joints], dtype=int).reshape(-1, 2)
         return rows[:, 0], rows[:, 1]
 
     @property
@@ -187,10 +186,10 @@ class Robot:
 
     def actuators_of(self, rows: np.ndarray) -> dict[str, Any]:
         """Return torque limits and drives of the actuated ones of ``rows`` of v, as fields of a robot."""
-        own = rows[rows >= self.n_unactuated] - self.n_unactuated
+        actuators = rows[rows >= self.n_unactuated] - self.n_unactuated
         return {
-            "torque_limit": None if self.torque_limit is None else self.torque_limit[own],
-            "drives": None if self.drives is None else tuple(self.drives[int(row)] for row in own),
+            "torque_limit": None if self.torque_limit is None else self.torque_limit[actuators],
+            "drives": None if self.drives is None else tuple(self.drives[int(row)] for row in actuators),
         }
 
     @checked

@@ -107,7 +107,7 @@ def require_reference(
 def require_configuration(model: pin.Model, q: np.ndarray, what: str) -> None:
     """Raise `InputError` for a configuration of wrong shape, not finite, or whose rotations are not unit."""
     if q.shape != (model.nq,) or not np.isfinite(q).all():
-        found = "not finite" if q.shape == (model.nq,) else f"of shape {q.shape}"
-        raise InputError(f"{what} is {found}", f"allowed: ({model.nq},), finite")
+        fault = "not finite" if q.shape == (model.nq,) else f"of shape {q.shape}"
+        raise InputError(f"{what} is {fault}", f"allowed: ({model.nq},), finite")
     if not pin.isNormalized(model, q, UNIT_SLACK):
         raise InputError(f"{what} has a quaternion or (cos, sin) pair that is not unit", "allowed: norm 1")

@@ -26,9 +26,9 @@ def modelled(problem: Problem, whole: Problem, needs: Mapping[str, str]) -> tupl
     robot = problem.robot
     lines = [f"{robot.base} base, {robot.n_unactuated} rows without actuator, {robot.nu} joints with one"]
     by_reason: dict[str, list[str]] = {}
-    own = set(robot.model.names)
+    joints = set(robot.model.names)
     for name, reason in needs.items():
-        if name in own and whole.robot.model.joints[whole.robot.model.getJointId(name)].nv == 1:
+        if name in joints and whole.robot.model.joints[whole.robot.model.getJointId(name)].nv == 1:
             by_reason.setdefault(reason, []).append(name)
     lines += [f"{', '.join(names)}: {reason}" for reason, names in by_reason.items()]
     for phase in problem.schedule.phases:

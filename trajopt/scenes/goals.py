@@ -113,12 +113,12 @@ def _targets(robot: Robot, goals: Goals | None) -> dict[str, pin.SE3 | np.ndarra
     """Poses and positions of frames, checked; empty for a configuration, or without goals."""
     if not isinstance(goals, Mapping):
         return {}
-    found: dict[str, pin.SE3 | np.ndarray] = {}
+    targets: dict[str, pin.SE3 | np.ndarray] = {}
     for frame, goal in goals.items():
         require_frame(robot.model, frame, "a goal")
         what, unit = f"goal of frame '{frame}'", "m, or a pin.SE3"
-        found[frame] = goal if isinstance(goal, pin.SE3) else finite_array(what, goal, unit=unit)
-    return found
+        targets[frame] = goal if isinstance(goal, pin.SE3) else finite_array(what, goal, unit=unit)
+    return targets
 
 
 def _landing_on(robot: Robot, schedule: Schedule, ground: FlatGround, posture: np.ndarray) -> Schedule:
@@ -156,16 +156,16 @@ def _costs(schedule: Schedule, start: np.ndarray) -> tuple[Term, ...]:
 
 def _limits(robot: Robot, schedule: Schedule, ground: FlatGround) -> tuple[Term, ...]:
     torque: Term = DriveLimits() if any(drive is not None for drive in robot.drives or ()) else TorqueLimits()
-    found: list[Term] = [torque, PositionLimits(), VelocityLimits()]
+    limits: list[Term] = [torque, PositionLimits(), VelocityLimits()]
     active = [c for c in robot.contacts if any(c.name in phase.contacts for phase in schedule.phases)]
     points = tuple(contact.name for contact in active if contact.kind == "point")
     if points:
-        found.append(FrictionCone(contacts=points))
+        limits.append(FrictionCone(contacts=points))
     if len(points) < len(active):
-        found.append(SoleCone())
+        limits.append(SoleCone())
     if any(not set(phase.contacts) >= {c.name for c in active} for phase in schedule.phases):
-        found.append(SwingClearance(height=CLEARANCE * robot.length, terrain=ground))
-    return tuple(found)
+        limits.append(SwingClearance(height=CLEARANCE * robot.length, terrain=ground))
+    return tuple(limits)
 
 
 def _goals(targets: Mapping[str, pin.SE3 | np.ndarray], posture: np.ndarray | None) -> tuple[Term, ...]:

@@ -43,9 +43,9 @@ def half_robot(robot: Robot, mirror: Mirror, images: Sequence[int], q: np.ndarra
         contact.name: _contact_follower(robot, kept, contact, robot.contacts[image])
         for contact, image in zip(robot.contacts, images, strict=True)
     }
-    own = {follower.name for follower in contacts.values()}
+    kept_contacts = {follower.name for follower in contacts.values()}
     model, mirrored = _half_model(robot, mirror, kept, float(q[1]))
-    small = _with_limits(robot, model, joints, tuple(c for c in robot.contacts if c.name in own))
+    small = _with_limits(robot, model, joints, tuple(c for c in robot.contacts if c.name in kept_contacts))
     made = Reduction(
         whole=robot, small=small, start=q, joints=joints, contacts=contacts, mirrored_frames=mirrored
     )
@@ -118,13 +118,13 @@ def _merge_rows(model: pin.Model, new: pin.Model, mirror: Mirror, kept: Sequence
     """Armature of both joints of a pair; other rows as of the joint that is kept."""
     for joint in kept[1:]:
         name, image = model.names[joint], mirror.partner[joint]
-        v, own = joint_slices(new, name)[1], joint_slices(model, name)[1]
+        v, old = joint_slices(new, name)[1], joint_slices(model, name)[1]
         for row in JOINT_ROWS:
-            getattr(new, row)[v] = getattr(model, row)[own]
+            getattr(new, row)[v] = getattr(model, row)[old]
         if image != joint:
             other = joint_slices(model, model.names[image])[1]
-            new.armature[v] = model.armature[own] + model.armature[other]
-            new.rotorInertia[v] = model.rotorInertia[own] + model.rotorInertia[other]
+            new.armature[v] = model.armature[old] + model.armature[other]
+            new.rotorInertia[v] = model.rotorInertia[old] + model.rotorInertia[other]
 
 
 def _with_limits(

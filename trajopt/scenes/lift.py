@@ -76,8 +76,8 @@ def _torques(solution: Solution, robot: Robot, motion: _Trajectory, f: np.ndarra
     """Actuated rows (K, nu) of RNEA - J^T f at collocation points, interpolated elsewhere."""
     model, data = robot.model, robot.model.createData()
     frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
-    found = np.zeros((solution.n_samples, robot.nv))
+    forces = np.zeros((solution.n_samples, robot.nv))
     for k in np.flatnonzero(solution.collocation):
         state = (motion[0][k], motion[1][k], motion[2][k])
-        found[k] = generalized_force(model, data, state, frames, f[k])
-    return interpolated(solution, found)[:, robot.n_unactuated :]
+        forces[k] = generalized_force(model, data, state, frames, f[k])
+    return interpolated(solution, forces)[:, robot.n_unactuated :]

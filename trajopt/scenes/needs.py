@@ -47,22 +47,22 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     a frame that a term uses; joints whose goal is not their start, or that start moving; and joints whose
     coordinates a term of an unknown kind uses. Raises `InputError` for an unknown name in ``keep``.
     """
-    robot, found = problem.robot, _always(problem)
+    robot, needs = problem.robot, _always(problem)
     _require_known(robot, keep, "keep")
     for phase in problem.schedule.phases:
         for contact in phase.contacts:
-            _chain(robot, robot.contact(contact).frame, f"carries contact '{contact}'", found)
+            _chain(robot, robot.contact(contact).frame, f"carries contact '{contact}'", needs)
     for instance in TermReader(problem).every():
         for frame in instance.frames:
-            _chain(robot, frame, f"moves frame '{frame}' of {instance.term.name}", found)
+            _chain(robot, frame, f"moves frame '{frame}' of {instance.term.name}", needs)
         for name in _own_joints(problem, instance):
-            found.setdefault(name, f"is in {instance.term.name}")
+            needs.setdefault(name, f"is in {instance.term.name}")
     for term in problem.terms:
         for name in _elsewhere(problem, term):
-            found.setdefault(name, f"{term.name} wants it elsewhere")
+            needs.setdefault(name, f"{term.name} wants it elsewhere")
     for name in keep:
-        found.setdefault(name, KEPT_AS_ASKED)
-    return found
+        needs.setdefault(name, KEPT_AS_ASKED)
+    return needs
 
 
 def cleared_contacts(problem: Problem) -> set[str]:
@@ -93,22 +93,22 @@ def _require_known(robot: Robot, names: Sequence[str], purpose: str) -> None:
 
 
 def _always(problem: Problem) -> Needs:
-    robot, found = problem.robot, {}
+    robot, needs = problem.robot, {}
     for joint in list(robot.model.joints)[1:]:
         name = robot.model.names[joint.id]
         if joint.idx_v < robot.n_unactuated:
-            found[name] = "has no actuator" if name in robot.passive else "is the base"
+            needs[name] = "has no actuator" if name in robot.passive else "is the base"
         elif problem.initial_v[joint.idx_v : joint.idx_v + joint.nv].any():
-            found[name] = "starts moving"
-    return found
+            needs[name] = "starts moving"
+    return needs
 
 
-def _chain(robot: Robot, frame: str, reason: str, found: Needs) -> None:
+def _chain(robot: Robot, frame: str, reason: str, needs: Needs) -> None:
     """Joints between the root and a frame."""
     model = robot.model
     for joint in model.supports[model.frames[model.getFrameId(frame)].parentJoint]:
         if joint > 0:
-            found.setdefault(model.names[joint], reason)
+            needs.setdefault(model.names[joint], reason)
 
 
 def _own_joints(problem: Problem, instance: TermInstance) -> list[str]:

@@ -18,8 +18,7 @@ from trajopt.reduced.term_reader import TermReader
 from trajopt.robot.building import leaving_plane
 from trajopt.robot.mirror import Mirror, find_mirror, limit_differences, paired_contacts, pairs
 from trajopt.scenes.half import half_robot, turned_by_mirror
-from trajopt.scenes.lock import lock_joints
-from trajopt.scenes.reduction import Reduction
+from trajopt.scenes.reduction import Reduction, lock_joints
 from trajopt.scenes.report import CHOICE, EXACT, Decision
 from trajopt.scenes.task import TASK, Asymmetry, require_symmetric
 from trajopt.scenes.terms import reduced_problem
@@ -52,16 +51,16 @@ def halve_robot(problem: Problem, keep: Sequence[str]) -> tuple[Reduction, Decis
     small = reduced_problem(problem, straight) if turned else problem
     mirror = _mirror(small) if turned else mirror
     images = paired_contacts(small.robot, mirror, TASK)
-    found = require_symmetric(small, mirror, images)
+    asymmetry = require_symmetric(small, mirror, images)
     half = half_robot(small.robot, mirror, images, small.initial_q)
     reduction = straight.then(half) if turned else half
     limits = limit_differences(small.robot, mirror)
-    exact = max(mirror.asymmetry, found.difference) < ROUNDING and not limits
+    exact = max(mirror.asymmetry, asymmetry.difference) < ROUNDING and not limits
     what = f"the right side, which follows the left: {len(pairs(small.robot, mirror))} joints"
     if turned:
         what += f", and {', '.join(turned)} stay in the plane"
     kind = EXACT if exact else CHOICE
-    return reduction, Decision(kind=kind, what=what, why=_why(mirror, found, limits))
+    return reduction, Decision(kind=kind, what=what, why=_why(mirror, asymmetry, limits))
 
 
 def _mirror(problem: Problem) -> Mirror:
@@ -75,11 +74,11 @@ def _mirror(problem: Problem) -> Mirror:
     return mirror
 
 
-def _why(mirror: Mirror, found: Asymmetry, limits: list[str]) -> str:
+def _why(mirror: Mirror, task_asymmetry: Asymmetry, limits: list[str]) -> str:
     asymmetry = f"robot within {mirror.asymmetry:.1e} of its mirror image"
     if mirror.asymmetry >= ROUNDING:
         asymmetry += f" ({mirror.worst})"
-    task = f"task within {found.difference:.1e}"
+    task = f"task within {task_asymmetry.difference:.1e}"
     text = f"{asymmetry}, {task}; its optimum is one of the whole problem, among mirrored motions the best"
     return text + (f"; tighter limits of {', '.join(limits)}" if limits else "")
 
@@ -126,10 +125,10 @@ def _across(problem: Problem) -> set[str]:
 
 def _goals(problem: Problem) -> set[str]:
     """Joints whose goal differs from their start."""
-    found: set[str] = set()
+    joints: set[str] = set()
     for term in problem.terms:
         if isinstance(term, HalfEnd) and isinstance(term.term, TerminalState):
             goal = term.reduction.drop_q(np.asarray(term.term.q, dtype=float))
             apart = np.abs(goal - problem.initial_q) > TASK
-            found.update(joints_with(problem.robot.model, apart))
-    return found
+            joints.update(joints_with(problem.robot.model, apart))
+    return joints

@@ -1,4 +1,4 @@
-"""The map between a whole robot and a smaller one that moves as a part of it.
+"""The map between a whole robot and a smaller one that moves as a part of it; those that lock joints.
 
 Every joint of the whole robot is locked at its start, or follows a joint of the small one: itself, or its
 mirror image with a sign. Rates, accelerations and the local coordinates' derivatives follow linearly,
@@ -12,7 +12,7 @@ A whole robot on a free-flyer that is halved keeps (x, z, pitch) of its base, no
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -108,9 +108,9 @@ class Reduction:
     def entries(self) -> Iterator[tuple[_Slices, _Slices, float]]:
         """For every following joint: entries (of the whole robot, of the small one) in q and in v, sign."""
         for name, follower in self.joints.items():
-            own = joint_slices(self.whole.model, name)
+            of_whole = joint_slices(self.whole.model, name)
             followed = joint_slices(self.small.model, follower.name)
-            yield (own[0], followed[0]), (own[1], followed[1]), follower.sign
+            yield (of_whole[0], followed[0]), (of_whole[1], followed[1]), follower.sign
 
     @cached_property
     def shares(self) -> np.ndarray:
@@ -131,8 +131,8 @@ class Reduction:
             lifted[:7] = [q[0], self.y0, q[1], 0.0, -np.sin(pitch / 2), 0.0, np.cos(pitch / 2)]
         else:
             lifted[:n] = q[:n]
-        for (own, followed), _, sign in self.entries():
-            lifted[own] = q[followed] if sign > 0 else signed(q[followed], sign)
+        for (of_whole, followed), _, sign in self.entries():
+            lifted[of_whole] = q[followed] if sign > 0 else signed(q[followed], sign)
         return lifted
 
     def drop_q(self, q: np.ndarray) -> np.ndarray:
@@ -144,11 +144,11 @@ class Reduction:
             small[:n] = [q[0], q[2], *(forward / np.linalg.norm(forward))]
         else:
             small[:n] = q[:n]
-        for (own, followed), _, sign in self.entries():
-            small[followed] += q[own] if sign > 0 else signed(q[own], sign)
+        for (of_whole, followed), _, sign in self.entries():
+            small[followed] += q[of_whole] if sign > 0 else signed(q[of_whole], sign)
         for name in {follower.name for follower in self.joints.values()}:
-            own = joint_slices(self.small.model, name)[0]
-            small[own] /= self.members(name)
+            of_whole = joint_slices(self.small.model, name)[0]
+            small[of_whole] /= self.members(name)
         return np.array(pin.normalize(self.small.model, small))
 
     def drop_v(self, v: np.ndarray) -> np.ndarray:
@@ -213,3 +213,30 @@ def _reflected(surface: Surface, reduction: Reduction) -> Surface:
         point=reduction.reflected_point(surface.point),
         normal=reduction.reflected_point(surface.normal) - reduction.reflected_point(np.zeros(3)),
     )
+
+
+def lock_joints(
+    robot: Robot, names: Sequence[str], q: np.ndarray, contacts: Collection[str] | None = None
+) -> Reduction:
+    """Return the reduction to ``robot`` with joints ``names`` welded at q (nq,), on these or all contacts.
+
+    The small robot keeps the reference posture and the length of the whole robot, to which units and costs
+    refer.
+    """
+    kept = tuple(c for c in robot.contacts if contacts is None or c.name in contacts)
+    fewer = replace(robot, contacts=kept)
+    made = Reduction(
+        whole=robot,
+        small=fewer.with_locked(names, reference=q) if names else fewer,
+        start=q,
+        joints={name: Follower(name) for name in behind_base(robot) if name not in names},
+        contacts={contact.name: Follower(contact.name) for contact in kept},
+    )
+    small = replace(made.small, reference=made.drop_q(robot.reference), given_length=robot.length)
+    return replace(made, small=small)
+
+
+def behind_base(robot: Robot) -> tuple[str, ...]:
+    """Names of all joints that are not part of the base."""
+    first = BASE_COORDINATES[robot.base]
+    return tuple(robot.model.names[j.id] for j in list(robot.model.joints)[1:] if j.idx_q >= first)

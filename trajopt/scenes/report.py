@@ -22,11 +22,14 @@ class ProblemSize:
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """One decision: ``what`` was left out (or kept, or offered) and ``why``.
+    """One decision about what a scene models.
 
-    kind: "exact", the optimum is the same; "choice", it may differ, by an amount to be measured; "kept",
-    modelled because it is needed; "offer", could be left out on request. saved: variables and rows, 0 where
-    the problem as built had none.
+    Args:
+        kind: "exact", the optimum is the same; "choice", it may differ, by an amount to be measured; "kept",
+            modelled because it is needed; "offer", could be left out on request.
+        what: was left out, kept or offered.
+        why: the reason.
+        saved: variables and rows, 0 where the problem as built had none.
     """
 
     kind: str

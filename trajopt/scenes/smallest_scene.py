@@ -21,10 +21,9 @@ from trajopt.problem.problem import Problem
 from trajopt.reduced.term_reader import TermReader
 from trajopt.scenes.facts import modelled, remarks
 from trajopt.scenes.lift import lift_solution
-from trajopt.scenes.lock import behind_base, lock_joints
 from trajopt.scenes.needs import KEPT_AS_ASKED, cleared_contacts, needed_joints, require_lockable
 from trajopt.scenes.plane import halve_robot, in_plane
-from trajopt.scenes.reduction import Reduction
+from trajopt.scenes.reduction import Reduction, behind_base, lock_joints
 from trajopt.scenes.report import CHOICE, EXACT, KEPT, Decision, ProblemSize, SceneReport
 from trajopt.scenes.soles import Soles, with_soles
 from trajopt.scenes.terms import reduced_problem
@@ -39,8 +38,12 @@ Plane = Literal["auto", True, False]
 class Scene:
     """A task and the smallest problem found for it.
 
-    original: the problem as built. problem: the reduced one, ready for ``trajopt.solve``. reduction: from the
-    whole robot to the one of ``problem``. report: every decision with its reason and what it saved.
+    Args:
+        original: the problem as built.
+        problem: the reduced one, ready for `trajopt.solve`.
+        reduction: from the whole robot to the one of ``problem``.
+        report: every decision with its reason and what it saved.
+        soles: surface contacts in place of corners, None without any.
     """
 
     original: Problem
@@ -55,8 +58,8 @@ class Scene:
         Its torques are those of the whole robot on this motion, locked joints' too, by inverse dynamics.
         """
         whole = self.original if self.soles is None else self.soles.problem
-        found = lift_solution(solution, whole, self.reduction)
-        return found if self.soles is None else self.soles.lift(found, self.original)
+        lifted = lift_solution(solution, whole, self.reduction)
+        return lifted if self.soles is None else self.soles.lift(lifted, self.original)
 
 
 @checked
@@ -115,7 +118,9 @@ class _Smallest:
         self.needs = needed_joints(self.whole, self.keep)
         require_lockable(self.whole, lock, self.keep)
         if self.refuses():
-            self.keep_whole()
+            self.decisions.append(Decision(kind=KEPT, what="the whole robot", why=self.refuses()))
+            if self.plane is True:
+                raise InputError(f"problem '{self.original.name}' cannot be halved: {self.refuses()}")
         else:
             self.drop_contacts()
             self.lock(lock)
@@ -136,11 +141,6 @@ class _Smallest:
         size = size_of(self.problem, *self.grid)
         self.decisions.append(Decision(kind=kind, what=what, why=why, saved=self.size.less(size)))
         self.size = size
-
-    def keep_whole(self) -> None:
-        self.decisions.append(Decision(kind=KEPT, what="the whole robot", why=self.refuses()))
-        if self.plane is True:
-            raise InputError(f"problem '{self.original.name}' cannot be halved: {self.refuses()}")
 
     def refuses(self) -> str:
         """Why the problem cannot be reduced, or an empty text."""
@@ -211,7 +211,7 @@ class _Smallest:
         except InputError as error:
             if self.plane is True:
                 raise
-            self.decisions.append(Decision(kind=KEPT, what="left and right apart", why=str(error)))
+            self.decisions.append(Decision(kind=KEPT, what="both sides", why=str(error)))
             return
         self.reduce(self.reduction.then(half))
         self.note(decision.kind, decision.what, decision.why)

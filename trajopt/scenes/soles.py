@@ -47,9 +47,9 @@ class Soles:
 
     def lift(self, solution: Solution, original: Problem) -> Solution:
         """The solution with forces on corners, as even as friction pyramids on them allow."""
-        robot, own = original.robot, self.problem.robot
-        model, data = own.model, own.model.createData()
-        names = [contact.name for contact in own.contacts]
+        robot, on_soles = original.robot, self.problem.robot
+        model, data = on_soles.model, on_soles.model.createData()
+        names = [contact.name for contact in on_soles.contacts]
         f = np.zeros((solution.n_samples, len(robot.contacts), 6))
         for k in np.flatnonzero(solution.collocation):
             pin.framesForwardKinematics(model, data, solution.q[k])
@@ -146,22 +146,22 @@ def _soles(problem: Problem) -> list[Sole]:
             by_joint.setdefault(joint, []).append(contact)
     data = model.createData()
     pin.framesForwardKinematics(model, data, problem.initial_q)
-    found = []
+    soles = []
     for joint, corners in by_joint.items():
         if joint > 0 and len(corners) == 4 and _together(problem, [c.name for c in corners]):
             sole = _sole(problem, data.oMi[joint], joint, corners)
             if sole is not None:
-                found.append(sole)
-    return found
+                soles.append(sole)
+    return soles
 
 
 def _named(problem: Problem, name: str) -> bool:
     """Whether a term names the contact, or a phase has a surface of its own for it."""
-    own = any(phase.own_surface(name) is not None for phase in problem.schedule.phases)
+    is_named = any(phase.own_surface(name) is not None for phase in problem.schedule.phases)
     for term in problem.terms:
         only = term.contacts if isinstance(term, ContactConstraint) else None
-        own = own or getattr(term, "contact", None) == name or (only is not None and name in only)
-    return own
+        is_named = is_named or getattr(term, "contact", None) == name or (only is not None and name in only)
+    return is_named
 
 
 def _together(problem: Problem, names: list[str]) -> bool:

@@ -42,15 +42,15 @@ def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -
 
     ``images`` are those of the contacts. The plane is y = initial_q[1], the heading the world's x.
     """
-    found = [_start(problem, mirror)]
+    asymmetries = [_start(problem, mirror)]
     for phase in problem.schedule.phases:
-        found.append(_contacts(problem, phase, images))
+        asymmetries.append(_contacts(problem, phase, images))
     groups: dict[tuple[object, ...], list[TermInstance]] = {}
     for instance in TermReader(problem).every():
         place = instance.node.index if instance.node is not None else instance.context.place
         groups.setdefault((instance.term.name, instance.phase, place), []).append(instance)
-    found += [_terms(problem, group, mirror, images) for group in groups.values()]
-    return max(found, key=lambda entry: entry.difference)
+    asymmetries += [_terms(problem, group, mirror, images) for group in groups.values()]
+    return max(asymmetries, key=lambda entry: entry.difference)
 
 
 def _refuse(what: str, difference: float) -> InputError:
@@ -87,16 +87,16 @@ def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Asymmetr
                 f"contact '{name}' of phase '{phase.name}' has no mirror image '{image}' there",
                 "contacts in pairs",
             )
-        own, other = (
+        surface, other = (
             phase.surface(entry, problem.terrain).plane_at(problem.initial_q[:3]) for entry in (name, image)
         )
-        point = REFLECTION * own.point + np.array([0.0, 2 * y0, 0.0])
+        point = REFLECTION * surface.point + np.array([0.0, 2 * y0, 0.0])
         apart = [
-            float(np.abs(REFLECTION * own.normal - other.normal).max()),
-            abs(own.friction - other.friction),
+            float(np.abs(REFLECTION * surface.normal - other.normal).max()),
+            abs(surface.friction - other.friction),
         ]
         apart.append(abs(float(other.distance(point))) / robot.length)
-        if own.bilateral != other.bilateral or not max(apart) <= TASK:
+        if surface.bilateral != other.bilateral or not max(apart) <= TASK:
             raise _refuse(f"the surface under '{name}' in phase '{phase.name}'", max(apart))
         worst = max(worst, *apart)
     return Asymmetry(worst, f"surfaces of phase '{phase.name}'")
@@ -113,8 +113,8 @@ def _terms(problem: Problem, group: list[TermInstance], mirror: Mirror, images: 
     for _ in range(STATES):
         inputs = _mirrored_inputs(problem, filled[0], mirror, images, generator)
         sides = [[np.array(function(z)).ravel() for function in functions] for z in inputs]
-        own, image = (_comparable(filled, values) for values in sides)
-        worst = max(worst, float((np.abs(own - image) / (1.0 + np.abs(own))).max()))
+        here, image = (_comparable(filled, values) for values in sides)
+        worst = max(worst, float((np.abs(here - image) / (1.0 + np.abs(here))).max()))
     uses_dynamics = any(instance.uses_dynamics for instance in filled)
     if not worst <= TASK + (PASSED_ON * mirror.asymmetry if uses_dynamics else 0.0):
         raise _refuse(where, worst)
@@ -152,9 +152,9 @@ def _mirrored_inputs(
     parts: list[np.ndarray] = []
     mirrored: list[np.ndarray] = []
     still = np.zeros(robot.nv)
-    for own, q_own in ((parts, q), (mirrored, mirrored_configuration(robot, mirror, q, y0))):
-        node = coordinates.node_from_pinocchio(q_own, still)
-        own.append(node[: len(node) - robot.nv])
+    for inputs, configuration in ((parts, q), (mirrored, mirrored_configuration(robot, mirror, q, y0))):
+        node = coordinates.node_from_pinocchio(configuration, still)
+        inputs.append(node[: len(node) - robot.nv])
     if context.place is not Place.NODE:
         _as_local(coordinates.additive_index, coordinates.n_rotations, robot.nv, parts)
         _as_local(coordinates.additive_index, coordinates.n_rotations, robot.nv, mirrored)
@@ -188,5 +188,5 @@ def _image_of(
 ) -> np.ndarray:
     """The wrench that a contact has in the mirror image: that of its partner, mirrored."""
     names = [entry.name for entry in problem.robot.contacts]
-    own = wrenches[names[images[names.index(contact.name)]]]
-    return np.asarray(TWIST[: len(own)] * own)
+    wrench = wrenches[names[images[names.index(contact.name)]]]
+    return np.asarray(TWIST[: len(wrench)] * wrench)

@@ -25,7 +25,7 @@ from trajopt.scenes.whole_terms import (
     WholeNodeRows,
     WholePointRows,
 )
-from trajopt.schedule.schedule import Motion, Phase, Schedule
+from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms.drives import DriveLimits
 from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity, ImpactDynamics
 from trajopt.terms.frames import FrameHeight, FramePose, FrameVelocity
@@ -47,26 +47,23 @@ UNCHANGED = (
 
 def reduced_problem(problem: Problem, reduction: Reduction) -> Problem:
     """Return the problem of the small robot, on the same schedule with the small robot's contacts."""
-    terms = [reduced_term(term, reduction) for term in problem.terms]
+    guess = problem.guess
+    made = (t.reduced(reduction) if hasattr(t, "reduced") else _reduced(t, reduction) for t in problem.terms)
     return replace(
         problem,
         robot=reduction.small,
         schedule=Schedule(tuple(_phase(phase, reduction) for phase in problem.schedule.phases)),
         initial_q=reduction.drop_q(problem.initial_q),
         initial_v=reduction.drop_v(problem.initial_v),
-        terms=tuple(term for term in terms if term is not None),
-        guess=_guess(problem.guess, reduction),
+        terms=tuple(term for term in made if term is not None),
+        guess=lambda t: reduction.drop_q(guess(t)),
     )
-
-
-def _guess(guess: Motion, reduction: Reduction) -> Motion:
-    return lambda t: reduction.drop_q(guess(t))
 
 
 def _phase(phase: Phase, reduction: Reduction) -> Phase:
     """Contacts of the small robot; their positions are in the plane of the start."""
-    own = [name for name in phase.contacts if not reduction.contacts[name].mirrored]
-    kept = {name: reduction.contacts[name].name for name in own}
+    left = [name for name in phase.contacts if not reduction.contacts[name].mirrored]
+    kept = {name: reduction.contacts[name].name for name in left}
     return replace(
         phase,
         contacts=tuple(kept.values()),
@@ -80,17 +77,9 @@ def _renamed(given: Mapping[str, _Value], kept: Mapping[str, str]) -> Mapping[st
     return MappingProxyType({kept[name]: value for name, value in given.items() if name in kept})
 
 
-def reduced_term(term: Term, reduction: Reduction) -> Term | None:
-    """Return the reduced term, or None if nothing is left of it."""
-    if hasattr(term, "reduced"):
-        made: Term | None = term.reduced(reduction)
-        return made
-    return _reduced(term, reduction)
-
-
 @singledispatch
 def _reduced(term: Term, reduction: Reduction) -> Term | None:
-    """A term of another kind, on the whole robot's motion."""
+    """The reduced term, or None if nothing is left of it; other kinds act on the whole robot's motion."""
     if isinstance(term, UNCHANGED):
         return term
     if isinstance(term, Cost):

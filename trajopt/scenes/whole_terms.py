@@ -1,5 +1,9 @@
 """Terms of a whole robot on the motion of its reduced robot.
 
+A cost keeps its meaning, its unit and its mean over all joints when it is evaluated on the whole robot's
+motion, which follows from the small one's (see `reduction`): `WholeView` is the whole robot as a function of
+the small one's symbols. Torques that hold locked joints are left out.
+
 `TerminalState` requires N^T D^-1 e = 0 of the error e, N the directions that contacts leave free. If the
 goal's contacts are not where the motion's are, its meaning depends on N. So a half requires the same of the
 whole robot's error: of its rows A = N^T D^-1 E, with E from the half's rates to the whole's, the left
@@ -10,26 +14,124 @@ leave free (`HalfEnd`).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.dynamics.base_joint import BASE_ROWS
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.reduced.term_reader import on_inputs
+from trajopt.robot.mirror import REFLECTION, TWIST
 from trajopt.robot.units import Units
 from trajopt.scenes.reduction import Reduction, whole_place
-from trajopt.scenes.view import WholeView
 from trajopt.terms.context import Context
-from trajopt.terms.context_symbols import Place
+from trajopt.terms.context_symbols import FrameSymbols, Place
 from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term
 from trajopt.terms.node_costs import NodeCost
 from trajopt.terms.node_interfaces import NodeConstraint, NodePlace
 from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions, guessed_posture
-from trajopt.transcription.robot_layers import robot_layers
 
 # Random points at which rows are compared, and the rounding difference of equal rows, natural units.
 SAMPLES = 3
 SAME = 1e-9
+
+
+class WholeView(Context):
+    """A context of the whole robot whose symbols are expressions in a context of the small one.
+
+    Rotations of the base are its present orientation, so that local coordinates are zero there. Torques of
+    drives are each image's share, zero at locked joints; wrenches and frames of images are mirrored.
+    Parameters and squares are those of the small robot's context.
+    """
+
+    def __init__(self, context: Context, reduction: Reduction) -> None:
+        self.small, self.reduction = context, reduction
+        active = {contact.name for contact in context.contacts}
+        followed = {name: f.name for name, f in reduction.contacts.items() if f.name in active}
+        super().__init__(
+            reduction.whole,
+            Coordinates(reduction.whole.model),
+            tuple(contact for contact in reduction.whole.contacts if contact.name in followed),
+            place=context.place,
+            actuation=context.actuation,
+            surfaces={name: context.surface(reduction.small.contact(f)) for name, f in followed.items()},
+        )
+        self.time_scale = context.time_scale
+        self.rotations, self.xi = self._configuration_of_start()
+        matrix = ca.DM(reduction.rates)
+        self._rates, self._highest = ca.mtimes(matrix, context._rates), ca.mtimes(matrix, context._highest)
+        self._parameters, self._values = context._parameters, context._values
+        self._squares = context._squares
+
+    def _configuration_of_start(self) -> tuple[ca.SX, ca.SX]:
+        small, reduction = self.small, self.reduction
+        node = self.coordinates.node_from_pinocchio(reduction.start, np.zeros(self.robot.nv))
+        n4 = 4 * self.coordinates.n_rotations
+        xi = ca.SX.zeros(self.robot.nv)
+        for row, index in enumerate(self.coordinates.additive_index):
+            xi[int(index)] = node[n4 + row]
+        for _, (of_whole, followed), sign in reduction.entries():
+            xi[of_whole] = sign * small.xi[followed]
+        if reduction.is_half:
+            half = small.xi[2] / 2
+            xi[0], xi[2] = small.xi[0], small.xi[1]
+            return ca.vertcat(0, -ca.sin(half), 0, ca.cos(half)), xi
+        n = BASE_ROWS[self.robot.base]
+        xi[:n] = small.xi[:n]
+        return self._rotations_of_start(node[:n4]), xi
+
+    def _rotations_of_start(self, start: np.ndarray) -> ca.SX:
+        """Rotations of the base and of spherical joints: the small robot's own, or locked at the start."""
+        names = [joint.name for joint in self.small.coordinates.joints if joint.rotation is not None]
+        parts = []
+        for row, joint in enumerate(j for j in self.coordinates.joints if j.rotation is not None):
+            if joint.name in names:
+                at = names.index(joint.name)
+                parts.append(self.small.rotations[4 * at : 4 * at + 4])
+            else:
+                parts.append(ca.SX(start[4 * row : 4 * row + 4]))
+        return ca.vertcat(*parts) if parts else ca.SX(0, 1)
+
+    @property
+    @override
+    def torque(self) -> ca.SX:
+        return ca.mtimes(ca.DM(self.reduction.shares), self.small.torque)
+
+    @property
+    @override
+    def generalized_forces(self) -> ca.SX:
+        forces, unactuated = self.small.generalized_forces, self.reduction.small.n_unactuated
+        base = ca.mtimes(ca.DM(self.reduction.rates[:, :unactuated]), forces[:unactuated])
+        joints = ca.mtimes(ca.DM(self.reduction.shares), forces[unactuated:])
+        return ca.vertcat(base[: self.robot.n_unactuated], joints)
+
+    @cached_property
+    @override
+    def wrenches(self) -> dict[str, ca.SX]:
+        if self.place is Place.NODE:
+            return {}
+        wrenches = {}
+        for contact in self.contacts:
+            follower = self.reduction.contacts[contact.name]
+            share = self.small.wrenches[follower.name] / self.reduction.contact_members(follower.name)
+            wrenches[contact.name] = ca.DM(TWIST[: share.numel()]) * share if follower.mirrored else share
+        return wrenches
+
+    @override
+    def frame(self, name: str) -> FrameSymbols:
+        frame = self.small.frame(name)
+        if name not in self.reduction.mirrored_frames:
+            return frame
+        mirror, twist = ca.DM(REFLECTION), ca.DM(TWIST)
+        return FrameSymbols(
+            ca.mtimes(ca.mtimes(ca.diag(mirror), frame.rotation), ca.diag(mirror)),
+            mirror * frame.position + ca.DM([0.0, 2 * self.reduction.y0, 0.0]),
+            twist * frame.velocity,
+            twist * frame.acceleration,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,8 +182,8 @@ class WholePointRows(_WholeTerm, PointConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        found = self.term.rows(WholeView(context, self.reduction), Units(self.reduction.whole))
-        return None if found is None else binding_rows(found, context)
+        rows = self.term.rows(WholeView(context, self.reduction), Units(self.reduction.whole))
+        return None if rows is None else binding_rows(rows, context)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,8 +198,8 @@ class WholeNodeCost(_WholeTerm, NodeCost):
 
     @override
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
-        view, own = WholeView(context, self.reduction), Units(self.reduction.whole)
-        return self.term.quantity(view, own, whole_place(place, self.reduction))
+        view, units_of_whole = WholeView(context, self.reduction), Units(self.reduction.whole)
+        return self.term.quantity(view, units_of_whole, whole_place(place, self.reduction))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,8 +217,8 @@ class WholeNodeRows(_WholeTerm, NodeConstraint):
         return binding_rows(self._whole_rows(context, place), context)
 
     def _whole_rows(self, context: Context, place: NodePlace) -> Rows:
-        view, own = WholeView(context, self.reduction), Units(self.reduction.whole)
-        return self.term.rows(view, own, whole_place(place, self.reduction))
+        view, units = WholeView(context, self.reduction), Units(self.reduction.whole)
+        return self.term.rows(view, units, whole_place(place, self.reduction))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,10 +256,10 @@ def binding_rows(rows: Rows, context: Context) -> Rows:
     lower, upper = rows.lower / rows.unit, rows.upper / rows.unit
     chosen: list[int] = []
     for i in range(len(lower)):
-        own = np.array([sample[i] for sample in sampled])
-        fixed = np.abs(own[:, 1:]).max(initial=0.0) < SAME and lower[i] - SAME <= own[0, 0] <= upper[i] + SAME
+        row = np.array([sample[i] for sample in sampled])
+        fixed = np.abs(row[:, 1:]).max(initial=0.0) < SAME and lower[i] - SAME <= row[0, 0] <= upper[i] + SAME
         repeated = any(
-            np.abs(own - [sample[j] for sample in sampled]).max() < SAME
+            np.abs(row - [sample[j] for sample in sampled]).max() < SAME
             and (lower[i], upper[i]) == (lower[j], upper[j])
             for j in chosen
         )
@@ -168,13 +270,8 @@ def binding_rows(rows: Rows, context: Context) -> Rows:
 
 def _values_and_gradients(expression: ca.SX, context: Context) -> ca.Function:
     """Function z -> (n, 1 + n_z) of values and gradients of rows at the parameters' present values."""
-    o, layers = robot_layers(context, expression)
-    terms = ca.Function("terms", [context.z, o, context.parameters], [expression])
-    z = value = ca.SX.sym("z", context.z.numel())
-    for layer in layers:
-        value = layer(value)
-    found = terms(z, value if layers else ca.SX(0, 1), ca.DM(context.parameter_values))
-    return ca.Function("rows", [z], [ca.densify(ca.horzcat(found, ca.jacobian(found, z)))])
+    z, (values,) = on_inputs(context, expression, [context.parameter_values])
+    return ca.Function("rows", [z], [ca.densify(ca.horzcat(values, ca.jacobian(values, z)))])
 
 
 def _random_inputs(context: Context, generator: np.random.Generator) -> np.ndarray:

@@ -66,10 +66,10 @@ def transition(
         stances, begin = _from_standing(stances)
     if rest is not None:
         stances, end = _to_standing(stances, float(cycles))
-    for own in stances:
-        if own.times == ((-math.inf, math.inf),) and gait.duty_of(own.foot) < 1:
+    for each in stances:
+        if each.times == ((-math.inf, math.inf),) and gait.duty_of(each.foot) < 1:
             raise InputError(
-                f"{cycles} cycles of gait '{gait.name}' never lift '{own.foot}'", "allowed: more cycles"
+                f"{cycles} cycles of gait '{gait.name}' never lift '{each.foot}'", "allowed: more cycles"
             )
     window = (
         begin - (0.0 if stand is None else stand / period),
@@ -95,30 +95,30 @@ def _stances(gait: Gait, foot: str, origin: float, cycles: int) -> _Stances:
 
 def _from_standing(stances: list[_Stances]) -> tuple[list[_Stances], float]:
     """Every foot stands until its first lift-off from time 0 on; the time of the earliest of these."""
-    found, first = [], math.inf
-    for own in stances:
-        later = [times for times in own.times if times[1] > -SIMULTANEOUS]
-        found.append(_Stances(own.foot, ((-math.inf, later[0][1]), *later[1:])))
+    standing, first = [], math.inf
+    for each in stances:
+        later = [times for times in each.times if times[1] > -SIMULTANEOUS]
+        standing.append(_Stances(each.foot, ((-math.inf, later[0][1]), *later[1:])))
         first = min(first, later[0][1])
-    return found, first
+    return standing, first
 
 
 def _to_standing(stances: list[_Stances], end: float) -> tuple[list[_Stances], float]:
     """Every foot stands from its last touchdown before ``end`` on; the time of the latest of these."""
-    found, last = [], -math.inf
-    for own in stances:
-        earlier = [times for times in own.times if times[0] < end + SIMULTANEOUS]
-        found.append(_Stances(own.foot, (*earlier[:-1], (earlier[-1][0], math.inf))))
+    standing, last = [], -math.inf
+    for each in stances:
+        earlier = [times for times in each.times if times[0] < end + SIMULTANEOUS]
+        standing.append(_Stances(each.foot, (*earlier[:-1], (earlier[-1][0], math.inf))))
         last = max(last, earlier[-1][0])
-    return found, last
+    return standing, last
 
 
 def _supports(stances: list[_Stances], window: tuple[float, float]) -> list[SupportPhase]:
     """Supports within a window of time, in periods."""
     inside = sorted(
         time
-        for own in stances
-        for stance in own.times
+        for each in stances
+        for stance in each.times
         for time in stance
         if window[0] + SIMULTANEOUS < time < window[1] - SIMULTANEOUS
     )
@@ -126,8 +126,8 @@ def _supports(stances: list[_Stances], window: tuple[float, float]) -> list[Supp
     for time in (*inside, window[1]):
         if time - merged[-1] > SIMULTANEOUS:
             merged.append(time)
-    found = []
+    supports = []
     for now, then in pairwise(merged):
-        feet = tuple(own.foot for own in stances if own.stands((now + then) / 2))
-        found.append(SupportPhase(now, then - now, feet))
-    return found
+        feet = tuple(each.foot for each in stances if each.stands((now + then) / 2))
+        supports.append(SupportPhase(now, then - now, feet))
+    return supports

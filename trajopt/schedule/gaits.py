@@ -124,7 +124,7 @@ class Gait:
         """
         begin = self.offsets[self.first(start)]
         events = self._events(begin)
-        found = []
+        supports = []
         for now, then in zip(events, [*events[1:], 1.0], strict=True):
             middle = begin + (now + then) / 2
             feet = tuple(foot for foot in self.feet if self.stands(foot, middle))
@@ -133,8 +133,8 @@ class Gait:
                     f"gait '{self.name}' has a support of {then - now:.2g} of its period",
                     f"allowed: at least {SHORTEST:g}",
                 )
-            found.append(SupportPhase(now, then - now, feet))
-        return tuple(found)
+            supports.append(SupportPhase(now, then - now, feet))
+        return tuple(supports)
 
     def first(self, start: str | None = None) -> str:
         """The foot whose touchdown begins the period: ``start``, or the default of `supports`."""
@@ -242,7 +242,8 @@ def phases_of(
     counts: Counter[str] = Counter()
     phases = []
     for support in supports:
-        kind = support_name(len(support.feet))
+        feet = len(support.feet)
+        kind = SUPPORTS[feet] if feet < len(SUPPORTS) else f"support{feet}"
         counts[kind] += 1
         duration = support.part * period
         phases.append(
@@ -254,8 +255,3 @@ def phases_of(
             )
         )
     return tuple(phases)
-
-
-def support_name(feet: int) -> str:
-    """Word for a support on that many feet: flight, single, double, ..., support5."""
-    return SUPPORTS[feet] if feet < len(SUPPORTS) else f"support{feet}"

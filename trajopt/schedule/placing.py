@@ -1,7 +1,8 @@
-"""Footholds: those of a posture, and a schedule's placed on terrain or left free on the faces under them."""
+"""Footholds: those of a posture, those of a schedule on terrain; whether contacts have ground under them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,28 +16,33 @@ from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.terrain import Terrain
 
 
 @checked
 def footholds_at(robot: Robot, q: np.ndarray, terrain: Terrain | None = None) -> dict[str, np.ndarray]:
-    """Points (3,) of the ground that contacts touch at ``q`` (nq,), world, m, by the contact's name.
+    """Points of the ground that contacts touch at a configuration.
 
-    The frame's origin, moved against the ground's normal by the contact's radius. ``terrain``: default level
-    ground; over a hole the normal is up.
+    The frame's origin, moved against the ground's normal by the contact's radius; over a hole the normal is
+    up.
+
+    Args:
+        robot: the robot.
+        q: configuration (nq,).
+        terrain: the ground, default level.
+
+    Returns:
+        Points (3,), world, m, by the contact's name.
     """
     ground = FlatGround() if terrain is None else terrain
-    found = {}
+    footholds = {}
     for name, place in contact_positions(robot, q).items():
         radius = robot.contact(name).radius
-        found[name] = place - radius * _normal_under(ground.offset(radius), place)
-    return found
-
-
-def _normal_under(terrain: Terrain, place: np.ndarray) -> np.ndarray:
-    if isinstance(terrain, FlatGround):
-        return terrain.surface.normal
-    return terrain.normal(place[0], place[1])
+        level = ground.offset(radius)
+        normal = np.array(level.normal) if isinstance(level, FlatGround) else level.normal(*place[:2])
+        footholds[name] = place - radius * normal
+    return footholds
 
 
 @checked
@@ -95,3 +101,33 @@ def landing_place(phase: Phase, contact: Contact, terrain: Terrain, point: np.nd
         return np.asarray(phase.patches[contact.name].offset(contact.radius).nearest(point))
     surface = phase.surface(contact.name, terrain, contact.radius).plane_at(point)
     return np.asarray(point - float(surface.distance(point)) * surface.normal)
+
+
+def require_standing(
+    robot: Robot, schedule: Schedule, terrain: Terrain, starts: Mapping[str, np.ndarray]
+) -> None:
+    """Raise `InputError` for a contact on piecewise or smooth ground that has no place to stand.
+
+    ``starts`` (3,) m are points of the ground under contacts at the start, by name; none where the start is
+    free. On piecewise ground a contact that lands needs a patch, a surface or a foothold; soles cannot stand
+    on curved ground.
+    """
+    if isinstance(terrain, FlatGround):
+        return
+    for index, phase in enumerate(schedule.phases):
+        for name in phase.contacts:
+            if phase.own_surface(name) is not None:
+                continue
+            if isinstance(terrain, SmoothTerrain) and robot.contact(name).kind == "surface":
+                raise InputError(
+                    f"sole '{name}' stands on curved ground in phase '{phase.name}'",
+                    "allowed: point contacts there, or a plane surface or patch for the sole",
+                )
+            if schedule.beginning(name, index) == 0 and name in starts:
+                terrain.surface_at(starts[name])  # raises over a hole
+            lands = name in schedule.new_contacts(index)
+            if name not in phase.footholds and lands and isinstance(terrain, PiecewiseTerrain):
+                raise InputError(
+                    f"'{name}' lands in phase '{phase.name}', but the terrain has {len(terrain.faces)} faces",
+                    "allowed: a patch, a surface or a foothold for it in that phase",
+                )

@@ -191,7 +191,7 @@ class Schedule:
     def time_scales(self) -> tuple[int | None, ...]:
         """Index of the time scale of every phase of free duration, None for the others."""
         free = [phase.duration_bounds is not None for phase in self.phases]
-        return tuple(sum(free[:i]) if own else None for i, own in enumerate(free))
+        return tuple(sum(free[:i]) if is_free else None for i, is_free in enumerate(free))
 
     def surface(
         self,
@@ -213,8 +213,8 @@ class Schedule:
                 none of these.
             radius: of the contact, m; with it, the parallel surface on which its centre lies.
         """
-        own, patch = self.phases[index].own_surface(contact), self.patch(index, contact)
-        ground: Ground | None = own if own is not None or patch is None else patch.surface
+        stated, patch = self.phases[index].own_surface(contact), self.patch(index, contact)
+        ground: Ground | None = stated if stated is not None or patch is None else patch.surface
         if ground is None:
             begins = self.beginning(contact, index)
             place = self.phases[begins].footholds.get(contact, None if begins else starts.get(contact))
@@ -240,7 +240,9 @@ class Schedule:
                         f"'{name}' is in contact in phases '{before.name}' and '{after.name}' on two planes",
                         "allowed: the same plane, or a phase between them without the contact",
                     )
-                if not _same_patch(self.patch(index, name), after.patches.get(name)):
+                patch, named = self.patch(index, name), after.patches.get(name)
+                same = patch is not None and named is not None and patch.describe() == named.describe()
+                if not (named is None or named is patch or same):
                     raise InputError(
                         f"'{name}' is in contact in phases '{before.name}' and '{after.name}' on two patches",
                         "allowed: the patch on which it landed, or none named again",
@@ -280,10 +282,3 @@ class Schedule:
             spare = np.where(counts > 1, counts / ideal, -np.inf)
             counts[np.argmax(spare)] -= 1
         return tuple(int(count) for count in counts)
-
-
-def _same_patch(before: Patch | None, named: Patch | None) -> bool:
-    """Whether a patch stated again is the one before; stating none is always right."""
-    if named is None or named is before:
-        return True
-    return before is not None and before.describe() == named.describe()

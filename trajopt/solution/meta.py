@@ -276,9 +276,7 @@ def _phase_names(meta: Mapping[str, Any], n_phases: int) -> tuple[str, ...]:
     if names is None:
         return tuple(f"phase {number}" for number in range(n_phases))
     texts = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    _require(
-        texts and len(names) == n_phases, "phase_names", f"a list of {n_phases} texts, one for each phase"
-    )
+    _require(texts, "phase_names", "a list of texts, one for each phase")
     return tuple(names)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,6 +13,8 @@ from trajopt.errors import InputError, expanded
 
 ALLOWED = "allowed: a file in an existing folder that can be written"
 ALLOWED_FOLDER = "allowed: a new name in an existing folder that can be written"
+# Bits of a file's mode that allow writing.
+WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 # First bytes of solution files.
 ARCHIVE = b"PK"
 
@@ -98,12 +101,15 @@ def check_folder(target: Path, marker: str) -> Path:
 
 
 def _require_file(target: Path) -> None:
-    """Raise `InputError` where something other than a file has that path."""
+    """Raise `InputError` where something other than a file, or one that may not be written, has that path."""
     with contextlib.suppress(OSError):  # such as a name that is too long, which writing reports
         if target.is_dir():
             raise InputError(f"cannot write {target}: it is a folder", ALLOWED)
         if target.exists() and not target.is_file():
             raise InputError(f"cannot write {target}: it is not a regular file", ALLOWED)
+        # An administrator may write any file: the mode counts, too.
+        if target.exists() and not (os.access(target, os.W_OK) and target.stat().st_mode & WRITABLE):
+            raise InputError(f"cannot write {target}: it is write-protected", ALLOWED)
 
 
 def check_apart(targets: Sequence[Path | None], sources: Sequence[Path]) -> None:

@@ -77,8 +77,8 @@ class ConvexifiedHessian:
             dense[blocks.at] = hessian[blocks.entries]
             value, vectors = np.linalg.eigh(dense)  # reads the lower triangle alone
             value = np.maximum(value, (1 - share) * value)
-            found = (vectors * value[:, None, :]) @ vectors.transpose(0, 2, 1)
-            parts.append(found[:, blocks.lower[0], blocks.lower[1]].ravel())
+            positive = (vectors * value[:, None, :]) @ vectors.transpose(0, 2, 1)
+            parts.append(positive[:, blocks.lower[0], blocks.lower[1]].ravel())
         return np.concatenate(parts)
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from trajopt import _engine
-from trajopt.solvers.drivers import IPOPT_OPTIONS
+from trajopt.solvers.ipopt import IPOPT_OPTIONS
 from trajopt.solvers.result import LEAST_TIME, Callback, Option
 from trajopt.transcription.nlp import Nlp
 

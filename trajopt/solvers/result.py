@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +18,10 @@ Option = str | int | float
 # solver does not give them), to be called before the callback returns. False stops at the iterate.
 Callback = Callable[[dict[str, float], Callable[[], np.ndarray]], bool]
 
-# IPOPT gets a tighter tolerance on rows than on optimality, so that a solution passes a check at its
-# tolerance. FATROP stalls at that, which is at the limit of its linear algebra's accuracy.
-FEASIBILITY_SHARE = 0.1
+# Figures with the same name in the engine's outcome of a solve and in the result.
+SAME_NAMES = (
+    "x", "lam_g", "lam_x", "iterations", "wall_time", "function_time", "primal", "dual", "complementarity",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +47,12 @@ class Result:
     complementarity: float = math.nan
     figures: Mapping[str, float] = field(default_factory=dict)
 
+    @classmethod
+    def from_engine(cls, raw: Mapping[str, Any], status: Status) -> Result:
+        """The result of a solve by the engine, as it returns it, with what its status means."""
+        same = {name: raw[name] for name in SAME_NAMES}
+        return cls(status=status, solver_status=raw["status"], objective=raw["f"], **same)
+
 
 @dataclass(frozen=True, kw_only=True)
 class WarmMultipliers:
@@ -56,11 +64,20 @@ class WarmMultipliers:
 
 @dataclass(frozen=True, kw_only=True)
 class StoppingCriteria:
-    """When a solver stops: optimality and feasibility ``tolerance`` in scaled units, iterations, s."""
+    """When a solver stops: ``tolerance`` of optimality in scaled units, iterations, s.
+
+    feasibility_share: the tolerance on rows as a fraction of it, see `Solver`.
+    """
 
     tolerance: float = 1e-6
     max_iterations: int = 500
     max_time: float = 600.0
+    feasibility_share: float = 1.0
+
+    @property
+    def feasibility(self) -> float:
+        """Largest violation of a row, scaled units."""
+        return self.feasibility_share * self.tolerance
 
     def left(self, iterations: int, seconds: float) -> StoppingCriteria:
         """What is left of the limits after so much; never no time at all, which solvers refuse."""

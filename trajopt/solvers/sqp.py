@@ -185,8 +185,8 @@ class Sqp:
         if self.convexity.share == 0:
             return self._timed(partial(self.qp.solve, q, self.delta, self._accuracy()))
         known, qp = self._convex
-        own = replace(q, hessian=known.values(q.hessian, self.convexity.share))
-        return self._timed(partial(qp.solve, own, max(self.delta, CONVEX_DELTA), self._accuracy()))
+        convex = replace(q, hessian=known.values(q.hessian, self.convexity.share))
+        return self._timed(partial(qp.solve, convex, max(self.delta, CONVEX_DELTA), self._accuracy()))
 
     @cached_property
     def _convex(self) -> tuple[ConvexifiedHessian, StageQp]:
@@ -222,10 +222,10 @@ class Sqp:
         Rows have their values at the end of the first direction. After a rejected correction none is tried
         until a full step is accepted: far from a solution they seldom help.
         """
-        found = self._program(self.evaluator.corrected_program(self.point, q, step.d))
-        x = self.evaluator.inside(self.point.x + found.d)
-        if found.solved and self.filter.takes(self.point.pair, self.evaluator.pair(x), slope, 1.0):
-            return self._taken(x, found, slope, 1.0, 2)
+        step_found = self._program(self.evaluator.corrected_program(self.point, q, step.d))
+        x = self.evaluator.inside(self.point.x + step_found.d)
+        if step_found.solved and self.filter.takes(self.point.pair, self.evaluator.pair(x), slope, 1.0):
+            return self._taken(x, step_found, slope, 1.0, 2)
         self.correcting = False
         return None
 

@@ -43,24 +43,24 @@ def solve_sqp(
     if warm is not None and warm.lam_g is not None and warm.lam_x is not None:
         lam_g, lam_x = warm.lam_g, warm.lam_x
     begun, before = time.perf_counter(), _function_seconds(nlp)
-    found = Sqp(nlp, settings, callback).run(x0, lam_g, lam_x)
+    outcome = Sqp(nlp, settings, callback).run(x0, lam_g, lam_x)
     return Result(
-        x=found.point.x,
-        lam_g=found.point.lam_g,
-        lam_x=found.point.lam_x,
-        status=_SQP_STATUS[found.status],
-        solver_status=found.status,
-        iterations=found.iterations,
-        objective=found.point.pair.f,
+        x=outcome.point.x,
+        lam_g=outcome.point.lam_g,
+        lam_x=outcome.point.lam_x,
+        status=_SQP_STATUS[outcome.status],
+        solver_status=outcome.status,
+        iterations=outcome.iterations,
+        objective=outcome.point.pair.f,
         wall_time=time.perf_counter() - begun,
         function_time=_function_seconds(nlp) - before,
-        primal=found.errors.primal,
-        dual=found.errors.dual,
-        complementarity=found.errors.complementarity,
+        primal=outcome.errors.primal,
+        dual=outcome.errors.dual,
+        complementarity=outcome.errors.complementarity,
         figures={
-            "quadratic_programs": found.programs,
-            "quadratic_program_iterations": found.program_iterations,
-            "quadratic_program_time_s": found.program_time,
+            "quadratic_programs": outcome.programs,
+            "quadratic_program_iterations": outcome.program_iterations,
+            "quadratic_program_time_s": outcome.program_time,
         },
     )
 

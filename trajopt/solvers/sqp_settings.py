@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from trajopt.errors import is_number
-from trajopt.solvers.result import FEASIBILITY_SHARE, StoppingCriteria
+from trajopt.solvers.result import StoppingCriteria
 
 # Options with what they allow; whole numbers count as numbers.
 ALLOWED = {
@@ -46,7 +46,7 @@ class SqpSettings:
         given = {name: value for name, value in options.items() if isinstance(value, int | float)}
         return cls(
             tolerance=stop.tolerance,
-            feasibility=FEASIBILITY_SHARE * stop.tolerance,
+            feasibility=stop.feasibility,
             max_iterations=min(stop.max_iterations, int(given.get("max_sqp", stop.max_iterations))),
             max_time=stop.max_time,
             early=given.get("early"),

@@ -54,7 +54,7 @@ def solve_within(problem: Problem, budget: Positive, **settings: Any) -> Graded:
             first=made.solution,
             exchange=made.exchange,
             accuracy=GAIN * made.error,
-            max_time=left + made.solution.meta["wall_time_s"],  # that of the first round counts, too
+            max_time=left + made.solution.statistics.wall_time_s,  # that of the first round counts, too
         )
         rounds += finer.rounds[1:]
         if not finer.solution.success or finer.error >= made.error:
@@ -62,5 +62,5 @@ def solve_within(problem: Problem, budget: Positive, **settings: Any) -> Graded:
             break
         made = finer
     made = replace(made, rounds=rounds, why=why, target=None)
-    meta = {**made.solution.meta, "graded": {**made.to_dict(), "error_m": made.error}}
-    return replace(made, solution=replace(made.solution, meta=meta))
+    graded = replace(made.statistics, error_m=made.error)
+    return replace(made, solution=made.solution.with_statistics(graded=graded))

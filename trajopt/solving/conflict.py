@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from trajopt.solvers.elastic import CLEAR, ElasticPoint
 from trajopt.transcription.names import NlpNames, Site
@@ -52,23 +51,16 @@ def rows_of_motion(t: Transcription) -> np.ndarray:
     return np.isin(t.rows.block, [i for i, name in enumerate(t.rows.names) if name in MOTION])
 
 
-def why_infeasible(nlp: Nlp, found: ElasticPoint) -> str:
+def why_infeasible(nlp: Nlp, point: ElasticPoint) -> str:
     """In one line: what is missed at a point of least violation, where, and what stands against it."""
     t = nlp.transcription
-
-    def slopes(row: int) -> tuple[np.ndarray, np.ndarray]:
-        own = slice(jacobian.indptr[row], jacobian.indptr[row + 1])
-        return jacobian.indices[own], jacobian.data[own]
-
-    values = np.asarray(nlp.engine.jacobian(found.x))
-    jacobian = sparse.csr_matrix((values, (nlp.row, nlp.column)), shape=(t.n_rows, len(found.x)))
-    names = NlpNames(t, t.layout.times(found.x * t.scale), slopes)
-    give = np.where(found.gives > min(CLEAR, found.gives.max()), found.gives, 0.0)
+    names = NlpNames(nlp, point.x)
+    give = np.where(point.gives > min(CLEAR, point.gives.max()), point.gives, 0.0)
     giving = "; ".join(map(str, members_giving(names, give)[:IN_A_LINE]))
     limits = np.concatenate(
         [t.lower_g < t.upper_g, t.lower_x < t.upper_x]
     )  # goals only pass on what they ask
-    members = members_against(names, give, np.where(limits, found.weights, 0.0))[:IN_A_LINE]
+    members = members_against(names, give, np.where(limits, point.weights, 0.0))[:IN_A_LINE]
     against = " and ".join(f"{one.what} at {one.place}" for one in members)
     return f"{giving}; against it stand {against}" if against else giving
 
@@ -90,13 +82,13 @@ def members_against(names: NlpNames, give: np.ndarray, weights: np.ndarray) -> t
     give: as in `members_giving`. weights (n_rows + n_unknowns,): multipliers of rows, then of bounds.
     """
     giving = {names.block(row) for row in np.flatnonzero(give).tolist()}
-    found: dict[tuple[str, str], list[tuple[float, Site]]] = {}
+    entries_of: dict[tuple[str, str], list[tuple[float, Site]]] = {}
     for index in np.flatnonzero(np.abs(weights) > NOISE).tolist():
         if names.block(index) not in (*MOTION, *giving):
             name = names.row(index)
             key = (name.what, names.phase(name.site.stage))
-            found.setdefault(key, []).append((abs(float(weights[index])), name.site))
-    sums = {key: sum(weight for weight, _ in entries) for key, entries in found.items()}
+            entries_of.setdefault(key, []).append((abs(float(weights[index])), name.site))
+    sums = {key: sum(weight for weight, _ in entries) for key, entries in entries_of.items()}
     largest = max(sums.values(), default=0.0)
     order = sorted((key for key in sums if sums[key] > PART * largest), key=lambda key: -sums[key])
     return tuple(
@@ -105,7 +97,7 @@ def members_against(names: NlpNames, give: np.ndarray, weights: np.ndarray) -> t
             phase=phase,
             amount=0.0,
             weight=sums[what, phase],
-            place=names.place(max(found[what, phase], key=lambda entry: entry[0])[1]),
+            place=names.place(max(entries_of[what, phase], key=lambda entry: entry[0])[1]),
         )
         for what, phase in order[:NAMED]
     )

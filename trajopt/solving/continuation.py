@@ -12,7 +12,6 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.graded import solve_graded
 from trajopt.solving.ladder import FROM_DEFAULT_GUESS, GridLevel, solve_figures, total_effort
 from trajopt.solving.rounds import Graded
@@ -42,8 +41,8 @@ class ContinuationStep:
     def to_dict(self) -> dict[str, Any]:
         """The step's figures."""
         cold = None if self.cold is None else solve_figures(self.cold)
-        own = {"value": self.value, "origin": self.origin, "asked": self.asked}
-        return {**own, **solve_figures(self.solution), "warm_start": self.warm, "cold": cold}
+        step = {"value": self.value, "origin": self.origin, "asked": self.asked}
+        return {**step, **solve_figures(self.solution), "warm_start": self.warm, "cold": cold}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +70,7 @@ class Continuation:
     def to_dict(self) -> dict[str, Any]:
         """Steps, their totals (all solves), and the totals from default guesses where compared."""
         cold = [step.cold for step in self.steps if step.cold is not None]
-        found: dict[str, Any] = {
+        record: dict[str, Any] = {
             "values": list(self.values),
             "success": self.success,
             "steps": [step.to_dict() for step in self.steps],
@@ -79,12 +78,11 @@ class Continuation:
             "cold": total_effort(cold) if cold else None,
         }
         if cold:
-            found["cold_solved"] = sum(solution.converged for solution in cold)
-            found["saved"] = {key: found["cold"][key] - value for key, value in found["total"].items()}
-        return found
+            record["cold_solved"] = sum(solution.converged for solution in cold)
+            record["saved"] = {key: record["cold"][key] - value for key, value in record["total"].items()}
+        return record
 
 
-@accepts_compile
 @checked
 def continuation(
     load: Callable[[float], Problem],

@@ -100,10 +100,10 @@ class Exchange:
         """The same pairs, moments and corners of links for a problem with other parameters."""
         made = Exchange(problem, beyond_feet=self.beyond_feet)
         known = set(made.bodies.pairs)
-        made.moments.update({pair: set(own) for pair, own in self.moments.items() if pair in known})
+        made.moments.update({pair: set(moments) for pair, moments in self.moments.items() if pair in known})
         made.corners |= {
-            (pair, moment, frame, body): own
-            for (pair, moment, frame, body), own in self.corners.items()
+            (pair, moment, frame, body): corners
+            for (pair, moment, frame, body), corners in self.corners.items()
             if pair in known and frame is not None
         }
         return made
@@ -126,7 +126,7 @@ class Exchange:
     def missing(self, look: Look) -> tuple[ShapePair, ...]:
         """Pairs that are too near somewhere."""
         short = (look.distances - self._least).min(axis=0, initial=np.inf)
-        return tuple(pair for pair, own in zip(self.bodies.pairs, short, strict=True) if own < 0)
+        return tuple(pair for pair, distance in zip(self.bodies.pairs, short, strict=True) if distance < 0)
 
     def depth(self, look: Look) -> float:
         """By how much the worst pair is too near, m; zero if none is."""
@@ -139,11 +139,11 @@ class Exchange:
         short = look.distances - self.bodies.margins
         for column, pair in enumerate(self.bodies.pairs):
             if pair in wanted:
-                own = short[:, column]
+                distances = short[:, column]
                 missed = look.distances[:, column] < self._least[column]
-                self.lacking[pair] = max(self.lacking[pair], -float(own.min()))
+                self.lacking[pair] = max(self.lacking[pair], -float(distances.min()))
                 band = np.clip(REACH * self.lacking[pair], LEAST_BAND * length, self.band)
-                near = (own < band) & look.regular | missed & _least_around(own)
+                near = (distances < band) & look.regular | missed & _least_around(distances)
                 self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
         return sum(map(len, self.moments.values())) > before
 
@@ -166,10 +166,10 @@ class Exchange:
                 during=self.problem.schedule.names[phase],
                 frame=frame,
                 body=body,
-                fractions=np.repeat([f for f, _ in own], [len(plane.corners) for _, plane in own]),
-                parameters=np.concatenate([plane.parameters for _, plane in own]),
+                fractions=np.repeat([f for f, _ in members], [len(plane.corners) for _, plane in members]),
+                parameters=np.concatenate([plane.parameters for _, plane in members]),
             )
-            for (phase, frame, body), own in groups.items()
+            for (phase, frame, body), members in groups.items()
         ]
         return replace(self.problem, terms=(*self.problem.terms, *terms))
 
@@ -217,10 +217,10 @@ class Exchange:
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
         feet: list[PlacedBody | None] = [None] * len(wanted)
         if self.beyond_feet:
-            poses = [contact_poses(self.problem.robot, own) for own in q]
+            poses = [contact_poses(self.problem.robot, row) for row in q]
             feet = [self._feet(pair, poses[number]) for number, pair in wanted]
-        found = self.bodies.planes(q, wanted, self.band, feet)
-        for (pair, moment), planes in zip(pairs, found, strict=True):
+        laid = self.bodies.planes(q, wanted, self.band, feet)
+        for (pair, moment), planes in zip(pairs, laid, strict=True):
             for plane in planes:
                 key = (pair, moment, plane.frame, plane.body)
                 kept = plane.with_corners(self.corners.get(key, plane.corners))
@@ -235,12 +235,12 @@ class Exchange:
     def _standing(self) -> np.ndarray:
         """Which pairs (n_phases, n_pairs) are of a foot with the ground on which its contact holds it."""
         bodies, phases = self.bodies, self.problem.schedule.phases
-        found = np.zeros((len(phases), len(bodies.pairs)), dtype=bool)
+        standing = np.zeros((len(phases), len(bodies.pairs)), dtype=bool)
         shapes = {shape.name: shape for shape in bodies.scene.shapes}
         for column, (first, _) in enumerate(bodies.pairs[: bodies.scene.n_ground]):
             names = {c.name for c in self._contacts[first] if bodies.is_foot(shapes[first], c)}
-            found[:, column] = [not names.isdisjoint(phase.contacts) for phase in phases]
-        return found
+            standing[:, column] = [not names.isdisjoint(phase.contacts) for phase in phases]
+        return standing
 
     def _feet(self, pair: ShapePair, poses: Mapping[str, pin.SE3]) -> PlacedBody | None:
         """The contacts of the first link of a pair, as points in the world."""
@@ -266,18 +266,18 @@ def _moments_to_look_at(
     """
     numbers, fractions, regular = [], [], []
     for number in range(plan.n_intervals):
-        own = np.unique(np.round([0.0, *collocation_fractions(plan.arrays, number)[1], 1.0], DIGITS))
+        looked_at = np.unique(np.round([0.0, *collocation_fractions(plan.arrays, number)[1], 1.0], DIGITS))
         start, end = plan.interval_t[number]
         travel = (end - start) * float((np.abs(plan.v[plan.intervals[number]]) / units).max())
         looks = max(LOOKS, math.ceil(travel / LOOK_STEP))
         further = [(time - start) / (end - start) for time in times if start < time < end]
         evenly = np.linspace(0.0, 1.0, looks + 2)
-        every = np.unique(np.round(np.concatenate([own, evenly, further]), DIGITS))
+        every = np.unique(np.round(np.concatenate([looked_at, evenly, further]), DIGITS))
         if number < plan.n_intervals - 1:
             every = every[every < 1.0]
         numbers.append(np.full(len(every), number))
         fractions.append(every)
-        regular.append(np.isin(every, own))
+        regular.append(np.isin(every, looked_at))
     return np.concatenate(numbers), np.concatenate(fractions), np.concatenate(regular)
 
 

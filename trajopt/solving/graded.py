@@ -18,7 +18,6 @@ from trajopt.errors import InputError, require_positive
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.solution.solution import Solution
-from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.refinement import USUAL_SCHEME, Refinement
 from trajopt.solving.rounds import Graded, Round
@@ -60,7 +59,6 @@ def tolerance_for(accuracy: float, length: float) -> float:
     return float(np.clip(TOLERANCE_SHARE * accuracy / length, LEAST_TOLERANCE, USUAL_TOLERANCE))
 
 
-@accepts_compile
 @checked
 def solve(
     problem: Problem,
@@ -101,7 +99,6 @@ def solve(
     return solve_graded(problem, max_rounds=1 if draft else MOST_ROUNDS, **settings).solution
 
 
-@accepts_compile
 def solve_graded(
     problem: Problem,
     *,

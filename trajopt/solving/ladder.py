@@ -11,7 +11,6 @@ from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.graded import solve_graded
 from trajopt.transcription.transcription import chosen_mesh
 
@@ -57,7 +56,6 @@ def total_effort(solutions: Sequence[Solution]) -> dict[str, Any]:
     return {key: sum(getattr(each, key) for each in rounds) for key in ("iterations", "wall_time_s")}
 
 
-@accepts_compile
 @checked
 def solve_ladder(
     problem: Problem,

@@ -20,7 +20,6 @@ from trajopt.motion.natural_units import NaturalUnits
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.deprecation import accepts_compile
 from trajopt.solving.solving import DEFAULT_SOLVER, solve
 
 # Degree three: order six where controls are smooth; where a limit becomes active or inactive within an
@@ -140,7 +139,6 @@ def _in_words(apart: Comparison) -> str:
     return f"{gap}, {apart.farthest:.1e} m{when}"
 
 
-@accepts_compile
 def converged_reference(
     problem: Problem,
     *,
@@ -210,25 +208,25 @@ class _Climb:
         last = self._solved(start)
         self._record(last)
         while True:
-            found = self._solved(last)
-            apart = compare(found, last)
-            agreed = len(self.rungs) > 1 and agreement.holds(apart, NaturalUnits.of(found.model))
-            self._record(found, apart, other=not agreed and self._is_other(last, found, apart))
+            solution = self._solved(last)
+            apart = compare(solution, last)
+            agreed = len(self.rungs) > 1 and agreement.holds(apart, NaturalUnits.of(solution.model))
+            self._record(solution, apart, other=not agreed and self._is_other(last, solution, apart))
             if agreed:
-                made = ConvergedReference(solution=found, agreement=apart, rungs=tuple(self.rungs))
+                made = ConvergedReference(solution=solution, agreement=apart, rungs=tuple(self.rungs))
                 return replace(
                     made,
-                    solution=found.with_statistics(
-                        more={**found.statistics.more, "reference": made.to_dict()}
+                    solution=solution.with_statistics(
+                        more={**solution.statistics.more, "reference": made.to_dict()}
                     ),
                 )
-            last = found
+            last = solution
 
-    def _record(self, found: Solution, apart: Comparison | None = None, *, other: bool = False) -> None:
-        statistics = found.statistics
+    def _record(self, solution: Solution, apart: Comparison | None = None, *, other: bool = False) -> None:
+        statistics = solution.statistics
         rung = MeshSolve(
             scheme=statistics.transcription,
-            intervals=found.n_intervals,
+            intervals=solution.n_intervals,
             unknowns=statistics.variables,
             iterations=statistics.iterations,
             status=statistics.status,
@@ -246,7 +244,7 @@ class _Climb:
         scheme, intervals = self._mesh()
         self.begun = time.monotonic()
         for origin in (start, None) if start is not None else (None,):
-            found = solve(
+            solution = solve(
                 self.problem,
                 transcription=scheme,
                 intervals=intervals,
@@ -254,12 +252,12 @@ class _Climb:
                 max_time=max(self.left, LEAST_TIME),
                 **self.settings,
             )
-            if found.converged:
-                return found
+            if solution.converged:
+                return solution
             if self.left <= 0:
                 break
-        mesh = f"{found.statistics.transcription} with {found.n_intervals} intervals"
-        raise self._failure(f"{mesh} is not solved ({found.statistics.status.replace('_', ' ')})")
+        mesh = f"{solution.statistics.transcription} with {solution.n_intervals} intervals"
+        raise self._failure(f"{mesh} is not solved ({solution.statistics.status.replace('_', ' ')})")
 
     def _mesh(self) -> tuple[str | None, int | None]:
         """Scheme and intervals of the next mesh, None for the problem's; raises where the budget is spent."""

@@ -59,7 +59,7 @@ class _Examined:
     """A solution with its examination, and where an accuracy is asked for its own."""
 
     solution: Solution
-    found: Examination
+    examination: Examination
     accuracy: Accuracy | None
 
 
@@ -94,14 +94,16 @@ class Refinement:
         solution = self._first(mesh, start) if first is None else self._given(first)
         examined = 0
         while solution is not None:
-            own = self._examine(solution)
+            latest = self._examine(solution)
             examined += 1
             look = self.exchange.look(solution)
-            times = self._times_in_bodies(own.found.report)
+            report = latest.examination.report
+            deepest = [name for name in report.failures(self.tolerances) if name in BODIES]
+            times = [report.places[name].time for name in deepest]
             if times and self.exchange.depth(look) <= 0:  # between the moments that were looked at
                 look = self.exchange.look(solution, times)
             near = self.exchange.depth(look)
-            if self._used(own) <= 1 and near <= 0 and self.settled:
+            if self._used(latest) <= 1 and near <= 0 and self.settled:
                 return "the grade is reached"
             if examined >= rounds:
                 return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
@@ -109,7 +111,7 @@ class Refinement:
             self.exchange.add(look)
             mesh = mesh_of(solution)
             if self.refine and near < DEEP:  # else the motion will be another one: its mesh is judged then
-                mesh = self._refined(mesh, own)
+                mesh = self._refined(mesh, latest)
             if mesh == mesh_of(solution) and near <= 0 and self.settled:
                 return "a finer mesh does not mend what is missed" if self.refine else "the mesh is fixed"
             if unknowns_on_mesh(self.problem, mesh) > MOST_VARIABLES:
@@ -145,7 +147,7 @@ class Refinement:
 
     def _left(self) -> float:
         """Time of the solver that is left, s."""
-        return self.settings.get("max_time", MAX_TIME) - sum(own.wall_time for own in self.rounds)
+        return self.settings.get("max_time", MAX_TIME) - sum(round_.wall_time for round_ in self.rounds)
 
     def _is_over(self) -> bool:
         """Whether the user has stopped the last round, or no time is left for another."""
@@ -176,12 +178,12 @@ class Refinement:
         planes along them hold them back less than those along the guess.
         """
         for problem, start in self.exchange.starts(solution, sideless and self.exchange.guess_is_clear()):
-            found = self._solved(mesh, start, problem)
-            if found is not None:
-                before, after = (s.statistics.objective or 0.0 for s in (solution, found))
+            solved = self._solved(mesh, start, problem)
+            if solved is not None:
+                before, after = (s.statistics.objective or 0.0 for s in (solution, solved))
                 near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
                 self.settled = near or not self.exchange.moments
-                return found
+                return solved
             if self._is_over():
                 break
         return None
@@ -190,41 +192,37 @@ class Refinement:
         """Check and measure the solution of the last round; keep it if it is the best."""
         begun = time.perf_counter()
         accuracy = None if self.target is None else measure(solution)
-        own = _Examined(solution, examine(solution, self.tolerances), accuracy)
+        examined = _Examined(solution, examine(solution, self.tolerances), accuracy)
         self.examined += time.perf_counter() - begun
         if accuracy is not None:
             self.rounds[-1] = replace(self.rounds[-1], errors=phase_errors(accuracy))
-        used = self._used(own)
+        used = self._used(examined)
         if self.best is None or used < self.best[0] or used <= 1:
-            self.best = used, own
-        return own
+            self.best = used, examined
+        return examined
 
-    def _used(self, own: _Examined) -> float:
+    def _used(self, examined: _Examined) -> float:
         """The figure or the error that is farthest beyond what is allowed, over that; inf where unknown."""
-        used = own.found.report.worst(self.tolerances)[1]
-        if own.accuracy is not None and self.target is not None:
-            used = max(used, max(phase_errors(own.accuracy)) / self.target)
+        used = examined.examination.report.worst(self.tolerances)[1]
+        if examined.accuracy is not None and self.target is not None:
+            used = max(used, max(phase_errors(examined.accuracy)) / self.target)
         return math.inf if math.isnan(used) else used
 
-    def _times_in_bodies(self, report: CheckReport) -> list[float]:
-        """When bodies are deepest in each other, s, where that is beyond a tolerance."""
-        return [report.places[name].time for name in report.failures(self.tolerances) if name in BODIES]
-
-    def _refined(self, mesh: Mesh, own: _Examined) -> Mesh:
-        found, report = own.found, own.found.report
-        length = NaturalUnits.of(own.solution.model).length
+    def _refined(self, mesh: Mesh, examined: _Examined) -> Mesh:
+        examination, report = examined.examination, examined.examination.report
+        length = NaturalUnits.of(examined.solution.model).length
         aimed = np.zeros(len(mesh.phases))
-        if own.accuracy is not None and self.target is not None:
-            aimed = np.array(phase_errors(own.accuracy)) / self.target
+        if examined.accuracy is not None and self.target is not None:
+            aimed = np.array(phase_errors(examined.accuracy)) / self.target
         used = [self._error(report, index) for index in range(len(aimed))]
         parts = zip(
-            np.split(found.local.position, np.cumsum(mesh.counts)[:-1]),
-            np.maximum(np.maximum(used, found.drift), aimed).tolist(),
+            np.split(examination.local.position, np.cumsum(mesh.counts)[:-1]),
+            np.maximum(np.maximum(used, examination.drift), aimed).tolist(),
             unknowns_by_phase(self.problem),
             strict=True,
         )
         errors = [PhaseErrors(local=local, phase=worst, unknowns=sizes) for local, worst, sizes in parts]
-        broken = self._pressed(mesh, errors, found.broken)
+        broken = self._pressed(mesh, errors, examination.broken)
         # A scheme that a problem names suits its kinks: torques of least time ring at a higher degree.
         usual = self.problem.default_transcription == USUAL_SCHEME
         return remeshed(mesh, errors, broken, length, raise_degree=usual)
@@ -235,7 +233,7 @@ class Refinement:
         There an optimum moves to intervals that are still wide.
         """
         parts = np.split(broken, np.cumsum(mesh.counts)[:-1])
-        missed = [own.phase > 1 or part.max() > 1 for own, part in zip(errors, parts, strict=True)]
+        missed = [phase.phase > 1 or part.max() > 1 for phase, part in zip(errors, parts, strict=True)]
         self.missed = np.where(missed, self.missed + 1, 0)
         least = np.where(self.missed > PATIENCE, np.nextafter(1.0, 2.0), 0.0)
         return np.maximum(broken, np.repeat(least, mesh.counts))
@@ -254,7 +252,7 @@ class Refinement:
     def result(self, why: str) -> Graded:
         """The best motion with its verdict, recorded in its statistics."""
         best = None if self.best is None else self.best[1]
-        solution, report = (self.last, None) if best is None else (best.solution, best.found.report)
+        solution, report = (self.last, None) if best is None else (best.solution, best.examination.report)
         assert solution is not None
         if report is not None:
             solution = judged_by(solution, report, self.tolerances)

@@ -2,15 +2,13 @@
 
 The local error of an interval of width h with s points is that of its quadrature,
 
-    e = L c_s x^(p + 1),      x = h / l,      Gauss c_s = s!^4 / ((2 s + 1) (2 s)!^3),       p = 2 s
-                                              Radau c_s = s (s - 1)!^4 / (2 (2 s - 1)!^3),   p = 2 s - 1
+    e = L c_s x^(p + 1),      x = h / l,      c_s: `Scheme.error_constant`
 
-(Davis and Rabinowitz, "Methods of Numerical Integration", 1984, ch. 2.7), with L the robot's length and l
-the time scale of the motion there, which follows from a measured e. Cut into k parts with s' points each it
-makes k L c_s' (x / k)^(p' + 1). The error of a phase is the sum of its local errors times the growth that was
-measured. Of all degrees and cuts that meet the target by this model, the one with fewest variables is
-taken; parts grow with e^(1 / (p + 1)), which spreads the error evenly (de Boor, "Good approximation
-by splines with variable knots", 1973).
+with L the robot's length and l the time scale of the motion there, which follows from a measured e. Cut into
+k parts with s' points each it makes k L c_s' (x / k)^(p' + 1). The error of a phase is the sum of its local
+errors times the growth that was measured. Of all degrees and cuts that meet the target by this model, the one
+with fewest variables is taken; parts grow with e^(1 / (p + 1)), which spreads the error evenly (de Boor,
+"Good approximation by splines with variable knots", 1973).
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.transcription.mesh import Mesh, PhaseMesh
-from trajopt.transcription.schemes import MAX_DEGREE
+from trajopt.transcription.schemes import Scheme
 
 # Fraction of the target that the model aims at: its growth and time scale are estimates.
 AIM = 0.5
@@ -46,17 +44,6 @@ class PhaseErrors:
     unknowns: tuple[int, int]
 
 
-def error_constant(scheme: str) -> float | None:
-    """c_s of a scheme's quadrature; None for the classic ones, whose order is not raised."""
-    family, _, degree = scheme.partition(":")
-    s = int(degree or 0)
-    if family == "legendre":
-        return math.factorial(s) ** 4 / ((2 * s + 1) * math.factorial(2 * s) ** 3)
-    if family == "radau":
-        return s * math.factorial(s - 1) ** 4 / (2 * math.factorial(2 * s - 1) ** 3)
-    return None
-
-
 def remeshed(
     mesh: Mesh,
     errors: Sequence[PhaseErrors],
@@ -71,11 +58,11 @@ def remeshed(
     """
     phases, ends = [], np.cumsum(mesh.counts)
     parts = np.where(broken > 1, np.clip(np.ceil(np.sqrt(broken)), 2, MOST_PARTS), 1).astype(int)
-    for phase, own, split in zip(mesh.phases, errors, np.split(parts, ends[:-1]), strict=True):
-        if own.phase <= 1:
+    for phase, error, split in zip(mesh.phases, errors, np.split(parts, ends[:-1]), strict=True):
+        if error.phase <= 1:
             phases.append(phase.split(split.tolist()) if split.max() > 1 else phase)
         else:
-            phases.append(_remeshed_phase(phase, own, split, length, raise_degree))
+            phases.append(_remeshed_phase(phase, error, split, length, raise_degree))
     return Mesh(phases=tuple(phases))
 
 
@@ -86,36 +73,23 @@ def _remeshed_phase(
     wanted = AIM / errors.phase if math.isfinite(errors.phase) else RUN_AWAY
     allowed = wanted * float(local.sum())
     node, point = errors.unknowns
-    candidates = []
-    for name in _schemes(mesh.scheme)[: 1 + raise_degree]:
-        method = mesh.with_scheme(name)
-        single = _raised(local, mesh.scheme, name, length)
-        parts = np.maximum(_parts(single, method.method.order, allowed), least)
-        met = float((single * parts ** -float(method.method.order)).sum()) <= allowed
-        size = int(parts.sum()) * (node + method.method.s * point)
-        candidates.append((not met, size, name, parts))
+    finer, candidates = mesh.method.finer if raise_degree else None, []
+    for method in (mesh.method,) if finer is None else (mesh.method, finer):
+        single = _errors_of(local, mesh.method, method, length)
+        parts = np.maximum(_parts(single, method.order, allowed), least)
+        met = float((single * parts ** -float(method.order)).sum()) <= allowed
+        size = int(parts.sum()) * (node + method.s * point)
+        candidates.append((not met, size, method.name, parts))
     _, _, name, parts = min(candidates, key=lambda candidate: candidate[:2])
     return mesh.with_scheme(name).split(parts.tolist())
 
 
-def _schemes(name: str) -> list[str]:
-    """A scheme and, where there is one, the next degree of its family."""
-    family, _, degree = name.partition(":")
-    if not degree or int(degree) >= MAX_DEGREE:
-        return [name]
-    return [name, f"{family}:{int(degree) + 1}"]
-
-
-def _raised(local: np.ndarray, old: str, new: str, length: float) -> np.ndarray:
-    """Local errors that a scheme of another degree would make on the same intervals, m."""
-    if old == new:
+def _errors_of(local: np.ndarray, old: Scheme, new: Scheme, length: float) -> np.ndarray:
+    """Local errors that another scheme would make on the same intervals, m."""
+    if old is new:
         return local
-    constants = error_constant(old), error_constant(new)
-    assert constants[0] is not None
-    assert constants[1] is not None
-    orders = PhaseMesh.uniform(old, 1).method.order, PhaseMesh.uniform(new, 1).method.order
-    x = (local / (length * constants[0])) ** (1 / (orders[0] + 1))
-    return np.asarray(length * constants[1] * x ** (orders[1] + 1))
+    x = (local / (length * old.error_constant)) ** (1 / (old.order + 1))
+    return np.asarray(length * new.error_constant * x ** (new.order + 1))
 
 
 def _parts(local: np.ndarray, order: int, allowed: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
-from trajopt.solvers.drivers import SOLVERS, check_hessian
+from trajopt.solvers.drivers import check_solver
 from trajopt.solvers.result import Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
 from trajopt.solving.conflict import why_infeasible
@@ -33,13 +33,9 @@ from trajopt.solving.verdicts import (
     status_by_violation,
 )
 from trajopt.solving.warm_start import warm_start
-from trajopt.transcription.compilation import (
-    DEFAULT_HESSIAN,
-    CompilationReport,
-    compile_points,
-    entry_key,
-)
+from trajopt.transcription.compilation import CompilationReport, compile_points, entry_key
 from trajopt.transcription.guess import initial_guess, perturbed
+from trajopt.transcription.hessians import DEFAULT_HESSIAN
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.nlp import Nlp, assemble
 from trajopt.transcription.transcription import Transcription, transcribe
@@ -126,7 +122,7 @@ def solve(
             default: the problem's.
         intervals: Number over the whole schedule; default: the problem's.
         mesh: Schemes and widths of intervals by phase, instead of both.
-        solver: ``ipopt``, ``fatrop`` or ``sqp``.
+        solver: ``ipopt`` or ``sqp``.
         tolerance: On feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
         max_iterations: Limit of the solver's iterations.
         max_time: Limit of the solver's wall time, s.
@@ -234,9 +230,7 @@ def check_settings(
     hessian: str = DEFAULT_HESSIAN,
 ) -> None:
     """Raise `InputError` for arguments of `solve` that are not allowed."""
-    if solver not in SOLVERS:
-        raise InputError(f"unknown solver '{solver}'", f"allowed: {', '.join(SOLVERS)}")
-    check_hessian(solver, hessian)
+    check_solver(solver, hessian)
     if not (math.isfinite(tolerance) and 0 < tolerance < 1):
         raise InputError(f"tolerance is {tolerance:g}", "allowed: between 0 and 1")
     if max_iterations < 0:

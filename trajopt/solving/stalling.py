@@ -14,16 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajopt.solvers.drivers import run_solver
+from trajopt.solvers.drivers import check_solver, run_solver
 from trajopt.solvers.elastic import ElasticPoint, counted_from, least_violation
 from trajopt.solvers.progress import VIOLATED, is_stalled
 from trajopt.solvers.result import Callback, Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
-from trajopt.transcription.compilation import DEFAULT_HESSIAN
 from trajopt.transcription.nlp import Nlp
 
-# The test is measured on IPOPT's figures, and the elastic problem needs the exact Hessian.
-TESTED = "ipopt", DEFAULT_HESSIAN
 CERTIFIED = "Certified_Infeasible"
 # IPOPT's name for the limit that iterations of elastic problems have used up.
 LIMITED = "Maximum_Iterations_Exceeded"
@@ -38,8 +35,8 @@ MOST_ELASTIC = 250
 class StallTest:
     """A solver's callback that passes on to another, and looks for a verdict where there is no progress.
 
-    found: the elastic point that ended the solve. spent: iterations of elastic problems, which count against
-    the limit. limited: they have used up the limit.
+    verdict: the elastic point that ended the solve. spent: iterations of elastic problems, which count
+    against the limit. limited: they have used up the limit.
     """
 
     def __init__(self, nlp: Nlp, callback: Callback, stop: StoppingCriteria) -> None:
@@ -49,7 +46,7 @@ class StallTest:
         self.dual: list[float] = []
         self.next, self.spent, self.function_time = 0, 0, 0.0
         self.limited = False
-        self.found: ElasticPoint | None = None
+        self.verdict: ElasticPoint | None = None
 
     def __call__(self, figures: dict[str, float], unknowns: Callable[[], np.ndarray]) -> bool:
         """One iteration of the solver; False where the callback stops it, or a verdict is found."""
@@ -74,21 +71,21 @@ class StallTest:
         if left <= 0 or seconds <= 0:  # the solver stops by itself
             return True
 
-        def tell(own: dict[str, float], read: Callable[[], np.ndarray]) -> bool:
-            return self.callback({**figures, "iteration": own["iteration"], "restoration": True}, read)
+        def tell(elastic: dict[str, float], read: Callable[[], np.ndarray]) -> bool:
+            return self.callback({**figures, "iteration": elastic["iteration"], "restoration": True}, read)
 
-        found = least_violation(
+        point = least_violation(
             self.nlp,
             x,
             counted_from(int(figures["iteration"]), tell),
             max_iterations=min(left, MOST_ELASTIC),
             max_time=seconds,
         )
-        self.spent += found.iterations
-        self.function_time += found.function_time
-        if found.feasible or found.infeasible:
-            self.found = found
-        return self.found is None and not found.stopped
+        self.spent += point.iterations
+        self.function_time += point.function_time
+        if point.feasible or point.infeasible:
+            self.verdict = point
+        return self.verdict is None and not point.stopped
 
 
 def solve_or_certify(
@@ -101,12 +98,12 @@ def solve_or_certify(
     warm: WarmMultipliers | None = None,
 ) -> tuple[Result, ElasticPoint | None]:
     """As `run_solver`, with the test of progress where that is measured; the certificate if infeasible."""
-    if (solver, nlp.hessian) != TESTED:
+    if nlp.hessian not in check_solver(solver, nlp.hessian).certifies_with:
         return run_solver(nlp, start, solver, stop, options, callback, warm), None
     begun = time.perf_counter()
     test = StallTest(nlp, callback, stop)
     result = run_solver(nlp, start, solver, stop, options, test, warm)
-    if result.status in GIVEN_UP and test.found is None and not result.primal <= VIOLATED:
+    if result.status in GIVEN_UP and test.verdict is None and not result.primal <= VIOLATED:
         known = {"iteration": result.iterations + test.spent, "objective": result.objective}
         test.look({**NO_FIGURES, **known, "primal": result.primal, "dual": result.dual}, result.x)
     result = replace(
@@ -116,13 +113,13 @@ def solve_or_certify(
         status=Status.ITERATION_LIMIT if test.limited else result.status,
         solver_status=LIMITED if test.limited else result.solver_status,
     )
-    if test.found is None:
+    if test.verdict is None:
         return result, None
-    if test.found.infeasible:
-        return _certified(nlp, result, test.found), test.found
+    if test.verdict.infeasible:
+        return _certified(nlp, result, test.verdict), test.verdict
     left = stop.left(result.iterations, time.perf_counter() - begun)
     onwards = counted_from(result.iterations, callback)
-    again = run_solver(nlp, test.found.x, solver, left, options, onwards)
+    again = run_solver(nlp, test.verdict.x, solver, left, options, onwards)
     return replace(
         again,
         iterations=result.iterations + again.iterations,
@@ -131,17 +128,17 @@ def solve_or_certify(
     ), None
 
 
-def _certified(nlp: Nlp, result: Result, found: ElasticPoint) -> Result:
+def _certified(nlp: Nlp, result: Result, point: ElasticPoint) -> Result:
     """The point of least violation; multipliers of the elastic problem are not those of the problem."""
     return replace(
         result,
-        x=found.x,
+        x=point.x,
         lam_g=np.zeros_like(result.lam_g),
         lam_x=np.zeros_like(result.lam_x),
         status=Status.INFEASIBLE,
         solver_status=CERTIFIED,
-        objective=float(nlp.engine.f(found.x)),
-        primal=float(found.gives.max()),
+        objective=float(nlp.engine.f(point.x)),
+        primal=float(point.gives.max()),
         dual=float("nan"),
         complementarity=float("nan"),
     )

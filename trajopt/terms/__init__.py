@@ -18,8 +18,4 @@ Interfaces for user-defined terms: `Term`, `Cost`, `PointConstraint`, `NodeConst
 
 import lazy_loader
 
-from trajopt.errors import lazy_names
-
-__getattr__, __dir__, __all__ = lazy_names(
-    lazy_loader.attach_stub(__name__, __file__), __name__, EffortLimits="TorqueLimits"
-)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -15,13 +15,17 @@ from trajopt.terms.interfaces import Term
 class Clearance(Term):
     """The robot's links stay clear of obstacles, of the ground and of each other, at all times.
 
-    A problem without this term has the one with the defaults. It is no row itself: a solve looks along the
-    whole motion and adds rows for the pairs that come too near, where they do (`trajopt.solving.exchange`).
+        d_ij(q(t)) >= margin                             link i and obstacle j
+        d_ij(q(t)) >= min(margin, d_ij(q_reference))     links i and j
+        d_ij(q(t)) >= 0                                  link i and the ground
+
+    with d the signed distance in m. A problem without this term has the one with the defaults. It is no row
+    itself: a solve looks along the whole motion and adds rows for the pairs that come too near, where they do
+    (`trajopt.solving.exchange`).
 
     Args:
-        obstacles: in the world.
-        margin: least distance from obstacles and between links, m; of two links that are nearer than that in
-            the reference posture, their distance there.
+        obstacles: placed in the world.
+        margin: least distance from obstacles and between links, m.
         shapes: of the robot's links; default those of its description (`robot_shapes`).
         self_collision: keep links apart from each other.
 

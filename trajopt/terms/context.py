@@ -21,8 +21,7 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
-from trajopt.terms.context_symbols import Actuation, FrameSymbols, Place
-from trajopt.terms.parameters import Parameters
+from trajopt.terms.context_symbols import Actuation, FrameSymbols, Parameters, Place
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Ground
 
@@ -74,8 +73,8 @@ class Context(Parameters):
         self.guess = guess
         self.place = place or (Place.NODE if node else Place.POINT)
         self.actuation, self._surfaces, self._kept_rows = actuation, surfaces, kept_rows
-        own = ca.SX.sym("time_scale", 0 if time_scales[1] is None else 1)
-        self.time_scale = own if own.numel() else ca.SX(1)
+        scale = ca.SX.sym("time_scale", 0 if time_scales[1] is None else 1)
+        self.time_scale = scale if scale.numel() else ca.SX(1)
         nv, order = coordinates.nv, 1 if actuation == "velocity" else 2
         names = () if self.place is Place.NODE else tuple((c.name, c.dimension) for c in contacts)
         self.unknown_wrenches: dict[str, ca.SX] = {name: ca.SX.sym(f"w_{name}", n) for name, n in names}
@@ -92,7 +91,9 @@ class Context(Parameters):
             self.rotations = ca.SX.sym("r", 4 * coordinates.n_rotations)
             self.xi, rates = ca.SX.sym("xi", nv), ca.SX.sym("dxi", nv)
             highest = ca.SX.sym("ddxi", nv if order == 2 else 0)
-            self.z = ca.vertcat(self.rotations, self.xi, rates, highest, *self.unknown_wrenches.values(), own)
+            self.z = ca.vertcat(
+                self.rotations, self.xi, rates, highest, *self.unknown_wrenches.values(), scale
+            )
         self._rates = rates / self.time_scale
         power = 1 if self.place is Place.IMPACT else 2
         self._highest = highest / self.time_scale**power if highest.numel() else ca.SX.zeros(nv)

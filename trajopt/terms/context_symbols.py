@@ -1,12 +1,16 @@
-"""Where terms are evaluated, the kinds of control input, and the symbols of a frame."""
+"""Where terms are evaluated, the kinds of control input, symbols of a frame and of parameters."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, get_args
 
 import casadi as ca
+import numpy as np
+
+from trajopt.errors import InputError
 
 
 class Place(Enum):
@@ -46,3 +50,48 @@ class FrameSymbols:
     def stacked(self) -> ca.SX:
         """All entries in one column (24,), columns of the rotation first."""
         return ca.vertcat(ca.vec(self.rotation), self.position, self.velocity, self.acceleration)
+
+
+class Parameters:
+    """Symbols of parameters in the order in which terms created them, and their numeric values."""
+
+    def __init__(self) -> None:
+        self._parameters: list[ca.SX] = []
+        self._values: list[np.ndarray | Callable[[float], np.ndarray]] = []
+
+    def parameter(self, value: np.ndarray | float) -> ca.SX:
+        """A symbol whose numeric ``value`` may change without recompilation."""
+        array = np.atleast_1d(np.asarray(value, dtype=float))
+        if not np.all(np.isfinite(array)):
+            raise InputError(f"a term's parameter is {array}", "allowed: finite numbers")
+        symbol = ca.SX.sym(
+            f"p{len(self._parameters)}", *(array.shape if array.ndim == 2 else (array.size, 1))
+        )
+        self._parameters.append(ca.vec(symbol))
+        self._values.append(array.flatten(order="F"))
+        return symbol
+
+    def varying(self, value: Callable[[float], np.ndarray], size: int) -> ca.SX:
+        """A parameter (size,) whose value is a function of nominal time, s, from the schedule's start."""
+        symbol = ca.SX.sym(f"p{len(self._parameters)}", size)
+        self._parameters.append(symbol)
+        self._values.append(value)
+        return symbol
+
+    @property
+    def parameters(self) -> ca.SX:
+        """All parameters in one column."""
+        return ca.vertcat(*self._parameters) if self._parameters else ca.SX(0, 1)
+
+    @property
+    def parameter_values(self) -> np.ndarray:
+        """Their numeric values; of varying ones those at the schedule's start."""
+        return self.parameter_values_at(0.0)
+
+    def parameter_values_at(self, t: float) -> np.ndarray:
+        """Their numeric values at nominal time ``t`` s. Raises InputError for values that are not finite."""
+        parts = [value(t) if callable(value) else value for value in self._values]
+        values = np.concatenate([np.zeros(0), *parts])
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"a term's reference is not finite at t = {t:g} s", "allowed: finite numbers")
+        return values

@@ -20,7 +20,15 @@ from trajopt.terms.interfaces import Cost
 @checked
 @dataclass(frozen=True, kw_only=True)
 class TorqueCost(Cost):
-    """Joint torques over weight times length."""
+    """Cost on joint torques.
+
+        w |tau / (m g l)|^2 / nu
+
+    with tau (nu,) the torques that the drives deliver, joint side, N m.
+
+    Args:
+        weight: w, dimensionless.
+    """
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:
@@ -30,11 +38,16 @@ class TorqueCost(Cost):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class AccelerationCost(Cost):
-    """Second derivatives of the local coordinates over g and g / length.
+    """Cost on the second derivatives of the local coordinates.
+
+        w |xi'' / u|^2 / nv
+
+    with xi'' (nv,) in m/s^2 or rad/s^2 and the unit u of each entry, g or g / l. Of a free-flyer xi'' is the
+    linear acceleration in world axes and the angular one in the base's axes.
 
     Args:
-        weight: dimensionless.
-        joints_only: whether the unactuated rows are left out.
+        weight: w, dimensionless.
+        joints_only: leave out the unactuated rows, those of the base.
     """
 
     joints_only: bool = False
@@ -48,11 +61,16 @@ class AccelerationCost(Cost):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class VelocityCost(Cost):
-    """Rates of the local coordinates over sqrt(g length) and sqrt(g / length).
+    """Cost on the rates of the local coordinates.
+
+        w |xi' / u|^2 / nv
+
+    with xi' (nv,) in m/s or rad/s and the unit u of each entry, sqrt(g l) or sqrt(g / l). Of a free-flyer xi'
+    is the linear velocity in world axes and the angular one in the base's axes.
 
     Args:
-        weight: dimensionless.
-        joints_only: whether the unactuated rows are left out.
+        weight: w, dimensionless.
+        joints_only: leave out the unactuated rows, those of the base.
     """
 
     joints_only: bool = False
@@ -66,7 +84,16 @@ class VelocityCost(Cost):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class PostureCost(Cost):
-    """Distance of the actuated joints from a posture ``q`` (nq,), default the robot's reference."""
+    """Cost on the distance of the actuated joints from a posture.
+
+        w |(xi_j - xi_j*) / u|^2 / n
+
+    over the n actuated coordinates that are not rotations, with the unit u of each, l or 1 rad.
+
+    Args:
+        weight: w, dimensionless.
+        q: the posture (nq,) of the whole robot, m and rad; default the robot's reference.
+    """
 
     q: np.ndarray | None = None
 
@@ -86,7 +113,16 @@ class PostureCost(Cost):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class WrenchCost(Cost):
-    """Contact forces over weight, moments over weight times length; zero in flight."""
+    """Cost on contact wrenches.
+
+        w sum_c (|f_c / (m g)|^2 + |n_c / (m g l)|^2) / n
+
+    over the active contacts c, with force f_c in N and, of a sole, moment n_c in N m, in world axes, and n
+    the number of their entries together. It is zero in flight.
+
+    Args:
+        weight: w, dimensionless.
+    """
 
     acts_on_forces: ClassVar[bool] = True
 
@@ -98,7 +134,15 @@ class WrenchCost(Cost):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class TimeCost(Cost):
-    """Time itself, over sqrt(l / g): with free durations, minimum time."""
+    """Cost on time itself: with free durations, minimum time.
+
+        w T / sqrt(l / g)
+
+    with T the total duration of the phases in which it acts, s.
+
+    Args:
+        weight: w, dimensionless.
+    """
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:
@@ -108,9 +152,16 @@ class TimeCost(Cost):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class ImpulseCost(Cost):
-    """Impulses over weight times sqrt(l / g), once at every impact.
+    """Cost on the contact impulses of an impact, once at every impact.
 
-    It makes landings soft and the impulses of redundant contacts unique.
+        w sum_c (|F_c / (m sqrt(g l))|^2 + |N_c / (m l sqrt(g l))|^2) / n
+
+    over the active contacts c, with impulse F_c in N s and, of a sole, angular impulse N_c in N m s, in world
+    axes, and n the number of their entries together. It makes landings soft and the impulses of redundant
+    contacts unique.
+
+    Args:
+        weight: w, dimensionless.
     """
 
     acts_at_points: ClassVar[bool] = False

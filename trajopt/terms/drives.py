@@ -33,13 +33,17 @@ def _driven_rows(robot: Robot) -> list[tuple[int, Drive]]:
 class DriveLimits(PointConstraint):
     """Voltage and current of every drive stay within their limits; replaces `TorqueLimits`.
 
-    For a joint with a drive, on the motor side and dimensionless,
+    For a joint with a drive, on the motor side,
 
         |tau_m / stall_torque + omega_m / no_load_speed| <= 1        |tau_m / torque_limit| <= 1
 
-    with tau_m the motor torque of what the drive delivers (friction included); for a joint without one, the
-    robot's torque limit. Together with `TorqueLimits` the same row would appear twice. Rows that cannot bind,
-    as judged by `Units`, are left out; the check verifies them.
+    with tau_m the motor torque of what the drive delivers, friction included, in N m, and omega_m its speed
+    in rad/s; for a joint without a drive, with tau on the joint side,
+
+        |tau / torque_limit of the robot| <= 1
+
+    Together with `TorqueLimits` the same row would appear twice. Rows that cannot bind, as judged by `Units`,
+    are left out; the check verifies them.
     """
 
     @override
@@ -70,23 +74,25 @@ def _drive_rows(drive: Drive, units: Units) -> list[np.ndarray]:
     rows = []
     if reach / drive.stall_torque + speed / drive.no_load_speed > 1:
         rows.append(np.array([drive.voltage_use(1.0, 0.0), drive.voltage_use(0.0, 1.0)]))
-    if drive.joint_torque_limit < units.unreachable_torque and not _voltage_is_tighter(drive):
+    # Below its no-load speed a motor on its voltage line has at most twice the stall torque, braking.
+    if drive.joint_torque_limit < units.unreachable_torque and drive.torque_limit < 2 * drive.stall_torque:
         rows.append(np.array([drive.motor_torque(1.0) / drive.torque_limit, 0.0]))
     return rows
-
-
-def _voltage_is_tighter(drive: Drive) -> bool:
-    """Below its no-load speed a motor on its voltage line has at most twice the stall torque, braking."""
-    return drive.torque_limit >= 2 * drive.stall_torque
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class MotorTorqueCost(Cost):
-    """Motor torques over their limits, or over stall torques without a limit: the share of copper losses.
+    """Cost on motor torques: the share of copper losses.
 
-    The losses of a motor are R (tau_m / k_t)^2, so the mean square is the mean fraction of the losses at the
-    limit. The torque of a motor with neither limit is measured in weight times length over its gear ratio.
+        w |tau_m / tau_0|^2 / n
+
+    over the n joints with a drive, with tau_m the motor torque and tau_0 the lesser of its torque limit and
+    its stall torque, N m. A motor with neither limit has tau_0 = m g l / |gear ratio|. The losses of a motor
+    are R (tau_m / k_t)^2, so the mean square is the mean fraction of the losses at the limit.
+
+    Args:
+        weight: w, dimensionless.
     """
 
     @override

@@ -15,7 +15,12 @@ from trajopt.terms.interfaces import PointConstraint, Rows
 
 @dataclass(frozen=True, kw_only=True)
 class BaseDynamics(PointConstraint):
-    """The unactuated rows of the dynamics vanish: the Newton-Euler equations of the whole robot."""
+    """The unactuated rows of the dynamics vanish: the Newton-Euler equations of the whole robot.
+
+        [M(q) v' + h(q, v) - sum_c J_c^T f_c]_unactuated = 0
+
+    with the wrenches f_c of the active contacts in world axes. Rows are over m g or m g l.
+    """
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
@@ -27,9 +32,12 @@ class BaseDynamics(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class ContactAcceleration(PointConstraint):
-    """Active contacts do not accelerate: J a + J' v = 0, linear and for a sole angular, world axes.
+    """Active contacts do not accelerate.
 
-    A sliding contact does not accelerate along the normal of its surface.
+        J a + J' v = 0           held contacts: linear and for a sole angular, 3 or 6 rows
+        n^T (J a + J' v) = 0     sliding contacts: along the normal n of their surface
+
+    Rows are over g or g / l. Axes are the base's for a free-flyer, the world's otherwise.
     """
 
     @override
@@ -48,7 +56,12 @@ class ContactAcceleration(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class ContactVelocity(PointConstraint):
-    """Active contacts do not move, J v = 0: for velocity sources, in place of `ContactAcceleration`."""
+    """Active contacts do not move: for velocity sources, in place of `ContactAcceleration`.
+
+        J v = 0
+
+    linear and for a sole angular, in world axes. Rows are over sqrt(g l) or sqrt(g / l).
+    """
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
@@ -61,11 +74,13 @@ class ContactVelocity(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class ImpactDynamics(PointConstraint):
-    """A rigid impact, M (v+ - v-) = J^T Lambda: only contact impulses change velocities.
+    """A rigid impact: only contact impulses change velocities.
 
-    All rows, base and joints: joint torques stay finite and have no impulse. Together with J v+ = 0, which
-    `ContactLanding` imposes at the node after the impact, the impact is inelastic (Featherstone, "Rigid Body
-    Dynamics Algorithms", 2008, sec. 11.7).
+        M(q) (v+ - v-) - sum_c J_c^T Lambda_c = 0
+
+    over all rows, base and joints: joint torques stay finite and have no impulse. Together with J v+ = 0,
+    which `ContactLanding` imposes at the node after the impact, the impact is inelastic (Featherstone, "Rigid
+    Body Dynamics Algorithms", 2008, sec. 11.7).
     """
 
     @override

@@ -23,13 +23,17 @@ from trajopt.terms.node_interfaces import AtMoment, NodeConstraint, NodePlace
 @checked
 @dataclass(frozen=True, kw_only=True)
 class FrameHeight(AtMoment, NodeConstraint):
-    """A frame is at least ``height`` high at one moment.
+    """A frame is at least, or at most, at a height at one moment.
+
+        p_z >= height        or with ``below``        p_z <= height
+
+    with p the frame's origin in the world. The row is over l.
 
     Args:
         frame: name of the frame.
         height: height of its origin in the world, m.
-        at: the moment.
-        below: whether the frame is at most that high instead.
+        at: the moment; default the end of the motion.
+        below: bound the height from above instead.
     """
 
     frame: str
@@ -47,11 +51,16 @@ class FrameHeight(AtMoment, NodeConstraint):
 class FramePose(AtMoment, NodeConstraint):
     """A frame has a given position, orientation or both at one moment.
 
+        p = position                         3 rows over l
+        2 tan(angle / 2) axis = 0            3 rows, of the turn rotation^T R
+
+    with p the frame's origin and R its axes in the world.
+
     Args:
         frame: name of the frame.
         position: of its origin in the world (3,), m; None leaves it free.
         rotation: its axes in the world (3, 3); None leaves it free.
-        at: the moment at which the pose is reached.
+        at: the moment at which the pose is reached; default the end of the motion.
 
     Raises:
         InputError: for neither a position nor a rotation, another shape, and a matrix that is not a rotation.
@@ -102,10 +111,15 @@ class FramePose(AtMoment, NodeConstraint):
 class FrameVelocity(AtMoment, NodeConstraint):
     """A frame has a given velocity at one moment.
 
+        (p', omega) = velocity
+
+    with p' the velocity of the frame's origin and omega its angular velocity. Rows are over sqrt(g l) and
+    sqrt(g / l).
+
     Args:
         frame: name of the frame.
         velocity: linear (m/s) and angular (rad/s) in world axes (6,).
-        at: the moment at which the frame moves like this.
+        at: the moment at which the frame moves like this; default the end of the motion.
     """
 
     frame: str
@@ -120,6 +134,10 @@ class FrameVelocity(AtMoment, NodeConstraint):
 @dataclass(frozen=True, kw_only=True)
 class FramesAbove(DuringPhases, NodeConstraint):
     """Frames stay above a height at all nodes of its phases except the start of a phase.
+
+        p_z >= height
+
+    for the origin p of each frame. Rows are over l.
 
     Args:
         frames: names of the frames.
@@ -139,8 +157,8 @@ class FramesAbove(DuringPhases, NodeConstraint):
 
     @override
     def acts_at(self, place: NodePlace) -> bool:
-        own = place.index < place.count or place.last
-        return own and place.index > 0 and self.acts_in(place.phase.name)
+        of_phase = place.index < place.count or place.last
+        return of_phase and place.index > 0 and self.acts_in(place.phase.name)
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
@@ -151,16 +169,19 @@ class FramesAbove(DuringPhases, NodeConstraint):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class FrameDirection(AtMoment, NodeConstraint):
-    """An axis of a frame points near a direction at one moment; the row is the cosine of the angle.
+    """An axis of a frame points near a direction at one moment.
 
-    For example, halfway through a somersault the base's z axis points down.
+        direction . R axis >= cos(angle)
+
+    with R the frame's axes in the world. For example, halfway through a somersault the base's z axis points
+    down.
 
     Args:
         frame: name of the frame.
         axis: axis in the frame (3,), normalised.
         direction: direction in the world (3,), normalised.
         angle: largest angle between them, rad, between 0 and pi.
-        at: the moment.
+        at: the moment; default the end of the motion.
 
     Raises:
         InputError: for zero vectors, and numbers out of range.

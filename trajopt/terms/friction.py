@@ -14,8 +14,8 @@ from typing_extensions import override
 from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError, require_not_negative
 from trajopt.robot.contact import Contact
+from trajopt.robot.friction import friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.robot import Robot
-from trajopt.robot.sole import friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
@@ -40,12 +40,12 @@ TIP = APEX / 6
 class ContactConstraint(PointConstraint):
     """A constraint on the wrenches of unilateral contacts, and at an impact on their impulses.
 
-    Contacts on bilateral surfaces have no rows (a grasp holds), nor have sliding ones, whose force follows a
-    law (`trajopt.terms.sliding`).
+    Contacts on bilateral surfaces have no rows, because a grasp holds, nor have sliding contacts, whose force
+    follows a law (`trajopt.terms.sliding`).
 
     Args:
         friction: coefficient in place of that of the surfaces.
-        contacts: names of the contacts, default all.
+        contacts: names of the contacts; default all.
 
     Raises:
         InputError: for a coefficient that is negative or not finite.
@@ -152,34 +152,42 @@ class _ConeRows:
 @checked
 @dataclass(frozen=True, kw_only=True)
 class FrictionPyramid(ContactConstraint):
-    """Unilateral force inside a pyramid inscribed in the Coulomb cone: |f_1|, |f_2| <= mu f_n / sqrt 2.
+    """Unilateral force inside a pyramid inscribed in the Coulomb cone.
 
-    Its sides lie along the surface's tangents 1 and 2, the world's x and y on level ground. Without friction
-    f_1 = f_2 = 0.
+        f_n >= 0        |f_1| <= mu f_n / sqrt 2        |f_2| <= mu f_n / sqrt 2
+
+    with f_n along the normal and f_1, f_2 along the tangents of the surface, the world's x and y on level
+    ground. Without friction f_1 = f_2 = 0. Rows are over m g.
+
+    Args:
+        friction: mu in place of the surfaces' coefficient, dimensionless.
+        contacts: names of the contacts; default all.
     """
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        found = _ConeRows()
+        cone = _ConeRows()
         for contact in self._unilateral_contacts(context):
             friction, f = self._friction(context, contact), ca.vertsplit(surface_force(context, contact))
-            found.at_least_zero([f[2]], units.force)
+            cone.at_least_zero([f[2]], units.force)
             if friction == 0.0:
-                found.zero(f[:2], units.force)
+                cone.zero(f[:2], units.force)
                 continue
             sides = friction_rows(f, context.parameter(friction / math.sqrt(2)))
             kept = [side for i, side in enumerate(sides) if not f[i // 2].is_zero()]
-            found.at_least_zero(kept, units.force)
-        return found.rows()
+            cone.at_least_zero(kept, units.force)
+        return cone.rows()
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class FrictionCone(ContactConstraint):
-    """Unilateral force inside the exact Coulomb cone: f_1^2 + f_2^2 <= (mu f_n)^2, f_n >= 0.
+    """Unilateral force inside the exact Coulomb cone.
+
+        f_n >= 0        f_1^2 + f_2^2 <= (mu f_n)^2
 
     The squared form is smooth at the apex, but a solver's tolerance on it is the square of a force, which
-    lets small forces slip. The row is therefore, with N = mu f_n and forces over the weight,
+    lets small forces slip. The row is therefore, with N = mu f_n and forces over m g,
 
         (N^2 - f_1^2 - f_2^2) / sqrt(N^2 + d^2) - e exp(-(N / w)^2) >= 0        d = APEX, e = TIGHT, w = TIP
 
@@ -188,23 +196,27 @@ class FrictionCone(ContactConstraint):
     safe side. A violation v <= e then means a force outside of Coulomb's law by 2 v at most: with f_t the
     force along the surface, |f_t|^2 - N^2 <= (v - e exp(-(N / w)^2)) sqrt(N^2 + d^2), which is negative near
     the apex, and elsewhere at most 4 v N. Without friction f_1 = f_2 = 0.
+
+    Args:
+        friction: mu in place of the surfaces' coefficient, dimensionless.
+        contacts: names of the contacts; default all.
     """
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        found = _ConeRows()
+        cone = _ConeRows()
         for contact in self._unilateral_contacts(context):
             friction = self._friction(context, contact)
             f = ca.vertsplit(surface_force(context, contact) / units.force)
-            found.at_least_zero([f[2]], 1.0)
+            cone.at_least_zero([f[2]], 1.0)
             if friction == 0.0:
-                found.zero(f[:2], 1.0)
+                cone.zero(f[:2], 1.0)
                 continue
             largest = context.parameter(friction) * f[2]
             inside = largest**2 - f[0] ** 2 - f[1] ** 2
             tight = TIGHT * ca.exp(-((largest / TIP) ** 2))
-            found.at_least_zero([inside / ca.sqrt(largest**2 + APEX**2) - tight], 1.0)
-        return found.rows()
+            cone.at_least_zero([inside / ca.sqrt(largest**2 + APEX**2) - tight], 1.0)
+        return cone.rows()
 
 
 @checked
@@ -212,8 +224,14 @@ class FrictionCone(ContactConstraint):
 class SoleLimits(ContactConstraint):
     """Centre of pressure of surface contacts inside the sole, and yaw moment within a box.
 
-    |m_x| <= half_width f_n and |m_y| <= half_length f_n in the sole's axes, and the yaw moment within mu f_n
-    times the mean half size, whatever the other components are: `SoleCone` is exact.
+        |m_x| <= Y f_n        |m_y| <= X f_n        |m_z| <= mu f_n (X + Y) / 2
+
+    with the moment in the sole's axes and its half length X and half width Y in m. The yaw moment is bounded
+    whatever the other components are: `SoleCone` is exact. Rows are over m g l.
+
+    Args:
+        friction: mu in place of the surfaces' coefficient, dimensionless.
+        contacts: names of the contacts; default all.
     """
 
     @override
@@ -222,7 +240,7 @@ class SoleLimits(ContactConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        found = _ConeRows()
+        cone = _ConeRows()
         for contact in self._unilateral_contacts(context):
             friction = self._friction(context, contact)
             rotation = context.frame(contact.frame).rotation
@@ -232,11 +250,11 @@ class SoleLimits(ContactConstraint):
             arm = (*half, sum(half) / 2 * context.parameter(friction) if friction else 0.0)
             for i in _turning(contact):
                 if i == 2 and friction == 0.0:
-                    found.zero([moment[i]], units.torque)
+                    cone.zero([moment[i]], units.torque)
                     continue
                 sides = [arm[i] * pressure - moment[i], arm[i] * pressure + moment[i]]
-                found.at_least_zero(sides, units.torque)
-        return found.rows()
+                cone.at_least_zero(sides, units.torque)
+        return cone.rows()
 
 
 @checked
@@ -244,9 +262,17 @@ class SoleLimits(ContactConstraint):
 class SoleCone(ContactConstraint):
     """Wrench of each sole inside the exact contact wrench cone, 16 rows.
 
-    Friction, centre of pressure and yaw moment together, see `sole.yaw_rows` (Caron, Pham, Nakamura, ICRA
-    2015), for a pyramid along the sole's axes that is inscribed in the Coulomb cone, coefficient mu / sqrt 2.
-    Soles need no other friction term; point contacts have no rows.
+        |f_x|, |f_y| <= mu f_z        |m_x| <= Y f_z        |m_y| <= X f_z
+        mu (X + Y) f_z - |Y f_x - mu m_x| - |X f_y - mu m_y| + m_z >= 0
+        mu (X + Y) f_z - |Y f_x + mu m_x| - |X f_y + mu m_y| - m_z >= 0
+
+    in the sole's axes, with its half length X and half width Y in m and mu the coefficient over sqrt 2, so
+    that the pyramid along these axes is inscribed in the Coulomb cone (Caron, Pham, Nakamura, ICRA 2015).
+    Soles need no other friction term; point contacts have no rows. Rows are over m g and m g l.
+
+    Args:
+        friction: in place of the surfaces' coefficient, dimensionless.
+        contacts: names of the contacts; default all.
     """
 
     @override
@@ -255,28 +281,32 @@ class SoleCone(ContactConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        found = _ConeRows()
+        cone = _ConeRows()
         for contact in self._unilateral_contacts(context):
             friction = self._friction(context, contact)
             to_sole, wrench = context.frame(contact.frame).rotation.T, context.wrenches[contact.name]
             force, moment = (ca.vertsplit(ca.mtimes(to_sole, part)) for part in (wrench[:3], wrench[3:]))
             size = (contact.half_length, contact.half_width)
             if friction == 0.0:
-                found.at_least_zero(pressure_rows(force, moment, size), units.torque)
-                found.zero(force[:2], units.force)
-                found.zero([moment[2]], units.torque)
+                cone.at_least_zero(pressure_rows(force, moment, size), units.torque)
+                cone.zero(force[:2], units.force)
+                cone.zero([moment[2]], units.torque)
                 continue
             mu = context.parameter(friction / math.sqrt(2))
-            found.at_least_zero(friction_rows(force, mu), units.force)
+            cone.at_least_zero(friction_rows(force, mu), units.force)
             moments = [*pressure_rows(force, moment, size), *yaw_rows(force, moment, size, mu)]
-            found.at_least_zero(moments, units.torque)
-        return found.rows()
+            cone.at_least_zero(moments, units.torque)
+        return cone.rows()
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class NormalForce(PointConstraint):
     """Normal force of one contact within bounds, where the contact is active.
+
+        lower <= n . f <= upper
+
+    with n the surface's normal, from it to the robot, and f the force on the robot. The row is over m g.
 
     Args:
         contact: its name.

@@ -1,8 +1,12 @@
 """Costs and constraints: a name, a small function, bounds, a scale, and where it acts.
 
-Costs are dimensionless: each is the mean square of a quantity over its natural unit (weight m g, length l of
-the robot, and what follows from them), so that a weight means the same on any robot; the running cost is
-their integral over time in units of sqrt(l/g).
+Costs are dimensionless. Each is the mean square of a quantity over its natural unit, so that a weight means
+the same on any robot. With w the weight and r (n,) the quantity over its unit, the objective is
+
+    sum over costs of the integral of  w |r|^2 / n  over time in units of sqrt(l / g)
+
+Natural units follow from the robot's mass m, its length l and gravity g (see `Units`). The symbols m, l, g, w
+have this meaning in the docstrings of all terms.
 
 A term acts in the phases it names (``during``, by default in all), or at a moment (``at``, see
 `trajopt.terms.node_interfaces`). Constraint rows are divided by their natural unit before the solver sees
@@ -21,7 +25,7 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import NonNegative, checked
-from trajopt.errors import InputError, numbers_of, renamed, require_not_negative
+from trajopt.errors import InputError, numbers_of, require_not_negative
 from trajopt.kinds import ArrayShape, shown
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -31,7 +35,6 @@ from trajopt.terms.context import Context
 
 
 @checked
-@renamed(phase="at during", phases="during at", fraction="at")
 @dataclass(frozen=True, kw_only=True)
 class Term:
     """Common interface of costs and constraints.
@@ -84,7 +87,7 @@ class DuringPhases(Term):
     """A term that acts over time.
 
     Args:
-        during: name of the phase in which it acts, or names of several; default all.
+        during: name of the phase in which it acts, or names of several; default all phases.
     """
 
     during: str | Sequence[str] | None = None
@@ -100,10 +103,11 @@ class DuringPhases(Term):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Cost(DuringPhases, ABC):
-    """A running cost at collocation points.
+    """A running cost at collocation points, ``w |r|^2 / n`` of its `residual` r (n,).
 
     Args:
-        weight: dimensionless, finite and >= 0.
+        weight: w, dimensionless, finite and at least zero.
+        during: name of the phase in which it acts, or names of several; default all phases.
 
     Raises:
         InputError: for another weight.
@@ -127,7 +131,7 @@ class Cost(DuringPhases, ABC):
         """
 
     def value(self, context: Context, units: Units) -> ca.SX:
-        """Cost rate at one point."""
+        """Cost rate ``w |r|^2 / n`` at one point; zero where the residual has no entry."""
         residual = column("result of residual()", self.residual(context, units))
         if residual.numel() == 0:
             return ca.SX(0)
@@ -195,7 +199,11 @@ def _each(what: str, given: object, n: int) -> np.ndarray:
 @checked
 @dataclass(frozen=True, kw_only=True)
 class PointConstraint(DuringPhases, ABC):
-    """A constraint at every collocation point of its phases."""
+    """A constraint at every collocation point of its phases.
+
+    Args:
+        during: name of the phase in which it acts, or names of several; default all phases.
+    """
 
     @abstractmethod
     def rows(self, context: Context, units: Units) -> Rows | None:

@@ -36,9 +36,14 @@ def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
 class ContactLanding(AtMoment, NodeConstraint):
     """New contacts of a phase lie on their surface, patch or foothold and do not move.
 
-    The surface is the one that the phase states for the contact, else the terrain; a sole lies flat on it, a
-    contact with a radius touches it. On a patch a point, or each corner of a sole, keeps the margin from
-    every edge.
+        p = foothold          or, without one,        n . p = d
+        n . R e_x = n . R e_y = 0                     of a sole, which lies flat
+        a_i . p_k >= b_i + margin                     on a patch, of its edges i and the corners k of a sole
+        J v = 0                                       of a sliding contact  n^T J v = 0
+
+    with p the frame's origin, n the normal and d the height of the surface that the phase states for the
+    contact, else of the terrain; a contact with a radius touches it. Over smooth ground the second row is the
+    height of p over it. Rows are over l, sqrt(g l) and sqrt(g / l).
 
     Args:
         at: the start of that phase.
@@ -86,15 +91,15 @@ def _places(
     if foothold is None and contact.name in place.phase.patches:
         edges = _inside(context, units, contact, place.phase.patches[contact.name])
     if foothold is not None:
-        found = [Rows.create(frame.position[movable], foothold[movable], foothold[movable], units.length)]
+        rows = [Rows.create(frame.position[movable], foothold[movable], foothold[movable], units.length)]
     elif 2 in held or (movable and not ground.is_level):
-        found = [_on_ground(context, ground, frame.position, units.length)]
+        rows = [_on_ground(context, ground, frame.position, units.length)]
     else:
         return edges
     tilting = _tilting_axes(contact, held)
     if tilting and isinstance(ground, Surface):
-        found.append(Rows.create(along_normal(context, ground, frame.rotation[:, tilting]).T, 0.0, 0.0, 1.0))
-    return found + edges
+        rows.append(Rows.create(along_normal(context, ground, frame.rotation[:, tilting]).T, 0.0, 0.0, 1.0))
+    return rows + edges
 
 
 def _on_ground(context: Context, ground: Ground, position: ca.SX, length: float) -> Rows:

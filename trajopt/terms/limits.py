@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -13,6 +14,7 @@ from typing_extensions import override
 from trajopt.arguments import checked
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
+from trajopt.kinds import ArrayShape
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -34,14 +36,19 @@ def _rows_within(
 class TorqueLimits(PointConstraint):
     """Joint torques within limits.
 
+        |tau_j| <= limit_j
+
+    with tau (nu,) the torques that the drives deliver, joint side. Rows are over m g l. Limits of 30 m g l or
+    more cannot bind and have no row; the check verifies them.
+
     Args:
-        limit: (nu,) on the joint side, N m or N; default the robot's limits.
+        limit: (nu,), joint side, N m or N, inf where there is none; default the robot's limits.
 
     Raises:
         InputError: for limits that are negative or NaN.
     """
 
-    limit: np.ndarray | None = None
+    limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)] | None = None
 
     def __post_init__(self) -> None:
         given = np.atleast_1d(np.asarray(0.0 if self.limit is None else self.limit, dtype=float))
@@ -65,7 +72,13 @@ class TorqueLimits(PointConstraint):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class VelocityLimits(PointConstraint):
-    """Joint rates within the robot's limits, at points and nodes."""
+    """Joint rates within the robot's limits, at points and nodes.
+
+        |xi_j'| <= velocity_limit_j
+
+    Rows are over sqrt(g l) or sqrt(g / l). Limits of 30 sqrt(g / l) or more cannot bind and have no row; the
+    check verifies them.
+    """
 
     def _limits(self, robot: Robot) -> np.ndarray:
         limit = np.where(
@@ -90,8 +103,10 @@ class VelocityLimits(PointConstraint):
 class PositionLimits(PointConstraint):
     """Joint positions within the robot's limits, at points and nodes.
 
-    A limit more than a full turn (2 pi) away from the reference posture is not imposed: no useful motion
-    winds a joint that far. The check verifies it all the same.
+        position_lower_j <= q_j <= position_upper_j
+
+    Rows are over l or 1 rad. A limit more than a full turn (2 pi) away from the reference posture is not
+    imposed: no useful motion winds a joint that far. The check verifies it all the same.
     """
 
     def _limits(self, robot: Robot, context: Context) -> tuple[np.ndarray, np.ndarray]:

@@ -108,8 +108,8 @@ class PlaneSide(MomentConstraint):
     def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:
         point, normal, offset = parameters[:3], parameters[3:6], parameters[6]
         if self.frame is not None:
-            own = context.frame(self.frame)
-            point = own.position + ca.mtimes(own.rotation, point)
+            carrier = context.frame(self.frame)
+            point = carrier.position + ca.mtimes(carrier.rotation, point)
         if self.body is not None:
             carrier = context.frame(self.body)
             normal = ca.mtimes(carrier.rotation, normal)

@@ -25,7 +25,14 @@ from trajopt.terms.node_interfaces import AtMoment, NodePlace
 @checked
 @dataclass(frozen=True, kw_only=True)
 class NodeCost(Term, ABC):
-    """A cost at some nodes (a Mayer term); ``weight`` is dimensionless, finite and >= 0."""
+    """A cost at some nodes (a Mayer term), ``w`` times its `quantity`.
+
+    Args:
+        weight: w, dimensionless, finite and at least zero.
+
+    Raises:
+        InputError: for another weight.
+    """
 
     acts_at_points: ClassVar[bool] = False
 
@@ -50,10 +57,14 @@ class NodeCost(Term, ABC):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class FrameHeightCost(AtMoment, NodeCost):
-    """Minus the height of a frame over the robot's length at one moment: as high as possible.
+    """As high as possible: minus the height of a frame at one moment.
+
+        -w p_z / l
+
+    with p the frame's origin in the world.
 
     Args:
-        weight: dimensionless.
+        weight: w, dimensionless.
         frame: name of the frame.
         at: the moment; the middle of a ballistic flight is its apex.
 
@@ -75,13 +86,17 @@ class FrameHeightCost(AtMoment, NodeCost):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class DistanceCost(AtMoment, NodeCost):
-    """Minus a frame's coordinate along a direction over the robot's length at a moment: as far as possible.
+    """As far as possible: minus a frame's coordinate along a direction at one moment.
+
+        -w direction . p / l
+
+    with p the frame's origin in the world.
 
     Args:
-        weight: dimensionless.
+        weight: w, dimensionless.
         frame: name of the frame.
         direction: in the world (3,), normalised.
-        at: the moment.
+        at: the moment; default the end of the motion.
 
     Raises:
         InputError: for a zero vector.

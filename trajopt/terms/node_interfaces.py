@@ -57,8 +57,8 @@ class NodePlace:
         """Whether this is the node nearest to a moment."""
         if moment.phase is None:
             return self.last
-        own = self.phase.name == moment.phase and self.index == self.nearest(moment.fraction)
-        return own or (self.before is not None and self.before.is_at(moment))
+        here = self.phase.name == moment.phase and self.index == self.nearest(moment.fraction)
+        return here or (self.before is not None and self.before.is_at(moment))
 
     @property
     def step(self) -> float:

@@ -21,7 +21,7 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError, not_among, renamed
+from trajopt.errors import InputError, not_among
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.moment import Moment, middle_of
@@ -63,7 +63,6 @@ def effort_costs(
     )
 
 
-@renamed(phase="at")
 @checked
 def goal_terms(
     goal: str,
@@ -118,17 +117,19 @@ def _main_term(
     if goal == "smooth":
         return AccelerationCost(weight=1.0)
     if goal == "time":
-        free = any(index is not None for index in schedule.time_scales)
-        _require(free, goal, "a schedule with duration_bounds in some phase")
+        if all(index is None for index in schedule.time_scales):
+            raise _missing(goal, "a schedule with duration_bounds in some phase")
         return TimeCost(weight=1.0)
-    if goal == "height":
-        return FrameHeightCost(weight=1.0, frame=_frame(frame, goal), at=at or _apex(schedule))
-    if goal == "distance":
-        return DistanceCost(weight=1.0, frame=_frame(frame, goal), direction=direction)
+    if goal in ("height", "distance"):
+        if frame is None:
+            raise _missing(goal, "a frame's name")
+        if goal == "distance":
+            return DistanceCost(weight=1.0, frame=frame, direction=direction)
+        return FrameHeightCost(weight=1.0, frame=frame, at=at or _apex(schedule))
     if goal == "transport":
-        way = 0.0 if travel is None else travel
-        _require(math.isfinite(way) and way > 0, goal, "travel > 0, the way of the motion in m")
-        return PowerCost(weight=Units(robot).length / way)
+        if travel is None or not 0 < travel < math.inf:
+            raise _missing(goal, "travel > 0, the way of the motion in m")
+        return PowerCost(weight=Units(robot).length / travel)
     if goal == "track":
         if reference is None:
             raise _missing(goal, "a reference motion")
@@ -138,17 +139,6 @@ def _main_term(
 
 def _missing(goal: str, what: str) -> InputError:
     return InputError(f"goal '{goal}' lacks what it is about", f"allowed: {what}")
-
-
-def _require(given: bool, goal: str, what: str) -> None:
-    if not given:
-        raise _missing(goal, what)
-
-
-def _frame(frame: str | None, goal: str) -> str:
-    if frame is None:
-        raise _missing(goal, "a frame's name")
-    return frame
 
 
 def _apex(schedule: Schedule) -> Moment:

@@ -53,14 +53,17 @@ def require_recovered(recovered: float) -> None:
 @checked
 @dataclass(frozen=True, kw_only=True)
 class PowerCost(Cost):
-    """Power drawn by all joints over weight times sqrt(g length); integrated, energy / (weight length).
+    """Cost on the power that all joints draw; integrated, energy over m g l.
 
-    The powers of the joints are added, without a mean of squares: energies add up. Drives with a voltage line
-    add their heat. Gauss-Newton keeps the curvature of |p| as a function of p, and that of the heat in the
-    torques.
+        w sum_j ((1 + r) / 2 p_j + (1 - r) / 2 (sqrt(p_j^2 + s^2) - s) + h_j tau_j^2)
+
+    with the mechanical power p_j = tau_j xi_j' of each joint and the heat h_j tau_j^2 of a drive with a
+    voltage line, both over m g sqrt(g l), r = ``recovered`` and s = ``smoothing``. Powers are added, without
+    a mean of squares: energies add up. Gauss-Newton keeps the curvature of |p| as a function of p, and that
+    of the heat in the torques.
 
     Args:
-        weight: dimensionless.
+        weight: w, dimensionless.
         recovered: fraction of the power that flows back, -1 to 1, see this module.
         smoothing: > 0 in natural units of power: sqrt(p^2 + smoothing^2) - smoothing replaces |p|.
 

@@ -63,8 +63,10 @@ def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tup
 class SlidingFriction(PointConstraint):
     """Friction law of this module at every sliding contact: the force is unilateral and opposes the motion.
 
-    Rows are over the weight. Part of the dynamics where a schedule has such contacts, see
-    `Problem.motion_rows`.
+        f_t + mu f_n v_t / sqrt(|v_t|^2 + v_s^2) = 0        f_n >= 0
+
+    with f_t and v_t (2,) the force and velocity along the surface's tangents and v_s its slip speed. Rows are
+    over m g. Part of the dynamics where a schedule has such contacts, see `Problem.motion_rows`.
     """
 
     @override

@@ -58,9 +58,19 @@ def _acts_at(place: NodePlace, between_phases: bool) -> bool:
 class SwingClearance(DuringPhases, NodeConstraint):
     """Contacts that are inactive in a phase stay above the terrain at the nodes inside the phase.
 
-    The least distance from flat ground, or height over smooth ground, is ``height`` (m) times `swing_profile`
-    of the fraction of the phase; it holds for all four corners of a sole. Piecewise ground has edges, for
-    which there is `SwingOver`. Raises `InputError`.
+        n . p - d >= height 16 s^2 (1 - s)^2
+
+    at the fraction s of the phase, with p the contact's point, or each of the four corners of a sole, and the
+    plane n . p = d of flat ground, raised by the contact's radius. Over smooth ground the left side is the
+    height of p over it, vertically. Rows are over l. Piecewise ground has edges, for which there is
+    `SwingOver`.
+
+    Args:
+        height: least distance from the ground in mid swing, m.
+        terrain: the ground, flat or smooth.
+
+    Raises:
+        InputError: for piecewise ground, and a height that is negative.
     """
 
     height: NonNegative
@@ -117,15 +127,17 @@ class SwingPart:
 class SwingArc(NodeConstraint):
     """Swinging contacts stay above flat or smooth ground over swings that may span several phases.
 
-    Heights are those of `SwingClearance`, over the fraction of the whole swing. Nothing is imposed where a
-    swing begins and ends: the contact's stance determines its position. `swing_arcs` creates these terms.
+        n . p - d >= height 16 s^2 (1 - s)^2
+
+    as of `SwingClearance`, with s the fraction of the whole swing. Nothing is imposed where a swing begins
+    and ends: the contact's stance determines its position. `swing_arcs` creates these terms.
 
     Args:
         height: least height in mid swing, m.
         terrain: the ground.
         parts: the swings in each phase, by the phase's name.
-        between_phases: whether the term acts where the phases begin, for the contacts that are in the air
-            before it too, or at the nodes inside the phases.
+        between_phases: the term acts where the phases begin, for the contacts that are in the air before it
+            too; otherwise at the nodes inside the phases.
     """
 
     made_for_schedule: ClassVar[bool] = True
@@ -232,14 +244,17 @@ def _above(plane: Surface, lift: float) -> tuple[np.ndarray, float]:
 class SwingOver(NodeConstraint):
     """Feet stay above piecewise ground over their swings, and cut no edge between the nodes.
 
-    The clearance follows `swing_profile`; it holds for all four corners of a sole. `swing_clearance` creates
+        a_i . p >= b_i
+
+    for the one or two half-spaces (a_i, b_i) in which the contact's point, or each corner of a sole, is at a
+    node (see this module); the clearance follows `swing_profile`. Rows are over l. `swing_clearance` creates
     these terms.
 
     Args:
         height: clearance in mid swing, m.
         swings: all swings.
-        between_phases: whether the term acts where one phase of a swing passes into the next, or at the
-            nodes inside the phases.
+        between_phases: the term acts where one phase of a swing passes into the next; otherwise at the nodes
+            inside the phases.
     """
 
     height: float

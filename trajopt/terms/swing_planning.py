@@ -121,11 +121,11 @@ def _swing(
 ) -> SwingCrossing:
     (start, first), (end, last) = places
     upward = first.normal[2] > 0 and last.normal[2] > 0
-    found = crossing(terrain, start, end, first, last) if upward else crossing_of(terrain, start, end)
-    raised = found.offset(contact.radius, start, end)
+    crossed = crossing(terrain, start, end, first, last) if upward else crossing_of(terrain, start, end)
+    raised = crossed.offset(contact.radius, start, end)
     rise, fall = (
         edge and edge.kept_from(points, height, contact.radius)
-        for edge, points in ((found.rise, track[0]), (found.fall, track[-1]))
+        for edge, points in ((crossed.rise, track[0]), (crossed.fall, track[-1]))
     )
     ground = replace(raised, rise=rise, fall=fall)
     fractions = np.linspace(0.0, 1.0, len(track))
@@ -179,7 +179,7 @@ def swing_arcs(
 def _swing_parts(
     phases: tuple[Phase, ...], contacts: tuple[str, ...], next_name: Mapping[str, str] | None
 ) -> dict[str, tuple[SwingPart, ...]]:
-    found: dict[str, list[SwingPart]] = {phase.name: [] for phase in phases}
+    swings: dict[str, list[SwingPart]] = {phase.name: [] for phase in phases}
     previous = {} if next_name is None else {after: before for before, after in next_name.items()}
     for name in contacts:
         for i, phase in enumerate(phases):
@@ -187,15 +187,15 @@ def _swing_parts(
                 continue
             before = _time_in_air(phases[:i][::-1], name)
             if before is None:
-                before = sum(p.duration for p in phases[:i])
-                before += 0.0 if not previous else (_time_in_air(phases[::-1], previous[name]) or 0.0)
+                earlier = (_time_in_air(phases[::-1], previous[name]) or 0.0) if previous else 0.0
+                before = sum(p.duration for p in phases[:i]) + earlier
             after = _time_in_air(phases[i + 1 :], name)
             if after is None:
-                after = sum(p.duration for p in phases[i + 1 :])
-                after += 0.0 if next_name is None else (_time_in_air(phases, next_name[name]) or 0.0)
+                later = (_time_in_air(phases, next_name[name]) or 0.0) if next_name else 0.0
+                after = sum(p.duration for p in phases[i + 1 :]) + later
             total = before + phase.duration + after
-            found[phase.name].append(SwingPart(name, before / total, (before + phase.duration) / total))
-    return {name: tuple(parts) for name, parts in found.items()}
+            swings[phase.name].append(SwingPart(name, before / total, (before + phase.duration) / total))
+    return {name: tuple(parts) for name, parts in swings.items()}
 
 
 def _time_in_air(phases: tuple[Phase, ...], name: str) -> float | None:

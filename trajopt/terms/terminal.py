@@ -52,9 +52,9 @@ def free_directions(
     if not contacts:
         return np.eye(robot.nv)
     coordinates = Coordinates(robot.model)
-    to_pinocchio = np.column_stack(
-        [coordinates.node_to_pinocchio(_node_with_rate(coordinates, q, i))[1][0] for i in range(robot.nv)]
-    )
+    nodes = np.tile(coordinates.node_from_pinocchio(q, np.zeros(robot.nv)), (robot.nv, 1))
+    nodes[:, -robot.nv :] = np.eye(robot.nv)
+    to_pinocchio = coordinates.node_to_pinocchio(nodes)[1].T
     held = []
     for contact in map(robot.contact, contacts):
         rows = contact_jacobian(robot.model, q, [(contact.frame, contact.rows)])
@@ -65,16 +65,19 @@ def free_directions(
     return vt[rank:].T
 
 
-def _node_with_rate(coordinates: Coordinates, q: np.ndarray, index: int) -> np.ndarray:
-    node = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
-    node[len(node) - coordinates.nv + index] = 1.0
-    return node
-
-
 @checked
 @dataclass(frozen=True, kw_only=True)
 class TerminalState(NodeConstraint):
-    """The final configuration is ``q`` (nq,), in the directions that active contacts leave free."""
+    """The motion ends in a configuration, in the directions that active contacts leave free.
+
+        N^T ((xi - xi*) / u) = 0
+
+    with N (nv, n) the `free_directions` at q and u the unit of each coordinate, l or 1 rad. Of a rotation the
+    difference is 2 tan(angle / 2) times its axis.
+
+    Args:
+        q: configuration (nq,), m and rad.
+    """
 
     q: np.ndarray
 
@@ -122,6 +125,10 @@ def configuration_difference(context: Context, q: np.ndarray) -> ca.SX:
 class TerminalRest(NodeConstraint):
     """The motion ends at rest, in the directions that active contacts leave free.
 
+        N^T (xi' / u) = 0
+
+    with N (nv, n) the `free_directions` at q and u the unit of each rate, sqrt(g l) or sqrt(g / l).
+
     Args:
         q: configuration (nq,) at which these directions are taken; default that of the guess.
     """
@@ -144,9 +151,13 @@ def guessed_posture(context: Context) -> np.ndarray:
 class TerminalVelocity(NodeConstraint):
     """The motion ends with a given velocity in the directions that active contacts leave free.
 
+        N^T ((xi' - xi'*) / u) = 0
+
+    with N (nv, n) the `free_directions` at q and u the unit of each rate, sqrt(g l) or sqrt(g / l).
+
     Args:
-        q: configuration at the end (nq,).
-        v: Pinocchio's velocity (nv,): of a free-flyer linear and angular in its own axes.
+        q: configuration at the end (nq,), m and rad.
+        v: Pinocchio's velocity (nv,): of a free-flyer linear and angular in its own axes, m/s and rad/s.
     """
 
     q: np.ndarray
@@ -167,8 +178,10 @@ HORIZONTAL = {"planar": (0, -1), "freeflyer": (0, 1)}
 class TerminalPosture(NodeConstraint):
     """The motion ends in a given posture wherever a contact has landed, without turning.
 
-    Rows are in the directions that active contacts leave free, as in `TerminalState`. The base is a
-    free-flyer or planar, in the world's axes.
+        N^T ((xi - xi* - B (p - p*)) / u) = 0
+
+    as of `TerminalState`, with p the contact's position, p* that in q, and B the horizontal part on the
+    base's rows. The base is a free-flyer or planar, in the world's axes.
 
     Args:
         q: configuration (nq,); it is displaced horizontally to where the contact stands.
@@ -188,19 +201,13 @@ class TerminalPosture(NodeConstraint):
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        robot, q = context.robot, context.posture(self.q)
-        foot = context.contact(self.over)
+        robot, q, foot = context.robot, context.posture(self.q), context.contact(self.over)
+        if robot.base not in HORIZONTAL:
+            what = f"robot '{robot.name}' has a {robot.base} base"
+            raise InputError(what, "allowed: freeflyer or planar for a free place")
         goal = contact_positions(robot, q)[self.over]
         error = configuration_difference(context, q)
-        for axis, row in enumerate(_horizontal(robot)):
+        for axis, row in enumerate(HORIZONTAL[robot.base]):
             if row >= 0:
                 error[row] -= context.frame(foot.frame).position[axis] - context.parameter(goal[axis])
         return free_rows(context, place, q, error / units.position)
-
-
-def _horizontal(robot: Robot) -> tuple[int, int]:
-    if robot.base not in HORIZONTAL:
-        raise InputError(
-            f"robot '{robot.name}' has a {robot.base} base", "allowed: freeflyer or planar for a free place"
-        )
-    return HORIZONTAL[robot.base]

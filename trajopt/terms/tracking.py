@@ -33,13 +33,15 @@ NORMALIZED = 1e-4
 @checked
 @dataclass(frozen=True, kw_only=True)
 class TrackingCost(Cost):
-    """Distance of the configuration from a reference motion.
+    """Cost on the distance of the configuration from a reference motion.
 
-    Angles in rad, lengths over the robot's; 2 sin(angle / 2) for an angle without whole turns and, along its
-    axis, for a rotation: smooth, and independent of a quaternion's sign.
+        w |e|^2 / n        e = (xi - xi*) / u,    2 sin((xi - xi*) / 2),    2 sin(angle / 2) axis
+
+    for a joint with limits or a position, an angle without whole turns, and a rotation, with the unit u of
+    each coordinate, l or 1 rad: smooth, and independent of a quaternion's sign.
 
     Args:
-        weight: dimensionless.
+        weight: w, dimensionless.
         reference: q(t) (nq,) of nominal time, s, from the schedule's start: where durations are free the
             reference stretches with its phase. Its values are parameters: another reference needs no
             compilation.

@@ -47,8 +47,8 @@ class ConvexGround:
         """Outward unit normals (m, 3) and offsets (m,) of its faces: inside, normals @ p <= offsets."""
         from scipy.spatial import ConvexHull  # takes a while to load
 
-        found = np.unique(np.round(ConvexHull(self.points).equations, 9), axis=0)
-        return found[:, :3], -found[:, 3]
+        equations = np.unique(np.round(ConvexHull(self.points).equations, 9), axis=0)
+        return equations[:, :3], -equations[:, 3]
 
 
 GroundBody = HalfSpace | ConvexGround
@@ -175,22 +175,18 @@ def _is_covered(polygon: np.ndarray, slope: np.ndarray, level: float, terrain: P
         higher = (own_slope - slope, level - own_level - SAME)
         region = [*_edges(face.vertices), higher]
         left = [part for piece in left for part in _outside(piece, region)]
-    return sum(_area(part) for part in left) < CRACK_AREA
+    corners = [(part[:, 0], part[:, 1]) for part in left]
+    return sum(0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) for x, y in corners) < CRACK_AREA
 
 
 def _outside(polygon: np.ndarray, region: list[_HalfPlane]) -> list[np.ndarray]:
     """Convex parts of a polygon that are not in a region bounded by half-planes."""
-    found = []
+    parts = []
     for inward, offset in region:
         part = cut_polygon(polygon, -inward, -offset)
         if len(part) > 2:
-            found.append(part)
+            parts.append(part)
         polygon = cut_polygon(polygon, inward, offset)
         if len(polygon) < 3:
-            return found
-    return found
-
-
-def _area(polygon: np.ndarray) -> float:
-    x, y = polygon[:, 0], polygon[:, 1]
-    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+            return parts
+    return parts

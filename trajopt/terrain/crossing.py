@@ -77,12 +77,11 @@ class Crossing:
             ends = [_level(plane, point) for plane, point in ((first, start), (last, end)) if plane.normal[2]]
             top = max(top + distance, *ends)
         way = float(np.hypot(*(end - start)[:2]))
-
-        def met(edge: Edge | None) -> Edge | None:
-            kept = edge and replace(edge, offset=edge.offset + distance)
-            return kept and kept.met_earlier(distance / way)
-
-        return Crossing(first=first, last=last, top=top, rise=met(self.rise), fall=met(self.fall))
+        rise, fall = (
+            edge and replace(edge, offset=edge.offset + distance).met_earlier(distance / way)
+            for edge in (self.rise, self.fall)
+        )
+        return Crossing(first=first, last=last, top=top, rise=rise, fall=fall)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,16 +111,16 @@ def crossing(
         [max(over(i, p.begin, h[0]), over(i, p.end, h[1])) for i in (0, 1)]
         for p, h in zip(pieces, heights, strict=True)
     ]
-    own = ends[0][0], ends[1][1]
-    valley = ends[1][0] <= own[0] + SAME_PLANE and ends[0][1] <= own[1] + SAME_PLANE
+    heights_at_ends = ends[0][0], ends[1][1]
+    valley = ends[1][0] <= heights_at_ends[0] + SAME_PLANE and ends[0][1] <= heights_at_ends[1] + SAME_PLANE
     if valley and all(min(both) <= SAME_PLANE for both in above):
         return Crossing(first=first, last=last)
-    top = max([*own, *(max(pair) for pair in heights)])
+    top = max([*heights_at_ends, *(max(pair) for pair in heights)])
     rise = fall = None
-    if own[0] < top - SAME_PLANE:
+    if heights_at_ends[0] < top - SAME_PLANE:
         rise = _edge(_place(pieces, heights, [both[0] for both in above], top), pieces, start, end)
-    if own[1] < top - SAME_PLANE:
-        back = [_reversed(piece) for piece in reversed(pieces)]
+    if heights_at_ends[1] < top - SAME_PLANE:
+        back = [replace(piece, begin=1 - piece.end, end=1 - piece.begin) for piece in reversed(pieces)]
         turned = [(pair[1], pair[0]) for pair in reversed(heights)]
         fall = _edge(_place(back, turned, [both[1] for both in reversed(above)], top), back, end, start)
     return Crossing(first=first, last=last, top=top, rise=rise, fall=fall)
@@ -141,20 +140,21 @@ def _height(piece: _Piece, part: float, start: np.ndarray, end: np.ndarray) -> f
 def _pieces(terrain: PiecewiseTerrain, start: np.ndarray, end: np.ndarray) -> list[_Piece]:
     """The highest face along the way, in order."""
     stops = sorted({0.0, 1.0, *(stop for face in terrain.faces for stop in _stops(face, start, end))})
-    found: list[_Piece] = []
+    pieces: list[_Piece] = []
     for a, b in pairwise(stops):
         if b - a > CRACK:
             middle = start + (a + b) / 2 * (end - start)
             face = terrain.face_at(float(middle[0]), float(middle[1]))
-            if found and found[-1].face is face:
-                a = found.pop().begin
-            found.append(_Piece(begin=a, end=b, face=face))
-    return found
+            if pieces and pieces[-1].face is face:
+                a = pieces.pop().begin
+            pieces.append(_Piece(begin=a, end=b, face=face))
+    return pieces
 
 
 def _stops(face: Patch, start: np.ndarray, end: np.ndarray) -> list[float]:
     """Fractions in (0, 1) of the way at which it meets the lines of a face's edges, seen from above."""
-    outside = [[_to_edge(face, i, point) for point in (start, end)] for i in range(len(face.vertices))]
+    edges = [_edge_plane(face, index) for index in range(len(face.vertices))]
+    outside = [[float(normal @ point - offset) for point in (start, end)] for normal, offset in edges]
     parts = [a / (a - b) for a, b in outside if abs(a - b) > NO_DIRECTION]
     return [part for part in parts if 0 < part < 1]
 
@@ -165,15 +165,6 @@ def _edge_plane(face: Patch, index: int) -> tuple[np.ndarray, float]:
     out = np.array([b[1] - a[1], a[0] - b[0], 0.0])
     out /= np.linalg.norm(out)
     return out, float(out @ a)
-
-
-def _to_edge(face: Patch, index: int, point: np.ndarray) -> float:
-    normal, offset = _edge_plane(face, index)
-    return float(normal @ point - offset)
-
-
-def _reversed(piece: _Piece) -> _Piece:
-    return _Piece(begin=1 - piece.end, end=1 - piece.begin, face=piece.face)
 
 
 def _place(pieces: list[_Piece], heights: list[tuple[float, float]], above: list[float], top: float) -> float:

@@ -16,8 +16,13 @@ from trajopt.terrain.surface import UP, Surface
 class FlatGround:
     """A plane to stand on with Coulomb friction: level, or a slope.
 
-    ``height`` in m over the world's origin; ``friction`` coefficient; ``normal`` (3,) upwards, made a unit
-    vector, (0, 0, 1) for level ground. Raises `InputError`.
+    Args:
+        height: over the world's origin, m.
+        friction: Coulomb's coefficient.
+        normal: upwards (3,), made a unit vector; (0, 0, 1) for level ground.
+
+    Raises:
+        InputError: for a normal that does not point up.
     """
 
     height: float = 0.0

@@ -50,7 +50,8 @@ class Patch:
                 f"a corner of patch '{self.name}' is {off:g} m off its plane",
                 f"allowed: within {SAME_PLANE:g} m",
             )
-        vertices = _counter_clockwise(vertices, self.surface.normal)
+        if not np.cross(vertices, np.roll(vertices, -1, axis=0)).sum(axis=0) @ self.surface.normal > 0:
+            vertices = vertices[::-1].copy()  # they were clockwise
         edges = np.roll(vertices, -1, axis=0) - vertices
         inward = np.cross(self.surface.normal, edges)
         lengths = np.linalg.norm(inward, axis=1)
@@ -82,7 +83,16 @@ class Patch:
         margin: NonNegative = 0.0,
         name: str = "patch",
     ) -> Patch:
-        """A level rectangle: ``centre`` (3,) m, ``size`` along its own axes in m, turned by ``yaw`` rad."""
+        """A level rectangle.
+
+        Args:
+            centre: (3,), m, world.
+            size: along its own axes, m.
+            yaw: of these axes, rad.
+            friction: Coulomb's coefficient.
+            margin: as of `Patch`, m.
+            name: as of `Patch`.
+        """
         middle = finite_array(f"centre of patch '{name}'", centre, unit="m")
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(size) / 2
@@ -123,7 +133,7 @@ class Patch:
             return onto
         corners = self.allowed
         best = [_on_segment(onto, a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
-        return min(best, key=lambda found: float(np.linalg.norm(found - onto)))
+        return min(best, key=lambda candidate: float(np.linalg.norm(candidate - onto)))
 
     def offset(self, distance: float) -> Patch:
         """The parallel patch ``distance`` m along the normal, with the same edges and margin."""
@@ -156,11 +166,6 @@ def _corners(value: Any, name: str) -> np.ndarray:
             f"vertices of patch '{name}' have shape {vertices.shape}", "allowed: (n, 3), n >= 3, finite"
         )
     return vertices
-
-
-def _counter_clockwise(vertices: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    twice_area = np.cross(vertices, np.roll(vertices, -1, axis=0)).sum(axis=0) @ normal
-    return vertices if twice_area > 0 else vertices[::-1].copy()
 
 
 def _require_convex(directions: np.ndarray, normal: np.ndarray, name: str) -> None:

@@ -28,7 +28,15 @@ class PiecewiseTerrain:
 
     The ground at (x, y) is the highest face there. Without a face there is a bottomless hole: its height is
     -inf, nothing penetrates there, and no contact can stand. Risers between faces are not faces: a point
-    lower than the highest face at its (x, y) penetrates by the whole difference. Raises `InputError`.
+    lower than the highest face at its (x, y) penetrates by the whole difference. The constructors below place
+    an obstacle ``at`` (x, y) m, turned by ``yaw`` rad; all its faces have the ``friction`` and the ``margin``
+    in m of `Patch`.
+
+    Args:
+        faces: the faces, at least one.
+
+    Raises:
+        InputError: for faces of one name, and for one that is vertical, points down or holds contacts.
     """
 
     faces: tuple[Patch, ...]
@@ -107,21 +115,19 @@ class PiecewiseTerrain:
         object.__setattr__(shifted, "raised", self.raised + distance)
         return shifted
 
-    def _crack(self, face: Patch) -> float:
-        """Distance in m outside its polygon at which a position still stands on a face."""
-        upward = float(face.surface.normal[2])
-        return CRACK + self.raised * math.sqrt(max(1.0 - upward * upward, 0.0)) / upward
-
     def _heights(self, x: Any, y: Any) -> np.ndarray:
         """Heights (faces, ...) in m of all faces at x, y (...), -inf outside of them."""
         across, along = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-        found = []
+        heights = []
         for face in self.faces:
             normal, height = face.surface.normal, face.surface.height
+            upward = float(normal[2])
+            # A position this far outside the polygon, m, still stands on the face.
+            crack = CRACK + self.raised * math.sqrt(max(1.0 - upward * upward, 0.0)) / upward
             z = (height - normal[0] * across - normal[1] * along) / normal[2]
-            inside = face.inside(np.stack([across, along, z], axis=-1)) >= -self._crack(face)
-            found.append(np.where(inside, z, -np.inf))
-        return np.array(found)
+            inside = face.inside(np.stack([across, along, z], axis=-1)) >= -crack
+            heights.append(np.where(inside, z, -np.inf))
+        return np.array(heights)
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
@@ -150,10 +156,16 @@ class PiecewiseTerrain:
         friction: float = 0.7,
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
-        """Level treads of ``heights`` m over the ground before them, each ``run`` m deep, ``width`` m wide.
+        """Level treads: faces ``before``, ``step1``, ..., ``beyond``.
 
-        Faces ``before``, ``step1``, ...; the last height is that of the flat ``beyond``. The first riser
-        stands at ``at`` (x, y) m, across the direction ``yaw`` rad.
+        Args:
+            heights: of the treads over the ground before them, m; the last is that of the flat ``beyond``.
+            run: depth of a tread, m.
+            width: across the steps, m.
+            at: where the first riser stands (x, y), m.
+            yaw: direction of the steps, rad.
+            friction: Coulomb's coefficient.
+            margin: as of `Patch`, m.
         """
         require_lengths(run=run, width=width)
         levels = np.array(heights, dtype=float).ravel()
@@ -200,10 +212,19 @@ class PiecewiseTerrain:
         friction: float = 0.7,
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
-        """A ``box`` on level ground, ``length`` along x by ``width`` along y, its centre at ``at`` (x, y) m.
+        """A ``box`` on level ground.
 
         The ground around it is ``before`` (smaller x), ``beyond``, ``left`` (greater y) and ``right``, which
-        overlap at the corners. A negative ``height`` is a pit.
+        overlap at the corners.
+
+        Args:
+            height: of the box, m; negative for a pit.
+            length: along x, m.
+            width: along y, m.
+            at: its centre (x, y), m.
+            yaw: of its axes, rad.
+            friction: Coulomb's coefficient.
+            margin: as of `Patch`, m.
         """
         require_lengths(length=length, width=width)
         require_finite("height of a box", height, "m")

@@ -48,7 +48,13 @@ class Shape(ABC):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Incline(Shape):
-    """A tilted plane: z = level + slope_x x + slope_y y; slopes are tangents of angles."""
+    """A tilted plane, z = level + slope_x x + slope_y y.
+
+    Args:
+        level: height at the origin, m.
+        slope_x: tangent of the angle along x.
+        slope_y: tangent of the angle along y.
+    """
 
     level: float = 0.0
     slope_x: float = 0.0
@@ -71,7 +77,13 @@ class Incline(Shape):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Bump(Shape):
-    """A Gaussian hill (or hollow): z = rise exp(-r^2 / (2 radius^2)), r the distance from ``centre`` (2,)."""
+    """A Gaussian hill (or hollow), z = rise exp(-r^2 / (2 radius^2)), r the distance from the centre.
+
+    Args:
+        rise: height of the hill, m; negative for a hollow.
+        radius: m.
+        centre: (x, y), m.
+    """
 
     rise: float
     radius: Positive
@@ -114,7 +126,14 @@ class _Along(Shape):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Ramp(_Along):
-    """A smooth rise to ``rise``: z = rise / 2 (1 + tanh(2 s / length)), slopes to rise / length."""
+    """A smooth rise, z = rise / 2 (1 + tanh(2 s / length)), with slopes up to rise / length.
+
+    Args:
+        rise: m.
+        length: m.
+        at: where s is zero (x, y), m.
+        yaw: direction of s, rad.
+    """
 
     rise: float
     length: Positive
@@ -136,7 +155,14 @@ class Ramp(_Along):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Wave(_Along):
-    """Waves along one direction: z = amplitude sin(2 pi s / wavelength)."""
+    """Waves along one direction, z = amplitude sin(2 pi s / wavelength).
+
+    Args:
+        amplitude: m.
+        wavelength: m.
+        at: where s is zero (x, y), m.
+        yaw: direction of s, rad.
+    """
 
     amplitude: float
     wavelength: Positive

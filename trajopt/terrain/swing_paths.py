@@ -36,17 +36,24 @@ SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
 @checked
 def swing_path(
-    terrain: Terrain,
-    clearance: float,
-    reach: float = 0.0,
-    radii: Mapping[str, float] = MappingProxyType({}),
+    terrain: Terrain, clearance: float, reach: float = 0.0, radii: Mapping[str, float] = MappingProxyType({})
 ) -> SwingPath:
-    """Path of a swinging foot: (name, start (3,), end (3,), s) -> position (3,), m, world; s from 0 to 1.
+    """Path of a swinging foot over terrain, for `legged_guess`.
 
     It rises to the highest ground between its ends before reaching it, and descends behind it; added to that
-    is an arc that is ``clearance`` m over smooth or flat ground and over edges. ``reach``: how far the foot
-    extends before and behind its position, m, half a sole's length. ``radii``: of contacts by name, m, whose
-    centres the positions are. For `legged_guess`.
+    is an arc over smooth or flat ground and over edges.
+
+    Args:
+        terrain: the ground.
+        clearance: height of the arc, m.
+        reach: how far the foot extends before and behind its position, m: half a sole's length.
+        radii: of contacts by name, m, whose centres the positions are.
+
+    Returns:
+        (name, start (3,), end (3,), s) -> position (3,), m, world, with s from 0 to 1.
+
+    Raises:
+        InputError: for a clearance that is negative or not finite.
     """
     require_clearance(clearance)
 
@@ -75,12 +82,9 @@ def crossing_of(terrain: Terrain, start: np.ndarray, end: np.ndarray) -> Crossin
 
 def _reached(ground: Crossing, start: tuple[float, ...], end: tuple[float, ...], reach: float) -> Crossing:
     """The same ground with the fractions of the way at which the foot's front or back meets the edges."""
-    way = math.hypot(end[0] - start[0], end[1] - start[1])
-
-    def met(edge: Edge | None) -> Edge | None:
-        return edge and edge.met_earlier(reach / way)
-
-    return replace(ground, rise=met(ground.rise), fall=met(ground.fall))
+    earlier = reach / math.hypot(end[0] - start[0], end[1] - start[1]) if ground.rise or ground.fall else 0.0
+    rise, fall = (edge and edge.met_earlier(earlier) for edge in (ground.rise, ground.fall))
+    return replace(ground, rise=rise, fall=fall)
 
 
 def _plane(terrain: Terrain, point: np.ndarray) -> Surface:

@@ -22,15 +22,13 @@ from trajopt import _engine
 from trajopt.cache import read_entry, write_entry
 from trajopt.errors import InputError
 from trajopt.transcription import stage_functions
+from trajopt.transcription.hessians import DEFAULT_HESSIAN, EXACT, GAUSS_NEWTON, HESSIANS, LIMITED_MEMORY
 from trajopt.transcription.stage_functions import Derivatives, PointFunction
 
-# Hessians to choose from; a solver approximates the last one from gradients.
-HESSIANS = ("exact", "gauss-newton", "limited-memory")
-DEFAULT_HESSIAN = "exact"
 _FUNCTIONS = {
-    "exact": ("value", "first", "second"),
-    "gauss-newton": ("value", "first", "gauss_newton"),
-    "limited-memory": ("value", "first"),
+    EXACT: ("value", "first", "second"),
+    GAUSS_NEWTON: ("value", "first", "gauss_newton"),
+    LIMITED_MEMORY: ("value", "first"),
 }
 
 

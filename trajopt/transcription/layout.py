@@ -212,10 +212,10 @@ class Layout:
 
     def place(self, k: int) -> NodePlace | None:
         """Phase and fraction of node k, None where it repeats another; between phases the later one's."""
-        found = self.timeline.places[k]
-        if found is None:
+        place_layout = self.timeline.places[k]
+        if place_layout is None:
             return None
-        phase, index = found
+        phase, index = place_layout
         mesh = self.mesh.phases[phase]
         final = phase == len(self.intervals) - 1
         last, before = final and index == mesh.count, None
@@ -244,8 +244,8 @@ class Layout:
 
     def place_phase(self, k: int) -> int:
         """Phase index of ``place(k)``, -1 where there is none."""
-        found = self.timeline.places[k]
-        return -1 if found is None else found[0]
+        location = self.timeline.places[k]
+        return -1 if location is None else location[0]
 
     def phase_at(self, k: int) -> int:
         """Phase of node k: of the stage that begins there, or of the last."""

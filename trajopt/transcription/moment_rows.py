@@ -34,12 +34,12 @@ def moments_by_stage(problem: Problem, layout: Layout) -> Mapping[int, list[Mome
     A node between two intervals of a phase belongs to the later one. Moments at a start that is fixed are
     left out: nothing moves there.
     """
-    found: defaultdict[int, list[MomentPlace]] = defaultdict(list)
+    by_stage: defaultdict[int, list[MomentPlace]] = defaultdict(list)
     for number, term in enumerate(problem.moment_constraints):
         for index, (stage, fraction) in enumerate(_places(problem, layout, term)):
             if not (stage == 0 and fraction == 0.0 and problem.periodicity is None):
-                found[stage].append(MomentPlace(number, index, stage, fraction))
-    return found
+                by_stage[stage].append(MomentPlace(number, index, stage, fraction))
+    return by_stage
 
 
 def _places(problem: Problem, layout: Layout, term: MomentConstraint) -> list[tuple[int, float]]:
@@ -54,7 +54,7 @@ def _places(problem: Problem, layout: Layout, term: MomentConstraint) -> list[tu
 def alike(layout: Layout, moments: Mapping[int, list[MomentPlace]]) -> list[list[MomentPlace]]:
     """Moments of one term at the same fraction of intervals of the same width: they share their gather."""
     groups: defaultdict[tuple[int, float, float], list[MomentPlace]] = defaultdict(list)
-    for stage, own in moments.items():
-        for moment in own:
+    for stage, places in moments.items():
+        for moment in places:
             groups[moment.term, moment.fraction, float(layout.steps[stage])].append(moment)
     return list(groups.values())

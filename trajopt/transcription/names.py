@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy import sparse
 
 from trajopt.robot.contact import Contact
 from trajopt.robot.units import Units
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.dynamics import ImpactDynamics
 from trajopt.transcription.layout import Layout
+from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.symbols import Label, SymbolNames, coordinate_labels, node_labels, wrench_labels
 from trajopt.transcription.term_functions import TermFunctions
 from trajopt.transcription.timeline import StageKind
@@ -52,17 +54,29 @@ class RowName:
 
 @dataclass(frozen=True)
 class NlpNames:
-    """Names of one transcription; ``times`` (n_stages + 1,) s of its nodes.
+    """Names of an NLP's variables and rows, with times and derivatives at scaled variables ``x``.
 
     A row's subject is read off the symbols in its term's expression, so that user-defined terms are named
-    too. Where these are many, ``slopes`` gives the row's Jacobian (indices, values), None where there is
-    none.
+    too. Where these are many, it is read off the row's derivatives.
     """
 
-    transcription: Transcription
-    times: np.ndarray
-    slopes: Callable[[int], tuple[np.ndarray, np.ndarray]] | None = None
+    nlp: Nlp
+    x: np.ndarray
     _known: dict[tuple[Place, int], dict[str, list[str]]] = field(default_factory=dict, init=False)
+
+    @property
+    def transcription(self) -> Transcription:
+        """What is named."""
+        return self.nlp.transcription
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """Times (n_stages + 1,) of the nodes, s."""
+        return self.transcription.layout.times(self.x * self.transcription.scale)
+
+    @cached_property
+    def _jacobian(self) -> sparse.csr_matrix:
+        return self.nlp.jacobian(self.x)
 
     # Places
 
@@ -120,24 +134,24 @@ class NlpNames:
     def _unknowns(self) -> list[tuple[Label, Site]]:
         layout = self.layout
         nothing = (Label(owner="", kind="", quantity=""), Site(stage=0, point=-1))
-        found = [nothing] * layout.n_unknowns
+        names = [nothing] * layout.n_unknowns
         every = np.arange(layout.n_unknowns)
         for k, form in enumerate(layout.forms):
             site = Site(stage=k, point=-1)
-            _put(found, every[layout.node(k)], node_labels(form, self.free_phases), site)
+            _put(names, every[layout.node(k)], node_labels(form, self.free_phases), site)
             if k == layout.n_stages:
                 break
             window, stage = every[layout.window(k)], layout.stages[k]
             if stage.kind is StageKind.IMPACT:
                 jumps = coordinate_labels(form.robot, form.coordinates, "jump")
-                _put(found, window[layout.local_jump(k)], jumps, site)
+                _put(names, window[layout.local_jump(k)], jumps, site)
                 impulses = _wrenches(layout.touching[stage.phase], "impulse", "angular impulse")
-                _put(found, window[layout.local_impulse(k)], impulses, site)
+                _put(names, window[layout.local_impulse(k)], impulses, site)
             elif stage.kind is StageKind.INTERVAL:
-                self._name_interval(found, window, k)
-        return found
+                self._name_interval(names, window, k)
+        return names
 
-    def _name_interval(self, found: list[tuple[Label, Site]], window: np.ndarray, k: int) -> None:
+    def _name_interval(self, names: list[tuple[Label, Site]], window: np.ndarray, k: int) -> None:
         layout, form = self.layout, self.layout.forms[k]
         phase = layout.stages[k].phase
         kind = "acceleration" if layout.order == 2 else "rate"
@@ -145,8 +159,8 @@ class NlpNames:
         forces = _wrenches(layout.contacts[phase], "force", "moment")
         for i in range(layout.scheme_of(phase).s):
             site = Site(stage=k, point=i)
-            _put(found, window[layout.local_derivative(phase, i)], labels, site)
-            _put(found, window[layout.local_wrench(phase, i)], forces, site)
+            _put(names, window[layout.local_derivative(phase, i)], labels, site)
+            _put(names, window[layout.local_wrench(phase, i)], forces, site)
 
     # Rows
 
@@ -193,10 +207,9 @@ class NlpNames:
 
     def _by_weight(self, index: int) -> str:
         """The variables with the largest coefficients in a row, if one or two dominate it."""
-        if self.slopes is None:
-            return ""
         weights: defaultdict[str, float] = defaultdict(float)
-        for column, value in zip(*self.slopes(index), strict=True):
+        row = self._jacobian[index]
+        for column, value in zip(row.indices, row.data, strict=True):
             weights[str(self.unknown_labels[int(column)])] += float(value) ** 2
         largest = sorted(weights, key=lambda label: -weights[label])
         total = sum(weights.values())
@@ -210,15 +223,15 @@ class NlpNames:
         layout, k = self.layout, site.stage
         if site.point >= 0:
             return self._subjects_of(int(layout.phase_of[k]), Place.POINT, k)
-        found: defaultdict[str, list[str]] = defaultdict(list)
+        rows: defaultdict[str, list[str]] = defaultdict(list)
         parts = []
         if k < layout.n_stages and layout.stages[k].kind is StageKind.IMPACT:
             parts.append(self._subjects_of(layout.stages[k].phase, Place.IMPACT, k))
         if layout.place(k) is not None:
             parts.append(self._subjects_of(layout.place_phase(k), Place.NODE, k))
         for name, subjects in itertools.chain.from_iterable(part.items() for part in parts):
-            found[name] += subjects
-        return found
+            rows[name] += subjects
+        return rows
 
     @cached_property
     def functions(self) -> TermFunctions:
@@ -257,16 +270,16 @@ class NlpNames:
         constraints = [term for term in self.acting_terms(phase, place, k) if hasattr(term, "rows")]
         blocks = [(term.name, term.rows(context, units, *at)) for term in constraints]
         names = SymbolNames(context, form, self.free_phases)  # of all that the rows have used so far
-        found: defaultdict[str, list[str]] = defaultdict(list)
+        columns: defaultdict[str, list[str]] = defaultdict(list)
         for block, rows in blocks:
             if rows is not None and rows.expression.numel():
-                found[block] += [names.row(entry) for entry in ca.vertsplit(rows.expression)]
-        return {block: _told_apart(subjects) for block, subjects in found.items()}
+                columns[block] += [names.row(entry) for entry in ca.vertsplit(rows.expression)]
+        return {block: _told_apart(subjects) for block, subjects in columns.items()}
 
 
-def _put(found: list[tuple[Label, Site]], indices: np.ndarray, labels: Iterable[Label], site: Site) -> None:
+def _put(names: list[tuple[Label, Site]], indices: np.ndarray, labels: Iterable[Label], site: Site) -> None:
     for index, label in zip(indices.tolist(), labels, strict=True):
-        found[index] = (label, site)
+        names[index] = (label, site)
 
 
 def _wrenches(contacts: Iterable[Contact], linear: str, angular: str) -> list[Label]:

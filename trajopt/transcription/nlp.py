@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from trajopt import _engine
 from trajopt.errors import InputError
-from trajopt.transcription.compilation import DEFAULT_HESSIAN, CompiledPoint
+from trajopt.transcription.compilation import CompiledPoint
+from trajopt.transcription.hessians import DEFAULT_HESSIAN
 from trajopt.transcription.sparse_maps import DerivativeMap, hessian_map, jacobian_map
 from trajopt.transcription.transcription import FunctionGroup, Transcription
 
@@ -21,7 +23,7 @@ class Nlp:
 
     ``engine`` evaluates it; ``row``, ``column`` name the Jacobian's nonzeros, ``hessian_row``,
     ``hessian_column`` those of the lower triangle of the Lagrangian's Hessian, or of its replacement:
-    ``hessian`` is one of ``compilation.HESSIANS``. ``parts``: what ``engine`` was built from.
+    ``hessian`` is one of ``hessians.HESSIANS``. ``parts``: what ``engine`` was built from.
     """
 
     transcription: Transcription
@@ -32,6 +34,11 @@ class Nlp:
     hessian_column: np.ndarray
     parts: Mapping[str, Any] = field(repr=False)
     hessian: str = DEFAULT_HESSIAN
+
+    def jacobian(self, x: np.ndarray) -> sparse.csr_matrix:
+        """Jacobian (n_rows, n_unknowns) of the rows at scaled variables ``x`` (n_unknowns,)."""
+        entries = np.array(self.engine.jacobian(x)), (self.row, self.column)
+        return sparse.csr_matrix(entries, shape=(self.transcription.n_rows, len(x)))
 
 
 class _Pattern:

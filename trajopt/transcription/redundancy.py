@@ -54,7 +54,8 @@ def _kept(
 ) -> _KeptRows:
     kept: dict[str, list[int]] = {contact.name: [] for contact in (*before, *after)}
     bases: list[list[np.ndarray]] = [[] for _ in postures]
-    for contact, row in _ordered(before, after):
+    contacts = [(c, row) for group in (before, after) for row in ORDER for c in group if row in c.rows]
+    for contact, row in contacts:
         lines = [_unit_row(robot, posture, contact, row) for posture in postures]
         rest = [_without(line, basis) for line, basis in zip(lines, bases, strict=True)]
         lengths = [float(np.linalg.norm(line)) for line in rest]
@@ -65,10 +66,6 @@ def _kept(
             if length > INDEPENDENT:
                 basis.append(line / length)
     return {name: tuple(sorted(rows)) for name, rows in kept.items()}
-
-
-def _ordered(before: Sequence[Contact], after: Sequence[Contact]) -> list[tuple[Contact, int]]:
-    return [(c, row) for group in (before, after) for row in ORDER for c in group if row in c.rows]
 
 
 def _neighbours(

@@ -11,12 +11,16 @@ double integrals of the Lagrange polynomials through the points (de Boor and Swa
 at Gaussian points", 1973: order 2 s and 2 s - 1 at the nodes). The classic schemes integrate the
 velocity by the same rule as the acceleration, A2 = A1 A1, as when q' = v is collocated separately (Betts,
 "Practical Methods for Optimal Control", 2010, ch. 4).
+
+A new scheme is one `SchemeFamily` in `FAMILIES`; nothing else asks for a scheme by name.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 
 import casadi as ca
 import numpy as np
@@ -24,16 +28,19 @@ from numpy.polynomial import Polynomial
 
 from trajopt.errors import not_among
 
-MAX_DEGREE = 4
-SCHEME_NAMES = ("legendre:1..4", "radau:1..4", "trapezoidal", "hermite-simpson", "semi-implicit-euler")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
     """One interval's points and weights; arrays are dimensionless fractions of the interval.
 
-    ``c`` (s,), ``A1``, ``A2`` (s, s), ``b1``, ``b2`` (s,); ``b1`` are also the quadrature weights of
-    the running cost; ``order`` is the order of accuracy at the nodes.
+    Args:
+        name: By which it is found.
+        order: Of accuracy at the nodes.
+        c: Points (s,).
+        A1: (s, s).
+        A2: (s, s).
+        b1: (s,), also the quadrature weights of the running cost.
+        b2: (s,).
     """
 
     name: str
@@ -49,6 +56,23 @@ class Scheme:
         object.__setattr__(self, "s", len(self.c))
         for array in (self.c, self.A1, self.A2, self.b1, self.b2):
             array.setflags(write=False)
+
+    @cached_property
+    def error_constant(self) -> float:
+        """The local error of the quadrature over h^(p + 1) f^(p), with order p.
+
+        Davis and Rabinowitz, "Methods of Numerical Integration", 1984, ch. 2.7.
+        """
+        missed = 1 / (self.order + 1) - float(self.b1 @ self.c**self.order)
+        return abs(missed) / math.factorial(self.order)
+
+    @property
+    def finer(self) -> Scheme | None:
+        """The scheme of the next degree of its family; None for the last one, and where there are none."""
+        family, _, degree = self.name.partition(":")
+        if not degree or int(degree) >= FAMILIES[family].degrees:
+            return None
+        return scheme(f"{family}:{int(degree) + 1}")
 
     def interpolation(self, fractions: np.ndarray) -> np.ndarray:
         """Matrix (len(fractions), s) that evaluates the Lagrange polynomials through the points."""
@@ -86,13 +110,15 @@ def _integrals(points: np.ndarray, ends: np.ndarray, times: int) -> np.ndarray:
     return np.column_stack([basis.integ(times)(ends) for basis in _lagrange(points)])
 
 
-@cache
-def _collocation(family: str, degree: int) -> Scheme:
-    c = np.array(ca.collocation_points(degree, family))
+def collocation(name: str, order: int, c: np.ndarray) -> Scheme:
+    """Collocation of the acceleration at points ``c`` (s,) of an interval, between 0 and 1.
+
+    order: of the quadrature with these points, which is that at the nodes (de Boor and Swartz, 1973).
+    """
     one = np.ones(1)
     return Scheme(
-        name=f"{family}:{degree}",
-        order=2 * degree if family == "legendre" else 2 * degree - 1,
+        name=name,
+        order=order,
         c=c,
         A1=_integrals(c, c, 1),
         A2=_integrals(c, c, 2),
@@ -101,28 +127,57 @@ def _collocation(family: str, degree: int) -> Scheme:
     )
 
 
-def _lobatto(name: str, order: int, c: np.ndarray) -> Scheme:
-    a1 = _integrals(c, c, 1)
-    b1 = _integrals(c, np.ones(1), 1)[0]
+def _classic(name: str, order: int, c: np.ndarray) -> Scheme:
+    """The Lobatto rule with points ``c``, for the acceleration and again for the velocity."""
+    a1, b1 = _integrals(c, c, 1), _integrals(c, np.ones(1), 1)[0]
     return Scheme(name=name, order=order, c=c, A1=a1, A2=a1 @ a1, b1=b1, b2=b1 @ a1)
 
 
-def _semi_implicit_euler() -> Scheme:
+def _casadi_points(family: str, degree: int) -> np.ndarray:
+    return np.array(ca.collocation_points(degree, family))
+
+
+def _semi_implicit_euler(name: str) -> Scheme:
+    """X + h v + h^2 y: the velocity of the end moves the position."""
     zero, one = np.zeros((1, 1)), np.ones(1)
-    return Scheme(
-        name="semi-implicit-euler", order=1, c=np.zeros(1), A1=zero, A2=zero.copy(), b1=one, b2=one.copy()
-    )
+    return Scheme(name=name, order=1, c=np.zeros(1), A1=zero, A2=zero.copy(), b1=one, b2=one.copy())
 
 
+@dataclass(frozen=True, kw_only=True)
+class SchemeFamily:
+    """Schemes of one kind: ``NAME:1`` to ``NAME:degrees``, or one without a degree.
+
+    Args:
+        build: The scheme of a name and a degree.
+        degrees: The highest degree; 0 for a single scheme, named like its family.
+    """
+
+    build: Callable[[str, int], Scheme]
+    degrees: int = 0
+
+
+FAMILIES = {
+    "legendre": SchemeFamily(
+        build=lambda name, s: collocation(name, 2 * s, _casadi_points("legendre", s)), degrees=4
+    ),
+    "radau": SchemeFamily(
+        build=lambda name, s: collocation(name, 2 * s - 1, _casadi_points("radau", s)), degrees=4
+    ),
+    "trapezoidal": SchemeFamily(build=lambda name, _: _classic(name, 2, np.array([0.0, 1.0]))),
+    "hermite-simpson": SchemeFamily(build=lambda name, _: _classic(name, 4, np.array([0.0, 0.5, 1.0]))),
+    "semi-implicit-euler": SchemeFamily(build=lambda name, _: _semi_implicit_euler(name)),
+}
+
+
+@cache
 def scheme(name: str) -> Scheme:
-    """Scheme by name, for example ``legendre:2``; see ``SCHEME_NAMES``. Raises InputError."""
+    """Scheme by name, for example ``legendre:2``. Raises InputError with those that exist."""
     family, _, degree = name.partition(":")
-    if family in ("legendre", "radau") and degree in map(str, range(1, MAX_DEGREE + 1)):
-        return _collocation(family, int(degree))
-    if name == "trapezoidal":
-        return _lobatto(name, 2, np.array([0.0, 1.0]))
-    if name == "hermite-simpson":
-        return _lobatto(name, 4, np.array([0.0, 0.5, 1.0]))
-    if name == "semi-implicit-euler":
-        return _semi_implicit_euler()
-    raise not_among(SCHEME_NAMES, name, f"unknown transcription '{name}'")
+    if family in FAMILIES:
+        kind = FAMILIES[family]
+        if kind.degrees and degree in map(str, range(1, kind.degrees + 1)):
+            return kind.build(name, int(degree))
+        if not kind.degrees and name == family:
+            return kind.build(name, 0)
+    known = [f"{each}:1..{kind.degrees}" if kind.degrees else each for each, kind in FAMILIES.items()]
+    raise not_among(known, name, f"unknown transcription '{name}'")

@@ -107,16 +107,12 @@ class _Chain:
             reversed(self.layers), reversed(self.values[:-1]), reversed(self.jacobians), strict=True
         ):
             s, mu = ca.SX.sym("s", value.numel()), ca.SX.sym("mu", multiplier.numel())
-            own, _ = ca.hessian(ca.dot(mu, layer(s)), s)
-            own = ca.Function("curvature", [s, mu], [own])(value, multiplier)
-            hessian = _mirrored(ca.mtimes(ca.mtimes(jacobian.T, hessian), jacobian) + own)
+            second, _ = ca.hessian(ca.dot(mu, layer(s)), s)
+            second = ca.Function("curvature", [s, mu], [second])(value, multiplier)
+            hessian = ca.mtimes(ca.mtimes(jacobian.T, hessian), jacobian) + second
+            hessian = ca.tril2symm(ca.tril(hessian))  # the graph of its upper triangle is dropped
             multiplier = ca.mtimes(jacobian.T, multiplier)
         return hessian
-
-
-def _mirrored(symmetric: ca.SX) -> ca.SX:
-    """The same matrix with its upper triangle copied from the lower: the upper's graph is dropped."""
-    return ca.tril2symm(ca.tril(symmetric))
 
 
 class Derivatives:

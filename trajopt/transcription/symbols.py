@@ -40,7 +40,7 @@ class Label:
 
 def coordinate_owners(robot: Robot, coordinates: Coordinates) -> list[tuple[str, str]]:
     """Owner and axis of each local coordinate (nv,); the axis is empty for a joint of one."""
-    found: list[tuple[str, str]] = []
+    owners: list[tuple[str, str]] = []
     for joint in coordinates.joints:
         size = joint.v.stop - joint.v.start
         base = robot.base != "fixed" and joint is coordinates.joints[0] and size > 1
@@ -50,8 +50,8 @@ def coordinate_owners(robot: Robot, coordinates: Coordinates) -> list[tuple[str,
             "planar": ("x", "y", "turn"),
             "spherical": ("turn about x", "turn about y", "turn about z"),
         }.get(joint.kind, ("",) if size == 1 else AXES[:size])
-        found += [(owner, axis) for axis in axes]
-    return found
+        owners += [(owner, axis) for axis in axes]
+    return owners
 
 
 def coordinate_labels(robot: Robot, coordinates: Coordinates, kind: str) -> list[Label]:
@@ -90,9 +90,9 @@ def node_labels(form: NodeLayout, free_phases: Sequence[str]) -> list[Label]:
     positions = coordinate_labels(form.robot, form.coordinates, "position")
     rates = coordinate_labels(form.robot, form.coordinates, "rate")
     additive = [positions[int(index)] for index in form.coordinates.additive_index]
-    own = [Label(owner=f"phase {name}", kind="time scale", quantity="duration") for name in free_phases]
+    durations = [Label(owner=f"phase {name}", kind="time scale", quantity="duration") for name in free_phases]
     rotations = rotation_labels(form.robot, form.coordinates)
-    return [*rotations, *additive, *(rates if form.order == 2 else []), *own]
+    return [*rotations, *additive, *(rates if form.order == 2 else []), *durations]
 
 
 def input_labels(context: Context, form: NodeLayout, free_phases: Sequence[str]) -> list[Label]:
@@ -148,8 +148,8 @@ class SymbolNames:
 
     def of(self, expression: ca.SX) -> list[Label]:
         """Labels of the symbols in an expression, without parameters, sorted."""
-        found = {self._labels.get(symbol.element_hash()) for symbol in ca.symvar(expression)}
-        return sorted(label for label in found if label is not None)
+        labels = {self._labels.get(symbol.element_hash()) for symbol in ca.symvar(expression)}
+        return sorted(label for label in labels if label is not None)
 
     def row(self, expression: ca.SX) -> str:
         """The subject of one row in words; empty if it has too many."""

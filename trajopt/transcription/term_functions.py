@@ -50,45 +50,45 @@ class TermFunctions:
     def point(self, phase: int) -> StageTerms:
         """Function of a phase's collocation points."""
         form = self.layout.form_of(phase)
-        own, context = self.units[id(form.robot)], self.context(phase, form, Place.POINT)
+        units, context = self.units[id(form.robot)], self.context(phase, form, Place.POINT)
         name, problem = self.problem.schedule.phases[phase].name, self.problem
-        costs = [result_of(t, name, t.value, context, own) for t in problem.costs if t.acts_in(name)]
+        costs = [result_of(t, name, t.value, context, units) for t in problem.costs if t.acts_in(name)]
         acting = [term for term in problem.point_constraints if term.acts_in(name)]
-        rows = [(t.name, result_of(t, name, t.rows, context, own)) for t in acting]
+        rows = [(t.name, result_of(t, name, t.rows, context, units)) for t in acting]
         return _stage_terms(name, context, context.time_scale * sum(costs, ca.SX(0)), rows)
 
     def impact(self, k: int) -> StageTerms:
         """Function of the impact that is stage k: its dynamics, and terms on contact forces."""
         phase, form = self.layout.stages[k].phase, self.layout.forms[k]
-        own = self.units[id(form.robot)].impulsive()
+        units = self.units[id(form.robot)].impulsive()
         context = self.context(phase, form, Place.IMPACT)
         name, problem = self.problem.schedule.phases[phase].name, self.problem
-        costs = [result_of(t, name, t.value, context, own) for t in problem.impact_costs if t.acts_in(name)]
+        costs = [result_of(t, name, t.value, context, units) for t in problem.impact_costs if t.acts_in(name)]
         acting = [t for t in problem.point_constraints if t.acts_in(name) and t.acts_at_impacts]
-        rows = [(t.name, result_of(t, name, t.rows, context, own)) for t in (ImpactDynamics(), *acting)]
+        rows = [(t.name, result_of(t, name, t.rows, context, units)) for t in (ImpactDynamics(), *acting)]
         return _stage_terms(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
 
     def nodes(self) -> dict[int, StageTerms]:
         """For each node with constraints or costs: its function, named rows and parameter values."""
         functions: dict[tuple[object, ...], PointFunction] = {}
-        found, constraints, prices = {}, self.problem.node_constraints, self.problem.node_costs
+        at_nodes, constraints, prices = {}, self.problem.node_constraints, self.problem.node_costs
         for k, form in enumerate(self.layout.forms):
             place, phase = self.layout.place(k), self.layout.place_phase(k)
             acting = [t for t in constraints if place is not None and t.acts_at(place)]
             priced = [t for t in prices if place is not None and t.acts_at(place)]
             if place is None or not (acting or priced):
                 continue
-            own, near = self.units[id(form.robot)], self._unwrapped_guess.get(k)
+            units, near = self.units[id(form.robot)], self._unwrapped_guess.get(k)
             context = self.context(phase, form, Place.NODE, near, partial(self._guess_at, k))
             name = place.phase.name
-            named = [(t.name, result_of(t, name, t.rows, context, own, place)) for t in acting]
-            cost = sum((result_of(t, name, t.value, context, own, place) for t in priced), ca.SX(0))
+            named = [(t.name, result_of(t, name, t.rows, context, units, place)) for t in acting]
+            cost = sum((result_of(t, name, t.value, context, units, place) for t in priced), ca.SX(0))
             terms = _stage_terms(f"node_{name}", context, cost, named)
             if terms.blocks or priced:
                 key = (id(form), name, *(id(term) for term in (*acting, *priced)))
                 shared = functions.setdefault(key, terms.function)
-                found[k] = replace(terms, function=shared)
-        return found
+                at_nodes[k] = replace(terms, function=shared)
+        return at_nodes
 
     def moment(self, term: MomentConstraint) -> StageTerms:
         """Function of a constraint at moments of a phase; its parameters are those of each moment."""
@@ -151,7 +151,7 @@ class TermFunctions:
 
     def redundant(self) -> dict[str, list[str]]:
         """Return, by phase, names of the redundant rows of contacts, which are left out."""
-        axes, found = ("x", "y", "z", "rx", "ry", "rz"), {}
+        axes, left_out = ("x", "y", "z", "rx", "ry", "rz"), {}
         for index, phase in enumerate(self.problem.schedule.phases):
             kept = self.kept_rows(index)
             left = [
@@ -161,8 +161,8 @@ class TermFunctions:
                 if row not in kept.get(contact.name, contact.rows)
             ]
             if left:
-                found[phase.name] = left
-        return found
+                left_out[phase.name] = left
+        return left_out
 
     def kept_rows(self, phase: int) -> dict[str, tuple[int, ...]]:
         """Rows of the contacts' motion that are imposed in a phase, at its guess: see ``redundancy``."""
@@ -197,7 +197,7 @@ class TermFunctions:
 
         A motion whose guess makes a full turn ends there, and one past the angle pi does not turn back.
         """
-        found: dict[int, np.ndarray] = {}
+        nearby: dict[int, np.ndarray] = {}
         before: dict[int, np.ndarray] = {}
         for k, form in enumerate(self.layout.forms):
             coordinates = form.coordinates
@@ -209,9 +209,9 @@ class TermFunctions:
                 form, self.problem.initial_q if fixed else self.problem.guess_at(time)
             )
             node = coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))
-            found[k] = coordinates.continued(node, before.get(id(coordinates), node))
-            before[id(coordinates)] = found[k]
-        return found
+            nearby[k] = coordinates.continued(node, before.get(id(coordinates), node))
+            before[id(coordinates)] = nearby[k]
+        return nearby
 
     def context(
         self,

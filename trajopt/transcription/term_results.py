@@ -23,8 +23,8 @@ def result_of(term: Term, phase: str, build: Callable[..., Any], context: Contex
     """
     method = build.__name__
     try:
-        found = build(context, *more)
-        return _value(method, found, context) if method == "value" else _rows(term, method, found, context)
+        result = build(context, *more)
+        return _value(method, result, context) if method == "value" else _rows(term, method, result, context)
     except InputError as error:
         if type(error) is not InputError:
             raise
@@ -38,30 +38,30 @@ def result_of(term: Term, phase: str, build: Callable[..., Any], context: Contex
         raise InputError(f"{what}: {first_line(error)}", f"in {where}") from error
 
 
-def _value(method: str, found: Any, context: Context) -> ca.SX:
-    value = ca.SX(found) if isinstance(found, int | float) and not isinstance(found, bool) else found
+def _value(method: str, result: Any, context: Context) -> ca.SX:
+    value = ca.SX(result) if isinstance(result, int | float) and not isinstance(result, bool) else result
     if not isinstance(value, ca.SX | ca.DM) or value.numel() != 1:
-        raise InputError(f"{method}() returns {shown(found)}", "allowed: a casadi.SX of one entry")
+        raise InputError(f"{method}() returns {shown(result)}", "allowed: a casadi.SX of one entry")
     value = ca.SX(value)
     _require_known(value, context)
     return value
 
 
-def _rows(term: Term, method: str, found: Any, context: Context) -> Rows | None:
-    if found is None and isinstance(term, PointConstraint):
+def _rows(term: Term, method: str, result: Any, context: Context) -> Rows | None:
+    if result is None and isinstance(term, PointConstraint):
         return None
-    if not isinstance(found, Rows):
+    if not isinstance(result, Rows):
         allowed = "allowed: Rows.create(expression, lower, upper, unit)"
         allowed += ", or None where nothing is constrained" if isinstance(term, PointConstraint) else ""
-        raise InputError(f"{method}() returns {shown(found)}", allowed)
-    expression = column("expression of Rows", found.expression)
+        raise InputError(f"{method}() returns {shown(result)}", allowed)
+    expression = column("expression of Rows", result.expression)
     for name in ("lower", "upper", "unit"):
-        count = len(getattr(found, name))
+        count = len(getattr(result, name))
         if count != expression.numel():
             allowed = f"allowed: {expression.numel()}, one for each row"
             raise InputError(f"{name} of Rows has {count} numbers", allowed)
     _require_known(expression, context)
-    return found
+    return result
 
 
 def _require_known(expression: ca.SX, context: Context) -> None:

@@ -138,13 +138,13 @@ class _Builder:
     def build(self, mesh: Mesh) -> Timeline:
         last = len(self.schedule.phases) - 1
         for phase, own_mesh in enumerate(mesh.phases):
-            own = self.form(self.of_phase[phase], self.time_scales[phase])
+            form = self.form(self.of_phase[phase], self.time_scales[phase])
             if phase == 0:
-                self.begin(own)
+                self.begin(form)
             duration = self.schedule.phases[phase].duration
             for index, width in enumerate(own_mesh.widths, 1):
                 self.stages.append(Stage(StageKind.INTERVAL, phase, duration * width))
-                self.node(own, (phase, index))
+                self.node(form, (phase, index))
             self.transitions(phase, phase + 1 if phase < last else None)
         return Timeline(tuple(self.stages), tuple(self.forms), tuple(self.places))
 
@@ -152,13 +152,13 @@ class _Builder:
         self.forms.append(form)
         self.places.append(place)
 
-    def begin(self, own: NodeLayout) -> None:
+    def begin(self, form: NodeLayout) -> None:
         """The first node; for a closed motion in true time, in which both ends can be compared."""
-        if self.closed and own.time_scale is not None:
+        if self.closed and form.time_scale is not None:
             self.node(self.form(self.of_phase[0], None), (0, 0))
-            self.change(0, own)
+            self.change(0, form)
         else:
-            self.node(own, (0, 0))
+            self.node(form, (0, 0))
 
     def transitions(self, before: int, after: int | None) -> None:
         """Into the whole robot's coordinates, impact, into the next phase's; only what is needed."""

@@ -168,31 +168,31 @@ class Transcriber:
         nodes: dict[int, StageTerms],
         moment_terms: Sequence[StageTerms],
     ) -> _Numbers:
-        found = _Numbers([], {}, {}, {}, {})
+        numbers = _Numbers([], {}, {}, {}, {})
         layout = self.layout
         given = (self.problem, layout, self.collocation)
         linear = (*scaled_rate_limits(*given), *schedule_rows(*given))
         for k in range(layout.n_stages + 1):
             if k < layout.n_stages:
                 zero = np.zeros(layout.forms[k + 1].size)
-                found.gap.append(self.rows.add("defect", k, -1, zero, zero))
+                numbers.gap.append(self.rows.add("defect", k, -1, zero, zero))
                 if layout.stages[k].kind is StageKind.INTERVAL:
                     blocks = point_terms[layout.phase_of[k]].blocks
-                    found.point[k] = [
+                    numbers.point[k] = [
                         self.rows.add_blocks(blocks, k, i)
                         for i in range(layout.scheme_of(layout.stages[k].phase).s)
                     ]
             for moment in self.moments.get(k, ()):
-                (found.moment[moment],) = self.rows.add_blocks(moment_terms[moment.term].blocks, k, -1)
+                (numbers.moment[moment],) = self.rows.add_blocks(moment_terms[moment.term].blocks, k, -1)
             if k in impacts:
-                found.impact[k] = self.rows.add_blocks(impacts[k].blocks, k, -1)
+                numbers.impact[k] = self.rows.add_blocks(impacts[k].blocks, k, -1)
             if k in nodes:
-                found.node[k] = self.rows.add_blocks(nodes[k].blocks, k, -1)
-            for own in linear:
-                if own.node == k:
-                    rows = self.rows.add(own.name, k, -1, own.lower, own.upper)
-                    self.linear_rows.append((rows, own.coefficients))
-        return found
+                numbers.node[k] = self.rows.add_blocks(nodes[k].blocks, k, -1)
+            for part in linear:
+                if part.node == k:
+                    rows = self.rows.add(part.name, k, -1, part.lower, part.upper)
+                    self.linear_rows.append((rows, part.coefficients))
+        return numbers
 
     # Groups
 
@@ -287,15 +287,15 @@ class Transcriber:
     def _add_moment_groups(self, terms: Sequence[StageTerms], numbers: dict[MomentPlace, int]) -> None:
         constraints = self.problem.moment_constraints
         for members in alike(self.layout, self.moments):
-            first, own = members[0], constraints[members[0].term]
+            first, constraint = members[0], constraints[members[0].term]
             self.groups.append(
                 FunctionGroup(
                     point=terms[first.term].function,
-                    gather=self.collocation.moment_gather(first.stage, first.fraction, own.loads),
+                    gather=self.collocation.moment_gather(first.stage, first.fraction, constraint.loads),
                     stages=np.array([moment.stage for moment in members]),
                     rows=np.array([[numbers[moment]] for moment in members]),
                     row_scale=terms[first.term].row_scale,
-                    parameters=own.parameters[[moment.index for moment in members]],
+                    parameters=constraint.parameters[[moment.index for moment in members]],
                     cost_weight=np.zeros(len(members)),
                 )
             )
@@ -355,7 +355,7 @@ def transcribe(
         if problem.actuation == "velocity" and problem.robot.n_unactuated and 0.0 in method.c:
             raise InputError(
                 f"transcription '{method.name}' states the balance of a velocity source twice at every node",
-                "allowed: legendre or radau for a free base",
+                "allowed for a free base: schemes without a point at the start, such as legendre or radau",
             )
     return Transcriber(problem, chosen).build()
 

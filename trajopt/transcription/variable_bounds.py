@@ -60,7 +60,11 @@ def _fix_start(
             own_lower[form.time_scales[time_scale]] = phase.duration_bounds[0] / phase.duration
             own_upper[form.time_scales[time_scale]] = phase.duration_bounds[1] / phase.duration
     if problem.periodicity is not None:
-        _fix_place(problem, form, collocation.node_scale(form), own_lower, own_upper)
+        place = form.coordinates.node_from_pinocchio(problem.initial_q, problem.initial_v)
+        for row in problem.free_directions:
+            entry = form.additive[row]
+            fixed_at = place[len(form.rotations) + row] / collocation.node_scale(form)[entry]
+            own_lower[entry] = own_upper[entry] = fixed_at
         return
     q, v = initial_state(problem, layout)
     start = form.node(form.coordinates.node_from_pinocchio(q, v), np.ones(form.n_time_scales))
@@ -70,16 +74,6 @@ def _fix_start(
     if form.time_scale is not None and form.order == 2:
         moving = form.rates[start[form.rates] != 0.0]
         own_lower[moving], own_upper[moving] = -np.inf, np.inf
-
-
-def _fix_place(
-    problem: Problem, form: NodeLayout, scale: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> None:
-    """Fix the initial base position of a periodic motion in its free directions."""
-    place = form.coordinates.node_from_pinocchio(problem.initial_q, problem.initial_v)
-    for row in problem.free_directions:
-        entry = form.additive[row]
-        lower[entry] = upper[entry] = place[len(form.rotations) + row] / scale[entry]
 
 
 def initial_state(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +138,7 @@ def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[_Bounded]:
     its nodes has the limit, of either phase. An impact has two: rates before it have the limits of the phase
     before, rates after it those of the phase after, and the configuration is the same.
     """
-    found = []
+    nodes = []
     for k in range(1, layout.n_stages + 1):
         adjacent = layout.adjacent_intervals(k)
         if adjacent.before is None:  # the free start of a closed motion: its image at the end has the limits
@@ -154,15 +148,15 @@ def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[_Bounded]:
         stated_after = after and _has_point(layout, adjacent.after, 0.0)
         if adjacent.impact_ahead:
             if layout.stages[k].kind is StageKind.IMPACT and before and not stated_before:
-                found.append(_Bounded(k, positions=True, rates=True))
+                nodes.append(_Bounded(k, positions=True, rates=True))
         elif k < layout.n_stages and layout.stages[k].kind is StageKind.CHANGE:
             continue
         elif adjacent.impact_behind:
             if after and not stated_after:
-                found.append(_Bounded(k, positions=not before, rates=True))
+                nodes.append(_Bounded(k, positions=not before, rates=True))
         elif (before or after) and not (stated_before or stated_after):
-            found.append(_Bounded(k, positions=True, rates=True))
-    return found
+            nodes.append(_Bounded(k, positions=True, rates=True))
+    return nodes
 
 
 def _stated_limits(
@@ -172,12 +166,12 @@ def _stated_limits(
     robots = {id(form.robot): form.robot for form in layout.forms}
     for term in problem.point_constraints:
         bounds = {key: term.node_bounds(robot) for key, robot in robots.items()}
-        if all(found is None for found in bounds.values()):
+        if all(limits is None for limits in bounds.values()):
             continue
         for at in _bounded_nodes(term, layout):
-            found = bounds[id(layout.forms[at.node].robot)]
-            if found is not None:
-                yield term, at, found
+            limits = bounds[id(layout.forms[at.node].robot)]
+            if limits is not None:
+                yield term, at, limits
 
 
 def _has_point(layout: Layout, stage: int | None, fraction: float) -> bool:

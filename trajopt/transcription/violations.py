@@ -35,16 +35,13 @@ def worst_blocks(t: Transcription, x: np.ndarray, violations: np.ndarray, count:
         members = np.flatnonzero(t.rows.block == index)
         worst = members[np.argmax(rows[members])]
         entries.append((rows[worst], name, int(t.rows.stage[worst]), int(t.rows.point[worst])))
-    entries.append(_worst_bound(t, violations[t.n_rows :]))
+    bounds = violations[t.n_rows :]
+    worst = int(np.argmax(bounds))
+    node = int(np.searchsorted(t.layout.node_offset, worst, side="right")) - 1
+    entries.append((bounds[worst], "bounds", node, -1))
     entries.sort(key=lambda entry: -entry[0])
     times = t.layout.times(x * t.scale)
     return [_describe(t, times, *entry) for entry in entries[:count]]
-
-
-def _worst_bound(t: Transcription, violations: np.ndarray) -> tuple[float, str, int, int]:
-    worst = int(np.argmax(violations))
-    node = int(np.searchsorted(t.layout.node_offset, worst, side="right")) - 1
-    return float(violations[worst]), "bounds", node, -1
 
 
 def _describe(
@@ -67,10 +64,10 @@ def _describe(
 
 def nonfinite_place(nlp: Nlp, x: np.ndarray) -> str | None:
     """Description of the first function that is not finite at x, or None."""
-    found = nlp.engine.first_nonfinite(x)
-    if found is None:
+    location = nlp.engine.first_nonfinite(x)
+    if location is None:
         return None
-    group, stage, output, index = found
+    group, stage, output, index = location
     t = nlp.transcription
     members = t.groups[group]
     node = int(members.stages[stage])

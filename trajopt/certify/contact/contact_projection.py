@@ -20,7 +20,7 @@ import pinocchio as pin
 from trajopt.certify.contact.contact_dynamics import count_unactuated, require_arrays
 from trajopt.certify.contact.contact_response import contact_response, mass_factor, numeric_rank
 from trajopt.certify.contact.contact_set import ContactKinematics, ContactSet, contact_kinematics
-from trajopt.classical.structure import mass_matrix_at
+from trajopt.dynamics.model_quantities import mass_matrix_at
 from trajopt.errors import InputError
 
 _Motion = tuple[np.ndarray, np.ndarray, np.ndarray]

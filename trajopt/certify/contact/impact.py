@@ -6,7 +6,7 @@ for the contacts that hold after the impact: those that land and those that stay
 non-impulsive forces have no effect (Featherstone 2008, sec. 11.7; Hurmuzlu and Marghitu
 1994). v+ is the projection of v- onto J v = 0 in the metric of M, so kinetic energy falls by
 1/2 (v+ - v-)^T M (v+ - v-). The contacts are bilateral in it: an impulse that pulls, or leaves its
-friction cone (`cone_margins`), says that the contact lifts or slides instead.
+friction cone (`friction.cone_margins`), says that the contact lifts or slides instead.
 """
 
 from __future__ import annotations
@@ -21,10 +21,6 @@ from trajopt.arguments import checked
 from trajopt.certify.contact.contact_dynamics import require_arrays
 from trajopt.certify.contact.contact_response import ContactRank, contact_rank, contact_response, mass_factor
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.errors import InputError
-
-# Error allowed in the length of a unit normal that the user gives.
-UNIT_SLACK = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,35 +126,6 @@ def total_wrench(
         linear += wrench[:3]
         angular += wrench[3:] + np.cross(data.oMf[frame].translation - centre, wrench[:3])
     return MomentumAbout(linear=linear, angular=angular, point=centre)
-
-
-@checked
-def cone_margins(wrenches: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> np.ndarray:
-    """Return ``mu f_n - |f_t|`` (n,) of forces or impulses: negative outside Coulomb's cone.
-
-    wrenches: (n, 3) or (n, 6), world axes, of the surface on the robot; moments are ignored.
-    normals: (3,) or (n, 3) unit vectors out of the surface. friction: number or (n,). A force that pulls
-    without friction counts as f_n. Raises `InputError` for wrong shapes, normals that are not unit, or
-    friction that is negative.
-    """
-    force = np.asarray(wrenches, dtype=float)
-    if force.ndim != 2 or force.shape[1] not in (3, 6):
-        raise InputError(f"wrenches have shape {force.shape}", "(n, 3) or (n, 6)")
-    force = force[:, :3]
-    try:
-        normal = np.broadcast_to(np.asarray(normals, dtype=float), force.shape)
-        mu = np.broadcast_to(np.asarray(friction, dtype=float), force.shape[:1])
-    except ValueError:
-        shapes = f"{np.shape(normals)} and {np.shape(friction)}"
-        allowed = f"(3,) or ({len(force)}, 3); a number or ({len(force)},)"
-        raise InputError(f"normals and friction have shapes {shapes}", allowed) from None
-    if not (np.abs(np.linalg.norm(normal, axis=1) - 1) < UNIT_SLACK).all():
-        raise InputError("a normal is not of length one", "unit vectors out of the surface")
-    if not (mu >= 0).all():
-        raise InputError(f"friction is {friction!r}", "numbers >= 0")
-    along = np.einsum("ij,ij->i", force, normal)
-    margin = mu * along - np.linalg.norm(force - along[:, None] * normal, axis=1)
-    return np.where(along < 0, np.minimum(margin, along), margin)
 
 
 def _kinetic_energy(lower: np.ndarray, v: np.ndarray) -> float:

@@ -21,10 +21,10 @@ struct Joint {
 };
 
 struct Frame {
-  int joint;
+  int joint = 0;
   std::array<double, 9> rotation;
   std::array<double, 3> translation;
-  int wrench_size;                     // 0, 3 (force) or 6 (force, moment)
+  int wrench_size = 0;                     // 0, 3 (force) or 6 (force, moment)
 };
 
 struct Description {

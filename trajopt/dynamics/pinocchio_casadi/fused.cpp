@@ -75,6 +75,7 @@ void fill_placement(FrameColumns& columns, int column, const Data& data, const F
 
 std::string fused(const Description& description, const std::vector<Frame>& frames) {
   const Model model = make_model(description);
+  for (const Frame& frame : frames) check(model, frame);
   Data data = make_data(model);
   const Symbol q("q", model.nq), v("v", model.nv), a("a", model.nv);
   const Symbol w("w", stacked_wrench_size(frames));

@@ -6,6 +6,10 @@
 namespace trajopt {
 namespace {
 
+void require(bool condition, const std::string& message) {
+  if (!condition) throw std::invalid_argument(message);
+}
+
 using Collection = JointCollectionTpl<Scalar, 0>;
 using Maker = JointModel (*)(const Model::Vector3& axis);
 
@@ -45,6 +49,9 @@ JointModel make_joint(const Joint& joint) {
 Model make_model(const Description& description) {
   Model model;
   for (const Joint& joint : description.joints) {
+    require(0 <= joint.parent && joint.parent < model.njoints,
+            "the parent of joint '" + joint.name + "' is " + std::to_string(joint.parent) + "; allowed: 0 to " +
+                std::to_string(model.njoints - 1));
     const Model::SE3 placement(matrix3(joint.rotation).cast<Scalar>(),
                                vector3(joint.translation).cast<Scalar>());
     const auto index = model.addJoint(joint.parent, make_joint(joint), placement, joint.name);
@@ -52,9 +59,25 @@ Model make_model(const Description& description) {
         joint.mass, vector3(joint.lever).cast<Scalar>(),
         pinocchio::Symmetric3Tpl<Scalar, 0>(matrix3(joint.inertia).cast<Scalar>().eval()));
   }
-  for (int i = 0; i < model.nv; ++i) model.armature[i] = description.armature.at(i);
+  require(description.armature.size() == static_cast<std::size_t>(model.nv),
+          "armature has " + std::to_string(description.armature.size()) + " entries; allowed: " +
+              std::to_string(model.nv));
+  for (int i = 0; i < model.nv; ++i) model.armature[i] = description.armature[i];
   model.gravity.linear(vector3(description.gravity).cast<Scalar>());
   return model;
+}
+
+void check(const Model& model, const Frame& frame) {
+  require(0 <= frame.joint && frame.joint < model.njoints,
+          "the joint of a frame is " + std::to_string(frame.joint) + "; allowed: 0 to " +
+              std::to_string(model.njoints - 1));
+  require(frame.wrench_size == 0 || frame.wrench_size == 3 || frame.wrench_size == 6,
+          "a wrench size is " + std::to_string(frame.wrench_size) + "; allowed: 0, 3, 6");
+}
+
+Model::SE3 placement(const Model& model, const Frame& frame) {
+  check(model, frame);
+  return Model::SE3(matrix3(frame.rotation).cast<Scalar>(), vector3(frame.translation).cast<Scalar>());
 }
 
 Data make_data(const Model& model) { return Data(model); }

@@ -5,7 +5,13 @@
 
 namespace trajopt {
 
+// Throws std::invalid_argument (Python's ValueError) for what no model has: a kind of joint that is not supported,
+// whose message is its name alone, a parent that does not come before its joint, a wrong number of armatures.
 Model make_model(const Description& description);
+// Throws std::invalid_argument for a joint that the model does not have, or another wrench size than 0, 3, 6.
+void check(const Model& model, const Frame& frame);
+// The frame's placement in its joint's frame, once it is checked.
+Model::SE3 placement(const Model& model, const Frame& frame);
 Data make_data(const Model& model);
 
 using Vector = Eigen::Matrix<Scalar, Eigen::Dynamic, 1>;

@@ -1,6 +1,7 @@
 #include "motion.hpp"
 
 #include <map>
+#include <stdexcept>
 
 namespace trajopt {
 
@@ -31,11 +32,9 @@ pinocchio::ReferenceFrame reference_frame(const std::string& name) {
       {"local", pinocchio::LOCAL},
       {"world", pinocchio::WORLD},
   };
-  return frames.at(name);
-}
-
-Model::SE3 placement(const Frame& frame) {
-  return Model::SE3(matrix3(frame.rotation).cast<Scalar>(), vector3(frame.translation).cast<Scalar>());
+  const auto frame = frames.find(name);
+  if (frame == frames.end()) throw std::invalid_argument("reference '" + name + "'; allowed: world_aligned, local, world");
+  return frame->second;
 }
 
 }  // namespace trajopt

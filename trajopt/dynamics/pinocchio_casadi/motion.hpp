@@ -22,7 +22,7 @@ std::string function(const std::string& name, const Motion& motion, Motion::Leve
                      const std::vector<casadi::SX>& outputs,
                      const std::vector<std::string>& output_names);
 
+// Throws std::invalid_argument for another name than those in functions.hpp.
 pinocchio::ReferenceFrame reference_frame(const std::string& name);
-Model::SE3 placement(const Frame& frame);
 
 }  // namespace trajopt

@@ -84,8 +84,8 @@ class Beam:
 
     def spatial_inertia(self, placement: pin.SE3 | None = None) -> pin.Inertia:
         """Mass, lever and inertia in the frame in which ``placement`` puts the beam's centre and axes."""
-        own = pin.Inertia(self.mass, np.zeros(3), self.inertia)
-        return own if placement is None else placement.act(own)
+        inertia = pin.Inertia(self.mass, np.zeros(3), self.inertia)
+        return inertia if placement is None else placement.act(inertia)
 
     def between(self, start: ArrayLike, end: ArrayLike) -> pin.Inertia:
         """Mass, lever and inertia with the beam's axis centred on the line from ``start`` to ``end`` (3,), m.

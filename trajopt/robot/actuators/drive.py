@@ -152,8 +152,9 @@ class Drive:
 
     def friction_torque(self, rate: Quantity) -> Quantity:
         """Joint friction that the drive has to overcome, N m, joint side: of the sign of ``rate``."""
-        coulomb = self.coulomb_friction * _tanh(rate / self.coulomb_speed)
-        return self.viscous_friction * rate + coulomb
+        share = rate / self.coulomb_speed
+        direction = ca.tanh(share) if isinstance(share, ca.SX) else np.tanh(share)
+        return self.viscous_friction * rate + self.coulomb_friction * direction
 
     def voltage_use(self, torque: Quantity, rate: Quantity) -> Quantity:
         """Voltage over the largest voltage, tau_m / stall_torque + omega_m / no_load_speed, in -1 to 1.
@@ -188,7 +189,3 @@ def _number(name: str, value: Any) -> float:
     if math.isnan(number):
         raise InputError(f"{name} of a drive is NaN", "allowed: a number")
     return number
-
-
-def _tanh(x: Any) -> Any:
-    return ca.tanh(x) if isinstance(x, ca.SX) else np.tanh(x)

@@ -32,6 +32,13 @@ const Csr& map_of(const Group& group, int kind) { return kind == 1 ? group.jacob
 // The derivative among the outputs of a tape, which is only needed times the map to the NLP's nonzeros.
 int derivative(int kind) { return kind == 1 ? 3 : 0; }
 
+// Not more than there are batches of any kind.
+int useful_threads(const Problem& problem) {
+  std::size_t batches = 1;
+  for (const Group& group : problem.groups) batches += static_cast<std::size_t>(group.n_stages) / kLanes + 1;
+  return static_cast<int>(std::min(batches, static_cast<std::size_t>(problem.threads)));
+}
+
 // entries = map * nonzeros, in all lanes.
 TRAJOPT_DISPATCHED void combine(const int* indptr, const int* index, const double* coefficient, int rows,
                                 const int* slot, const Lanes* work, Lanes* entries) {
@@ -46,12 +53,12 @@ TRAJOPT_DISPATCHED void combine(const int* indptr, const int* index, const doubl
 
 }  // namespace
 
-Nlp::Nlp(Problem problem) : problem_(std::move(problem)), team_(problem_.threads) {
+Nlp::Nlp(Problem problem) : problem_(std::move(problem)), team_(useful_threads(problem_)) {
   for (Kind kind : {kValue, kFirst, kSecond}) prepare(kind);
   int slots = 0;
   for (const auto& batches : batches_)
     for (const Batch& batch : batches) slots = std::max(slots, batch.tape->slots());
-  work_.assign(problem_.threads, std::vector<Lanes>(slots));
+  work_.assign(team_.size(), std::vector<Lanes>(slots));
   g_.resize(problem_.n_g);
   gradient_.resize(problem_.n_x);
   jacobian_.resize(problem_.jac_row.size());
@@ -230,26 +237,31 @@ void Nlp::scatter_entries(Kind kind, Reals& out) const {
 }
 
 double Nlp::f(const double* x) {
+  const Lock lock(mutex_);
   update_value(x);
   return f_;
 }
 
-const Reals& Nlp::g(const double* x) {
+Reals Nlp::g(const double* x) {
+  const Lock lock(mutex_);
   update_value(x);
   return g_;
 }
 
-const Reals& Nlp::gradient(const double* x) {
+Reals Nlp::gradient(const double* x) {
+  const Lock lock(mutex_);
   update_first(x);
   return gradient_;
 }
 
-const Reals& Nlp::jacobian(const double* x) {
+Reals Nlp::jacobian(const double* x) {
+  const Lock lock(mutex_);
   update_first(x);
   return jacobian_;
 }
 
-const Reals& Nlp::hessian(const double* x, double sigma, const double* lambda) {
+Reals Nlp::hessian(const double* x, double sigma, const double* lambda) {
+  const Lock lock(mutex_);
   run(kSecond, x, sigma, lambda);
   const auto start = std::chrono::steady_clock::now();
   std::fill(hessian_.begin(), hessian_.end(), 0.0);
@@ -259,6 +271,7 @@ const Reals& Nlp::hessian(const double* x, double sigma, const double* lambda) {
 }
 
 std::optional<NonFinite> Nlp::first_nonfinite(const double* x) {
+  const Lock lock(mutex_);
   const Reals ones(problem_.n_g, 1.0);
   std::optional<NonFinite> found;
   keep_all_ = true;
@@ -285,11 +298,18 @@ std::optional<NonFinite> Nlp::nonfinite_output(Kind kind) {
 }
 
 void Nlp::reset_timings() {
+  const Lock lock(mutex_);
   for (Timing& timing : timings_) timing = Timing{};
 }
 
 double Nlp::function_seconds() const {
+  const Lock lock(mutex_);
   return timings_[0].seconds + timings_[1].seconds + timings_[2].seconds;
+}
+
+Timing Nlp::timing(int kind) const {
+  const Lock lock(mutex_);
+  return timings_[kind];
 }
 
 }  // namespace trajopt

@@ -3,8 +3,8 @@
 
 #include <atomic>
 #include <chrono>
-#include <functional>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <vector>
@@ -57,22 +57,23 @@ struct Timing {
   int count = 0;
 };
 
-// Evaluates f, g and their derivatives; each distinct x is evaluated once per kind.
+// Evaluates f, g and their derivatives; each distinct x is evaluated once per kind. Several threads may use it at
+// once: one evaluates, the others wait.
 class Nlp {
  public:
   explicit Nlp(Problem problem);
 
   double f(const double* x);
-  const Reals& g(const double* x);
-  const Reals& gradient(const double* x);
-  const Reals& jacobian(const double* x);
-  const Reals& hessian(const double* x, double sigma, const double* lambda);
+  Reals g(const double* x);
+  Reals gradient(const double* x);
+  Reals jacobian(const double* x);
+  Reals hessian(const double* x, double sigma, const double* lambda);
   std::optional<NonFinite> first_nonfinite(const double* x);
 
   const Problem& problem() const { return problem_; }
   void reset_timings();
   double function_seconds() const;
-  const Timing& timing(int kind) const { return timings_[kind]; }
+  Timing timing(int kind) const;
 
  private:
   enum Kind { kValue = 0, kFirst = 1, kSecond = 2 };
@@ -115,7 +116,10 @@ class Nlp {
   void scatter_gradient(Outputs& outputs, const Group& group);
   void scatter_entries(Kind kind, Reals& out) const;
 
+  using Lock = std::lock_guard<std::mutex>;
+
   Problem problem_;
+  mutable std::mutex mutex_;  // of all below
   Team team_;
   std::vector<Batch> batches_[3];
   std::vector<Outputs> outputs_[3];       // of each group

@@ -161,8 +161,8 @@ class Adapter : public Ipopt::TNLP {
 
 bool set_option(Ipopt::OptionsList& list, const std::string& name, const Option& value) {
   if (const long* integer = std::get_if<long>(&value)) {
-    const Ipopt::Index index = static_cast<Ipopt::Index>(*integer);
-    return list.SetIntegerValue(name, index, true, true) ||
+    const Index index = static_cast<Index>(*integer);
+    return (index == *integer && list.SetIntegerValue(name, index, true, true)) ||
            list.SetNumericValue(name, static_cast<double>(*integer), true, true);
   }
   if (const double* number = std::get_if<double>(&value)) return list.SetNumericValue(name, *number, true, true);

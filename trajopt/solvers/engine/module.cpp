@@ -16,6 +16,7 @@
 #include "read.hpp"
 #include "solve.hpp"
 #include "stage_kkt.hpp"
+#include "tape_compiler.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -28,14 +29,14 @@ using Array = nb::ndarray<nb::numpy, Number, nb::ndim<1>>;
 using Output = Array<double>;
 
 template <class Number>
-Array<Number> to_numpy(const std::vector<Number>& values) {
-  auto* copy = new std::vector<Number>(values);
-  nb::capsule owner(copy, [](void* p) noexcept { delete static_cast<std::vector<Number>*>(p); });
-  return Array<Number>(copy->data(), {copy->size()}, owner);
+Array<Number> to_numpy(std::vector<Number> values) {
+  auto* kept = new std::vector<Number>(std::move(values));
+  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<Number>*>(p); });
+  return Array<Number>(kept->data(), {kept->size()}, owner);
 }
 
 const double* point(const Nlp& nlp, const RealArray& x) {
-  require(static_cast<int>(x.size()) == nlp.problem().n_x, "x has a wrong size");
+  require(x.size() == static_cast<std::size_t>(nlp.problem().n_x), "x has a wrong size");
   return x.data();
 }
 
@@ -141,17 +142,19 @@ Bounds to_bounds(const Nlp& nlp, const RealArray& lbx, const RealArray& ubx, con
 // Multipliers to start from: none, or exactly `size`.
 Reals given(const std::optional<RealArray>& multipliers, int size, const char* name) {
   if (!multipliers || multipliers->size() == 0) return {};
-  require(static_cast<int>(multipliers->size()) == size, std::string(name) + " has a wrong size");
+  require(multipliers->size() == static_cast<std::size_t>(size), std::string(name) + " has a wrong size");
   return reals(*multipliers);
 }
 
 // The function behind a casadi.Function of Python, which must be of the library that this module is linked to.
 const casadi::Function& function_of(const nb::object& given) {
   require(nb::isinstance(given, nb::module_::import_("casadi").attr("Function")), "a Tape needs a casadi.Function");
-  const nb::object own = given.attr("this");  // SWIG's, an address as a number
-  const void* address = PyLong_AsVoidPtr(nb::steal(PyNumber_Long(own.ptr())).ptr());
+  const nb::object swig = given.attr("this");  // an address as a number
+  const void* address = PyLong_AsVoidPtr(nb::steal(PyNumber_Long(swig.ptr())).ptr());
   if (PyErr_Occurred()) throw nb::python_error();
-  return *static_cast<const casadi::Function*>(address);
+  const auto& function = *static_cast<const casadi::Function*>(address);
+  require(!function.is_null(), "a Tape needs a function that is not null");
+  return function;
 }
 
 using Points = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
@@ -191,7 +194,7 @@ std::vector<OutputPoints> evaluate(const Tape& tape, const std::vector<Points>& 
 void bind_tape(nb::module_& module) {
   module.attr("TAPE_VERSION") = Tape::version();
   nb::class_<Tape>(module, "Tape")
-      .def("__init__", [](Tape* self, const nb::object& function) { new (self) Tape(function_of(function)); })
+      .def("__init__", [](Tape* self, const nb::object& function) { new (self) Tape(compile(function_of(function))); })
       .def_static("read",
                   [](const nb::bytes& bytes) { return Tape::read(std::string(bytes.c_str(), bytes.size())); })
       .def("bytes",
@@ -220,7 +223,7 @@ void bind_nlp(nb::module_& module) {
       .def("jacobian", [](Nlp& nlp, const RealArray& x) { return to_numpy(nlp.jacobian(point(nlp, x))); })
       .def("hessian",
            [](Nlp& nlp, const RealArray& x, double sigma, const RealArray& lambda) {
-             require(static_cast<int>(lambda.size()) == nlp.problem().n_g, "lambda has a wrong size");
+             require(lambda.size() == static_cast<std::size_t>(nlp.problem().n_g), "lambda has a wrong size");
              return to_numpy(nlp.hessian(point(nlp, x), sigma, lambda.data()));
            })
       .def("first_nonfinite",
@@ -232,19 +235,31 @@ void bind_nlp(nb::module_& module) {
       .def("timings", &timings);
 }
 
+// Of each variable; numbers of nodes and stages are bounded, as each has fronts of its own.
+Indices stages_of(const IndexArray& array, int n_x) {
+  Indices stages = indices(array);
+  require(stages.size() == static_cast<std::size_t>(n_x), "stage has a wrong size");
+  require(std::all_of(stages.begin(), stages.end(), [n_x](int i) { return i == kAlone || (-n_x <= i && i <= n_x); }),
+          "stage has a number beyond that of variables");
+  return stages;
+}
+
 // The solution of a KKT system and its number of negative eigenvalues; nothing where it is singular.
 std::optional<std::pair<Output, int>> solve_kkt(int n_x, int n_equal, int n_unequal, const IndexArray& stage,
                                                 const IndexArray& row, const IndexArray& column,
                                                 const RealArray& value, const RealArray& rhs, int threads) {
+  constexpr int kMost = 1 << 28;  // so that all of them can be counted
   const KktSizes sizes{n_x, n_equal, n_unequal};
-  require(static_cast<int>(stage.size()) == n_x, "stage has a wrong size");
-  require(static_cast<int>(rhs.size()) == sizes.all(), "rhs has a wrong size");
+  for (const int size : {n_x, n_equal, n_unequal})
+    require(0 <= size && size < kMost, "n_x, n_equal and n_unequal must not be negative, nor be above 2^28");
+  const Indices stages = stages_of(stage, n_x);
+  require(rhs.size() == static_cast<std::size_t>(sizes.all()), "rhs has a wrong size");
   require(threads >= 1, "threads must be at least 1");
   require(row.size() == value.size() && column.size() == value.size(), "entries have different sizes");
   std::vector<KktEntry> entries;
   for (std::size_t e = 0; e < value.size(); ++e)
     entries.push_back({static_cast<std::int64_t>(e), row.data()[e], column.data()[e]});
-  StageKkt kkt(sizes, indices(stage), entries, threads);
+  StageKkt kkt(sizes, stages, entries, threads);
   if (!kkt.factorize(value.data())) return std::nullopt;
   Reals solution = reals(rhs);
   kkt.solve(solution.data());
@@ -265,29 +280,13 @@ void bind_solvers(nb::module_& module) {
         const Reals start = reals(x0);
         const Multipliers multipliers{given(lam_g0, nlp.problem().n_g, "lam_g0"),
                                       given(lam_x0, nlp.problem().n_x, "lam_x0")};
-        const Indices stages = stage ? indices(*stage) : Indices();
-        require(!stage || stages.size() == start.size(), "stage has a wrong size");
+        const Indices stages = stage ? stages_of(*stage, nlp.problem().n_x) : Indices();
         return solve(nlp, std::move(callback), [&](const Callback& call) {
           return solve_ipopt(nlp, start, bounds, options, call, multipliers, stages);
         });
       },
       "nlp"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a, "callback"_a.none(),
       "lam_g0"_a = nb::none(), "lam_x0"_a = nb::none(), "stage"_a = nb::none());
-  module.def(
-      "solve_fatrop",
-      [](Nlp& nlp, const IndexArray& nx, const IndexArray& nu, const IndexArray& ng, const RealArray& x0,
-         const RealArray& lbx, const RealArray& ubx, const RealArray& lbg, const RealArray& ubg,
-         const Options& options, nb::object callback, std::optional<RealArray> lam_g0) {
-        point(nlp, x0);
-        const Bounds bounds = to_bounds(nlp, lbx, ubx, lbg, ubg);
-        const Stages stages{indices(nx), indices(nu), indices(ng)};
-        const Reals start = reals(x0), lambda = given(lam_g0, nlp.problem().n_g, "lam_g0");
-        return solve(nlp, std::move(callback), [&](const Callback& call) {
-          return solve_fatrop(nlp, stages, start, bounds, options, call, lambda);
-        });
-      },
-      "nlp"_a, "nx"_a, "nu"_a, "ng"_a, "x0"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "options"_a,
-      "callback"_a.none(), nb::kw_only(), "lam_g0"_a = nb::none());
 }
 
 }  // namespace

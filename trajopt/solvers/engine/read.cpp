@@ -12,6 +12,8 @@ namespace trajopt {
 
 namespace {
 
+constexpr int kMost = 1 << 30;
+
 template <class Map>
 nb::object item(const Map& given, const char* name) {
   require(given.contains(name), std::string("the engine needs '") + name + "'");
@@ -45,7 +47,7 @@ Csr read_csr(const Map& given, const char* indptr, const char* index, const char
   Csr csr{values<IndexArray>(given, indptr), values<IndexArray>(given, index), values<RealArray>(given, data)};
   const std::string name = indptr;
   require(!csr.indptr.empty() && csr.indptr.front() == 0 && std::is_sorted(csr.indptr.begin(), csr.indptr.end()) &&
-              csr.indptr.back() == static_cast<int>(csr.index.size()) && csr.index.size() == csr.coefficient.size(),
+              static_cast<std::size_t>(csr.indptr.back()) == csr.index.size() && csr.index.size() == csr.coefficient.size(),
           "'" + name + "', '" + index + "' and '" + data + "' do not fit each other");
   require_range(csr.index, columns, index);
   return csr;
@@ -88,19 +90,20 @@ void check_functions(const Group& group) {
 void read_stages(const nb::dict& given, const Problem& problem, Group& group) {
   group.n_local = whole(item(given, "nloc"), "nloc");
   group.x_offset = values<IndexArray>(given, "x_offset");
+  require(0 <= group.n_local && group.n_local <= problem.n_x, "'nloc' must be between 0 and n_x");
+  require(!group.x_offset.empty() && group.x_offset.size() <= kMost, "a group needs a stage, and 2^30 at most");
   group.n_stages = static_cast<int>(group.x_offset.size());
-  require(group.n_stages > 0, "a group needs a stage");
   require_range(group.x_offset, problem.n_x - group.n_local + 1, "x_offset");
   group.gather = read_csr(given, "gather_indptr", "gather_indices", "gather_data", group.n_local);
   group.p = values<RealArray>(given, "p");
-  group.n_p = static_cast<int>(group.p.size()) / group.n_stages;
-  require(group.n_p * group.n_stages == static_cast<int>(group.p.size()), "'p' needs (stages, parameters) entries");
+  group.n_p = static_cast<int>(group.p.size() / group.x_offset.size());
+  require(group.p.size() < kMost && group.p.size() % group.x_offset.size() == 0, "'p' needs (stages, parameters) entries");
   group.cost_weight = values<RealArray>(given, "cost_weight");
-  require(static_cast<int>(group.cost_weight.size()) == group.n_stages, "'cost_weight' needs one entry a stage");
+  require(group.cost_weight.size() == group.x_offset.size(), "'cost_weight' needs one entry a stage");
   group.row_scale = values<RealArray>(given, "row_scale");
   group.n_phi = static_cast<int>(group.row_scale.size());
   group.row = values<IndexArray>(given, "row");
-  require(static_cast<int>(group.row.size()) == group.n_stages * group.n_phi,
+  require(group.row.size() == group.x_offset.size() * group.row_scale.size(),
           "'row' needs (stages, rows) entries, 'row_scale' one a row");
   require_range(group.row, problem.n_g, "row");
 }
@@ -111,14 +114,13 @@ Group read_group(const nb::dict& given, const Problem& problem) {
   group.first = read_tape(given, "first");
   group.second = read_tape(given, "second");
   read_stages(given, problem, group);
-  constexpr int kAny = 1 << 30;  // bounded by the functions' own sizes below
-  group.jacobian = read_csr(given, "jac_indptr", "jac_src", "jac_coef", kAny);
-  group.hessian = read_csr(given, "hess_indptr", "hess_src", "hess_coef", kAny);
+  group.jacobian = read_csr(given, "jac_indptr", "jac_src", "jac_coef", kMost);  // see check_functions
+  group.hessian = read_csr(given, "hess_indptr", "hess_src", "hess_coef", kMost);
   group.jacobian_target = values<IndexArray>(given, "jac_target");
   group.hessian_target = values<IndexArray>(given, "hess_target");
-  require(static_cast<int>(group.jacobian_target.size()) == group.n_stages * group.jacobian.rows(),
+  require(group.jacobian_target.size() == group.x_offset.size() * group.jacobian.rows(),
           "'jac_target' needs (stages, targets) entries");
-  require(static_cast<int>(group.hessian_target.size()) == group.n_stages * group.hessian.rows(),
+  require(group.hessian_target.size() == group.x_offset.size() * group.hessian.rows(),
           "'hess_target' needs (stages, targets) entries");
   require_range(group.jacobian_target, static_cast<int>(problem.jac_row.size()), "jac_target");
   require_range(group.hessian_target, static_cast<int>(problem.hess_row.size()), "hess_target");

@@ -57,14 +57,4 @@ bool all_finite(const Reals& values);
 Outcome solve_ipopt(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Options& options, const Callback& callback,
                     const Multipliers& multipliers, const Indices& stage);
 
-// Sizes of the stages: states, controls, path rows; gap rows come first in each stage.
-struct Stages {
-  Indices n_state, n_control, n_path;
-};
-
-// Besides FATROP's own, the options max_wall_time (s) and objective_scale are known: FATROP minimises the
-// objective times that scale; all results refer to the objective itself.
-Outcome solve_fatrop(Nlp& nlp, const Stages& stages, const Reals& x0, const Bounds& bounds, const Options& options,
-                     const Callback& callback, const Reals& lambda_g);
-
 }  // namespace trajopt

@@ -1,13 +1,14 @@
 #include "tape.hpp"
 
+#include <casadi/casadi.hpp>
+
 #include <algorithm>
 #include <cstring>
-#include <stdexcept>
+#include <numeric>
+#include <utility>
 
 #include "dispatch.hpp"
 #include "require.hpp"
-#include "tape_code.hpp"
-#include "tape_graph.hpp"
 
 namespace trajopt {
 
@@ -22,6 +23,12 @@ void other(Lanes& target, const Lanes& a, const Lanes& b, std::int32_t operation
     casadi::casadi_math<double>::fun(static_cast<unsigned char>(operation), a.at[lane], b.at[lane], result);
     target.at[lane] = result;
   }
+}
+
+bool is_casadis(std::int32_t operation) {
+  return 0 <= operation && operation < 256 &&
+         (casadi::casadi_math<double>::is_unary(static_cast<unsigned char>(operation)) ||
+          casadi::casadi_math<double>::is_binary(static_cast<unsigned char>(operation)));
 }
 
 TRAJOPT_DISPATCHED void evaluate(const std::int32_t* code, const std::int32_t* end, Lanes* work) {
@@ -58,30 +65,14 @@ TRAJOPT_DISPATCHED void evaluate(const std::int32_t* code, const std::int32_t* e
   }
 }
 
-// Gives slots to values, and takes them back after their last use.
-class Slots {
- public:
-  explicit Slots(int first) : count_(first) {}
-  int take() {
-    if (free_.empty()) return count_++;
-    const int slot = free_.back();
-    free_.pop_back();
-    return slot;
-  }
-  void give_back(int slot) { free_.push_back(slot); }
-  int count() const { return count_; }
-
- private:
-  int count_;
-  std::vector<int> free_;
-};
-
 template <class Number>
 void append(std::string& text, const std::vector<Number>& values) {
   const std::uint64_t n = values.size();
   text.append(reinterpret_cast<const char*>(&n), sizeof n);
   text.append(reinterpret_cast<const char*>(values.data()), n * sizeof(Number));
 }
+
+void append(std::string& text, int value) { append(text, std::vector<int>{value}); }
 
 template <class Number>
 void extract(const std::string& text, std::size_t& at, std::vector<Number>& values) {
@@ -91,102 +82,62 @@ void extract(const std::string& text, std::size_t& at, std::vector<Number>& valu
   at += sizeof n;
   require((text.size() - at) / sizeof(Number) >= n, "a tape is cut off");
   values.resize(n);
-  std::memcpy(values.data(), text.data() + at, n * sizeof(Number));
+  if (n > 0) std::memcpy(values.data(), text.data() + at, n * sizeof(Number));
   at += n * sizeof(Number);
+}
+
+void extract(const std::string& text, std::size_t& at, int& value) {
+  std::vector<int> one;
+  extract(text, at, one);
+  require(one.size() == 1, "a tape is damaged");
+  value = one[0];
+}
+
+// In the order of the file.
+template <class Parts, class Visitor>
+void for_each(Parts& parts, const Visitor& visit) {
+  visit(parts.in), visit(parts.out), visit(parts.constants), visit(parts.result), visit(parts.row), visit(parts.column);
+  visit(parts.slots), visit(parts.code);
 }
 
 }  // namespace
 
-Tape::Tape(const casadi::Function& function) {
-  TapeGraph graph(function);
-  graph.fuse();
-  std::vector<int> first_input, slot(graph.values.size(), -1), last(graph.values.size(), -1);
-  int n_inputs = 0;
-  for (casadi_int i = 0; i < function.n_in(); ++i) {
-    first_input.push_back(n_inputs);
-    in_.push_back(static_cast<int>(function.nnz_in(i)));
-    n_inputs += in_.back();
-  }
-  for (std::size_t i = 0; i < graph.values.size(); ++i) {
-    const Value& value = graph.values[i];
-    if (value.kind == Value::kInput) slot[i] = first_input[value.operation] + value.a;
-    if (value.kind == Value::kConstant) {
-      slot[i] = n_inputs + static_cast<int>(constants_.size());
-      constants_.push_back(value.constant);
-    }
-  }
-  const std::vector<int> order = graph.scheduled();
-  for (std::size_t k = 0; k < order.size(); ++k) {
-    const Value& value = graph.values[order[k]];
-    for (int operand : {value.a, value.b, value.c})
-      if (operand >= 0) last[operand] = static_cast<int>(k);
-  }
-  for (int result : graph.results) last[result] = static_cast<int>(order.size());
-  Slots slots(n_inputs + static_cast<int>(constants_.size()));
-  std::size_t run = 0;
-  for (std::size_t k = 0; k < order.size(); ++k) {
-    const Value& value = graph.values[order[k]];
-    for (int* used : {&last[value.a], value.b < 0 ? nullptr : &last[value.b], value.c < 0 ? nullptr : &last[value.c]}) {
-      if (used == nullptr || *used != static_cast<int>(k)) continue;
-      const auto operand = static_cast<std::size_t>(used - last.data());
-      if (graph.values[operand].kind == Value::kStatement) slots.give_back(slot[operand]);
-      *used = -1;
-    }
-    slot[order[k]] = slots.take();
-    if (k == 0 || graph.values[order[k - 1]].operation != value.operation) {
-      run = code_.size();
-      code_.insert(code_.end(), {value.operation, 0});
-    }
-    ++code_[run + 1];
-    code_.push_back(slot[order[k]]);
-    code_.push_back(slot[value.a]);
-    if (length(value.operation) > 2) code_.push_back(slot[value.b < 0 ? value.a : value.b]);
-    if (length(value.operation) > 3) code_.push_back(value.operation == kOther ? value.other : slot[value.c]);
-  }
-  slots_ = slots.count();
-  for (casadi_int i = 0; i < function.n_out(); ++i) {
-    out_.push_back(static_cast<int>(function.nnz_out(i)));
-    const std::vector<casadi_int> row = function.sparsity_out(i).get_row(), column = function.sparsity_out(i).get_col();
-    row_.insert(row_.end(), row.begin(), row.end());
-    column_.insert(column_.end(), column.begin(), column.end());
-  }
-  for (int result : graph.results) result_.push_back(slot[result]);
-  complete();
-}
-
-void Tape::complete() {
-  n_inputs_ = statements_ = 0;
-  for (int size : in_) n_inputs_ += size;
+Tape::Tape(TapeParts parts) : parts_(std::move(parts)) {
+  check();
+  n_inputs_ = std::accumulate(parts_.in.begin(), parts_.in.end(), 0);
   first_result_.assign(1, 0);
-  for (int size : out_) first_result_.push_back(first_result_.back() + size);
-  for (std::size_t at = 0; at + 1 < code_.size(); at += 2 + static_cast<std::size_t>(length(code_[at])) * code_[at + 1])
-    statements_ += code_[at + 1];
+  for (int size : parts_.out) first_result_.push_back(first_result_.back() + size);
+  const std::vector<std::int32_t>& code = parts_.code;
+  for (std::size_t at = 0; at < code.size(); at += 2 + static_cast<std::size_t>(length(code[at])) * code[at + 1])
+    statements_ += code[at + 1];
 }
 
 // A file may hold anything: no statement may leave the work.
 void Tape::check() const {
-  const char* const wrong = "a tape is damaged";
-  const auto is_slot = [this](int slot) { return 0 <= slot && slot < slots_; };
-  const auto is_size = [](int size) { return 0 <= size && size < (1 << 24); };
-  require(std::all_of(in_.begin(), in_.end(), is_size) && std::all_of(out_.begin(), out_.end(), is_size), wrong);
-  std::size_t fixed = constants_.size(), results = 0;
-  for (int size : in_) fixed += static_cast<std::size_t>(size);
-  for (int size : out_) results += static_cast<std::size_t>(size);
-  require(is_size(slots_) && fixed <= static_cast<std::size_t>(slots_) && results == result_.size(), wrong);
-  require(row_.size() == results && column_.size() == results, wrong);
-  require(std::all_of(result_.begin(), result_.end(), is_slot), wrong);
-  for (std::size_t at = 0; at < code_.size();) {
-    require(at + 2 <= code_.size() && 0 <= code_[at] && code_[at] < kOperations && code_[at + 1] > 0, wrong);
-    const std::int32_t operation = code_[at];
-    const auto n = static_cast<std::size_t>(code_[at + 1]), width = static_cast<std::size_t>(length(operation));
+  const auto& [in, out, constants, result, row, column, code, slots] = parts_;
+  const auto must = [](bool condition) { require(condition, "a tape is damaged"); };
+  const auto in_range = [&must](const std::vector<int>& values, int end) {
+    must(std::all_of(values.begin(), values.end(), [end](int value) { return 0 <= value && value < end; }));
+  };
+  constexpr int kMost = 1 << 24;
+  for (const std::vector<int>* values : {&in, &out, &row, &column}) in_range(*values, kMost);
+  const std::size_t fixed = std::accumulate(in.begin(), in.end(), constants.size());
+  const std::size_t results = std::accumulate(out.begin(), out.end(), std::size_t{0});
+  must(results == result.size() && results == row.size() && results == column.size());
+  // each statement takes a slot at most
+  must(0 <= slots && slots < kMost && fixed <= static_cast<std::size_t>(slots) &&
+       static_cast<std::size_t>(slots) <= fixed + code.size());
+  in_range(result, slots);
+  for (std::size_t at = 0; at < code.size();) {
+    must(at + 2 <= code.size() && 0 <= code[at] && code[at] < kOperations && code[at + 1] > 0);
+    const std::int32_t operation = code[at];
+    const auto n = static_cast<std::size_t>(code[at + 1]), width = static_cast<std::size_t>(length(operation));
     at += 2;
-    require(n <= (code_.size() - at) / width, wrong);
-    for (std::size_t end = at + n * width; at < end; at += width)
-      for (std::size_t k = 0; k < width; ++k)
-        require(operation == kOther && k == 3 ? casadi::casadi_math<double>::is_unary(code_[at + k]) ||
-                                                    casadi::casadi_math<double>::is_binary(code_[at + k])
-                                              : is_slot(code_[at + k]),
-                wrong);
+    must(n <= (code.size() - at) / width);
+    for (std::size_t end = at + n * width; at < end; ++at) {
+      const bool foreign = operation == kOther && (end - at) % width == 1;
+      must(foreign ? is_casadis(code[at]) : 0 <= code[at] && code[at] < slots);
+    }
   }
 }
 
@@ -195,40 +146,23 @@ const char* Tape::version() { return "trajopt tape 1\n"; }
 Tape Tape::read(const std::string& bytes) {
   std::size_t at = std::strlen(version());
   require(bytes.compare(0, at, version()) == 0, "not a tape of this version");
-  Tape tape;
-  std::vector<int> slots;
-  extract(bytes, at, tape.in_);
-  extract(bytes, at, tape.out_);
-  extract(bytes, at, tape.constants_);
-  extract(bytes, at, tape.result_);
-  extract(bytes, at, tape.row_);
-  extract(bytes, at, tape.column_);
-  extract(bytes, at, slots);
-  extract(bytes, at, tape.code_);
-  require(at == bytes.size() && slots.size() == 1, "a tape is damaged");
-  tape.slots_ = slots[0];
-  tape.check();
-  tape.complete();
-  return tape;
+  TapeParts parts;
+  for_each(parts, [&](auto& values) { extract(bytes, at, values); });
+  require(at == bytes.size(), "a tape is damaged");
+  return Tape(std::move(parts));
 }
 
 std::string Tape::bytes() const {
   std::string text = version();
-  append(text, in_);
-  append(text, out_);
-  append(text, constants_);
-  append(text, result_);
-  append(text, row_);
-  append(text, column_);
-  append(text, std::vector<int>{slots_});
-  append(text, code_);
+  for_each(parts_, [&](const auto& values) { append(text, values); });
   return text;
 }
 
 void Tape::set_constants(Lanes* work) const {
-  for (std::size_t i = 0; i < constants_.size(); ++i) std::fill_n(work[n_inputs_ + i].at, kLanes, constants_[i]);
+  Lanes* to = work + n_inputs_;
+  for (const double constant : parts_.constants) std::fill_n((to++)->at, kLanes, constant);
 }
 
-void Tape::run(Lanes* work) const { evaluate(code_.data(), code_.data() + code_.size(), work); }
+void Tape::run(Lanes* work) const { evaluate(parts_.code.data(), parts_.code.data() + parts_.code.size(), work); }
 
 }  // namespace trajopt

@@ -1,11 +1,16 @@
 #include "team.hpp"
 
-#include <utility>
+#include <new>
+#include <system_error>
 
 namespace trajopt {
 
 Team::Team(int threads) : errors_(threads) {
-  for (int thread = 1; thread < threads; ++thread) others_.emplace_back([this, thread] { wait_for_work(thread); });
+  try {
+    for (int thread = 1; thread < threads; ++thread) others_.emplace_back([this, thread] { wait_for_work(thread); });
+  } catch (const std::system_error&) {  // those that have started do the work
+  } catch (const std::bad_alloc&) {
+  }
 }
 
 Team::~Team() {
@@ -28,8 +33,12 @@ void Team::run(const std::function<void(int)>& task) {
   perform(0);
   std::unique_lock<std::mutex> lock(mutex_);
   finished_.wait(lock, [this] { return busy_ == 0; });
-  for (std::exception_ptr& error : errors_)
-    if (error) std::rethrow_exception(std::exchange(error, nullptr));
+  std::exception_ptr first;
+  for (std::exception_ptr& error : errors_) {
+    if (!first) first = error;
+    error = nullptr;
+  }
+  if (first) std::rethrow_exception(first);
 }
 
 void Team::wait_for_work(int thread) {

@@ -12,13 +12,15 @@ namespace trajopt {
 
 class Team {
  public:
+  // Fewer where the system does not let that many start.
   explicit Team(int threads);
   ~Team();
   Team(const Team&) = delete;
   Team& operator=(const Team&) = delete;
 
   int size() const { return static_cast<int>(others_.size()) + 1; }
-  // Calls task(thread) in all threads, 0 in the caller's own, and waits. Throws what one of them has thrown.
+  // Calls task(thread) in all threads, 0 in the caller's own, and waits. Throws what one of them has thrown in this
+  // run. One run at a time.
   void run(const std::function<void(int)>& task);
 
  private:

@@ -17,9 +17,9 @@ from trajopt.problem.family import choose
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve
-from trajopt.solving.interruption import BESIDE, GRACE
 from trajopt.solving.ladder import total_effort
 from trajopt.solving.solving import check_settings
+from trajopt.solving.time_limits import BESIDE, GRACE
 from trajopt.study.batch.variation import BatchCase
 from trajopt.study.suite.failure import failure_text
 from trajopt.study.workers.executor import ProcessPerTaskExecutor

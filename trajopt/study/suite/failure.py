@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from trajopt.solvers.result import FEASIBILITY_SHARE
+from trajopt.solvers.drivers import SOLVERS
 from trajopt.solvers.status import Status
 from trajopt.solving.verdicts import STILL_FEASIBLE
 from trajopt.transcription.violations import describe_block
@@ -45,13 +45,12 @@ def mode_of(meta: Mapping[str, Any]) -> str:
     status = Status[meta["status"].upper()]
     if status in _OF_STATUS:
         return _OF_STATUS[status]
-    share = FEASIBILITY_SHARE if meta["solver"] in ("ipopt", "sqp") else 1.0
     return worst_condition(
         meta["primal_infeasibility"],
         meta["dual_infeasibility"],
         meta["complementarity"],
         meta["tolerance"],
-        share * meta["tolerance"],
+        SOLVERS[meta["solver"]].feasibility_share * meta["tolerance"],
     )
 
 

@@ -20,9 +20,9 @@ from trajopt.simulation.settings import Controller
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve
-from trajopt.solving.interruption import BESIDE, GRACE
 from trajopt.solving.ladder import total_effort
 from trajopt.solving.monitoring import ProgressCallback
+from trajopt.solving.time_limits import BESIDE, GRACE
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.failure import failure_text, mode_of
 from trajopt.study.suite.optima import described

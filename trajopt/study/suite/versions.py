@@ -14,7 +14,7 @@ UNKNOWN = "unknown"
 
 
 def versions() -> dict[str, str]:
-    """Names and versions; IPOPT and FATROP are those of CasADi's wheel."""
+    """Names and versions; IPOPT is that of CasADi's wheel."""
     return {
         "trajopt": installed_version("trajopt"),
         "casadi": installed_version("casadi"),

@@ -15,7 +15,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from trajopt.problem.catalogue import problem_modules
-from trajopt.solving.interruption import GRACE
+from trajopt.solving.time_limits import GRACE
 from trajopt.study.sweep.figures import figures
 from trajopt.study.sweep.plan import SweepPlan
 from trajopt.study.sweep.records import SweepRecords, SweepRequest

@@ -12,7 +12,7 @@ from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.study.sweep.setting import STARTS, WORDS, Setting
 from trajopt.study.sweep.variants import cone_of, with_cone
-from trajopt.transcription.compilation import HESSIANS
+from trajopt.transcription.hessians import HESSIANS
 
 # Multiples of the problem's own number of intervals that are tried.
 SHARES = (0.2, 0.5, 1.0, 2.0)
@@ -28,7 +28,6 @@ JOINED = (
     (0.1, "legendre:4 1e-2 sqp"),
     (0.2, "legendre:3 1e-2"),
     (0.2, "legendre:3 1e-3 sqp"),
-    (0.2, "legendre:3 1e-3 fatrop"),
     (0.2, "legendre:2 1e-3 sqp gauss-newton"),
     (0.25, "legendre:4"),
     (0.5, "legendre:3 1e-4"),

@@ -13,8 +13,8 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.solving import DEFAULT_SOLVER
-from trajopt.transcription.compilation import DEFAULT_HESSIAN, HESSIANS
-from trajopt.transcription.schemes import SCHEME_NAMES, scheme
+from trajopt.transcription.hessians import DEFAULT_HESSIAN, HESSIANS
+from trajopt.transcription.schemes import FAMILIES, scheme
 
 # ``own``: the problem's friction terms, of both kinds or none.
 CONES = ("own", "smooth", "pyramid")
@@ -115,7 +115,7 @@ class Setting:
 
     @classmethod
     def parse(cls, text: str, base: Setting) -> Setting:
-        """``base`` with the words of ``text`` in place of its own, as in ``legendre:1@10 fatrop 1e-3``."""
+        """``base`` with the words of ``text`` in place of its own, as in ``legendre:1@10 sqp 1e-3``."""
         found: dict[str, Any] = {}
         for word in text.replace(",", " ").split():
             for axis, value in _meaning(word).items():
@@ -136,7 +136,7 @@ def _meaning(word: str) -> dict[str, Any]:
         if not (count.isascii() and count.isdigit()):
             raise InputError(f"'{word}' is no grid", "allowed: SCHEME@INTERVALS, such as legendre:2@25")
         grid["intervals"] = int(count)
-    if name.partition(":")[0] in {known.partition(":")[0] for known in SCHEME_NAMES}:
+    if name.partition(":")[0] in FAMILIES:
         return {"transcription": name, **grid}
     if grid and not name:
         return grid

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from typing import Any, Generic, TypeVar
 
-from trajopt.solving.interruption import LOOK
+# Seconds between two calls of ``check`` during a wait.
+LOOK = 0.1
 
 Key = TypeVar("Key")
 

@@ -1,4 +1,4 @@
-"""Drawing into one pair of axes: curves of all solutions, limits, shares of limits as a map."""
+"""Drawing into one pair of axes: curves of all solutions, and vertical axes with limits."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.page import LegendEntry, PlotRow, Tracks, panel_row
-from trajopt.view.plotting.track import MotionQuantity, Track
+from trajopt.view.plotting.page import PlotRow, Tracks, panel_row
+from trajopt.view.plotting.track import MotionQuantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,12 +26,9 @@ SHOWN = 1.05
 FAR, HEADROOM = 20.0, 1.25
 # Points by which each of several curves on each other is thicker than the next.
 THICKER = 0.4
-LIMIT_DASHES = (0, (6, 2))
-LIMIT: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": LIMIT_DASHES}
-# Inches of a vertical axis for each of its ticks.
-TICK = 0.22
-# Inches of a vertical axis from which quarters of a limit have ticks.
-LEAST_QUARTERS = 0.7
+LIMIT: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (6, 2))}
+# What lies beyond a limit.
+HATCHED: dict[str, Any] = {"facecolor": "none", "edgecolor": style.GREY, "hatch": "////", "lw": 0}
 # Margin of a vertical axis above and below the curves.
 MARGIN = 0.06
 
@@ -58,22 +55,19 @@ class Curve:
         """Its own shade, else the colour of its number."""
         return self.shade or style.colour(self.number)
 
-    @property
-    def marker(self) -> str:
-        """Marker by number, empty where the curve has none."""
-        return style.MARKERS[self.number % len(style.MARKERS)] if self.marked else ""
-
-    @property
-    def entry(self) -> LegendEntry:
-        """Its entry of a legend."""
-        look = {"color": self.colour, "linewidth": self.width, "marker": self.marker}
-        look["linestyle"] = style.OVERLAID[self.line % len(style.OVERLAID)]
-        return self.label, look | marker_look(self.colour)
-
-
-def marker_look(colour: str) -> dict[str, Any]:
-    """Return the look of open markers, which show the curve under them."""
-    return {"markersize": 3.4, "markerfacecolor": "white", "markeredgewidth": 0.7, "markeredgecolor": colour}
+    def look(self, tracks: Tracks, solution: int, *, marked: bool = True) -> dict[str, Any]:
+        """Return the keywords of its line for a solution; of several solutions each has its line style."""
+        overlaid = style.OVERLAID[self.line % len(style.OVERLAID)]
+        return {
+            "label": style.literal(self.label).lstrip("_"),  # Matplotlib hides labels with an underscore
+            "color": self.colour,
+            "linewidth": self.width,
+            "linestyle": style.line_style(solution) if len(tracks) > 1 else overlaid,
+            "marker": style.MARKERS[self.number % len(style.MARKERS)] if self.marked and marked else "",
+            "markersize": 3.4,
+            "markerfacecolor": "white",
+            "markeredgewidth": 0.7,
+        }
 
 
 def column(values: MotionQuantity, i: int) -> MotionQuantity:
@@ -105,7 +99,6 @@ def curve_row(
     ylabel: str,
     drawn: Sequence[Curve],
     scale: Callable[[Axes], object] | None = None,
-    entries: Sequence[LegendEntry] = (),
     **row: Any,
 ) -> PlotRow:
     """Return a row with one panel of curves over time.
@@ -114,9 +107,8 @@ def curve_row(
         name: Of the panel.
         title: Of the row.
         ylabel: Label of the vertical axis with its unit.
-        drawn: The curves, which are the row's legend too.
+        drawn: The curves.
         scale: Sets the vertical axis; default `fit`.
-        entries: More entries of the legend.
         **row: More fields of the row.
     """
 
@@ -124,55 +116,29 @@ def curve_row(
         curves(axes, tracks, drawn)
         (scale or fit)(axes)
 
-    legend = (*(curve.entry for curve in drawn), *entries)
-    return panel_row(title, name, ylabel, draw, legend=legend, **row)
+    return panel_row(name, title, ylabel, draw, **row)
 
 
 def curves(axes: Axes, tracks: Tracks, drawn: Sequence[Curve], *, plans_only: bool = False) -> None:
-    """Draw curves of every solution, the solution by its line, the quantity by colour and marker."""
+    """Draw curves of every solution; markers and collocation points are those of the first."""
     few = sum(int(t.solution.collocation.sum()) for t in tracks) * len(drawn) <= MOST_DOTS
     shown = [(number, track) for number, track in enumerate(tracks) if track.is_plan or not plans_only]
     for number, track in shown:
         first = number == shown[0][0]
         for curve in drawn:
-            line = line_of(tracks, curve, number)
-            _curve(axes, track, curve, number, len(drawn) if first else 0, line)
+            t, y = track.curve(curve.values)
+            marks = marker_samples(t, y, curve.number, len(drawn)) if first else None
+            look = curve.look(tracks, number, marked=first)
+            axes.plot(t, y, markevery=marks, zorder=3 - 0.1 * number, **look)
             if few and curve.dots and number == 0:
-                at, values = track.at_points(curve.values)
-                axes.plot(at, values, color=curve.colour, zorder=3.5, **style.DOTTED)
-
-
-def line_of(tracks: Tracks, curve: Curve, solution: int) -> Any:
-    """Return the line style of a curve of a solution by its number: of several, the solution's."""
-    if len(tracks) > 1:
-        return style.line_style(solution)
-    return style.OVERLAID[curve.line % len(style.OVERLAID)]
-
-
-def _curve(axes: Axes, track: Track, curve: Curve, solution: int, marked: int, line: Any) -> None:
-    """Draw one curve in a ``line`` style; with markers if it is one of ``marked`` curves that share them."""
-    t, y = track.curve(curve.values)
-    named = bool(curve.marker) and marked > 0
-    axes.plot(
-        t,
-        y,
-        color=curve.colour,
-        linewidth=curve.width,
-        linestyle=line,
-        marker=curve.marker if named else "",
-        markevery=marker_samples(t, y, curve.number, marked) if named else None,
-        zorder=3 - 0.1 * solution,
-        label=f"{curve.label}/{track.label}",
-        **marker_look(curve.colour),
-    )
+                axes.plot(*track.at_points(curve.values), color=curve.colour, zorder=3.5, **style.DOTTED)
 
 
 def marker_samples(t: np.ndarray, y: np.ndarray, number: int, count: int) -> list[int]:
     """Return the samples with a marker: evenly in time, those of several curves interleaved."""
-    start, end = t[0], t[-1]
-    wanted = start + (end - start) * (np.arange(MARKS) + (number % count + 0.5) / count) / MARKS
-    found = np.unique(np.clip(np.searchsorted(t, wanted), 0, len(t) - 1))
-    return [int(i) for i in found if np.isfinite(y[i])]
+    wanted = t[0] + (t[-1] - t[0]) * (np.arange(MARKS) + (number % count + 0.5) / count) / MARKS
+    samples = np.unique(np.clip(np.searchsorted(t, wanted), 0, len(t) - 1))
+    return [int(i) for i in samples if np.isfinite(y[i])]
 
 
 def fit(axes: Axes, *, zero: bool = False, least: float = 0.0) -> tuple[float, float]:
@@ -186,8 +152,7 @@ def fit(axes: Axes, *, zero: bool = False, least: float = 0.0) -> tuple[float, f
         axes.text(0.5, 0.5, "no finite value", transform=axes.transAxes, ha="center", color=style.GREY)
         return 0.0, 0.0
     low, high = float(values.min()), float(values.max())
-    bottom, top = (min(low, 0.0), max(high, 0.0)) if zero else (low, high)
-    set_range(axes, bottom, top, least)
+    set_range(axes, min(low, 0.0) if zero else low, max(high, 0.0) if zero else high, least)
     return low, high
 
 
@@ -197,10 +162,11 @@ def fit_with_zero_line(axes: Axes, **look: Any) -> None:
     axes.axhline(0.0, **look)
 
 
-def share_axis(axes: Axes) -> None:
+def share_axis(axes: Axes, edge: str | None = None) -> None:
     """Fit shares of a limit: from 0 to the limit, which is marked, and the range beyond it, hatched.
 
-    Where only a small part of the limit is used, the axis ends at that, and says so.
+    Where only a small part of the limit is used, the axis ends at that, and says so. ``edge`` is the name of
+    the limit in the legend.
     """
     _, high = fit(axes, zero=True)
     if 0 < high < 1 / FAR:
@@ -208,30 +174,23 @@ def share_axis(axes: Axes) -> None:
         remark_inside(axes, "limit 1, beyond the axis")
         return
     set_range(axes, 0.0, max(SHOWN, high))
-    axes.axhline(1.0, **LIMIT)
-    axes.axhspan(1.0, axes.get_ylim()[1], facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)
+    axes.axhline(1.0, label=edge, **LIMIT)
+    axes.axhspan(1.0, axes.get_ylim()[1], **HATCHED)
     if high <= SHOWN:
-        small = axes.bbox.height < LEAST_QUARTERS * style.DOTS
-        axes.set_yticks([0.0, 0.5, 1.0] if small else [0.0, 0.25, 0.5, 0.75, 1.0])
+        axes.set_yticks([0.0, 0.5, 1.0])
 
 
 def remark_inside(axes: Axes, text: str) -> None:
     """Write small letters into the upper right corner of the axes."""
-    look: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY, "ha": "right", "va": "top"}
+    look: dict[str, Any] = {"fontsize": style.TINY, "color": style.GREY, "ha": "right", "va": "top"}
     axes.text(0.995, 0.96, style.literal(text), transform=axes.transAxes, **look)
 
 
 def set_range(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:
     """Set the vertical axis to a range with a margin, and to at least a span of its own size."""
-    from matplotlib.ticker import MaxNLocator
-
     span = max(top - bottom, least, 1e-9 * max(abs(top), abs(bottom)), 1e-12)
-    if span > top - bottom:
-        middle = (top + bottom) / 2
-        bottom, top = middle - span / 2, middle + span / 2
-    axes.set_ylim(bottom - MARGIN * span, top + MARGIN * span)
-    height = axes.bbox.height / axes.bbox.width * axes.get_position().width * style.WIDTH
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=int(np.clip(height / TICK, 2, 6)), steps=[1, 2, 5, 10]))
+    grown = (span - (top - bottom)) / 2 + MARGIN * span
+    axes.set_ylim(bottom - grown, top + grown)
 
 
 def drawn_values(axes: Axes) -> np.ndarray:

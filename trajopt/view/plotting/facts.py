@@ -37,6 +37,40 @@ class FigureTable:
     beyond: frozenset[tuple[int, int]] = frozenset()
 
 
+def title_of(tracks: Sequence[Track]) -> str:
+    """Return problem and robot; of several problems their names."""
+    names = dict.fromkeys(track.solution.description.problem for track in tracks)
+    return f"{', '.join(names)} on {tracks[0].solution.description.robot}"
+
+
+def state_of(track: Track) -> str:
+    """Describe a solution in a line: status, solver and grid."""
+    plan, statistics = track.solution, track.solution.statistics
+    objective = statistics.objective
+    parts = [
+        "solved" if statistics.success else f"not solved, {_status(track)}",
+        f"{statistics.solver}, {statistics.iterations} iterations",
+        "" if objective is None else f"objective {objective:.6g}",
+        f"{statistics.transcription}, {plan.n_intervals} interval{'s' * (plan.n_intervals > 1)}",
+        f"{plan.t[-1] - plan.t[0]:.3g} s",
+    ]
+    return "  \u00b7  ".join(part for part in parts if part)
+
+
+def failure_of(track: Track) -> str:
+    """Say how a solution failed; empty if it did not."""
+    failed = not track.solution.success and not track.is_simulated
+    parts = [
+        f"NOT SOLVED ({_status(track)}): the last iterate" if failed else "",
+        "" if track.is_finite else "NOT FINITE: what is finite is shown",
+    ]
+    return "; ".join(part for part in parts if part)
+
+
+def _status(track: Track) -> str:
+    return track.solution.statistics.status.replace("_", " ")
+
+
 def sections(tracks: Sequence[Track]) -> tuple[FigureTable, ...]:
     """Facts, check and accuracy of the solutions; missing figures are left empty."""
     return tuple(
@@ -51,28 +85,30 @@ def _facts(tracks: Sequence[Track]) -> FigureTable:
 
 
 def _facts_of(track: Track) -> dict[str, str]:
-    meta, plan = track.meta, track.solution
+    plan, description, statistics = track.solution, track.solution.description, track.solution.statistics
     drawn = tried(lambda: float(energy(plan))) if track.is_finite else None
     transport = tried(lambda: float(cost_of_transport(plan))) if track.is_finite else None
-    solved = "solved" if meta["success"] else "NOT SOLVED"
+    solved = "solved" if statistics.success else "NOT SOLVED"
     return {
-        "problem": str(meta["problem"]),
-        "robot": str(meta["robot"]),
-        "parameters": ", ".join(f"{key} {_value(entry)}" for key, entry in meta["parameters"].items()),
-        "status": f"{solved}: {str(meta['status']).replace('_', ' ')}",
-        "advice": "" if meta["success"] else str(meta.get("advice", "")),
-        "solver": f"{meta['solver']}, tolerance {meta['tolerance']:g}",
-        "iterations": str(meta["iterations"]),
-        "objective": _value(meta["objective"]),
-        "largest violation": _value(meta.get("max_violation")),
-        "variables, constraints": f"{meta.get('variables', '')}, {meta.get('constraints', '')}".strip(", "),
-        "transcription": f"{meta['transcription']}, {plan.n_intervals} intervals",
+        "problem": description.problem,
+        "robot": description.robot,
+        "parameters": ", ".join(f"{key} {_value(entry)}" for key, entry in description.parameters.items()),
+        "status": f"{solved}: {_status(track)}",
+        "advice": "" if statistics.success else statistics.advice,
+        "solver": f"{statistics.solver}, tolerance {statistics.tolerance:g}",
+        "iterations": str(statistics.iterations),
+        "objective": _value(statistics.objective),
+        "largest violation": _value(statistics.max_violation),
+        "variables, constraints": f"{statistics.variables}, {statistics.constraints}"
+        if statistics.variables
+        else "",
+        "transcription": f"{statistics.transcription}, {plan.n_intervals} intervals",
         "phases": ", ".join(f"{phase.name} {phase.end - phase.start:.3g}" for phase in track.phases),
         "duration": f"{plan.t[-1] - plan.t[0]:.4g}",
-        "time of the solver": _value(meta["wall_time_s"]),
+        "time of the solver": _value(statistics.wall_time_s),
         "energy drawn by joints": _value(drawn),
         "cost of transport": _value(transport if transport is not None and np.isfinite(transport) else None),
-        "versions": ", ".join(f"{key} {entry}" for key, entry in meta["versions"].items()),
+        "versions": ", ".join(f"{key} {entry}" for key, entry in statistics.versions.items()),
     }
 
 
@@ -100,15 +136,15 @@ def _check(tracks: Sequence[Track]) -> FigureTable | None:
 
 
 def _accuracy(tracks: Sequence[Track]) -> FigureTable | None:
-    found = [track.accuracy for track in tracks]
-    named = ((text, _values(found, name), unit, "") for name, (text, unit) in MEASURED.items())
+    measured = [track.accuracy for track in tracks]
+    named = ((text, _values(measured, name), unit, "") for name, (text, unit) in MEASURED.items())
     rows = tuple(row for row in named if row[1])
     title = "accuracy between points and in open loop"
-    return FigureTable(title=title, rows=rows) if any(found) else None
+    return FigureTable(title=title, rows=rows) if any(measured) else None
 
 
-def _values(found: Sequence[object | None], name: str) -> tuple[str, ...]:
+def _values(figures: Sequence[object | None], name: str) -> tuple[str, ...]:
     """A figure of each solution as text, empty if unknown; no row if unknown for all."""
-    values = [getattr(one, name, None) for one in found]
+    values = [getattr(one, name, None) for one in figures]
     known = any(value is not None for value in values)
     return tuple("" if value is None else f"{value:.3g}" for value in values) if known else ()

@@ -1,213 +1,173 @@
-"""The figure of a page: head and foot, positions of rows, their axes, headings and legends."""
+"""Pages as a figure: a heading, rows of panels with their legends on the right, and a note at the foot."""
 
 from __future__ import annotations
 
 import itertools
+import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from trajopt.view.plotting import style
-from trajopt.view.plotting.page import (
-    BOTTOM,
-    GAP,
-    GROWTH,
-    LEAST_ROWS,
-    LEFT,
-    LINE,
-    NOTE_LINE,
-    OFFSET_TEXT,
-    RIGHT,
-    TITLE,
-    TOP,
-    UNIT,
-    X_AXIS,
-    LegendEntry,
-    PlotPage,
-    PlotRow,
-    Tracks,
-)
-from trajopt.view.plotting.time_axis import over_time, phase_strip
-from trajopt.view.plotting.track import Track
+from trajopt.view.plotting.facts import failure_of, state_of, title_of
+from trajopt.view.plotting.page import PlotPage, PlotRow, Tracks
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+
+# The printed part of a page, as left, lower, width and height in parts of it.
+PRINTED = (0.04, 0.025, 0.92, 0.95)
+# About how many inches a page needs besides its axes: for heading and foot with the margins, for the title of
+# a row, and for a labelled horizontal axis.
+FRAME, ROW_TITLE, X_AXIS = 1.4, 0.25, 0.3
+# Inches of a normal row's axes; how far they may grow on an empty page, and shrink in a picture, which may be
+# higher than A4.
+UNIT, GROWTH, LEAST = 1.3, 1.6, 0.5
+# Letters in a line of a note, and most letters of the title.
+NOTE_LETTERS, TITLE_LETTERS = 150, 64
+# Space between panels side by side, over the width of all, and where they have vertical labels.
+GAP, LABELLED_GAP = 0.08, 0.125
+# Points between axes and what stands above them, of a remark there, and down to the power of ten of numbers.
+PAD, REMARK, OFFSET_PAD = 2.0, 8.0, 2
+# Inches across a letter in the names of phases, their line, and what a page has for them.
+PHASE_LETTER, PHASE_LINE, PHASES = 0.05, 0.09, 6.5
+
+
+def figure_of(pages: Sequence[PlotPage], tracks: Tracks, *, fixed: bool = False, footer: str = "") -> Figure:
+    """Draw pages below one another with the width of A4, and each with its height if ``fixed``."""
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-# Most letters across a page: in the title beside the page's name, and in the legend.
-TITLE_LETTERS, LEGEND_LETTERS = 64, 112
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Place:
-    """Position of a row: inches from the page's top to its axes, their height, and the row."""
-
-    top: float
-    height: float
-    phases: float
-    labelled: bool
-
-
-def figure_of(page: PlotPage, tracks: Tracks, *, fixed: bool, footer: str = "") -> Figure:
-    """Draw the page as a figure of A4 width, and of A4 height if ``fixed``."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    left = max(row.left for row in page.rows)  # one left edge for all, by the longest labels
-    page = replace(page, rows=tuple(replace(row, left=left) for row in page.rows))
-    places, height = _places(page, tracks, fixed)
-    look: dict[Any, Any] = {**mpl.rcParamsDefault, **style.RC, "backend": mpl.rcParams["backend"]}
-    with mpl.rc_context(look):
-        figure = Figure(figsize=(style.WIDTH, height), dpi=style.DOTS)
-        _draw_heading(figure, page, tracks, footer)
-        for row, place in zip(page.rows, places, strict=True):
-            _draw_row(figure, row, place, tracks)
+    heights = [_heights(page, fixed=fixed) for page in pages]
+    totals = [
+        style.HEIGHT if fixed else sum(rows) + _around(page)
+        for page, rows in zip(pages, heights, strict=True)
+    ]
+    with style.look():
+        layout = ConstrainedLayoutEngine(rect=PRINTED, h_pad=0.03, w_pad=0.03, hspace=0.0, wspace=0.0)
+        figure = Figure(figsize=(style.WIDTH, sum(totals)), dpi=style.DOTS, layout=layout)
+        parts = figure.subfigures(len(pages), 1, height_ratios=totals, squeeze=False)[:, 0]
+        for part, page, rows in zip(parts, pages, heights, strict=True):
+            _draw_page(part, page, tracks, rows, footer)
     return figure
 
 
-def _places(page: PlotPage, tracks: Tracks, fixed: bool) -> tuple[list[_Place], float]:
-    """Places of the rows and the page's height, inches."""
-    named = next((i for i, row in enumerate(page.rows) if row.is_timed), None)
-    labelled = [
-        not row.is_timed or following is None or not following.is_timed
-        for row, following in itertools.zip_longest(page.rows, page.rows[1:])
+def _around(page: PlotPage) -> float:
+    """About how many inches a page needs besides the axes."""
+    return FRAME + sum(ROW_TITLE + X_AXIS * labelled for labelled in _labelled(page.rows))
+
+
+def _heights(page: PlotPage, *, fixed: bool) -> list[float]:
+    """Inches of the axes of each row, and of the space that a ``fixed`` page keeps below them."""
+    rigid, free = (UNIT * sum(row.height for row in page.rows if row.rigid is kind) for kind in (True, False))
+    room = style.HEIGHT - _around(page) - rigid
+    scale = room / free if free else 1.0
+    scale = min(GROWTH, scale) if fixed else min(1.0, max(LEAST, scale))
+    heights = [UNIT * row.height * (1.0 if row.rigid else scale) for row in page.rows]
+    return [*heights, room - scale * free] if fixed and room > scale * free + ROW_TITLE else heights
+
+
+def _labelled(rows: Sequence[PlotRow]) -> list[bool]:
+    """Whether the horizontal axis of each row has numbers: not if the next row has the same times below."""
+    return [
+        not (after and row.timed and after.timed and len(row.panels) == len(after.panels))
+        for row, after in itertools.zip_longest(rows, rows[1:])
     ]
-    phases = [phase_strip(row, tracks) if i == named else 0.0 for i, row in enumerate(page.rows)]
-    head, foot = TOP + TITLE + LINE * (len(tracks) > 1), BOTTOM + NOTE_LINE * len(page.note_lines)
-    fixed_part = head + foot
-    fixed_part += sum(row.heading + GAP for row in page.rows) + sum(phases) + X_AXIS * sum(labelled)
-    rigid = sum(UNIT * row.height for row in page.rows if row.rigid)
-    free = sum(UNIT * row.height for row in page.rows if not row.rigid)
-    shrink = (style.HEIGHT - fixed_part - rigid) / free if free else 1.0
-    # A page of few rows is stretched, within limits; a picture may be higher than a page.
-    shrink = min(GROWTH, shrink) if fixed else min(1.0, max(LEAST_ROWS, shrink))
-    at, places = head, []
-    for row, strip, shown in zip(page.rows, phases, labelled, strict=True):
-        height = UNIT * row.height * (1.0 if row.rigid else shrink)
-        at += row.heading + strip
-        places.append(_Place(top=at, height=height, phases=strip, labelled=shown))
-        at += height + GAP + X_AXIS * shown
-    return places, style.HEIGHT if fixed else at + foot
 
 
-def _draw_row(figure: Figure, row: PlotRow, place: _Place, tracks: Tracks) -> None:
-    width, height = figure.get_size_inches()
-    gaps = sum(panel.gap for panel in row.panels[1:])
-    unit = (width - row.left - row.right - gaps) / sum(panel.wide for panel in row.panels)
-    at = row.left
-    for number, panel in enumerate(row.panels):
-        at += panel.gap if number else 0.0
-        box = (
-            at / width,
-            1 - (place.top + place.height) / height,
-            unit * panel.wide / width,
-            place.height / height,
-        )
-        axes = figure.add_axes(box, label=panel.name)
-        axes.set_ylabel(panel.ylabel, labelpad=2.0)
-        axes.yaxis.get_offset_text().set(fontsize=6.0, va="top")  # inside, below the heading
-        axes.yaxis.OFFSETTEXTPAD = -OFFSET_TEXT
-        if panel.timed:
-            over_time(axes, tracks, labelled=place.labelled, strip=place.phases)
-        panel.draw(axes, tracks)
-        _draw_row_heading(figure, row, place, panel.title, at)
-        if panel.remark:
-            above = (place.top - place.phases - 0.03) / height
-            look: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY, "va": "bottom"}
-            figure.text(at / width, 1 - above, style.literal(panel.remark), **look)
-        at += unit * panel.wide
-    _draw_row_heading(figure, row, place, row.title, row.left, legend=True)
+def _draw_page(part: SubFigure, page: PlotPage, tracks: Tracks, heights: list[float], footer: str) -> None:
+    _draw_heading(part, page, tracks)
+    note = "\n".join([*textwrap.wrap(page.note, NOTE_LETTERS), footer])
+    part.supxlabel(note, x=0.0, ha="left", fontsize=style.TINY, color=style.GREY)
+    grid = part.add_gridspec(len(heights), 1, height_ratios=heights)
+    named = next((row for row in page.rows if row.timed), None)
+    for number, (row, labelled) in enumerate(zip(page.rows, _labelled(page.rows), strict=True)):
+        axes = _panels(part.add_subplot(grid[number, 0]), row)
+        _draw_row(axes, row, tracks, labelled=labelled, named=row is named and len(tracks[0].phases) > 1)
 
 
-def _draw_row_heading(
-    figure: Figure, row: PlotRow, place: _Place, title: str, left: float, legend: bool = False
-) -> None:
-    """Write a title ``left`` inches from the left, and the row's legend on the right."""
-    width, height = figure.get_size_inches()
-    top = place.top - place.phases - row.heading + 0.02
-    if title:
-        figure.text(left / width, 1 - top / height, title, weight="bold", va="top", ha="left")
-    if legend and row.legend:
-        columns = min(row.legend_columns, len(row.legend))
-        look = {"handlelength": 2.8, "handletextpad": 0.4, "columnspacing": 1.0, "labelspacing": 0.25}
-        _draw_legend(figure, row.legend, "upper right", width - row.right, top - 0.03, ncols=columns, **look)
+def _panels(whole: Axes, row: PlotRow) -> list[Axes]:
+    """Return axes for each panel within those of the whole row, so that the edges of all rows are aligned."""
+    count = len(row.panels)
+    if count == 1:
+        return [whole]
+    whole.set_axis_off()
+    gap = LABELLED_GAP if any(panel.ylabel for panel in row.panels[1:]) else GAP
+    width = (1.0 - gap * (count - 1)) / count
+    return [whole.inset_axes((i * (width + gap), 0.0, width, 1.0)) for i in range(count)]
 
 
-def _draw_heading(figure: Figure, page: PlotPage, tracks: Tracks, footer: str) -> None:
-    """Write title, state of the solutions, note and footer."""
-    width, height = figure.get_size_inches()
-
-    def text(x: float, y: float, words: str, **options: object) -> None:
-        look = {"va": "top", **options}
-        figure.text(x / width, 1 - y / height, style.literal(words), **look)  # type: ignore[arg-type]
-
-    text(LEFT, TOP, style.short(title_of(tracks), TITLE_LETTERS), fontsize=style.TITLE, weight="bold")
-    text(width - RIGHT, TOP + 0.02, page.title, fontsize=style.TITLE, ha="right", color=style.GREY)
-    warning = failures_of(tracks)
-    below = TOP + 0.24
-    if warning:
-        text(LEFT, below, warning, fontsize=style.FONT, weight="bold", color=style.RED)
-    elif len(tracks) == 1:
-        text(LEFT, below, state_of(tracks[0]), fontsize=style.SMALL, color=style.GREY)
-    if len(tracks) > 1:
-        _draw_solutions(figure, tracks, TOP + TITLE - 0.08)
-    lines = page.note_lines
-    for number, line in enumerate(lines):
-        below = height - BOTTOM + 0.12 - NOTE_LINE * (len(lines) - number)
-        text(LEFT, below, line, fontsize=6.5, color=style.GREY)
-    text(LEFT, height - 0.26, footer, fontsize=6.5, color=style.GREY)
-
-
-def _draw_solutions(figure: Figure, tracks: Tracks, top: float) -> None:
-    """Write the legend of solutions by line style, ``top`` inches from the page's top."""
-    legend = []
-    for number, track in enumerate(tracks):
-        name = style.literal(style.short(track.label, LEGEND_LETTERS // len(tracks)))
-        look = {"color": style.BLACK, "linestyle": style.line_style(number)}
-        legend.append((name + ("" if track.meta["success"] else " (not solved)"), look))
-    spaces = {"handlelength": 3.2, "columnspacing": 1.5}
-    _draw_legend(figure, legend, "upper left", LEFT, top, ncols=len(tracks), **spaces)
-
-
-def _draw_legend(
-    figure: Figure, legend: Sequence[LegendEntry], corner: Any, left: float, top: float, **look: Any
-) -> None:
-    """Draw a legend with its ``corner`` at inches from the page's left and top."""
+def _draw_heading(part: SubFigure, page: PlotPage, tracks: Tracks) -> None:
+    """Write the title, and a line for each solution with its line style and state; of failed ones in red."""
     from matplotlib.lines import Line2D
 
-    width, height = figure.get_size_inches()
-    handles, labels = [Line2D([], [], **line) for _, line in legend], [label for label, _ in legend]
-    figure.legend(handles, labels, loc=corner, bbox_to_anchor=(left / width, 1 - top / height), **look)
+    lines = [Line2D([], [], color=style.BLACK, linestyle=style.line_style(i)) for i in range(len(tracks))]
+    names = [f"{style.short(track.label)}:  " if len(tracks) > 1 else "" for track in tracks]
+    words = [failure_of(track) or state_of(track) for track in tracks]
+    states = [style.literal(name + state) for name, state in zip(names, words, strict=True)]
+    title = f"{style.short(title_of(tracks), TITLE_LETTERS)}: {page.title}"
+    legend = part.legend(
+        lines, states, title=style.literal(title),
+        loc="outside upper left", alignment="left", handlelength=3.2, handletextpad=1.0, borderpad=0.5,
+        title_fontproperties={"weight": "bold", "size": style.TITLE},
+    )  # fmt: skip
+    for text, track in zip(legend.get_texts(), tracks, strict=True):
+        text.set(**{"color": style.RED, "weight": "bold"} if failure_of(track) else {"color": style.GREY})
 
 
-def title_of(tracks: Tracks) -> str:
-    """Return problem and robot; of several problems their names."""
-    names = list(dict.fromkeys(str(track.meta["problem"]) for track in tracks))
-    return f"{', '.join(names)} on {tracks[0].meta['robot']}"
+def _draw_row(axes: Sequence[Axes], row: PlotRow, tracks: Tracks, *, labelled: bool, named: bool) -> None:
+    above = PAD + REMARK * any(panel.remark for panel in row.panels)
+    for one, panel in zip(axes, row.panels, strict=True):
+        one.set_label(panel.name)
+        one.set_ylabel(panel.ylabel)
+        one.yaxis.get_offset_text().set(fontsize=style.SMALLEST, va="top")
+        one.yaxis.OFFSETTEXTPAD = -OFFSET_PAD  # inside, below title and remark
+        one.set_title(style.literal(panel.title), loc="left", weight="bold", pad=PAD + above * (not named))
+        look: dict[str, Any] = {"fontsize": style.TINY, "color": style.GREY, "in_layout": False}
+        one.annotate(
+            style.literal(panel.remark), (0.0, 1.0), (0.0, PAD),
+            xycoords="axes fraction", textcoords="offset points", **look,
+        )  # fmt: skip
+        if row.timed:
+            _draw_times(one, tracks, labelled=labelled)
+        if named:
+            _name_phases(one, tracks, PHASES / len(axes), above)
+        panel.draw(one, tracks)
+    named_lines = (pair for one in axes for pair in zip(*one.get_legend_handles_labels(), strict=True))
+    entries: dict[str, Any] = {}
+    for line, label in named_lines:
+        entries.setdefault(label, line)  # of several solutions the first one's
+    if row.legend and entries:
+        axes[-1].legend(entries.values(), entries, loc="upper left", bbox_to_anchor=(1.005, 1.0))
 
 
-def state_of(track: Track) -> str:
-    """Describe a solution in a line: status, solver and grid."""
-    meta, plan = track.meta, track.solution
-    objective = meta.get("objective")
-    parts = [
-        "solved" if meta["success"] else f"not solved, {str(meta['status']).replace('_', ' ')}",
-        f"{meta['solver']}, {meta['iterations']} iterations",
-        f"objective {objective:.6g}" if isinstance(objective, float) else "",
-        f"{meta['transcription']}, {plan.n_intervals} interval{'s' * (plan.n_intervals > 1)}",
-        f"{plan.t[-1] - plan.t[0]:.3g} s",
-    ]
-    return "  \u00b7  ".join(part for part in parts if part)
+def _draw_times(axes: Axes, tracks: Tracks, *, labelled: bool) -> None:
+    """Set the time axis, shade phases, mark impacts and the other solutions' phase changes."""
+    axes.set_xlim(
+        min(track.phases[0].start for track in tracks), max(track.phases[-1].end for track in tracks)
+    )
+    for phase in tracks[0].phases[1::2]:
+        axes.axvspan(phase.start, phase.end, color=style.BAND, linewidth=0, zorder=0)
+    for phase in (phase for track in tracks[1:] for phase in track.phases[1:]):
+        axes.axvline(phase.start, color=style.GREY, linewidth=0.5, linestyle=":", zorder=1)
+    for time in (time for track in tracks for time in track.impact_times):
+        axes.axvline(time, color=style.RED, linewidth=0.7, linestyle=(0, (1, 1)), zorder=1)
+    if labelled:
+        axes.set_xlabel("time t [s]")
+    else:
+        axes.tick_params(labelbottom=False)
 
 
-def failures_of(tracks: Tracks) -> str:
-    """Warnings for the solutions that failed; empty if none did."""
-    found = []
-    for track in tracks:
-        name = f"{track.label}: " if len(tracks) > 1 else ""
-        if not track.meta["success"] and not track.is_simulated:
-            found.append(
-                f"{name}NOT SOLVED ({str(track.meta['status']).replace('_', ' ')}): the last iterate"
-            )
-        if not track.is_finite:
-            found.append(f"{name}NOT FINITE: what is finite is shown")
-    return "; ".join(found)
+def _name_phases(axes: Axes, tracks: Tracks, width: float, pad: float) -> None:
+    """Write phases' names above axes that are ``width`` inches wide, upright if long, none above slivers."""
+    inch = width / (axes.get_xlim()[1] - axes.get_xlim()[0])
+    phases = [(phase, inch * (phase.end - phase.start)) for phase in tracks[0].phases]
+    upright = any(PHASE_LETTER * len(phase.name) > room for phase, room in phases)
+    shown = [phase for phase, room in phases if room > PHASE_LINE]
+    axes.xaxis.remove_overlapping_locs = False  # a name may stand above a number
+    middles = [(phase.start + phase.end) / 2 for phase in shown]
+    axes.set_xticks(middles, [style.literal(phase.name) for phase in shown], minor=True)
+    axes.tick_params(
+        axis="x", which="minor", bottom=False, labelbottom=False, labeltop=True, pad=pad,
+        labelsize=style.SMALLEST, labelcolor=style.GREY, labelrotation=90 if upright else 0,
+    )  # fmt: skip

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Sequence
 from html import escape
 
 from trajopt.versions import installed_version
-from trajopt.view.plotting.facts import FigureTable
-from trajopt.view.plotting.figure import failures_of, state_of, title_of
+from trajopt.view.plotting.facts import FigureTable, failure_of, state_of, title_of
 from trajopt.view.plotting.page import PlotPage, Tracks
-from trajopt.view.plotting.sheet import with_unique_ids
 
 STYLE = """
 :root { color-scheme: light; }
@@ -18,7 +17,7 @@ body { font: 15px/1.45 system-ui, sans-serif; color: #111; background: #fff; mar
 h1 { font-size: 1.5rem; margin: 0 0 .2rem; } h2 { font-size: 1.1rem; margin: 2rem 0 .4rem; }
 p.state { color: #555; margin: 0; } p.warning { color: #b34400; font-weight: bold; margin: .3rem 0; }
 nav { margin: .8rem 0 1.2rem; } nav a { margin-right: 1rem; color: #0072b2; }
-figure { margin: 1.2rem 0; overflow-x: auto; } figure svg { width: 100%; height: auto; min-width: 640px; }
+figure { margin: 1.2rem 0; overflow-x: auto; } figure img { width: 100%; height: auto; min-width: 640px; }
 table { border-collapse: collapse; font-size: .85rem; width: 100%; }
 th, td { text-align: left; vertical-align: top; padding: .15rem .8rem .15rem 0;
   border-bottom: 1px solid #e3e3e3; }
@@ -26,30 +25,32 @@ td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; ov
 td.beyond { color: #b34400; font-weight: bold; } td.unit { color: #555; white-space: nowrap; }
 footer { color: #555; font-size: .8rem; margin-top: 2rem; }
 @media print { nav { display: none; } body { max-width: none; padding: 0; font-size: 10pt; }
-  figure { break-before: page; margin: 0; overflow: visible; } figure svg { min-width: 0; max-height: 277mm; }
+  figure { break-before: page; margin: 0; overflow: visible; } figure img { min-width: 0; max-height: 277mm; }
   @page { size: A4; margin: 10mm; } }
 """
 
 
 def html_page(
-    tracks: Tracks, drawings: Sequence[tuple[PlotPage, str]], sections: Sequence[FigureTable]
+    tracks: Tracks, drawings: Sequence[tuple[PlotPage, bytes]], sections: Sequence[FigureTable]
 ) -> str:
     """The file's text. ``drawings`` are pages with their SVG, ``sections`` the tables."""
-    title = escape(title_of(tracks))
-    warning = failures_of(tracks)
+    title, links, figures = escape(title_of(tracks)), [], []
     labelled = [(f"{track.label}: " if len(tracks) > 1 else "", track) for track in tracks]
-    head = [
-        f'<p class="warning">{escape(warning)}</p>' if warning else "",
-        *(f'<p class="state">{escape(label + state_of(track))}</p>' for label, track in labelled),
+    head = [f'<p class="state">{escape(label + state_of(track))}</p>' for label, track in labelled]
+    head += [
+        f'<p class="warning">{escape(label + failure)}</p>'
+        for label, track in labelled
+        if (failure := failure_of(track))
     ]
-    anchors = _anchors([page for page, _ in drawings])
-    links = "".join(f'<a href="#{anchor}">{escape(text)}</a>' for anchor, text in anchors)
+    names = [page.name for page, _ in drawings]
+    for number, (page, svg) in enumerate(drawings):
+        nth = f" {names[: number + 1].count(page.name)}" if names.count(page.name) > 1 else ""
+        anchor, text = (page.name + nth).replace(" ", "-"), escape(page.title + nth)
+        links.append(f'<a href="#{anchor}">{text}</a>')
+        source = f"data:image/svg+xml;base64,{b64encode(svg).decode()}"
+        figures.append(f'<figure id="{anchor}"><img alt="{text}" src="{source}"></figure>')
     tables = [_table(section, [track.label for track in tracks]) for section in sections]
     further = '<a href="#figures">check and accuracy</a>' if tables[1:] else ""
-    figures = [
-        f'<figure id="{anchor}" aria-label="{escape(text)}">{with_unique_ids(svg, number)}</figure>'
-        for number, ((anchor, text), (_, svg)) in enumerate(zip(anchors, drawings, strict=True))
-    ]
     return "\n".join(
         [
             '<!doctype html><html lang="en"><head><meta charset="utf-8">',
@@ -57,7 +58,7 @@ def html_page(
             f"<title>{title}</title><style>{STYLE}</style></head><body>",
             f"<h1>{title}</h1>",
             *head,
-            f"<nav>{links}{further}</nav>",
+            f"<nav>{''.join(links)}{further}</nav>",
             f'<section id="facts">{tables[0]}</section>',
             *figures,
             f'<section id="figures">{"".join(tables[1:])}</section>' if tables[1:] else "",
@@ -65,15 +66,6 @@ def html_page(
             "",
         ]
     )
-
-
-def _anchors(pages: Sequence[PlotPage]) -> list[tuple[str, str]]:
-    """An anchor and a text for every page; pages of the same name are numbered."""
-    names, found = [page.name for page in pages], []
-    for number, page in enumerate(pages):
-        nth = names[: number + 1].count(page.name) if names.count(page.name) > 1 else 0
-        found.append((f"{page.name}-{nth}", f"{page.title} {nth}") if nth else (page.name, page.title))
-    return found
 
 
 def _table(section: FigureTable, labels: Sequence[str]) -> str:

@@ -68,18 +68,18 @@ class Limb:
 
 def axes_of(solution: Solution) -> tuple[JointAxis, ...]:
     """All rows of v behind the base joint, in their order."""
-    model, meta = solution.model, solution.meta
+    model, description = solution.model, solution.description
     lower, upper = position_limits(model)
-    speed = _limits(meta.get("velocity_limit"), model.nv)
-    effort = _limits(meta.get("effort_limit"), solution.tau.shape[1])
-    found = []
+    speed = _limits(description.velocity_limit, model.nv)
+    effort = _limits(description.effort_limit, solution.tau.shape[1])
+    axes = []
     for joint in list(model.joints)[BASE_JOINT[base_of(model)] + 1 :]:
         for i in range(joint.nv):
             row = joint.idx_v + i
             torque = row - solution.n_unactuated
             column = joint.idx_q + i if joint.nq == joint.nv else None
             suffix = "" if joint.nv == 1 else f" {'xyz'[i] if joint.nv <= 3 else i + 1}"
-            found.append(
+            axes.append(
                 JointAxis(
                     name=model.names[joint.id] + suffix,
                     joint=joint.id,
@@ -93,12 +93,11 @@ def axes_of(solution: Solution) -> tuple[JointAxis, ...]:
                     effort=float(effort[torque]) if torque >= 0 else np.inf,
                 )
             )
-    return tuple(found)
+    return tuple(axes)
 
 
-def _limits(given: Sequence[float | None] | None, size: int) -> np.ndarray:
-    values = [np.inf if entry is None or entry > UNLIMITED else entry for entry in given or ()]
-    return np.array(values, dtype=float) if values else np.full(size, np.inf)
+def _limits(given: np.ndarray | None, size: int) -> np.ndarray:
+    return np.full(size, np.inf) if given is None else np.where(given > UNLIMITED, np.inf, given)
 
 
 def _slides(joint: pin.JointModel, row: int) -> bool:
@@ -128,9 +127,9 @@ def position(axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
 
 
 def _unwrapped(angle: np.ndarray) -> np.ndarray:
-    found, finite = angle.copy(), np.isfinite(angle)
-    found[finite] = np.unwrap(angle[finite])
-    return found
+    turned, finite = angle.copy(), np.isfinite(angle)
+    turned[finite] = np.unwrap(angle[finite])
+    return turned
 
 
 def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
@@ -140,13 +139,13 @@ def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
     """
     groups: list[list[JointAxis]] = []
     for chain in _merged(_chains(model, {axis.joint for axis in axes})):
-        own = [axis for joint in chain for axis in axes if axis.joint == joint]
-        parts = -(-len(own) // MOST_CURVES)
-        size = -(-len(own) // max(parts, 1))
-        groups += [own[start : start + size] for start in range(0, len(own), size)]
+        members = [axis for joint in chain for axis in axes if axis.joint == joint]
+        parts = -(-len(members) // MOST_CURVES)
+        size = -(-len(members) // max(parts, 1))
+        groups += [members[start : start + size] for start in range(0, len(members), size)]
     prefixes = [_limb_name([axis.name for axis in group]) for group in groups]
     shorts = [_short_names([axis.name for axis in group]) for group in groups]
-    every = [short for own in shorts for short in own]
+    every = [short for names in shorts for short in names]
     unique = len(set(every)) == len(every)
     limbs = []
     for group, prefix, short in zip(groups, prefixes, shorts, strict=True):
@@ -170,28 +169,28 @@ def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
 def _chains(model: pin.Model, joints: set[int]) -> list[list[int]]:
     """Joints of the given set in chains that end at a leaf or a fork of the tree."""
     roots = [joint for joint in sorted(joints) if model.parents[joint] not in joints]
-    found, waiting = [], roots[::-1]
+    chains, waiting = [], roots[::-1]
     while waiting:
         chain = [waiting.pop()]
         while len(children := list(model.children[chain[-1]])) == 1:
             chain += children
-        found.append(chain)
+        chains.append(chain)
         waiting += children[::-1]
-    return found
+    return chains
 
 
 def _merged(chains: list[list[int]]) -> list[list[int]]:
     """Merge neighbouring chains shorter than `LEAST_BRANCH`, as far as they fit one panel."""
-    found: list[list[int]] = []
+    merged: list[list[int]] = []
     open_for_more = False
     for chain in chains:
         short = len(chain) < LEAST_BRANCH
-        if short and open_for_more and len(found[-1]) + len(chain) <= MOST_CURVES:
-            found[-1] = found[-1] + chain
+        if short and open_for_more and len(merged[-1]) + len(chain) <= MOST_CURVES:
+            merged[-1] = merged[-1] + chain
         else:
-            found.append(chain)
+            merged.append(chain)
         open_for_more = short
-    return found
+    return merged
 
 
 def _limb_name(names: Sequence[str]) -> str:
@@ -221,5 +220,5 @@ def _short_names(names: Sequence[str]) -> tuple[str, ...]:
     at = ends.find("_")
     behind = len(ends) - at if at >= 0 else 0
     bare = [name[: len(name) - behind] for name in names]
-    found = [name[cut:].strip("_. -") or name for name in bare]
-    return tuple(found) if all(found) and len(set(found)) == len(found) else tuple(names)
+    bare = [name[cut:].strip("_. -") or name for name in bare]
+    return tuple(bare) if all(bare) and len(set(bare)) == len(bare) else tuple(names)

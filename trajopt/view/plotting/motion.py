@@ -84,11 +84,11 @@ class MotionQuantities:
     @cached_property
     def base_angles(self) -> np.ndarray:
         """Roll, pitch and yaw (K, 3) rad of the base, R = R_z(yaw) R_y(pitch) R_x(roll), without jumps."""
-        found, near = np.full((len(self.t), 3), np.nan), None
+        angles, near = np.full((len(self.t), 3), np.nan), None
         for row in np.flatnonzero(self.finite):
             near = angles_of(YAW_PITCH_ROLL, self._base[row, :3, :3], near)
-            found[row] = near[::-1]
-        return found
+            angles[row] = near[::-1]
+        return angles
 
     @cached_property
     def base_twist(self) -> np.ndarray:
@@ -116,10 +116,10 @@ class MotionQuantities:
 
     def _rows(self, size: int, of: _State) -> np.ndarray:
         model, data = self.solution.model, self.solution.model.createData()
-        found = np.full((len(self.t), size), np.nan)
+        rows = np.full((len(self.t), size), np.nan)
         for row in np.flatnonzero(self.finite):
-            found[row] = of(model, data, self.solution.q[row], self.solution.v[row])
-        return found
+            rows[row] = of(model, data, self.solution.q[row], self.solution.v[row])
+        return rows
 
     @cached_property
     def samples(self) -> SampleQuantities:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from trajopt.errors import InputError
 from trajopt.simulation.push import PushReport
 from trajopt.solution.output import check_output, replacing
 from trajopt.view.plotting import style
-from trajopt.view.plotting.sheet import svg_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,14 +45,7 @@ def write_push_plot(report: PushReport, target: str | Path) -> Path:
         InputError: for another ending, or a file that cannot be written.
     """
     place = check_push_plot(Path(target))
-    figure, ending = figure_of_pushes(report), place.suffix.lower()
-    if ending == ".svg":
-        content = svg_of(figure).encode()
-    else:
-        buffer = io.BytesIO()
-        facts = {"CreationDate": None} if ending == ".pdf" else None  # for equal files
-        figure.savefig(buffer, format=ending[1:], metadata=facts)
-        content = buffer.getvalue()
+    content = style.rendered(figure_of_pushes(report), place.suffix.lower())
     with replacing(place) as unfinished:
         unfinished.write_bytes(content)
     return place
@@ -62,11 +53,9 @@ def write_push_plot(report: PushReport, target: str | Path) -> Path:
 
 def figure_of_pushes(report: PushReport) -> Figure:
     """One closed curve for each controller; triangles at impulses that no push tried has bounded."""
-    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    look: dict[Any, Any] = {**mpl.rcParamsDefault, **style.RC, "backend": mpl.rcParams["backend"]}
-    with mpl.rc_context(look):
+    with style.look():
         figure = Figure(figsize=SIZE, dpi=style.DOTS, layout="constrained")
         axes = figure.add_subplot(projection="polar")
         axes.set_theta_zero_location("N")  # type: ignore[attr-defined]

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+import io
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Okabe and Ito, Color Universal Design (2008), without the yellow, which is too light for lines on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#56B4E9", "#E69F00")
@@ -29,7 +34,7 @@ TIMES = "cividis_r"
 
 # A4, upright, in inches.
 WIDTH, HEIGHT = 8.27, 11.69
-FONT, SMALL, TITLE = 8.0, 7.0, 11.0
+TITLE, FONT, SMALL, TINY, SMALLEST = 11.0, 8.0, 7.0, 6.5, 6.0
 # Resolution in dots per inch of a picture, and of raster parts of an HTML page.
 DOTS = 150
 
@@ -58,11 +63,13 @@ def literal(name: str) -> str:
     return name.replace("$", r"\$")
 
 
+TICKS = {"labelsize": SMALL, "major.size": 2.5, "major.width": 0.6, "major.pad": 2.0}
 RC: dict[str, Any] = {
     "font.size": FONT,
     "font.family": "DejaVu Sans",
     "axes.titlesize": FONT,
     "axes.labelsize": SMALL,
+    "axes.labelpad": 2.0,
     "axes.linewidth": 0.6,
     "axes.edgecolor": GREY,
     "axes.grid": True,
@@ -71,19 +78,14 @@ RC: dict[str, Any] = {
     "axes.formatter.useoffset": False,
     "grid.color": GRID,
     "grid.linewidth": 0.4,
-    "xtick.labelsize": SMALL,
-    "ytick.labelsize": SMALL,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.pad": 2.0,
-    "ytick.major.pad": 2.0,
+    **{f"{axis}tick.{name}": value for axis in "xy" for name, value in TICKS.items()},
     "lines.linewidth": 1.1,
     "legend.fontsize": SMALL,
     "legend.frameon": False,
     "legend.borderpad": 0.0,
-    "legend.borderaxespad": 0.0,
+    "legend.labelspacing": 0.2,
+    "legend.handlelength": 2.8,
+    "legend.handletextpad": 0.4,
     "hatch.linewidth": 0.4,
     "svg.fonttype": "path",
     "svg.hashsalt": "trajopt",
@@ -91,3 +93,20 @@ RC: dict[str, Any] = {
     "path.simplify": True,
     "path.simplify_threshold": 0.2,
 }
+
+
+def look() -> AbstractContextManager[None]:
+    """Return a context with this style, whatever the user's own."""
+    import matplotlib as mpl
+
+    settings: dict[Any, Any] = {**mpl.rcParamsDefault, **RC, "backend": mpl.rcParams["backend"]}
+    return mpl.rc_context(settings)
+
+
+def rendered(figure: Figure, ending: str) -> bytes:
+    """Return a figure as the content of a .png, .svg or .pdf file; equal figures give equal files."""
+    date = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[ending]
+    buffer = io.BytesIO()
+    with look():
+        figure.savefig(buffer, format=ending[1:], metadata=date)
+    return buffer.getvalue()

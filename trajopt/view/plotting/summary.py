@@ -51,9 +51,9 @@ def _shares(tracks: Tracks) -> PlotRow | None:
         return limits.largest_row(tracks) if rows else None
     groups = [[axis] for axis in rows]
     if len(rows) > MAP_ROWS:
-        found = joints.limbs(tracks)
-        groups, names = [list(limb.axes) for limb in found], [limb.name for limb in found]
-    return limits.map_row(tracks, 0, groups, names, max(0.5, limits.MAP_ROW * len(groups)))
+        limbs = joints.limbs(tracks)
+        groups, names = [list(limb.axes) for limb in limbs], [limb.name for limb in limbs]
+    return limits.map_row(tracks, 0, groups, names)
 
 
 PAGES: dict[str, Callable[[Tracks], list[PlotPage]]] = {
@@ -78,10 +78,10 @@ def pages_of(tracks: Tracks, names: Sequence[str]) -> list[PlotPage]:
     for name in names:
         if name not in PAGES:
             raise not_among(PAGES, name, f"page '{name}' is unknown")
-    found = [page for name in names for page in PAGES[name](tracks)]
-    if not found:
+    chosen = [page for name in names for page in PAGES[name](tracks)]
+    if not chosen:
         have = [name for name, pages in PAGES.items() if pages(tracks)]
         raise InputError(
             f"the solution has nothing for page {', '.join(names)}", f"allowed: {', '.join(have)}"
         )
-    return found
+    return chosen

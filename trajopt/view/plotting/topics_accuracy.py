@@ -37,8 +37,8 @@ def dynamics_residual(motion: MotionQuantities, part: str) -> np.ndarray:
 def contact_residual(motion: MotionQuantities) -> np.ndarray:
     """Largest acceleration of active contacts (K,) over g; with velocity sources, velocity over sqrt(g l)."""
     units, turning = motion.units, np.array([1.0] * 3 + [1.0 / motion.units.length] * 3)
-    is_velocity = motion.solution.meta.get("actuation") == "velocity"
-    scale = math.sqrt(units.gravity * units.length) if is_velocity else units.gravity
+    is_statics = motion.solution.description.velocity_input
+    scale = math.sqrt(units.gravity * units.length) if is_statics else units.gravity
     rows = motion.residual_rows.contact / (scale * turning)
     return _largest(rows.reshape(len(rows), -1))
 
@@ -102,35 +102,28 @@ def _log_row(tracks: Tracks, named: Mapping[str, MotionQuantity], name: str, wha
     if not shown:
         return None
     drawn = [
-        curve
+        replace(curve, values=partial(_floored, curve.values))
         for curve in draw.numbered(named.items(), dots=False, width=0.9)
         if any(curve.values(track.dense).max(initial=0.0) > FLOOR for _, track in shown)
     ]
-    drawn = [replace(curve, values=partial(_floored, curve.values)) for curve in drawn]
     title = f"{what} between the collocation points{'' if drawn else ': none'}"
-    legend, height = tuple(curve.entry for curve in drawn), 1.0 if drawn else 0.4
     scale = partial(_log, drawn=drawn)
-    return panel_row(title, name, f"{name} [1]", scale, legend=legend, height=height)
+    return panel_row(name, title, f"{name} [1]", scale, height=1.0 if drawn else 0.4)
 
 
 def _floored(values: MotionQuantity, motion: MotionQuantities) -> np.ndarray:
     """Values above `FLOOR`, NaN below it."""
-    found = values(motion)
-    return np.where(found > FLOOR, found, np.nan)
+    rows = values(motion)
+    return np.where(rows > FLOOR, rows, np.nan)
 
 
 def _log(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
     draw.curves(axes, tracks, drawn, plans_only=True)
     log_range(axes)
-    _ticks_at_points(axes, plans(tracks)[0][1])
-
-
-def _ticks_at_points(axes: Axes, track: Track) -> None:
-    """Mark the collocation points along the lower edge."""
-    points = track.solution.t[track.solution.collocation]
-    edge = np.full(len(points), 0.012)
+    solution = plans(tracks)[0][1].solution
+    points = solution.t[solution.collocation]  # along the lower edge
     look: dict[str, Any] = {"color": style.BLACK, "clip_on": False, "zorder": 3.5, **style.DOTTED}
-    axes.plot(points, edge, transform=axes.get_xaxis_transform(), **look)
+    axes.plot(points, np.full(len(points), 0.012), transform=axes.get_xaxis_transform(), **look)
 
 
 def log_range(axes: Axes) -> None:
@@ -153,8 +146,9 @@ def log_range(axes: Axes) -> None:
 
 def local_row(tracks: Tracks) -> PlotRow | None:
     """Return the local error of every interval on a logarithmic axis."""
-    title, name = "local error of every interval", "local error"
-    return panel_row(title, name, "local error [m]", _local) if plans(tracks) else None
+    if not plans(tracks):
+        return None
+    return panel_row("local error", "local error of every interval", "error [m]", _local, legend=False)
 
 
 def _local(axes: Axes, tracks: Tracks) -> None:
@@ -175,7 +169,7 @@ def mesh_row(tracks: Tracks) -> PlotRow | None:
     points = [sorted({len(method.c) for method in interval_schemes(track.solution)}) for _, track in shown]
     listed = "; ".join(", ".join(map(str, counts)) for counts in points)
     title = f"mesh: width of every interval, {listed} points in each"
-    return panel_row(title, "mesh", "width h [ms]", _mesh, height=0.7)
+    return panel_row("mesh", title, "width h [ms]", _mesh, height=0.7, legend=False)
 
 
 def _mesh(axes: Axes, tracks: Tracks) -> None:
@@ -191,4 +185,4 @@ def _steps(axes: Axes, track: Track, values: np.ndarray, number: int) -> None:
     t = np.column_stack([edges, edges[:, 1]]).ravel()
     y = np.column_stack([values, values, gaps]).ravel()
     look = {"color": style.colour(number), "linestyle": style.line_style(number)}
-    axes.plot(t, y, linewidth=1.2, label=f"interval/{track.label}", **look)
+    axes.plot(t, y, linewidth=1.2, label="interval", **look)

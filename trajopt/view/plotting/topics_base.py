@@ -80,7 +80,7 @@ def momentum_pages(tracks: Tracks) -> list[PlotPage]:
     """Return centre of mass, linear and centroidal angular momentum, power."""
     names = ("centre of mass", "linear momentum", "angular momentum")
     rows = [*(vector_row(tracks, name) for name in names), power_row(tracks)]
-    note = "Of the robot without what it carries." if tracks[0].meta.get("payloads") else ""
+    note = "Of the robot without what it carries." if tracks[0].solution.description.payloads else ""
     return page_of("momentum", "centre of mass, momentum and power", rows, note=note)
 
 

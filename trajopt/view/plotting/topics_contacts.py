@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
-from trajopt.view.plotting.page import (
-    LEFT,
-    LegendEntry,
-    PlotPage,
-    PlotPanel,
-    PlotRow,
-    Tracks,
-    batches,
-    page_of,
-    panel_row,
-)
-from trajopt.view.plotting.time_axis import impact_times
+from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of, panel_row
 from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
@@ -30,11 +18,9 @@ if TYPE_CHECKING:
 
 # Row height of the stance diagram in units of a row's height; height of its bars.
 STANCE_ROW, BAR = 0.11, 0.62
-# Inches of a letter in the names of contacts.
-NAME_LETTER = 0.06
 # Panels of contacts side by side; rows of them on a shared page, and on a separate page.
 CONTACTS_A_ROW, ROWS_A_PAGE, ROWS_ALONE = 2, 3, 6
-NORMAL, TANGENTIAL = style.BLUE, style.RED
+NORMAL, TANGENTIAL = "normal f\u2099", "tangential f\u209c"
 CONE = "#d9d9d9"
 
 
@@ -45,27 +31,23 @@ def contacts(tracks: Tracks) -> list[int]:
 
 def stance_row(tracks: Tracks) -> PlotRow | None:
     """Which contacts are active in which phase, for every solution."""
-    found, frames = contacts(tracks), tracks[0].solution.contact_frames
-    if not found:
-        return None
-    left = max(LEFT, 0.25 + NAME_LETTER * max(len(frames[i]) for i in found))
-    height = STANCE_ROW * len(found) * max(1.0, 0.7 * len(tracks))
-    stances = partial(_stances, found=found)
-    return panel_row("contacts", "contacts", "", stances, height=height, left=left, rigid=True)
+    shown = contacts(tracks)
+    height = STANCE_ROW * len(shown) * max(1.0, 0.7 * len(tracks))
+    stances = partial(_stances, shown=shown)
+    return panel_row("contacts", "contacts", "", stances, height=height, rigid=True) if shown else None
 
 
-def _stances(axes: Axes, tracks: Tracks, found: Sequence[int]) -> None:
-    names = [tracks[0].solution.contact_frames[i] for i in found]
+def _stances(axes: Axes, tracks: Tracks, shown: Sequence[int]) -> None:
     tall = BAR / len(tracks)
     for number, track in enumerate(tracks):
-        shade = style.BLACK if number == 0 else style.GREY
-        for row, contact in enumerate(found):
+        shade = style.GREY if number else style.BLACK
+        for row, contact in enumerate(shown):
             at = row - BAR / 2 + (number + 0.5) * tall
             for start, end in stance_spans(track, contact):
                 axes.barh(at, end - start, height=0.9 * tall, left=start, color=shade, linewidth=0)
-    axes.set_yticks(range(len(names)), names)
+    axes.set_yticks(range(len(shown)), [tracks[0].solution.contact_frames[i] for i in shown])
     axes.tick_params(axis="y", length=0)
-    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_ylim(len(shown) - 0.5, -0.5)
     axes.grid(axis="y", visible=False)
 
 
@@ -90,8 +72,8 @@ def normal_row(tracks: Tracks) -> PlotRow:
 def cone_row(tracks: Tracks) -> PlotRow:
     """Return tangential force over the radius of the friction cone, for all contacts."""
     curves = draw.told_apart(tracks, contact_curves(tracks, lambda motion: motion.cone_share))
-    ylabel, edge = "f\u209c / (\u03bc f\u2099) [1]", [("edge", draw.LIMIT)]
-    return draw.curve_row("cone", "share of the friction cone", ylabel, curves, draw.share_axis, edge)
+    ylabel, scale = "f\u209c / (\u03bc f\u2099) [1]", partial(draw.share_axis, edge="edge")
+    return draw.curve_row("cone", "share of the friction cone", ylabel, curves, scale)
 
 
 def contact_curves(tracks: Tracks, values: MotionQuantity) -> list[Curve]:
@@ -118,68 +100,52 @@ def force_pages(tracks: Tracks) -> list[PlotPage]:
 
 
 def _force_rows(tracks: Tracks) -> list[PlotRow]:
-    tangential = {"color": TANGENTIAL, "linewidth": 0.9, "marker": "s", **draw.marker_look(TANGENTIAL)}
-    legend: tuple[LegendEntry, ...] = (
-        ("normal f\u2099", {"color": NORMAL}),
-        ("tangential f\u209c", tangential),
-        ("cone, f\u209c \u2264 \u03bc f\u2099", {"color": CONE, "linewidth": 5}),
-    )
-    frames = tracks[0].solution.contact_frames
+    shown, frames = contacts(tracks), tracks[0].solution.contact_frames
     panels = [
-        PlotPanel(name=f"force:{frames[i]}", ylabel=f"{frames[i]} f [N]", draw=partial(_force, contact=i))
-        for i in contacts(tracks)
+        PlotPanel(
+            name=f"force:{frames[i]}",
+            ylabel=f"{frames[i]} f [N]",
+            draw=partial(_force, contact=i),
+            title="contact forces" if i == shown[0] else "",
+        )
+        for i in shown
     ]
-    rows = [PlotRow(title="", panels=tuple(part), height=1.1) for part in batches(panels, CONTACTS_A_ROW)]
-    return [replace(rows[0], title="contact forces", legend=legend), *rows[1:]]
+    rows = batches(panels, CONTACTS_A_ROW)
+    return [PlotRow(panels=part, height=1.1, legend=part is rows[0]) for part in rows]
 
 
 def _force(axes: Axes, tracks: Tracks, contact: int) -> None:
-    t, cone = tracks[0].curve(lambda motion: motion.cone[:, contact])
-    axes.fill_between(t, 0.0, np.maximum(cone, 0.0), color=CONE, linewidth=0, zorder=1, antialiased=False)
-    normal = Curve(label="normal", values=lambda m: m.normal[:, contact], number=0, marked=False)
-    tangential = Curve(label="tangential", values=lambda m: m.tangential[:, contact], number=1, width=0.9)
+    normal = Curve(label=NORMAL, values=lambda m: m.normal[:, contact], number=0, marked=False)
+    tangential = Curve(label=TANGENTIAL, values=lambda m: m.tangential[:, contact], number=1, width=0.9)
     draw.curves(axes, tracks, [normal, tangential])
     draw.fit(axes, zero=True)
+    t, cone = tracks[0].curve(lambda motion: motion.cone[:, contact])
+    look: dict[str, Any] = {"color": CONE, "linewidth": 0, "zorder": 1, "antialiased": False}
+    axes.fill_between(t, 0.0, np.maximum(cone, 0.0), label="cone,\nf\u209c \u2264 \u03bc f\u2099", **look)
 
 
 def plane_row(tracks: Tracks) -> PlotRow:
     """Return tangential over normal force: the friction cone seen from the side, by contact."""
-    drawn = draw.told_apart(tracks, contact_curves(tracks, lambda motion: motion.normal))
     title, ylabel = "tangential over normal force", "tangential force f\u209c [N]"
-    edge = f"edge of the cone, \u03bc = {', '.join(f'{slope:.3g}' for slope in _slopes(tracks[0]))}"
-    legend = (*(curve.entry for curve in drawn), (edge, draw.LIMIT))
-    plane = partial(_plane, drawn=drawn)
-    return panel_row(title, "plane", ylabel, plane, timed=False, legend=legend, height=1.7)
+    return panel_row("plane", title, ylabel, _plane, timed=False, height=1.7)
 
 
-def _plane(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
+def _plane(axes: Axes, tracks: Tracks) -> None:
+    drawn = draw.told_apart(tracks, contact_curves(tracks, lambda motion: motion.normal))
     across = [curve.values for curve in contact_curves(tracks, lambda motion: motion.tangential)]
     for number, track in enumerate(tracks):
         for curve, tangential in zip(drawn, across, strict=True):
             x, y = track.pair(curve.values, tangential)
-            axes.plot(
-                x,
-                y,
-                color=curve.colour,
-                linestyle=draw.line_of(tracks, curve, number),
-                linewidth=curve.width,
-                marker=curve.marker,
-                markevery=max(1, len(x) // 8),
-                label=f"{curve.label}/{track.label}",
-                **draw.marker_look(curve.colour),
-            )
-    draw.fit(axes, zero=True)
-    motion = tracks[0].dense
-    normal = np.where(np.isfinite(motion.normal), motion.normal, 0.0)
-    most = float(normal.max(initial=1e-9))
-    slopes = _slopes(tracks[0])
-    edge = np.array([0.0, 1.05 * most])
-    axes.set_xlim(min(0.0, float(normal.min(initial=0.0))), edge[1])
+            axes.plot(x, y, markevery=max(1, len(x) // 8), **curve.look(tracks, number))
+    normal = tracks[0].dense.normal
+    least, most = np.nanmin(normal, initial=0.0), np.nanmax(normal, initial=1e-9)
+    listed = ", ".join(f"{slope:.3g}" for slope in _slopes(tracks[0]))
+    slopes, edge = _slopes(tracks[0]), np.array([0.0, 1.05 * most])
     for slope in slopes:
-        axes.plot(edge, slope * edge, **draw.LIMIT)
+        axes.plot(edge, slope * edge, label=f"edge of the cone,\n\u03bc = {listed}", **draw.LIMIT)
         axes.fill_between(edge, 0.0, slope * edge, color=CONE, alpha=0.5, linewidth=0, zorder=0)
-    axes.set_ylim(0.0, 1.05 * float(slopes.max(initial=0.1)) * most)
-    axes.set_xlabel("normal force f\u2099 [N]", labelpad=1.0)
+    axes.set(xlim=(least, edge[1]), ylim=(0.0, 1.05 * slopes.max(initial=0.1) * most))
+    axes.set_xlabel("normal force f\u2099 [N]")
 
 
 def _slopes(track: Track) -> np.ndarray:
@@ -202,40 +168,33 @@ def impulses_of(track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _impulse_row(tracks: Tracks) -> PlotRow | None:
-    if not any(impact_times(track) for track in tracks):
+    if not any(track.impact_times for track in tracks):
         return None
-    looks = {"normal": (NORMAL, "o"), "tangential": (TANGENTIAL, "s"), "\u03bc normal": (style.BLACK, "_")}
-    legend = tuple(
-        (label, {"color": colour, "marker": marker, "linestyle": "none"})
-        for label, (colour, marker) in looks.items()
-    )
-    title, ylabel = "impulses of the impacts", "impulse \u039b [N s]"
-    return panel_row(title, "impulses", ylabel, _impulses, timed=False, legend=legend)
+    return panel_row("impulses", "impulses of the impacts", "impulse \u039b [N s]", _impulses, timed=False)
 
 
 def _impulses(axes: Axes, tracks: Tracks) -> None:
     names: list[str] = []
     for track in tracks:
         normal, tangential, cone = impulses_of(track)
-        for impact, time in enumerate(impact_times(track)):
+        for impact, time in enumerate(track.impact_times):
             for contact in np.flatnonzero(normal[impact]):
-                at = len(names)
-                axes.plot([at, at], [0.0, normal[impact, contact]], color=NORMAL, linewidth=0.9)
-                axes.plot(at, normal[impact, contact], "o", color=NORMAL, markersize=4, label="normal/")
-                axes.plot(at, tangential[impact, contact], "s", color=TANGENTIAL, markersize=4)
-                axes.plot(at, cone[impact, contact], "_", color=style.BLACK, markersize=10)
+                at, place = len(names), (impact, contact)
+                axes.plot([at, at], [0.0, normal[place]], color=style.BLUE, linewidth=0.9)
+                axes.plot(at, normal[place], "o", color=style.BLUE, markersize=4, label="normal")
+                axes.plot(at, tangential[place], "s", color=style.RED, markersize=4, label="tangential")
+                axes.plot(at, cone[place], "_", color=style.BLACK, markersize=10, label="\u03bc normal")
                 which = f"{style.literal(style.short(track.label))}\n" if len(tracks) > 1 else ""
                 names.append(f"{which}{track.solution.contact_frames[contact]}\n{time:.3f} s")
     axes.set_xticks(range(len(names)), names)
-    axes.tick_params(axis="x", labelsize=6)
+    axes.tick_params(axis="x", labelsize=style.SMALLEST)
     axes.set_xlim(-0.5, max(len(names), 6) - 0.5)
     axes.set_ylim(bottom=0.0)
-    axes.margins(y=0.1)
 
 
 def _load_row(tracks: Tracks) -> PlotRow | None:
-    if not tracks[0].meta.get("payloads"):
+    if not tracks[0].solution.description.payloads:
         return None
     load = Curve(label="magnitude", values=lambda motion: motion.load)
     title, scale = "force of carried bodies on the robot", partial(draw.fit, zero=True)
-    return replace(draw.curve_row("load", title, "force |f| [N]", [load], scale, height=1.2), legend=())
+    return draw.curve_row("load", title, "force |f| [N]", [load], scale, height=1.2, legend=False)

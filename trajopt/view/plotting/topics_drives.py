@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trajopt.robot.actuators.drive import Drive
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.far_limits import BEYOND as BEYOND_AXIS
-from trajopt.view.plotting.far_limits import limit_words
 from trajopt.view.plotting.joints import JointAxis
 from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
+from trajopt.view.plotting.quantities import BEYOND, limit_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PLANES_A_ROW, ROWS_A_PAGE = 3, 4
 # Points along an envelope, and how far it is drawn beyond the no-load speed or the motion.
-ENVELOPE, BEYOND = 200, 1.1
+ENVELOPE, MARGIN = 200, 1.1
 
 
 def driven_axes(tracks: Tracks) -> list[tuple[JointAxis, Drive]]:
     """Axes with a drive."""
     drives = dict(enumerate(tracks[0].dense.drives))
-    found = ((axis, None if axis.torque is None else drives.get(axis.torque)) for axis in tracks[0].axes)
-    return [(axis, drive) for axis, drive in found if drive is not None]
+    pairs = ((axis, None if axis.torque is None else drives.get(axis.torque)) for axis in tracks[0].axes)
+    return [(axis, drive) for axis, drive in pairs if drive is not None]
 
 
 def torque_share(axis: JointAxis, drive: Drive, motion: MotionQuantities) -> np.ndarray:
@@ -47,11 +45,11 @@ def voltage_share(axis: JointAxis, drive: Drive, motion: MotionQuantities) -> np
 
 def drive_pages(tracks: Tracks) -> list[PlotPage]:
     """Shares of current and voltage over time, then every drive in its torque-speed plane."""
-    found = driven_axes(tracks)
-    if not found:
+    driven = driven_axes(tracks)
+    if not driven:
         return []
     rows: list[PlotRow] = []
-    for number, part in enumerate(batches(found, len(style.COLOURS))):
+    for number, part in enumerate(batches(driven, len(style.COLOURS))):
         for share, title in (
             (torque_share, "motor torque (current) over its limit"),
             (voltage_share, "motor voltage over its limit"),
@@ -65,13 +63,13 @@ def drive_pages(tracks: Tracks) -> list[PlotPage]:
             name=f"plane:{axis.name}",
             ylabel=f"{axis.name}  {'f [N]' if axis.slides else 'τ [N m]'}",
             draw=partial(_plane, axis=axis, drive=drive),
-            timed=False,
-            gap=0.7,
+            title="" if number else "torque over speed, joint side",
         )
-        for axis, drive in found
+        for number, (axis, drive) in enumerate(driven)
     ]
-    planes = [PlotRow(title="", panels=tuple(part), height=1.5) for part in batches(panels, PLANES_A_ROW)]
-    planes[0] = replace(planes[0], title="torque over speed, joint side")
+    planes = [
+        PlotRow(panels=part, timed=False, legend=False, height=1.5) for part in batches(panels, PLANES_A_ROW)
+    ]
     note = (
         "Torque that the drive delivers, with joint friction. Shaded: what voltage and current allow. Dots: "
         "collocation points. Dashed red: the joint's velocity limit."
@@ -87,7 +85,7 @@ def _plane(axes: Axes, tracks: Tracks, axis: JointAxis, drive: Drive) -> None:
     end = min(ends, default=fastest)
     unlimited = not np.isfinite(drive.joint_no_load_speed)  # else its envelope is what the panel is for
     far = unlimited and end > draw.FAR * fastest > 0
-    end = BEYOND * max(fastest if far else end, fastest, 1e-9)
+    end = MARGIN * max(fastest if far else end, fastest, 1e-9)
     rate = np.linspace(-end, end, ENVELOPE)
     low, high = (np.broadcast_to(bound, rate.shape) for bound in drive.torque_range(rate))
     if np.isfinite(low).all() and np.isfinite(high).all():
@@ -95,20 +93,17 @@ def _plane(axes: Axes, tracks: Tracks, axis: JointAxis, drive: Drive) -> None:
         axes.fill_between(rate, low, high, where=inside, color=style.BAND, linewidth=0, zorder=0)
         for bound in (low, high):
             axes.plot(rate, np.where(inside, bound, np.nan), color=style.BLACK, linewidth=0.8)
+    look: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.9, "label": axis.name}
     for number, track in enumerate(tracks):
-        motion = track.dense
-        axes.plot(
-            motion.rates[:, row], motion.drive_torque[:, row], color=style.BLUE, linewidth=0.9,
-            linestyle=style.line_style(number), label=f"{axis.name}/{track.label}",
-        )  # fmt: skip
-        if number == 0:
-            points, rows = track.points, track.points.solution.collocation
-            at = points.rates[rows, row], points.drive_torque[rows, row]
-            axes.plot(*at, color=style.BLUE, **style.DOTTED)
+        rates, torques = track.dense.rates[:, row], track.dense.drive_torque[:, row]
+        axes.plot(rates, torques, linestyle=style.line_style(number), **look)
+    points, at = tracks[0].points, tracks[0].points.solution.collocation
+    axes.plot(points.rates[at, row], points.drive_torque[at, row], color=style.BLUE, **style.DOTTED)
     if far:
         axes.set_xlim(-end, end)
-        draw.remark_inside(axes, f"{limit_words('velocity', [axis])}, {BEYOND_AXIS}")
+        axes.set_ylim(top=axes.get_ylim()[0] + 1.1 * np.ptp(axes.get_ylim()))  # room for the remark
+        draw.remark_inside(axes, f"{limit_words('velocity', [axis])}, {BEYOND}")
     elif np.isfinite(axis.speed):
         for speed in (-axis.speed, axis.speed):
-            axes.axvline(speed, color=style.RED, linewidth=0.8, linestyle=draw.LIMIT_DASHES)
-    axes.set_xlabel(f"rate [{axis.unit}/s]", labelpad=1.0)
+            axes.axvline(speed, **{**draw.LIMIT, "color": style.RED})
+    axes.set_xlabel(f"rate [{axis.unit}/s]")

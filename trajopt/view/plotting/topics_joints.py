@@ -10,11 +10,17 @@ import numpy as np
 
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve
-from trajopt.view.plotting.far_limits import BEYOND, limit_words, most_used
 from trajopt.view.plotting.joints import JointAxis, Limb, limbs_of
-from trajopt.view.plotting.motion import MotionQuantities
-from trajopt.view.plotting.page import LegendEntry, PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
-from trajopt.view.plotting.quantities import KINDS, limit_of, value
+from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
+from trajopt.view.plotting.quantities import (
+    BEYOND,
+    KINDS,
+    limit_of,
+    limit_words,
+    most_used,
+    units_of,
+    value,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,9 +43,9 @@ def limbs(tracks: Tracks) -> tuple[Limb, ...]:
 
 def joint_pages(tracks: Tracks) -> list[PlotPage]:
     """Position, velocity and torque of every limb's joints, against their limits."""
-    found = limbs(tracks)
-    wide, alone = len(found) <= WIDE_LIMBS, len(found) == 1
-    rows = [row for limb in found for row in limb_rows(tracks, limb, wide=wide, alone=alone)]
+    shown = limbs(tracks)
+    wide, alone = len(shown) <= WIDE_LIMBS, len(shown) == 1
+    rows = [row for limb in shown for row in limb_rows(tracks, limb, wide=wide, alone=alone)]
     note = (
         "Curves are the solution's own interpolation, dots its collocation points. Dashed: limits that "
         "values come near, in the joint's colour; black, hatched beyond, where a panel's joints share them. "
@@ -53,26 +59,21 @@ def limb_rows(tracks: Tracks, limb: Limb, *, wide: bool, alone: bool = False) ->
 
     A limb that is ``alone`` needs no name besides the prefix of its joints.
     """
-    legend = _legend(limb)
-    panels = [
-        PlotPanel(
-            name=f"{kind}:{limb.name}",
-            ylabel=f"{_noun(kind, limb)} {SYMBOLS[kind]} [{_unit(kind, limb)}]",
-            draw=partial(_limb, limb=limb, kind=kind),
-            gap=0.66,
-            remark=limits_beyond(tracks, kind, limb.axes),
-        )
-        for kind in KINDS
-        if kind != "torque" or any(axis.torque is not None for axis in limb.axes)
-    ]
-    if not wide:
-        return [PlotRow(title=limb.name, panels=tuple(panels), legend=legend)]
+    kinds = [kind for kind in KINDS if kind != "torque" or any(axis.torque is not None for axis in limb.axes)]
     name = limb.prefix if alone else limb.name
-    titles = [f"{name}: {_noun(kind, limb)}" if name else _noun(kind, limb) for kind in KINDS]
-    return [
-        PlotRow(title=title, panels=(panel,), legend=legend)
-        for title, panel in zip(titles, panels, strict=False)
-    ]
+    panels = []
+    for kind in kinds:
+        noun = f"{name}: {_noun(kind, limb)}" if name else _noun(kind, limb)
+        panels.append(
+            PlotPanel(
+                name=f"{kind}:{limb.name}",
+                ylabel=f"{_noun(kind, limb)} {SYMBOLS[kind]} [{units_of(kind, limb.axes)}]",
+                draw=partial(_limb, limb=limb, kind=kind),
+                title=noun if wide else limb.name if kind == KINDS[0] else "",
+                remark=limits_beyond(tracks, kind, limb.axes),
+            )
+        )
+    return [PlotRow(panels=[panel]) for panel in panels] if wide else [PlotRow(panels=panels)]
 
 
 def torque_row(tracks: Tracks) -> PlotRow | None:
@@ -88,19 +89,18 @@ def torque_row(tracks: Tracks) -> PlotRow | None:
     shown = alike[:LIMBS_A_ROW] if most in alike[:LIMBS_A_ROW] else [most]
     remarks = [limits_beyond(tracks, "torque", limb.axes) for limb in shown]
     same = len(set(remarks)) == 1 and len(shown) > 2  # narrow panels: common words go into the heading
+    title = f"{_noun('torque', most)}s by limb{f' ({remarks[0]})' if same and remarks[0] else ''}"
     panels = [
         PlotPanel(
             name=f"torque:{limb.name}",
-            ylabel=f"{SYMBOLS['torque']} [{_unit('torque', limb)}]" if number == 0 else "",
+            ylabel="" if number else f"{SYMBOLS['torque']} [{units_of('torque', limb.axes)}]",
             draw=partial(_limb, limb=limb, kind="torque"),
-            gap=0.4,
-            remark=limb.name if same else f"{limb.name}: {remark}".removesuffix(": "),
+            title="" if number else title,
+            remark=f"{limb.name}: {remark}" if remark and not same else limb.name,
         )
         for number, (limb, remark) in enumerate(zip(shown, remarks, strict=True))
     ]
-    noun = f"{_noun('torque', most)}s by limb"
-    title = f"{noun} ({remarks[0]})" if same and remarks[0] else noun
-    return PlotRow(title=title, panels=tuple(panels), legend=_legend(most))
+    return PlotRow(panels=panels)
 
 
 def limits_beyond(tracks: Tracks, kind: str, axes: Sequence[JointAxis]) -> str:
@@ -113,60 +113,34 @@ def limits_beyond(tracks: Tracks, kind: str, axes: Sequence[JointAxis]) -> str:
     return f"{words}, {BEYOND}" if words else ""
 
 
-def _reached(kind: str, axis: JointAxis, tracks: Tracks) -> list[float]:
-    """The limits of an axis that values come near."""
-    return _near(*limit_of(kind, axis), np.concatenate([value(kind, axis, t.dense) for t in tracks]))
-
-
-def _legend(limb: Limb) -> tuple[LegendEntry, ...]:
-    return tuple(curve.entry for curve in draw.numbered((name, _nothing) for name in limb.short))
-
-
-def _nothing(motion: MotionQuantities) -> np.ndarray:
-    return np.full(len(motion.t), np.nan)
-
-
 def _noun(kind: str, limb: Limb) -> str:
     return "force" if kind == "torque" and limb.unit == "m" else kind
 
 
-def _unit(kind: str, limb: Limb) -> str:
-    units = {
-        "position": limb.unit,
-        "velocity": f"{limb.unit.replace(', ', '/s, ')}/s",
-        "torque": {"rad": "N m", "m": "N"}.get(limb.unit, "N m, N"),
-    }
-    return units[kind]
-
-
 def _limb(axes: Axes, tracks: Tracks, limb: Limb, kind: str) -> None:
+    """Draw the joints' curves, and the limits that they come near; those all joints share are hatched."""
     shown = [(i, axis) for i, axis in enumerate(limb.axes) if kind != "torque" or axis.torque is not None]
     drawn = [Curve(label=limb.short[i], values=partial(value, kind, axis), number=i) for i, axis in shown]
     draw.curves(axes, tracks, drawn)
-    _draw_limits(axes, tracks, kind, shown)
-
-
-def _draw_limits(axes: Axes, tracks: Tracks, kind: str, shown: Sequence[tuple[int, JointAxis]]) -> None:
-    """Fit the vertical axis, with the limits that values come near; those all curves share are hatched."""
     low, high = draw.fit(axes, least=LEAST_SPAN)
-    limits = [limit_of(kind, axis) for _, axis in shown]
-    near = [_reached(kind, axis, tracks) for _, axis in shown]
-    every = [line for lines in near for line in lines]
-    draw.set_range(axes, min([low, *every]), max([high, *every]), LEAST_SPAN)
-    if len(limits) < 2 or len(set(limits)) > 1:
-        for (number, _), lines in zip(shown, near, strict=True):
-            for line in lines:
-                axes.axhline(line, **{**draw.LIMIT, "color": style.COLOURS[number]}, zorder=2)
+    limits = {limit_of(kind, axis) for _, axis in shown}
+    near = {number: _limits_near(kind, axis, tracks) for number, axis in shown}
+    every = {line for lines in near.values() for line in lines}
+    draw.set_range(axes, min(low, *every, high), max(high, *every, low), LEAST_SPAN)
+    if len(shown) < 2 or len(limits) > 1:
+        for number, line in ((number, line) for number, lines in near.items() for line in lines):
+            axes.axhline(line, **{**draw.LIMIT, "color": style.COLOURS[number]}, zorder=2)
         return
-    bottom, top = axes.get_ylim()
-    for line in set(every):
+    (shared,), (bottom, top) = limits, axes.get_ylim()
+    for line in every:
         axes.axhline(line, **draw.LIMIT, zorder=2)
-        side = bottom if line == limits[0][0] else top
-        axes.axhspan(*sorted((line, side)), facecolor="none", edgecolor=style.GREY, hatch="////", lw=0)
+        axes.axhspan(*sorted((line, bottom if line == shared[0] else top)), **draw.HATCHED)
 
 
-def _near(lower: float, upper: float, values: np.ndarray) -> list[float]:
+def _limits_near(kind: str, axis: JointAxis, tracks: Tracks) -> list[float]:
     """The limits that values come near: `NEAR` of the way from the middle of what is allowed, or zero."""
+    lower, upper = limit_of(kind, axis)
+    values = np.concatenate([value(kind, axis, track.dense) for track in tracks])
     finite = values[np.isfinite(values)]
     if not finite.size:
         return []

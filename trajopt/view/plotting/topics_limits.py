@@ -2,34 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trajopt.view.plotting import draw, style
-from trajopt.view.plotting.far_limits import BEYOND as BEYOND_AXIS
-from trajopt.view.plotting.far_limits import are_far, limit_words, most_used, unit_of
 from trajopt.view.plotting.joints import JointAxis
 from trajopt.view.plotting.motion import MotionQuantities
 from trajopt.view.plotting.page import PlotPage, PlotPanel, PlotRow, Tracks, batches, page_of
-from trajopt.view.plotting.quantities import KINDS, share, value
+from trajopt.view.plotting.quantities import (
+    BEYOND,
+    KINDS,
+    are_far,
+    limit_words,
+    most_used,
+    share,
+    units_of,
+    value,
+)
 from trajopt.view.plotting.topics_joints import limbs
 from trajopt.view.plotting.track import Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
 
 # Row height of a map of shares in units of a row's height, and the least height of a map.
-MAP_ROW, LEAST_MAP = 0.105, 0.75
-# Inches of a letter in the names of a map's rows; rows of maps on a page, and beside curves.
-NAME_LETTER, MAP_ROWS_A_PAGE, MAP_ROWS_WITH_CURVES = 0.058, 56, 26
+MAP_ROW, LEAST_MAP = 0.105, 0.6
+# Rows of maps on a page, and beside curves.
+MAP_ROWS_A_PAGE, MAP_ROWS_WITH_CURVES = 56, 26
 # A share of the limit from which its number is bold, and how far beyond 1 counts as on the limit.
-CLOSE, BEYOND = 0.98, 1e-4
+CLOSE, ON_LIMIT = 0.98, 1e-4
 COLUMNS = 400
-# The colour bar: width over a map's, inches to the maps and of its labels, and the end of its colour beyond.
-BAR, BAR_GAP, BAR_LABELS, BEYOND_SHOWN = 0.04, 0.34, 0.34, 1.08
+# The colour bar: left edge, lower edge, width and height over those of the map on its left.
+BAR = (1.22, 0.0, 0.04, 1.0)
 # Number of joints whose shares are drawn as curves: those that come nearest to their limits.
 MOST_USED = 5
 
@@ -39,8 +47,7 @@ def limit_pages(tracks: Tracks) -> list[PlotPage]:
     rows, names = axes_and_names(tracks)
     if not rows:
         return []
-    height, groups = max(LEAST_MAP, MAP_ROW * len(rows)), [[axis] for axis in rows]
-    maps = [map_row(tracks, number, groups, names, height) for number in range(len(tracks))]
+    maps = [map_row(tracks, number, [[axis] for axis in rows], names) for number in range(len(tracks))]
     note = (
         "Share of the limit that each joint uses, and on the right its largest in per cent, bold from 98 %. "
         "Of a position: its distance from the middle of its range over half of it. White: no limit. "
@@ -57,60 +64,50 @@ def limit_pages(tracks: Tracks) -> list[PlotPage]:
 
 def axes_and_names(tracks: Tracks) -> tuple[list[JointAxis], list[str]]:
     """Return the axes of all limbs, with distinct names."""
-    found = limbs(tracks)
-    return [axis for limb in found for axis in limb.axes], [name for limb in found for name in limb.long]
+    every = limbs(tracks)
+    return [axis for limb in every for axis in limb.axes], [name for limb in every for name in limb.long]
 
 
 def used_row(tracks: Tracks, kind: str, axes: Sequence[JointAxis], names: Sequence[str]) -> PlotRow | None:
     """Shares of the joints that come nearest to their limits, over time; None if none is limited."""
     peaks = []
     for axis, name in zip(axes, names, strict=True):
-        found = np.concatenate([share(kind, axis, track.dense) for track in tracks])
-        if np.isfinite(found).any():
-            peaks.append((float(np.nanmax(found)), name, axis))
+        shares = np.concatenate([share(kind, axis, track.dense) for track in tracks])
+        if np.isfinite(shares).any():
+            peaks.append((float(np.nanmax(shares)), name, axis))
     chosen = sorted(peaks, key=lambda entry: -entry[0])[:MOST_USED]
     if not chosen:
         return None
-    drawn = draw.told_apart(
-        tracks, draw.numbered((name, partial(share, kind, axis)) for _, name, axis in chosen)
-    )
-    return draw.curve_row(f"used:{kind}", f"{kind}: most used", "share [1]", drawn, draw.share_axis)
+    drawn = draw.numbered((name, partial(share, kind, axis)) for _, name, axis in chosen)
+    title, drawn = f"{kind}: most used", draw.told_apart(tracks, drawn)
+    return draw.curve_row(f"used:{kind}", title, "share [1]", drawn, draw.share_axis)
 
 
 def map_row(
-    tracks: Tracks, number: int, groups: Sequence[Sequence[JointAxis]], names: Sequence[str], height: float
+    tracks: Tracks, number: int, groups: Sequence[Sequence[JointAxis]], names: Sequence[str]
 ) -> PlotRow:
     """Return maps of one solution, of positions, velocities and torques: of each group its largest share.
 
     Where all limits are far beyond what is used, shares are of the largest value instead. On the right
     is the colour bar.
     """
-    every = [axis for group in groups for axis in group]
-    far = {kind: are_far(kind, every, [tracks[number].dense]) for kind in KINDS}
-
-    def draw_map(axes: Axes, tracks: Tracks, kind: str) -> None:
-        track = tracks[number]
-        part = partial(largest_part, every) if far[kind] else largest_share
-        shares = np.array([part(kind, group, track.dense) for group in groups]).T
-        share_map(axes, track, names, shares, named=kind == KINDS[0], limited=not far[kind])
-
-    which = "" if len(tracks) == 1 else f", {tracks[number].label}"
-    scales = {kind: _scale_words(kind, every, tracks[number].dense) if far[kind] else "" for kind in KINDS}
-    panels: tuple[PlotPanel, ...] = tuple(
-        PlotPanel(
-            name=f"share:{kind}:{number}",
-            ylabel="",
-            draw=partial(draw_map, kind=kind),
-            gap=0.36,
-            title=f"{kind}{which}{scales[kind]}",
-            remark=f"{limit_words(kind, every)}, {BEYOND_AXIS}" if far[kind] else "",
+    every, motion = [axis for group in groups for axis in group], tracks[number].dense
+    panels = []
+    for kind in KINDS:
+        far, scale = are_far(kind, every, motion), most_used(kind, every, motion)
+        of = partial(largest_part, scale) if far else largest_share
+        panels.append(
+            PlotPanel(
+                name=f"share:{kind}:{number}",
+                ylabel="",
+                draw=partial(_map, number=number, groups=groups, names=names, kind=kind, of=of),
+                title=kind
+                + (f", {tracks[number].label}" if len(tracks) > 1 else "")
+                + (f", 100 % is {scale:.3g} {units_of(kind, every)}" if far else ""),
+                remark=f"{limit_words(kind, every)}, {BEYOND}" if far else "",
+            )
         )
-        for kind in KINDS
-    )
-    left = 0.25 + NAME_LETTER * max(len(name) for name in names)
-    bar = PlotPanel(name="scale", ylabel="", draw=_scale, timed=False, wide=BAR, gap=BAR_GAP)
-    panels = (*panels, bar)
-    return PlotRow(title="", panels=panels, height=height, left=left, right=BAR_LABELS, rigid=True)
+    return PlotRow(panels=panels, height=max(LEAST_MAP, MAP_ROW * len(names)), rigid=True)
 
 
 def largest_share(kind: str, group: Sequence[JointAxis], motion: MotionQuantities) -> np.ndarray:
@@ -118,17 +115,9 @@ def largest_share(kind: str, group: Sequence[JointAxis], motion: MotionQuantitie
     return np.asarray(np.fmax.reduce([share(kind, axis, motion) for axis in group]))
 
 
-def largest_part(
-    every: Sequence[JointAxis], kind: str, group: Sequence[JointAxis], motion: MotionQuantities
-) -> np.ndarray:
-    """The largest magnitude (K,) of some axes over the largest that any of ``every`` axis has."""
-    values = np.fmax.reduce([np.abs(value(kind, axis, motion)) for axis in group])
-    return np.asarray(values / most_used(kind, every, motion))
-
-
-def _scale_words(kind: str, every: Sequence[JointAxis], motion: MotionQuantities) -> str:
-    units = ", ".join(dict.fromkeys(unit_of(kind, axis) for axis in every))
-    return f", 100 % is {most_used(kind, every, motion):.3g} {units}"
+def largest_part(scale: float, kind: str, group: Sequence[JointAxis], motion: MotionQuantities) -> np.ndarray:
+    """The largest magnitude (K,) of some axes over a ``scale``."""
+    return np.asarray(np.fmax.reduce([np.abs(value(kind, axis, motion)) for axis in group]) / scale)
 
 
 def largest_row(tracks: Tracks) -> PlotRow | None:
@@ -138,30 +127,32 @@ def largest_row(tracks: Tracks) -> PlotRow | None:
     drawn = [
         curve for curve in curves if any(np.isfinite(curve.values(track.dense)).any() for track in tracks)
     ]
-    if not drawn:
-        return None
     title = "largest share of the limits"
-    return draw.curve_row("largest share", title, "share [1]", drawn, draw.share_axis)
+    return draw.curve_row("largest share", title, "share [1]", drawn, draw.share_axis) if drawn else None
 
 
-def _scale(axes: Axes, tracks: Tracks) -> None:
-    """The colour bar of the maps."""
-    import matplotlib as mpl
-
-    ramp = np.linspace(0, 1, 256)[:, None]
-    top = 100 * BEYOND_SHOWN
-    axes.imshow(ramp, extent=(0, 1, 0, 100), aspect="auto", origin="lower", cmap=mpl.colormaps[style.SHARES])
-    axes.axhspan(100, top, color=style.BEYOND, linewidth=0)
-    axes.set(xlim=(0, 1), xticks=[], ylim=(0, top))
-    axes.yaxis.tick_right()
-    axes.set_yticks([0, 50, 100], ["0", "50", "100 %"])
-    axes.tick_params(axis="y", labelsize=6.0, pad=1.0)
-    axes.grid(False)
+def _map(
+    axes: Axes,
+    tracks: Tracks,
+    number: int,
+    groups: Sequence[Sequence[JointAxis]],
+    names: Sequence[str],
+    kind: str,
+    of: Callable[[str, Sequence[JointAxis], MotionQuantities], np.ndarray],
+) -> None:
+    track = tracks[number]
+    shares = np.array([of(kind, group, track.dense) for group in groups]).T
+    image = share_map(axes, track, names, shares, limited=of is largest_share)
+    if kind != KINDS[0]:
+        axes.tick_params(axis="y", labelleft=False)
+    if kind == KINDS[-1]:
+        bar = axes.figure.colorbar(image, cax=axes.inset_axes(BAR, label="scale"), extend="max")
+        bar.set_ticks([0.0, 0.5, 1.0], labels=["0", "50", "100 %"])
 
 
 def share_map(
-    axes: Axes, track: Track, names: Sequence[str], shares: np.ndarray, *, named: bool, limited: bool
-) -> None:
+    axes: Axes, track: Track, names: Sequence[str], shares: np.ndarray, *, limited: bool
+) -> AxesImage:
     """A row for each name and its share (K, n) of a limit over time as a colour, its largest in per cent.
 
     A column of the picture shows the largest share within its time, so that no peak is lost. Values beyond
@@ -170,40 +161,35 @@ def share_map(
     """
     import matplotlib as mpl
 
-    start, end = track.phases[0].start, track.phases[-1].end
-    grid = column_maxima(track.dense.t, shares, start, end)
-    colours = mpl.colormaps[style.SHARES].with_extremes(over=style.BEYOND, bad="white")
-    rows = len(names)
-    axes.imshow(
-        grid.T,
-        extent=(start, end, rows - 0.5, -0.5),
+    start, end, bottom = track.phases[0].start, track.phases[-1].end, len(names) - 0.5
+    image = axes.imshow(
+        column_maxima(track.dense.t, shares, start, end).T,
+        extent=(start, end, bottom, -0.5),
         aspect="auto",
         interpolation="nearest",
-        cmap=colours,
+        cmap=mpl.colormaps[style.SHARES].with_extremes(over=style.BEYOND, bad="white"),
         vmin=0.0,
-        vmax=1.0 + BEYOND,
+        vmax=1.0 + ON_LIMIT,
     )
     axes.grid(False)
     for phase in track.phases[1:]:
         axes.axvline(phase.start, color=style.GREY, linewidth=0.4)
-    axes.set_ylim(rows - 0.5, -0.5)
-    axes.set_yticks(range(rows), list(names) if named else [""] * rows)
-    axes.tick_params(axis="y", length=0, labelsize=6.5)
-    for row in range(rows):
-        finite = shares[:, row][np.isfinite(shares[:, row])]
-        if finite.size:
-            text = f"{100 * finite.max():.0f}"
-            weight = "bold" if limited and finite.max() >= CLOSE else "normal"
-            axes.text(
-                1.015, row, text, transform=axes.get_yaxis_transform(), fontsize=6, va="center", weight=weight
-            )
+    axes.set_ylim(bottom, -0.5)
+    axes.set_yticks(range(len(names)), names)
+    axes.tick_params(axis="y", length=0, labelsize=style.TINY)
+    for row, peak in enumerate(np.fmax.reduce(np.where(np.isfinite(shares), shares, np.nan))):
+        if np.isfinite(peak):
+            weight = "bold" if limited and peak >= CLOSE else "normal"
+            look: dict[str, Any] = {"fontsize": style.SMALLEST, "va": "center", "weight": weight}
+            axes.text(1.015, row, f"{100 * peak:.0f}", transform=axes.get_yaxis_transform(), **look)
+    return image
 
 
 def column_maxima(t: np.ndarray, shares: np.ndarray, start: float, end: float) -> np.ndarray:
     """The largest of ``shares`` (K, n) in each of `COLUMNS` equal times; if it has none, the next sample."""
     edges = np.linspace(start, end, COLUMNS + 1)
     centres = (edges[1:] + edges[:-1]) / 2
-    found = shares[np.clip(np.searchsorted(t, centres), 0, len(t) - 1)]
+    maxima = shares[np.clip(np.searchsorted(t, centres), 0, len(t) - 1)]
     column = np.clip(((t - start) / (end - start) * COLUMNS).astype(int), 0, COLUMNS - 1)
-    np.fmax.at(found, column, shares)
-    return found
+    np.fmax.at(maxima, column, shares)
+    return maxima

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -51,14 +51,9 @@ class Track:
         object.__setattr__(self, "dense", MotionQuantities(between_points(plan)))
 
     @property
-    def meta(self) -> dict[str, Any]:
-        """Facts of the solution."""
-        return self.solution.meta
-
-    @property
     def is_simulated(self) -> bool:
         """Whether it is a simulated motion instead of a plan."""
-        return bool(self.meta.get("simulated"))
+        return self.solution.statistics.simulated
 
     @cached_property
     def is_finite(self) -> bool:
@@ -81,6 +76,12 @@ class Track:
         """The phases in time order."""
         return tuple(replace(span, name=short(span.name)) for span in phase_spans(self.solution))
 
+    @property
+    def impact_times(self) -> list[float]:
+        """Times of the impacts, s."""
+        index = self.solution.impact_index
+        return [] if index is None else [float(self.solution.t[row]) for row in index]
+
     @cached_property
     def report(self) -> CheckReport | None:
         """The check of the solution, None if it is inconsistent or not finite."""
@@ -97,8 +98,8 @@ class Track:
         measured = self.__dict__.get("accuracy")  # if already known: it takes a second
         if measured is not None:
             return np.asarray(measured.interval_errors)
-        found = tried(lambda: interval_drifts(self.points.solution))
-        return np.full(self.solution.n_intervals, np.nan) if found is None else found
+        drifts = tried(lambda: interval_drifts(self.points.solution))
+        return np.full(self.solution.n_intervals, np.nan) if drifts is None else drifts
 
     def curve(self, values: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:
         """Times and values of the interpolated motion, with NaN between where it jumps.
@@ -159,9 +160,9 @@ def _interval(plan: Solution, number: int, fractions: np.ndarray) -> MotionSampl
             pass
     start, end = plan.interval_t[number]
     times = start + fractions * (end - start)
-    found = {name: _straight(times, plan.t[inside], getattr(plan, name)[inside]) for name in names}
-    found["q"] = np.array([pin.normalize(plan.model, row) for row in found["q"]])
-    return MotionSample(**found)
+    columns = {name: _straight(times, plan.t[inside], getattr(plan, name)[inside]) for name in names}
+    columns["q"] = np.array([pin.normalize(plan.model, row) for row in columns["q"]])
+    return MotionSample(**columns)
 
 
 def _straight(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -181,8 +182,9 @@ def tracks_of(solutions: Sequence[Solution], labels: Sequence[str] | None = None
         )
     for other in solutions[1:]:
         if _robot_of(other) != _robot_of(solutions[0]):
+            robots = f"'{solutions[0].description.robot}' and '{other.description.robot}'"
             raise InputError(
-                f"'{solutions[0].meta['robot']}' and '{other.meta['robot']}' have other joints or contacts",
+                f"{robots} have other joints or contacts",
                 "allowed: solutions of one robot",
             )
     names = [str(label) for label in labels] if labels else _labels(solutions)
@@ -199,10 +201,10 @@ def _robot_of(solution: Solution) -> tuple[object, ...]:
 def _labels(solutions: Sequence[Solution]) -> list[str]:
     """Labels that distinguish solutions: simulation or plan, grid and scheme, else numbers."""
     if len(solutions) == 1:
-        return [str(solutions[0].meta["problem"])]
-    kinds = ["simulation" if one.meta.get("simulated") else "plan" for one in solutions]
-    grids = [f"{one.n_intervals} x {one.meta['transcription']}" for one in solutions]
-    problems = [str(one.meta["problem"]) for one in solutions]
+        return [solutions[0].description.problem]
+    kinds = ["simulation" if one.statistics.simulated else "plan" for one in solutions]
+    grids = [f"{one.n_intervals} x {one.statistics.transcription}" for one in solutions]
+    problems = [one.description.problem for one in solutions]
     for names in (kinds, grids, problems, [f"{a}, {b}" for a, b in zip(problems, grids, strict=True)]):
         if len(set(names)) == len(names):
             return names

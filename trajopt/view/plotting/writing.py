@@ -6,7 +6,6 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,14 +15,13 @@ from trajopt.solution.input import solutions_of
 from trajopt.solution.output import check_output, replacing
 from trajopt.solution.solution import Solution
 from trajopt.versions import installed_version
-from trajopt.view.plotting.figure import figure_of, title_of
+from trajopt.view.plotting import style
+from trajopt.view.plotting.facts import sections, title_of
+from trajopt.view.plotting.figure import figure_of
+from trajopt.view.plotting.html import html_page
 from trajopt.view.plotting.page import PlotPage, Tracks
-from trajopt.view.plotting.sheet import png_sheet, svg_of, svg_sheet
 from trajopt.view.plotting.summary import PAGES, pages_of
 from trajopt.view.plotting.track import tracks_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Default pages by suffix: a picture has the summary, a document all pages.
 DEFAULT_PAGES = {".png": ("summary",), ".svg": ("summary",), ".pdf": tuple(PAGES), ".html": tuple(PAGES)}
@@ -50,7 +48,7 @@ def write_plots(
 
     Args:
         solutions: Solutions or their files; the first is drawn with full lines, shaded phases and points.
-        target: Ends with .png, .svg (one sheet; default the summary page), .pdf (A4 pages) or .html (one
+        target: Ends with .png, .svg (one picture; default the summary page), .pdf (A4 pages) or .html (one
             file that needs no network; both with all pages).
         labels: A name for each solution.
         pages: Names of `summary.PAGES`; pages about what the robot does not have are left out.
@@ -81,34 +79,19 @@ def write_plots(
 
 
 def _content(pages: Sequence[PlotPage], tracks: Tracks, ending: str) -> bytes:
-    if ending == ".pdf":
-        return _pdf(_figures(pages, tracks, fixed=True), title_of(tracks))
+    maker = f"trajopt {installed_version('trajopt')}"
     if ending == ".html":
-        from trajopt.view.plotting.facts import sections
-        from trajopt.view.plotting.html import html_page
-
         tables = sections(tracks)  # first: the pages show figures measured here
-        svgs = [(page, svg_of(figure_of(page, tracks, fixed=False))) for page in pages]
+        svgs = [(page, style.rendered(figure_of([page], tracks), ".svg")) for page in pages]
         return html_page(tracks, svgs, tables).encode()
-    figures = _figures(pages, tracks, fixed=False)
-    return png_sheet(figures) if ending == ".png" else svg_sheet(figures).encode()
-
-
-def _figures(pages: Sequence[PlotPage], tracks: Tracks, *, fixed: bool) -> list[Figure]:
-    """The pages as figures; ``fixed``: with a footer that counts them."""
-    maker, found = f"trajopt {installed_version('trajopt')}", []
-    for number, page in enumerate(pages):
-        footer = f"{maker}, page {number + 1} of {len(pages)}" if fixed else maker
-        found.append(figure_of(page, tracks, fixed=fixed, footer=footer))
-    return found
-
-
-def _pdf(figures: Sequence[Figure], title: str) -> bytes:
+    if ending != ".pdf":
+        return style.rendered(figure_of(pages, tracks, footer=maker), ending)
     from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
-    facts = {"Title": title, "Creator": "trajopt", "CreationDate": None}  # for equal files
-    with PdfPages(buffer, metadata=facts) as document:
-        for figure in figures:
-            document.savefig(figure)
+    facts = {"Title": title_of(tracks), "Creator": "trajopt", "CreationDate": None}  # for equal files
+    with style.look(), PdfPages(buffer, metadata=facts) as document:
+        for number, page in enumerate(pages, 1):
+            footer = f"{maker}, page {number} of {len(pages)}"
+            document.savefig(figure_of([page], tracks, fixed=True, footer=footer))
     return buffer.getvalue()

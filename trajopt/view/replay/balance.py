@@ -107,7 +107,7 @@ def supports_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfac
     """
     pressing = motion.active & ~touched.bilateral
     level = touched.normal @ upward(solution.model) > LEVEL
-    found: list[SupportArea] = []
+    areas: list[SupportArea] = []
     for phase in np.unique(motion.phase):
         rows = motion.phase == phase
         middle = int(np.flatnonzero(rows)[rows.sum() // 2])
@@ -120,12 +120,12 @@ def supports_of(solution: Solution, motion: ReplayMotion, touched: TouchedSurfac
         points = np.concatenate([_touching(solution, motion, middle, int(contact)) for contact in contacts])
         hull = _hull(points, plane)
         rise = float(solution.description.radii[contacts].mean())
-        previous = found[-1] if found else None
+        previous = areas[-1] if areas else None
         if previous is not None and previous.hull.shape == hull.shape and np.allclose(previous.hull, hull):
-            found[-1] = replace(previous, rows=previous.rows | rows, hull=hull)
+            areas[-1] = replace(previous, rows=previous.rows | rows, hull=hull)
         else:
-            found.append(SupportArea(rows=rows, plane=plane, hull=hull, rise=rise))
-    return found
+            areas.append(SupportArea(rows=rows, plane=plane, hull=hull, rise=rise))
+    return areas
 
 
 def _plane(

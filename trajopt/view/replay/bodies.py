@@ -8,12 +8,11 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
-from trajopt.collision.coal_shapes import segment_placement
-from trajopt.collision.shapes import BoxObstacle, CapsuleObstacle, Obstacle
+from trajopt.collision.shapes import BoxObstacle, Obstacle
 from trajopt.solution.description import CarriedBody
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.commands import Animation
-from trajopt.view.replay.parts import UPRIGHT, box_corners, placed
+from trajopt.view.replay.parts import box_corners, draw_capsule, placed
 from trajopt.view.replay.robot import box_of_inertia
 from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.thinning import hold_while_hidden
@@ -38,14 +37,8 @@ def _draw_obstacle(node: Any, obstacle: Obstacle) -> np.ndarray:
         placement = pin.SE3(obstacle.turn, obstacle.position)
         _solid(node, shapes.Box(obstacle.sides.tolist()), placement)
         return np.asarray(_CORNERS * obstacle.sides / 2 @ obstacle.turn.T + obstacle.position)
-    start, end = obstacle.axis
-    _solid(node["start"], shapes.Sphere(obstacle.radius), pin.SE3(np.eye(3), start))
-    length = float(np.linalg.norm(end - start))
-    if isinstance(obstacle, CapsuleObstacle) and length > 0:
-        _solid(node["end"], shapes.Sphere(obstacle.radius), pin.SE3(np.eye(3), end))
-        placement = segment_placement(start, end) * pin.SE3(UPRIGHT, np.zeros(3))
-        _solid(node["side"], shapes.Cylinder(length, obstacle.radius), placement)
-    return np.concatenate([place + obstacle.radius * _CORNERS for place in (start, end)])
+    draw_capsule(node, obstacle.axis, obstacle.radius, _solid)
+    return np.concatenate([place + obstacle.radius * _CORNERS for place in obstacle.axis])
 
 
 def _solid(node: Any, shape: Any, placement: pin.SE3) -> None:

@@ -240,9 +240,9 @@ def require_chromium() -> str:
 def find_chromium() -> str:
     """Return the Chromium or Chrome to use; raises `InputError` where there is none."""
     given = os.environ.get(EXECUTABLE_VARIABLE)
-    found = next(filter(None, map(shutil.which, [given] if given else EXECUTABLES)), None)
-    if found is not None:
-        return found
+    program = next(filter(None, map(shutil.which, [given] if given else EXECUTABLES)), None)
+    if program is not None:
+        return program
     if given:
         raise InputError(f"{EXECUTABLE_VARIABLE} is {given}, which is no program", INSTALL_CHROMIUM)
     raise InputError("pictures of a replay need Chromium, which is not installed", INSTALL_CHROMIUM)

@@ -88,9 +88,9 @@ def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
 def _normal(solution: Solution, target: Target) -> np.ndarray:
     """Normal under a contact that lands: of its own surface in that phase, else of the terrain."""
     index, position = _phase_index(solution, target), target.position
-    own = solution.description.surfaces
-    if index is not None and index < len(own):
-        surface = own[index].get(str(target.frame))
+    surfaces = solution.description.surfaces
+    if index is not None and index < len(surfaces):
+        surface = surfaces[index].get(str(target.frame))
         if surface is not None:
             return surface.normal
     terrain = solution.description.ground

@@ -120,8 +120,8 @@ def draw_grounds(
         margin = np.full(2, MARGIN * size)
         if aside:
             margin[runs[-1].shift[:2] != 0] = GAP * size / 2
-        own = np.array([run.cloud.min(axis=0), run.cloud.max(axis=0)]) if aside else box
-        draw_terrain(run.node if aside else vis, ground.uneven, own, margin, ground.drop, size)
+        extent = np.array([run.cloud.min(axis=0), run.cloud.max(axis=0)]) if aside else box
+        draw_terrain(run.node if aside else vis, ground.uneven, extent, margin, ground.drop, size)
     return grounds[0].seen
 
 

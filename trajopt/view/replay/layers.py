@@ -52,15 +52,15 @@ def layers_of(
     ``hidden``: names of those hidden at first.
     """
     places = {"/".join(path.split("/")[:depth]) for path in drawn for depth in range(1, path.count("/") + 2)}
-    found = []
+    listed = []
     for name, label, colour, place in LAYERS:
         wanted = [*(run.path(place) for run in runs), place]
         paths = [path for path in dict.fromkeys(wanted) if path in places]
         if paths:
-            found.append(layer(name, label, colour, paths, name not in hidden))
+            listed.append(layer(name, label, colour, paths, name not in hidden))
     if len(runs) > 1:
-        found += [layer(run.root, run.label, run.colour, [run.root]) for run in runs]
-    return found
+        listed += [layer(run.root, run.label, run.colour, [run.root]) for run in runs]
+    return listed
 
 
 def layer(name: str, label: str, colour: int, paths: list[str], visible: bool = True) -> dict[str, Any]:

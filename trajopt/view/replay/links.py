@@ -8,10 +8,10 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
-from trajopt.collision.coal_shapes import segment_placement, thick
+from trajopt.collision.coal_shapes import thick
 from trajopt.collision.shapes import LinkShape
 from trajopt.view.replay.commands import Animation, without_shadow
-from trajopt.view.replay.parts import UPRIGHT, ColouredMesh, ColouredMeshGeometry, colour_array
+from trajopt.view.replay.parts import ColouredMesh, ColouredMeshGeometry, colour_array, draw_capsule
 from trajopt.view.replay.runs import DrawnSolution
 
 SHAPE_COLOUR, SHAPE_OPACITY = 0x8E44AD, 0.45
@@ -30,9 +30,9 @@ def draw_shapes(run: DrawnSolution, tracks: Animation) -> None:
         if joint > 0 and joint not in drawn:
             tracks.place(node, run.motion.joints[:, joint])
         drawn.add(joint)
-        own = node[shape.name.replace("/", "_")]
-        own.set_transform(frame.placement.homogeneous)
-        _draw(own, shape)
+        part = node[shape.name.replace("/", "_")]
+        part.set_transform(frame.placement.homogeneous)
+        _draw(part, shape)
 
 
 def _draw(node: Any, shape: LinkShape) -> None:
@@ -42,13 +42,7 @@ def _draw(node: Any, shape: LinkShape) -> None:
         away /= np.linalg.norm(away, axis=1)[:, None]
         _solid(node["solid"], _faces(shape.points + shape.radius * away), pin.SE3.Identity())
         return
-    start, end = shape.axis
-    _solid(node["start"], shapes.Sphere(shape.radius), pin.SE3(np.eye(3), start))
-    length = float(np.linalg.norm(end - start))
-    if length > 0:
-        _solid(node["end"], shapes.Sphere(shape.radius), pin.SE3(np.eye(3), end))
-        placement = segment_placement(start, end) * pin.SE3(UPRIGHT, np.zeros(3))
-        _solid(node["side"], shapes.Cylinder(length, shape.radius), placement)
+    draw_capsule(node, shape.axis, shape.radius, _solid)
 
 
 def _faces(points: np.ndarray) -> ColouredMeshGeometry:

@@ -40,7 +40,8 @@ class LiveWindow(ViewerWindow):
 
         facts: of a `ReplayScene`.
         """
-        self._ask(server.PAGE, "", live_page(facts).encode())
+        self.zmq_socket.send_multipart([server.PAGE.encode(), b"", live_page(facts).encode()])
+        self.zmq_socket.recv()
         self.tell("facts", facts)
         for command in commands:
             self.send(command)
@@ -81,10 +82,6 @@ class LiveWindow(ViewerWindow):
         if self.server_proc.stdout is not None:
             self.server_proc.stdout.close()
         self.zmq_socket.close(linger=0)
-
-    def _ask(self, kind: str, path: str, data: bytes) -> None:
-        self.zmq_socket.send_multipart([kind.encode(), path.encode(), data])
-        self.zmq_socket.recv()
 
 
 def can_open() -> bool:

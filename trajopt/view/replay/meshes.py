@@ -39,8 +39,8 @@ TriangleMesh = tuple[dict[str, np.ndarray], np.ndarray]
 
 def compact_geometry(geometry: dict[str, Any]) -> dict[str, Any] | None:
     """Return the content of a three.js geometry in few bytes; None if it is small or not a triangle mesh."""
-    found = _triangles(geometry)
-    return _packed(*found) if found is not None and len(found[1]) >= LEAST_CORNERS else None
+    mesh = _triangles(geometry)
+    return _packed(*mesh) if mesh is not None and len(mesh[1]) >= LEAST_CORNERS else None
 
 
 def _triangles(geometry: dict[str, Any]) -> TriangleMesh | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
+from trajopt.collision.coal_shapes import segment_placement
 from trajopt.view.replay.commands import without_shadow
 
 # Opacity with which marks shine through the robot.
@@ -20,6 +21,8 @@ THROUGH = {"opacity": HIDDEN_OPACITY, "transparent": True, "depthTest": False, "
 ROUND = 32
 # Points (n, 3); normals and colours, (n, 3) or one (3,); triangles (m, 3) or their corners (3m,).
 MeshPart = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+# Draws a shape into a node at a placement.
+Solid = Callable[[Any, Any, pin.SE3], None]
 UPWARD = np.array([0.0, 0.0, 1.0])
 # Turns Meshcat's cylinders, which lie along y, along z.
 UPRIGHT = pin.utils.rotate("x", np.pi / 2)
@@ -105,6 +108,17 @@ def draw_showing_through(
     kind = shapes.MeshLambertMaterial if lit else shapes.MeshBasicMaterial
     draw_unshadowed(node["solid"], shape, kind(**material))
     draw_unshadowed(node["hidden"], shape, kind(**{**material, **THROUGH, "opacity": through}))
+
+
+def draw_capsule(node: Any, axis: Sequence[np.ndarray], radius: float, solid: Solid) -> None:
+    """Draw what is within ``radius`` m of a segment, ``axis``, which may be one point, by ``solid``."""
+    start, end = axis
+    length = float(np.linalg.norm(end - start))
+    solid(node["start"], shapes.Sphere(radius), pin.SE3(np.eye(3), start))
+    if length > 0:
+        solid(node["end"], shapes.Sphere(radius), pin.SE3(np.eye(3), end))
+        upright = segment_placement(start, end) * pin.SE3(UPRIGHT, np.zeros(3))
+        solid(node["side"], shapes.Cylinder(length, radius), upright)
 
 
 def line_points(points: np.ndarray) -> Any:

@@ -169,7 +169,8 @@ def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
         if length > ball:
             rod = shapes.Cylinder(length, bone)
             node[f"rod{number}"].set_object(rod, shapes.MeshPhongMaterial(color=BONE_COLOUR))
-            node[f"rod{number}"].set_transform(_rod_placement(end))
+            along = pin.Quaternion.FromTwoVectors(np.array([0.0, 1.0, 0.0]), end)  # Meshcat's lie along y
+            node[f"rod{number}"].set_transform(placed(end / 2, along.toRotationMatrix()))
     _draw_trunk(vis, model, drawn)
     return drawn
 
@@ -226,10 +227,4 @@ def tip_frames(model: pin.Model) -> list[int]:
     lengths = [np.linalg.norm(frame.placement.translation) for frame in model.frames]
     leaves = set(range(1, model.njoints)) - {int(parent) for parent in model.parents}
     frames = ([i for i, f in enumerate(model.frames) if f.parentJoint == joint] for joint in sorted(leaves))
-    return [max(own, key=lengths.__getitem__) for own in frames if own]
-
-
-def _rod_placement(end: np.ndarray) -> np.ndarray:
-    """Placement of a Meshcat cylinder (along y, centred) from the origin to ``end``."""
-    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 1.0, 0.0]), end).toRotationMatrix()
-    return placed(end / 2, rotation)
+    return [max(ends, key=lengths.__getitem__) for ends in frames if ends]

@@ -67,7 +67,7 @@ class Bridge(zmqserver.ZMQWebSocketBridge):
 
     def __init__(self) -> None:
         self.page = b""
-        self.own: dict[str, bytes] = {}
+        self.told: dict[str, bytes] = {}
         super().__init__(host=HOST)
         self.web_url = f"http://{self.host}:{self.fileserver_port}/"
 
@@ -91,7 +91,7 @@ class Bridge(zmqserver.ZMQWebSocketBridge):
         if kind == PAGE:
             self.page = frames[2]
         else:
-            self.own[frames[1].decode("utf-8")] = frames[2]
+            self.told[frames[1].decode("utf-8")] = frames[2]
             self.forward_to_websockets(frames)
         self.zmq_socket.send(b"ok")
 
@@ -102,7 +102,7 @@ class Bridge(zmqserver.ZMQWebSocketBridge):
             for data in (node.object, *node.properties, node.transform):
                 if data is not None:
                     websocket.write_message(data, binary=True)
-        for data in (*(node.animation for node in nodes), *self.own.values()):
+        for data in (*(node.animation for node in nodes), *self.told.values()):
             if data is not None:
                 websocket.write_message(data, binary=True)
 

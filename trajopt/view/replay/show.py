@@ -11,11 +11,13 @@ from typing import Any
 from trajopt.arguments import checked
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solution.output import check_output, replacing
-from trajopt.solving.interruption import LOOK
 from trajopt.view.replay.live import LiveWindow, server_address_text
 from trajopt.view.replay.motion import replay_motions
 from trajopt.view.replay.page import page
 from trajopt.view.replay.scene import build_scene
+
+# Seconds between two looks whether the server is to end.
+LOOK = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)

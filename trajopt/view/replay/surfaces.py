@@ -62,12 +62,12 @@ def touches_of(run: DrawnSolution) -> tuple[list[Touch], list[Touch]]:
     A contact whose own surface is the terrain's plane touches the terrain, unless that surface is bilateral.
     """
     solution, motion = run.solution, run.motion
-    terrain, own = plane_of(solution), solution.description.surfaces
+    terrain, by_phase = plane_of(solution), solution.description.surfaces
     described = solution.description.ground
     faces = described.faces if isinstance(described, PiecewiseTerrain) else ()
     planes = [terrain, *(face.surface for face in faces)]
     on_terrain, elsewhere = motion.active.copy(), []
-    for phase, surfaces in enumerate(own):
+    for phase, surfaces in enumerate(by_phase):
         for frame, surface in surfaces.items():
             contact = solution.contact_frames.index(frame)
             rows = motion.active[:, contact] & (motion.phase == phase)

@@ -16,11 +16,11 @@ from trajopt.view.replay.collada import GREY, ColladaError, read_collada
 
 def visuals_of(source: VisualSource, model: pin.Model) -> DescribedGeometry:
     """Read a URDF file's visuals. Raises `InputError` if it, or every one of its meshes, is missing."""
-    found = described_geometry(source, model, "visual")
-    if found.missing and len(found.missing) == len(found.meshes):
-        first = next(iter(found.missing.values()))
+    described = described_geometry(source, model, "visual")
+    if described.missing and len(described.missing) == len(described.meshes):
+        first = next(iter(described.missing.values()))
         raise InputError(f"meshes of {source.urdf} cannot be read: no mesh file {first} is found")
-    return found
+    return described
 
 
 def mesh_points(path: str, scale: Sequence[float] | np.ndarray, colour: np.ndarray = GREY) -> np.ndarray:

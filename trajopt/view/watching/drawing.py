@@ -93,7 +93,7 @@ def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
     A motion that cannot be replayed has only its robot.
     """
     name = f"solving {title(solution)}"
-    own = [
+    added = [
         layer(POSES, "poses on the way", GHOST_COLOUR, [POSES]),
         layer(PATHS, "paths of feet and mass", TRAIL_COLOURS[0], [PATHS]),
     ]
@@ -105,10 +105,10 @@ def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
         draw_robot(meshcat.Visualizer(window=recorder), solution)
         size = reach(solution.model) or 1.0
         facts = {"start": 0.0, "speed": 1.0, "size": size, "box": [[-size] * 3, [size] * 3], "runs": []}
-        return recorder.commands, facts | {"title": name, "layers": own}
+        return recorder.commands, facts | {"title": name, "layers": added}
     layers = [one for one in scene.facts["layers"] if all(_is_still(path) for path in one["paths"])]
     kept = [command for command in scene.commands if _stands(command.message)]
-    return kept, scene.facts | {"title": name, "layers": [*layers, *own]}
+    return kept, scene.facts | {"title": name, "layers": [*layers, *added]}
 
 
 def _is_still(path: str) -> bool:
@@ -178,8 +178,8 @@ def _words(iterate: Iterate, finite: int) -> list[tuple[str, str]]:
     trouble = "restoring feasibility" if figures.get("restoration") else ""
     state = iterate.status or trouble or "solving"
     kind = "run" if state in ("solving", "solved") else "warned" if state == trouble else "failed"
-    found = [(first, "quiet"), (f"iteration {figures['iteration']:.0f}: {state}", kind)]
+    lines = [(first, "quiet"), (f"iteration {figures['iteration']:.0f}: {state}", kind)]
     if not finite:
-        found.append(("no node of this iterate is finite", "failed"))
-    found.append((f"objective {figures['objective']:.5g}", "quiet"))
-    return [*found, (f"infeasibility {figures['primal']:.1e}, optimality {figures['dual']:.1e}", "quiet")]
+        lines.append(("no node of this iterate is finite", "failed"))
+    lines.append((f"objective {figures['objective']:.5g}", "quiet"))
+    return [*lines, (f"infeasibility {figures['primal']:.1e}, optimality {figures['dual']:.1e}", "quiet")]

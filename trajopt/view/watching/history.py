@@ -76,13 +76,13 @@ class History:
         """Difficulties of the last step, in words."""
         if not self.rows:
             return []
-        row, found = self.rows[-1], []
+        row, troubles = self.rows[-1], []
         if row["restoration"]:
-            found.append("restoration: the objective waits until the rows hold better")
+            troubles.append("restoration: the objective waits until the rows hold better")
         if row["regularization"] > 0:
-            found.append(f"Hessian regularised by {row['regularization']:.0e}")
+            troubles.append(f"Hessian regularised by {row['regularization']:.0e}")
         if row["line_search"] >= MANY_TRIALS:
-            found.append(f"line search cut the step {row['line_search'] - 1:.0f} times")
+            troubles.append(f"line search cut the step {row['line_search'] - 1:.0f} times")
         elif len(self.rows) > 1 and 0 < row["step"] < SHORT_STEP:
-            found.append("a very short step")
-        return found
+            troubles.append("a very short step")
+        return troubles

@@ -60,9 +60,9 @@ class IterateMotion:
     def poses(self) -> np.ndarray:
         """Times (k,) of drawn poses: starts of phases and the end; evenly spaced if those are few."""
         starts = np.flatnonzero(np.diff(self.phase)) + 1
-        own = np.unique(np.concatenate([self.t[:1], self.t[starts], self.t[-1:]]))
-        if LEAST_POSES <= len(own) <= MOST_POSES:
-            return own
-        if len(own) > MOST_POSES:
-            return np.asarray(own[np.linspace(0, len(own) - 1, MOST_POSES).round().astype(int)])
+        changes = np.unique(np.concatenate([self.t[:1], self.t[starts], self.t[-1:]]))
+        if LEAST_POSES <= len(changes) <= MOST_POSES:
+            return changes
+        if len(changes) > MOST_POSES:
+            return np.asarray(changes[np.linspace(0, len(changes) - 1, MOST_POSES).round().astype(int)])
         return np.linspace(self.t[0], self.t[-1], LEAST_POSES)

@@ -75,14 +75,14 @@ def panel_lines(
     count = f", iteration {history.rows[-1]['iteration']:.0f}" if history.rows else ""
     pace = "" if history.step_time is None else f", {_seconds(history.step_time)} a step"
     head = f"{title}: {state}{count}, {_seconds(history.elapsed)}{pace}"
-    found = [head, history.title]
+    lines = [head, history.title]
     if history.rows:
         room = width - NAME - NUMBER - 1
-        found += [_row(history, name, room, ASCII if plain else BLOCKS) for name in ROWS]
+        lines += [_row(history, name, room, ASCII if plain else BLOCKS) for name in ROWS]
         row = history.rows[-1]
         barrier = f", barrier {row['barrier']:.0e}" if row["barrier"] > 0 else ""
-        found.append(f"step {row['step']:.2g}{barrier}" + "".join(f"; {text}" for text in history.troubles()))
-    return [_fitting(line, width) for line in found]
+        lines.append(f"step {row['step']:.2g}{barrier}" + "".join(f"; {text}" for text in history.troubles()))
+    return [_fitting(line, width) for line in lines]
 
 
 def _row(history: History, name: str, room: int, blocks: str) -> str:

@@ -51,10 +51,12 @@ class IterationTable:
         if iterate.stage != "iteration" or self._ended:
             return
         layout, row = iterate.transcription.layout, self._history.rows[-1]
-        own = (self._history.number, iterate.label, layout.mesh.transcription, layout.n_intervals)
+        solve = (self._history.number, iterate.label, layout.mesh.transcription, layout.n_intervals)
         figures = [f"{row[name]:.9g}" for name in FIGURES]
         try:
-            self._rows.writerow([*own, iterate.solver, int(row["iteration"]), f"{row['time']:.6f}", *figures])
+            self._rows.writerow(
+                [*solve, iterate.solver, int(row["iteration"]), f"{row['time']:.6f}", *figures]
+            )
         except OSError as error:
             self._ended = True
             text = f"cannot write {self._path}: {error.strerror or error}; iterations are no longer logged"

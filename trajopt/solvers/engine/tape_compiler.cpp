@@ -1,4 +1,4 @@
-#include "tape_graph.hpp"
+#include "tape_compiler.hpp"
 
 #include <algorithm>
 #include <cstring>
@@ -13,6 +13,31 @@ namespace {
 
 // Mispredicted branches at the ends of runs cost more with a smaller window, memory with a larger one.
 constexpr std::size_t kWindow = 2048;
+
+// An operation on earlier values, an input, or a constant.
+struct Value {
+  enum Kind { kInput, kConstant, kStatement };
+  Kind kind;
+  std::int32_t operation;  // of a statement; input: which
+  int a, b, c;             // operands, -1 where there is none; input: a is the element
+  double constant;
+  int other;  // CasADi's operation
+};
+
+struct TapeGraph {
+  std::vector<Value> values;  // operands before what they are used for
+  std::vector<int> results;   // values of all outputs, one after the other; -1 for zero
+
+  // Each expression once; throws std::invalid_argument for what is not a scalar operation.
+  explicit TapeGraph(const casadi::Function& function);
+
+  // Products that are used once, in a sum or a difference, become part of it; what no result needs is dropped.
+  void fuse();
+
+  // Statements in an order with long runs of one operation: those that are ready, from a window that moves
+  // through their first order, so that few values are alive at any time.
+  std::vector<int> scheduled() const;
+};
 
 struct Expression {
   int kind, operation, other, a, b;
@@ -78,8 +103,6 @@ int operands(const casadi::Function& function, int operation) {
   if (casadi::casadi_math<double>::is_binary(operation)) return 2;
   refuse(function, "operation " + std::to_string(operation));
 }
-
-}  // namespace
 
 TapeGraph::TapeGraph(const casadi::Function& function) {
   if (!function.is_a("SXFunction")) refuse(function, "the type " + function.class_name());
@@ -195,6 +218,96 @@ std::vector<int> TapeGraph::scheduled() const {
     }
   }
   return order;
+}
+
+// Gives slots to values, and takes them back after their last use.
+class Slots {
+ public:
+  explicit Slots(int first) : count_(first) {}
+  int take() {
+    if (free_.empty()) return count_++;
+    const int slot = free_.back();
+    free_.pop_back();
+    return slot;
+  }
+  void give_back(int slot) { free_.push_back(slot); }
+  int count() const { return count_; }
+
+ private:
+  int count_;
+  std::vector<int> free_;
+};
+
+// Sizes and patterns of inputs and outputs.
+void describe(const casadi::Function& function, TapeParts& parts) {
+  for (casadi_int i = 0; i < function.n_in(); ++i) parts.in.push_back(static_cast<int>(function.nnz_in(i)));
+  for (casadi_int i = 0; i < function.n_out(); ++i) {
+    parts.out.push_back(static_cast<int>(function.nnz_out(i)));
+    const std::vector<casadi_int> row = function.sparsity_out(i).get_row(), column = function.sparsity_out(i).get_col();
+    parts.row.insert(parts.row.end(), row.begin(), row.end());
+    parts.column.insert(parts.column.end(), column.begin(), column.end());
+  }
+}
+
+// Slots of inputs and of constants, which come after them.
+std::vector<int> fixed_slots(const TapeGraph& graph, TapeParts& parts) {
+  std::vector<int> first_input{0}, slot(graph.values.size(), -1);
+  for (int size : parts.in) first_input.push_back(first_input.back() + size);
+  for (std::size_t i = 0; i < graph.values.size(); ++i) {
+    const Value& value = graph.values[i];
+    if (value.kind == Value::kInput) slot[i] = first_input[value.operation] + value.a;
+    if (value.kind != Value::kConstant) continue;
+    slot[i] = first_input.back() + static_cast<int>(parts.constants.size());
+    parts.constants.push_back(value.constant);
+  }
+  parts.slots = first_input.back() + static_cast<int>(parts.constants.size());
+  return slot;
+}
+
+// Gives slots to the statements and writes them in this order.
+void write_code(const TapeGraph& graph, const std::vector<int>& order, std::vector<int>& slot, TapeParts& parts) {
+  std::vector<int> last(graph.values.size(), -1);  // statement that uses a value last
+  for (std::size_t k = 0; k < order.size(); ++k) {
+    const Value& value = graph.values[order[k]];
+    for (int operand : {value.a, value.b, value.c})
+      if (operand >= 0) last[operand] = static_cast<int>(k);
+  }
+  for (int result : graph.results) last[result] = static_cast<int>(order.size());
+  Slots slots(parts.slots);
+  std::vector<std::int32_t>& code = parts.code;
+  std::size_t run = 0;
+  for (std::size_t k = 0; k < order.size(); ++k) {
+    const Value& value = graph.values[order[k]];
+    for (int operand : {value.a, value.b, value.c}) {
+      if (operand < 0 || last[operand] != static_cast<int>(k)) continue;
+      if (graph.values[operand].kind == Value::kStatement) slots.give_back(slot[operand]);
+      last[operand] = -1;
+    }
+    slot[order[k]] = slots.take();
+    if (k == 0 || graph.values[order[k - 1]].operation != value.operation) {
+      run = code.size();
+      code.insert(code.end(), {value.operation, 0});
+    }
+    ++code[run + 1];
+    code.push_back(slot[order[k]]);
+    code.push_back(slot[value.a]);
+    if (length(value.operation) > 2) code.push_back(slot[value.b < 0 ? value.a : value.b]);
+    if (length(value.operation) > 3) code.push_back(value.operation == kOther ? value.other : slot[value.c]);
+  }
+  parts.slots = slots.count();
+}
+
+}  // namespace
+
+Tape compile(const casadi::Function& function) {
+  TapeGraph graph(function);
+  graph.fuse();
+  TapeParts parts;
+  describe(function, parts);
+  std::vector<int> slot = fixed_slots(graph, parts);
+  write_code(graph, graph.scheduled(), slot, parts);
+  for (int result : graph.results) parts.result.push_back(slot[result]);
+  return Tape(std::move(parts));
 }
 
 }  // namespace trajopt

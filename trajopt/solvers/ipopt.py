@@ -1,0 +1,104 @@
+"""IPOPT, with defaults chosen by measurement (docs/measurements.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from trajopt import _engine
+from trajopt.solvers.result import Callback, Option, Result, StoppingCriteria, WarmMultipliers
+from trajopt.solvers.status import Status
+from trajopt.transcription.hessians import LIMITED_MEMORY
+from trajopt.transcription.nlp import Nlp
+
+# The NLP is scaled by units, so the solvers' own scaling is off; a solution "to an acceptable level" does not
+# count. The bound relaxation is far below the tolerance. Multipliers start at zero: least-squares estimates
+# at a guess off the constraints are large and make the first Hessians indefinite, which doubles the
+# iterations of IPOPT on the jump.
+IPOPT_OPTIONS: dict[str, Option] = {
+    "nlp_scaling_method": "none",
+    "mu_strategy": "adaptive",
+    "acceptable_iter": 0,
+    "bound_relax_factor": 1e-9,
+    "constr_mult_init_max": 0.0,
+    "print_level": 0,
+    "sb": "yes",
+}
+# A start from another solution (docs/warm-starts.md). IPOPT's default distance from bounds, 1e-2, and its
+# default initial multipliers discard the solution's information. With the solution's multipliers iterates
+# stay where they are; without them a small first barrier keeps them there.
+IPOPT_WARM: dict[str, Option] = {
+    "warm_start_init_point": "yes",
+    "warm_start_bound_push": 1e-5,
+    "warm_start_bound_frac": 1e-5,
+    "warm_start_slack_bound_push": 1e-5,
+    "warm_start_slack_bound_frac": 1e-5,
+    "warm_start_mult_bound_push": 1e-5,
+}
+IPOPT_WARM_WITHOUT_MULTIPLIERS: dict[str, Option] = {
+    "mu_strategy": "monotone",
+    "mu_init": 1e-5,
+    "bound_push": 1e-5,
+    "bound_frac": 1e-5,
+    "slack_bound_push": 1e-5,
+    "slack_bound_frac": 1e-5,
+}
+# IPOPT's option, and its value for the engine's factorisation stage by stage.
+LINEAR_SOLVER, STAGES = "linear_solver", "stages"
+
+_IPOPT_STATUS = {
+    "Solve_Succeeded": Status.SOLVED,
+    "Solved_To_Acceptable_Level": Status.STEP_FAILED,
+    "Feasible_Point_Found": Status.STEP_FAILED,
+    "Infeasible_Problem_Detected": Status.INFEASIBLE,
+    "Search_Direction_Becomes_Too_Small": Status.STEP_FAILED,
+    "Diverging_Iterates": Status.UNBOUNDED,
+    "User_Requested_Stop": Status.INTERRUPTED,
+    "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
+    "Restoration_Failed": Status.INFEASIBLE,
+    "Error_In_Step_Computation": Status.STEP_FAILED,
+    "Maximum_CpuTime_Exceeded": Status.TIME_LIMIT,
+    "Maximum_WallTime_Exceeded": Status.TIME_LIMIT,
+    "Not_Enough_Degrees_Of_Freedom": Status.INVALID,
+    "Invalid_Problem_Definition": Status.INVALID,
+    "Invalid_Number_Detected": Status.NOT_FINITE,
+}
+
+
+def solve_ipopt(
+    nlp: Nlp,
+    x0: np.ndarray,
+    stop: StoppingCriteria,
+    options: Mapping[str, Option],
+    callback: Callback,
+    warm: WarmMultipliers | None,
+) -> Result:
+    """A `Driver`: with the engine's factorisation stage by stage, or another linear solver of IPOPT."""
+    t = nlp.transcription
+    lam_g, lam_x = (None, None) if warm is None else (warm.lam_g, warm.lam_x)
+    restart = IPOPT_WARM_WITHOUT_MULTIPLIERS if lam_g is None else IPOPT_WARM
+    chosen = {
+        **IPOPT_OPTIONS,
+        **({} if warm is None else restart),
+        **({"hessian_approximation": LIMITED_MEMORY} if nlp.hessian == LIMITED_MEMORY else {}),
+        "tol": stop.tolerance,
+        "constr_viol_tol": stop.feasibility,
+        "max_iter": stop.max_iterations,
+        "max_wall_time": stop.max_time,
+        **options,
+    }
+    stage = None
+    if chosen.setdefault(LINEAR_SOLVER, "mumps" if nlp.hessian == LIMITED_MEMORY else STAGES) == STAGES:
+        if nlp.hessian == LIMITED_MEMORY:
+            raise ValueError(f"{LINEAR_SOLVER}={STAGES} has no place for a Hessian of gradients")
+        del chosen[LINEAR_SOLVER]
+        stage = t.layout.stage_numbers
+    raw = _engine.solve_ipopt(
+        nlp.engine, x0, t.lower_x, t.upper_x, t.lower_g, t.upper_g, chosen, callback, lam_g, lam_x, stage
+    )
+    if raw["status"] == "Invalid_Option":
+        raise ValueError(
+            "an option has a value that is not available here, such as a linear_solver that is not installed"
+        )
+    return Result.from_engine(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
