@@ -1,17 +1,16 @@
-"""The published fronts: four sweeps, their tables into the package, tables and plots into the docs.
+"""The published fronts: four sweeps, their tables and plots into the docs.
 
 uv run python -m scripts.publish_fronts              # all, about 25 minutes on a quiet machine
 uv run python -m scripts.publish_fronts solo12-jump  # one of them
 uv run python -m scripts.publish_fronts --resume     # continue after an interruption
 
-Tables go to trajopt/study/sweep/fronts and docs/front, plots to docs/front, and the sections between the
-markers of docs/front.md are rewritten: the fronts, and how much pinned workers disturb each other.
+Tables and plots go to docs/front, and the sections between the markers of docs/front.md are rewritten: the
+fronts, and how much pinned workers disturb each other.
 """
 
 from __future__ import annotations
 
 import csv
-import math
 import shlex
 import shutil
 import subprocess
@@ -25,7 +24,6 @@ import click
 
 from scripts.documents import written
 from scripts.measure import machine
-from trajopt.study.sweep.front import FOLDER, load_front
 from trajopt.study.sweep.tables import SETTINGS
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "front.md"
@@ -79,12 +77,11 @@ PUBLISHED = (
 @click.option("--resume", is_flag=True, help="Go on where an interrupted sweep ended.")
 @click.option("--only-document", is_flag=True, help="Run nothing: write the section from the tables.")
 def main(names: tuple[str, ...], resume: bool, only_document: bool) -> None:
-    """Run the sweeps and copy their tables and plots to the package and the docs."""
+    """Run the sweeps and copy their tables and plots to the docs."""
     unknown = set(names) - {front.name for front in PUBLISHED}
     if unknown:
         raise click.BadParameter(f"allowed: {', '.join(front.name for front in PUBLISHED)}")
     DOCS.mkdir(exist_ok=True)
-    FOLDER.mkdir(exist_ok=True)
     for front in PUBLISHED:
         if not only_document and (not names or front.name in names):
             publish(front, resume)
@@ -109,7 +106,6 @@ def publish(front: Published, resume: bool) -> None:
     if done.returncode:
         raise click.ClickException(f"the sweep ended with exit status {done.returncode}")
     (DOCS / f"{front.name}.txt").write_text(done.stdout, encoding="utf-8")
-    shutil.copyfile(folder / SETTINGS, FOLDER / f"{front.name}.csv")
     shutil.copyfile(folder / SETTINGS, front.table)
     shutil.copyfile(folder / "runs.csv", DOCS / f"{front.name}-runs.csv")
     shutil.copyfile(folder / "front.png", DOCS / f"{front.name}.png")
@@ -133,7 +129,7 @@ def section(front: Published) -> str:
         *(_row(row) for row in [*best, *([default] if default not in best else [])]),
         "",
         *textwrap.wrap(
-            f"{_offer(front)} {len(rows)} settings were tried; all of them, and what dominates each, are in "
+            f"{_offer(best, default)} {len(rows)} settings were tried; all of them, and what dominates each, are in "
             f"[{front.name}.txt](front/{front.name}.txt) and [{front.name}.csv](front/{front.name}.csv).",
             WIDTH,
             break_on_hyphens=False,
@@ -153,21 +149,19 @@ def _row(row: dict[str, str]) -> str:
     )
 
 
-def _offer(front: Published) -> str:
+def _offer(best: Sequence[dict[str, str]], default: dict[str, str]) -> str:
     """The settings of the front that are much faster, and much more accurate, than the default."""
-    known = load_front(front.table)
-    best, default = known.best(), known.default
-    fast = max((default.time / point.time for point in best), default=math.nan)
-    fine = max((default.error / max(point.error, 1e-300) for point in best), default=math.nan)
-    text = f"The fastest setting is {fast:.0f} times faster than the default, "
-    text += f"the finest {fine:.0e} times more accurate."
-    for point in [point for point in best if default.time >= FASTER * point.time][-1:]:
-        label = point.setting.label(default.setting)
-        text += f" At least {FASTER} times faster: `{label}`, {point.error:.1e} m."
-    for point in [point for point in best if default.error >= MORE_ACCURATE * point.error][:1]:
-        label = point.setting.label(default.setting)
-        text += f" At least {MORE_ACCURATE} times more accurate: `{label}`, "
-        text += f"{point.relative_time:.2f} times the default's time."
+
+    def times(name: str, row: dict[str, str]) -> float:
+        return float(default[name]) / max(float(row[name]), 1e-300)
+
+    text = f"The fastest setting is {times('time_s', best[0]):.0f} times faster than the default, "
+    text += f"the finest {times('error_m', best[-1]):.0e} times more accurate."
+    for row in [row for row in best if times("time_s", row) >= FASTER][-1:]:
+        text += f" At least {FASTER} times faster: `{row['label']}`, {float(row['error_m']):.1e} m."
+    for row in [row for row in best if times("error_m", row) >= MORE_ACCURATE][:1]:
+        text += f" At least {MORE_ACCURATE} times more accurate: `{row['label']}`, "
+        text += f"{float(row['relative_time']):.2f} times the default's time."
     return text
 
 

@@ -10,7 +10,6 @@ import trajopt
 from scripts.measure.shared import head, row
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import MOST_ROUNDS, solve_graded
-from trajopt.study.choosing.solve_to import solve_to_accuracy
 from trajopt_library import problems
 
 MOTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
@@ -33,7 +32,7 @@ def grades() -> None:
         for word, rounds in (("draft", 1), ("default", MOST_ROUNDS)):
             found = solve_graded(problem, max_rounds=rounds)
             row(motion, word, f"{found.spent:.2f}", *_figures(found.solution))
-        fine = solve_to_accuracy(problem, FINE)
+        fine = solve_graded(problem, accuracy=FINE)
         row(motion, "fine", f"{fine.spent:.2f}", *_figures(fine.solution))
 
 

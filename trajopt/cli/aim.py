@@ -1,9 +1,9 @@
-"""``trajopt solve --accuracy`` and ``--budget``: settings are chosen from measured fronts."""
+"""``trajopt solve --accuracy`` and ``--budget``: the mesh is refined to an error, or within a time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -16,11 +16,10 @@ from trajopt.errors import InputError
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
     from trajopt.solving.monitoring import Watch
-    from trajopt.study.choosing.solve_to import TargetSolve
+    from trajopt.solving.rounds import Graded
 
-# Options that are chosen, and options without a meaning then.
-CHOSEN = ("transcription", "intervals", "tolerance")
-WITHOUT = ("ladder", "compare")
+# Options that follow from the target, and options without a meaning then.
+CHOSEN = ("transcription", "intervals", "tolerance", "ladder", "compare")
 
 
 class Quantity(click.ParamType):
@@ -47,79 +46,61 @@ TIME = Quantity("time", {"ms": 1e-3, "s": 1.0, "min": 60.0}, "0.5s, 500ms or 2mi
 
 aim_options = option_group(
     click.option(
-        "--accuracy", type=LENGTH, metavar="M", help="Choose settings for this open-loop error, e.g. 1mm."
+        "--accuracy", type=LENGTH, metavar="M", help="Refine the mesh to this open-loop error, e.g. 1mm."
     ),
-    click.option("--budget", type=TIME, metavar="TIME", help="Choose settings for this time, e.g. 0.5s."),
     click.option(
-        "--front", metavar="FRONT", help="Measured front to choose from.  [default: the most similar]"
+        "--budget",
+        type=TIME,
+        metavar="TIME",
+        help="Refine the mesh within this time of the solver, e.g. 0.5s.",
     ),
 )
 
 
 def wants_aim(arguments: dict[str, Any]) -> bool:
-    """Whether settings are chosen automatically; refuses ``--front`` alone."""
-    if arguments["accuracy"] is None and arguments["budget"] is None:
-        if arguments["front"] is not None:
-            raise InputError("--front has no effect here", "allowed: with --accuracy or --budget")
-        for name in ("accuracy", "budget", "front"):
-            del arguments[name]
-        return False
-    return True
+    """Whether an accuracy or a time is asked for; removes both options otherwise."""
+    wanted = arguments["accuracy"] is not None or arguments["budget"] is not None
+    if not wanted:
+        del arguments["accuracy"], arguments["budget"]
+    return wanted
 
 
 def solve_aimed(
     problem: Problem, *, title: str, log: str | None = None, viewer: Watch | None = None, **arguments: Any
 ) -> SolveReport:
-    """Choose, solve, measure and refine, with progress."""
+    """Solve, measure and refine, with progress."""
+    from trajopt.solving.budget import solve_within
+    from trajopt.solving.graded import solve_graded
     from trajopt.solving.time_limits import BESIDE
-    from trajopt.study.choosing.solve_to import solve_to_accuracy, solve_within
 
-    accuracy, budget, front = (arguments.pop(name) for name in ("accuracy", "budget", "front"))
+    accuracy, budget = arguments.pop("accuracy"), arguments.pop("budget")
     if accuracy is not None and budget is not None:
         raise InputError("--accuracy and --budget are both given", "allowed: one of them")
-    where = _allowed_settings(arguments)
-    most = arguments["max_time"] + BESIDE
-    with watched(title, most, log, viewer) as callbacks:
-        settings = {**arguments, "front": front, "where": where, **callbacks}
-        if accuracy is not None:
-            found = solve_to_accuracy(problem, accuracy, **settings)
-        else:
-            found = solve_within(problem, budget, **settings)
-    return SolveReport(found.solution, found.reached, _lines(found), {"aimed": found.to_dict()})
-
-
-def _allowed_settings(arguments: dict[str, Any]) -> Callable[[Any], bool]:
-    """Filter for the named solver and Hessian; removes options that are chosen from ``arguments``."""
-    for name in (*CHOSEN, *WITHOUT):
+    for name in CHOSEN:
         if is_given(name):
             raise InputError(f"--{name} is given with --accuracy or --budget", "allowed: one of them")
         del arguments[name]
-    fixed = {name: arguments.pop(name) for name in ("solver", "hessian")}
-    wanted = {name: value for name, value in fixed.items() if is_given(name)}
-    return lambda setting: all(getattr(setting, name) == value for name, value in wanted.items())
+    with watched(title, arguments["max_time"] + BESIDE, log, viewer) as callbacks:
+        settings = {**arguments, **callbacks}
+        if accuracy is not None:
+            result = solve_graded(problem, accuracy=accuracy, **settings)
+            reached, target = result.reached, f"accuracy of {accuracy:g} m"
+        else:
+            del settings["max_time"]
+            result = solve_within(problem, budget, **settings)
+            reached, target = result.reached and result.spent <= budget, f"budget of {budget:g} s"
+    lines = _lines(result, f"{target} {'reached' if reached else 'not reached'}")
+    return SolveReport(result.solution, reached, lines, {"graded": result.to_dict()})
 
 
-def _lines(found: TargetSolve) -> list[str]:
-    """Lines of the summary: chosen settings, rounds, result."""
+def _lines(result: Graded, verdict: str) -> list[str]:
+    """Lines of the summary: rounds, and the target with what was reached."""
     lines = []
-    for choice in found.choices:
-        mesh, setting = choice.mesh, choice.measured.setting
+    for one in result.rounds:
+        error = "" if one.error is None else f", error {one.error:.1e} m"
         lines.append(
-            f"chosen from {choice.front}: {mesh.transcription}, {sum(mesh.counts)} intervals, "
-            f"{setting.solver}, {setting.hessian}; "
-            f"predicted {choice.predicted_error:.1e} m, {choice.predicted_time:.2g} s"
+            f"{one.mesh.transcription} on {'+'.join(map(str, one.mesh.counts))}: "
+            f"{one.status.replace('_', ' ')}, {one.variables} variables, "
+            f"{one.iterations} iterations, {one.wall_time:.2f} s{error}"
         )
-    for solve in found.rounds:
-        error = "" if solve.error is None else f", error {solve.error:.1e} m"
-        lines.append(
-            f"{solve.mesh.transcription} on {'+'.join(map(str, solve.mesh.counts))}: "
-            f"{solve.status.replace('_', ' ')}, {solve.variables} variables, "
-            f"{solve.iterations} iterations, {solve.wall_time:.2f} s{error}"
-        )
-    unit = "m" if found.goal == "accuracy" else "s"
-    verdict = "reached" if found.reached else "not reached"
-    lines.append(
-        f"{found.goal} of {found.wanted:g} {unit} {verdict}: "
-        f"{found.error:.1e} m in {found.spent:.2f} s; {found.why}"
-    )
-    return lines
+    return [*lines, f"{verdict}: {result.error:.1e} m in {result.spent:.2f} s; {result.why}"]

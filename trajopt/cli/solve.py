@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     cls=GroupedCommand,
     groups={
         "Problem": "settings smallest explain keep nearest",
-        "Accuracy and mesh": "draft fixed_mesh transcription intervals accuracy budget front",
+        "Accuracy and mesh": "draft fixed_mesh transcription intervals accuracy budget",
         "Start": "start ladder compare seed perturb",
         "Solver": "solver hessian tolerance max_iterations max_time threads solver_options",
         "Watching": "watch log diagnosed",
@@ -99,8 +99,8 @@ def solve_command(
 
     The motion is examined at any time, and the mesh refined where it misses the tolerances of trajopt check;
     --draft takes the first mesh, --fixed-mesh the problem's own, --transcription or --intervals another.
-    With --accuracy or --budget, scheme, mesh and solver are chosen from measured fronts; with --accuracy the
-    error is measured, and the mesh refined until it is small enough.
+    With --accuracy the open-loop error is measured, too, and the mesh refined until it is small enough; with
+    --budget it is refined for as long as another round is expected to fit into that time of the solver.
 
     Where a value of --set is not solved, --nearest PARAMETER searches the nearest one that is, from the
     default by bisection, in at most 8 solves to the grade. Its motion is written to a file of its own, named

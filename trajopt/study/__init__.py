@@ -1,4 +1,4 @@
-"""Measurements: suites of problems, sweeps over settings, choices from them, diagnosis."""
+"""Many solves: batches of cases, suites of problems, sweeps over settings, and the one runner of all."""
 
 import lazy_loader
 

@@ -3,5 +3,3 @@ from .batch.dataset import BatchEntry as BatchEntry
 from .batch.solved_case import BatchSettings as BatchSettings
 from .batch.variation import BatchCase as BatchCase
 from .batch.variation import batch_cases as batch_cases
-from .choosing import solve_to_accuracy as solve_to_accuracy
-from .choosing import solve_within as solve_within

@@ -15,7 +15,6 @@ from trajopt.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.solution.output import replacing
 from trajopt.study.sweep.figures import COLUMNS
-from trajopt.study.sweep.likeness import motion_kind
 from trajopt.study.sweep.records import SweepResults
 from trajopt.study.sweep.result import TimedRun
 from trajopt.study.sweep.setting import Setting
@@ -47,8 +46,18 @@ def setting_rows(name: str, problem: Problem, summaries: Sequence[Summary]) -> l
     """A row per setting of the problem of that name; docs/front.md explains the columns."""
     robot, units = problem.robot, Units(problem.robot)
     default = next((row.time for row in summaries if row.is_default), math.nan)
-    head = {"problem": name, "robot": robot.name, "kind": motion_kind(problem), "n_velocities": robot.nv}
+    head = {"problem": name, "robot": robot.name, "kind": _motion_kind(problem), "n_velocities": robot.nv}
     return [{**head, **_setting_row(row, units, problem.schedule.duration, default)} for row in summaries]
+
+
+def _motion_kind(problem: Problem) -> str:
+    """``arm`` (a fixed base), ``gait`` (periodic), ``flight`` (a phase without contacts) or ``stance``."""
+    if problem.robot.base == "fixed":
+        return "arm"
+    if problem.periodicity is not None:
+        return "gait"
+    flies = any(not phase.contacts for phase in problem.schedule.phases)
+    return "flight" if flies else "stance"
 
 
 def _setting_row(row: Summary, units: Units, duration: float, default: float) -> Row:
