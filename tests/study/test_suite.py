@@ -16,6 +16,7 @@ from trajopt import Solution, check, solve
 from trajopt.errors import InputError
 from trajopt.problem.catalogue import families
 from trajopt.solution.grid import mesh_of
+from trajopt.solution.statistics import SolveStatistics
 from trajopt.solvers.status import Status
 from trajopt.study.suite import failure
 from trajopt.study.suite.cases import Case, all_cases, select
@@ -126,11 +127,12 @@ def test_the_condition_missed_most_names_the_failure(figures: tuple[float | None
 
 @pytest.mark.parametrize("status", Status)
 def test_every_status_has_a_mode(status: Status):
-    meta = {
-        "status": status.word, "solver": "ipopt", "tolerance": 1e-6,
-        "primal_infeasibility": 0.0, "dual_infeasibility": 1.0, "complementarity": 0.0,
-    }  # fmt: skip
-    mode = failure.mode_of(meta)
+    statistics = SolveStatistics(
+        status=status.word, solver="ipopt", tolerance=1e-6, transcription="legendre:2", iterations=1,
+        success=False, converged=False, objective=0.0, wall_time_s=0.0,
+        primal_infeasibility=0.0, dual_infeasibility=1.0, complementarity=0.0,
+    )  # fmt: skip
+    mode = failure.mode_of(statistics)
     assert (mode == failure.SOLVED) == (status is Status.SOLVED)
     assert mode in (failure.SOLVED, *failure.MODES)
 

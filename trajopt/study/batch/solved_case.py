@@ -86,23 +86,23 @@ def solve_case(case: BatchCase, settings: BatchSettings, start: bytes | None) ->
         content: bytes | None = best.to_bytes()
     except InputError:  # an iterate that is not finite
         content = None
-    meta, spent = best.meta, total_effort(tried)
+    statistics, spent = best.statistics, total_effort(tried)
     figures = {
         "success": best.success,
-        "status": meta["status"],
-        "detail": failure_text(meta),
-        "warm_start": bool(meta.get("warm_start")),
+        "status": statistics.status,
+        "detail": failure_text(statistics),
+        "warm_start": statistics.warm_start,
         "iterations": spent["iterations"],
         "solver_time_s": spent["wall_time_s"],
         "case_time_s": time.perf_counter() - begun,
-        "objective": meta["objective"],
+        "objective": statistics.objective,
         "motion_time_s": float(best.t[-1] - best.t[0]),
         "energy_j": energy(best) if best.converged else None,
         "cost_of_transport": cost_of_transport(best) if best.converged else None,
-        "max_violation": meta["max_violation"],
-        "tolerance_used": meta.get("tolerance_used"),
-        "worst_figure": meta.get("worst_figure"),
-        "variables": meta["variables"],
+        "max_violation": statistics.max_violation,
+        "tolerance_used": statistics.tolerance_used,
+        "worst_figure": statistics.worst_figure,
+        "variables": statistics.variables,
         "intervals": best.n_intervals,
     }
     return CaseResult(figures=figures, content=content)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
+from trajopt.solution.statistics import SolveStatistics
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solvers.status import Status
 from trajopt.solving.verdicts import STILL_FEASIBLE
@@ -36,30 +35,30 @@ _OF_STATUS = {
 }
 
 
-def mode_of(meta: Mapping[str, Any]) -> str:
-    """The failure mode of a solution's ``meta``, one of `MODES`, or `SOLVED`.
+def mode_of(statistics: SolveStatistics) -> str:
+    """The failure mode of a solve, one of `MODES`, or `SOLVED`.
 
     If the solver merely stopped (iteration limit, no step), the iterate's infeasibilities decide, see
     `worst_condition`.
     """
-    status = Status[meta["status"].upper()]
+    status = Status[statistics.status.upper()]
     if status in _OF_STATUS:
         return _OF_STATUS[status]
     return worst_condition(
-        meta["primal_infeasibility"],
-        meta["dual_infeasibility"],
-        meta["complementarity"],
-        meta["tolerance"],
-        SOLVERS[meta["solver"]].feasibility_share * meta["tolerance"],
+        statistics.primal_infeasibility,
+        statistics.dual_infeasibility,
+        statistics.complementarity,
+        statistics.tolerance,
+        SOLVERS[statistics.solver].feasibility_share * statistics.tolerance,
     )
 
 
-def failure_text(meta: Mapping[str, Any]) -> str:
+def failure_text(statistics: SolveStatistics) -> str:
     """Status, and what is missed, of a failed solve, in words; empty for one that succeeded."""
-    if meta["success"]:
+    if statistics.success:
         return ""
-    missed = meta["advice"] if meta["converged"] else describe_block(meta["worst_blocks"][0])
-    return f"{meta['status']}: {missed}"
+    missed = statistics.advice if statistics.converged else describe_block(statistics.worst_blocks[0])
+    return f"{statistics.status}: {missed}"
 
 
 def worst_condition(

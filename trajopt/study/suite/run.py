@@ -125,27 +125,27 @@ def measure_case(case: Case, settings: SuiteSettings) -> Outcome:
 
 def attempt(solution: Solution, seed: int | None, legged: bool) -> Attempt:
     """The figures of one solve to the grade, iterations and time of all its meshes."""
-    meta = solution.meta
-    mode, mesh, spent = mode_of(meta), mesh_of(solution), total_effort([solution])
+    statistics = solution.statistics
+    mode, mesh, spent = mode_of(statistics), mesh_of(solution), total_effort([solution])
     return Attempt(
         seed=seed,
         mode=mode,
-        status=meta["status"],
+        status=statistics.status,
         legged=legged,
         scheme=mesh.transcription,
         intervals=sum(mesh.counts),
         meshes=len(solution.statistics.rounds),
-        variables=meta["variables"],
-        constraints=meta["constraints"],
+        variables=statistics.variables,
+        constraints=statistics.constraints,
         iterations=spent["iterations"],
         wall_time=spent["wall_time_s"],
-        objective=meta["objective"],
-        primal=meta["primal_infeasibility"],
-        dual=meta["dual_infeasibility"],
-        complementarity=meta["complementarity"],
-        detail=failure_text(meta),
-        figure=meta.get("worst_figure", ""),
-        used=meta.get("tolerance_used"),
+        objective=statistics.objective,
+        primal=statistics.primal_infeasibility,
+        dual=statistics.dual_infeasibility,
+        complementarity=statistics.complementarity,
+        detail=failure_text(statistics),
+        figure=statistics.worst_figure,
+        used=statistics.tolerance_used,
         motion="" if mode else described(solution),
     )
 

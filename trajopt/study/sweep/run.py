@@ -38,7 +38,7 @@ class _Made:
 
     def total(self, name: str) -> Any:
         """Sum of a figure over all solves."""
-        return sum(part.meta[name] for part in self.parts)
+        return sum(getattr(part.statistics, name) or 0 for part in self.parts)
 
     @property
     def time(self) -> float:
@@ -65,8 +65,8 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
     elapsed, busy = time.perf_counter() - begin, time.process_time() - processor
     after = load.seconds()
     made, first = sorted(found, key=lambda made: made.time)[len(found) // 2], found[0]
-    solution, meta = made.parts[-1], made.parts[-1].meta
-    objective = meta["objective"]
+    solution, statistics = made.parts[-1], made.parts[-1].statistics
+    objective = statistics.objective
     if setting.model == "two-stage" and solution.converged:
         objective = objective_of(asked, setting, solution)
     if solution.converged:
@@ -75,23 +75,23 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
     compile_time = first.total("compile_time_s")
     return TimedRun(
         **asdict(job),
-        status=meta["status"],
-        success=meta["converged"],
+        status=statistics.status,
+        success=statistics.converged,
         iterations=made.total("iterations"),
-        wall_time=meta["wall_time_s"],
-        start_time=sum((part.meta["wall_time_s"] for part in made.parts[:-1]), 0.0),
+        wall_time=statistics.wall_time_s,
+        start_time=sum((part.statistics.wall_time_s for part in made.parts[:-1]), 0.0),
         stage_two_time=made.stage_two_time,
         function_time=made.total("function_time_s"),
         build_time=first.total("build_time_s"),
         compile_time=compile_time,
         functions_compiled=first.total("functions_compiled"),
-        variables=meta["variables"],
-        constraints=meta["constraints"],
+        variables=statistics.variables,
+        constraints=statistics.constraints,
         objective=objective,
-        max_violation=meta["max_violation"],
+        max_violation=statistics.max_violation,
         calibration=max(before, after),
         cpu_share=min(1.0, busy / max(elapsed - compile_time, busy)),
-        detail=failure_text(meta),
+        detail=failure_text(statistics),
     )
 
 
