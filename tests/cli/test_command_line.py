@@ -141,10 +141,8 @@ def test_solve_leaves_the_handler_of_ctrl_c_as_it_was(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_chatter_of_the_solver_is_not_on_stdout(tmp_path: Path) -> None:
-    done = trajopt_process(
-        *HOP, "--solver", "sqp", "--solver-option", "print_level=10", "--json", folder=tmp_path
-    )
-    assert strict(done.stdout)["solver"] == "sqp"
+    done = trajopt_process(*HOP, "--solver-option", "print_level=5", "--json", folder=tmp_path)
+    assert strict(done.stdout)["solver"] == "ipopt"
     assert "objective" in done.stderr
 
 

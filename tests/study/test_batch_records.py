@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
+from tests.support.command_lines import assert_refused, invoke
 from tests.support.refusals import assert_refused_in_one_line
 from trajopt.study.batch.dataset import dataset
 from trajopt.study.batch.plot import plot_failures
@@ -97,3 +100,66 @@ def test_the_plot_has_words_as_an_axis(out: Path):
         assert place is not None
         assert place.read_bytes().startswith(b"\x89PNG")
     assert plot_failures(found.index.slice(0, 1), ["x"], "a title", out) is None
+
+
+# A folder of a stranger
+
+
+def edited(out: Path, **changes: Any) -> Path:
+    request = out / "batch.json"
+    request.write_text(json.dumps(json.loads(request.read_text()) | changes))
+    return out
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cases": 3}, ["cases in", "is not a list"]),
+        ({"cases": [["p"]]}, ["case 0 of the batch is ['p']", "[problem, parameters]"]),
+        ({"cases": [["p", {"x": [1]}]]}, ["x of case 0 of the batch is [1]", "a number or a text"]),
+        ({"settings": []}, ["settings in", "is not a dict"]),
+    ],
+)
+def test_a_request_that_is_malformed_is_refused(out: Path, changes: dict[str, Any], words: list[str]):
+    edited(out, **changes)
+    for each in words:
+        assert_refused_in_one_line(lambda: dataset(out), each)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cases": [["no-such-problem", {}]]}, ["problem 'no-such-problem' is unknown"]),
+        ({"settings": {"solver": "ipopt"}}, ["settings of the batch", "allowed: max_iterations"]),
+        ({"cases": [["quadruped-trot", {"robot": "ran.py"}]]}, ["'ran.py'", "are not run", "--resume"]),
+    ],
+)
+def test_what_a_folder_alone_may_not_name_is_not_resumed(
+    out: Path, changes: dict[str, Any], words: list[str]
+):
+    (out / "ran.py").write_text(f"open({str(out / 'ran')!r}, 'w')")
+    settings = {"cases": [["quadruped-trot", {}]], "settings": asdict(BatchSettings())}
+    refused = invoke("batch", "--resume", "--out", edited(out, **(settings | changes)))
+    assert_refused(refused, *words)
+    assert not (out / "ran").exists()
+
+
+@pytest.mark.parametrize("name", ["batch.json", "journal.jsonl", "index.parquet", "solutions"])
+def test_a_symbolic_link_in_the_folder_is_refused(out: Path, name: str):
+    elsewhere = out.parent / "elsewhere"
+    elsewhere.write_text("{}")
+    (out / name).unlink(missing_ok=True)
+    (out / name).symlink_to(elsewhere)
+    assert_refused_in_one_line(lambda: records(out, resume=True), f"{name} is a symbolic link")
+    assert elsewhere.read_text() == "{}"
+
+
+def test_a_solution_is_not_written_through_a_symbolic_link(out: Path):
+    (out.parent / "elsewhere").mkdir()
+    (out / "solutions").mkdir()
+    (out / "solutions" / "00000").symlink_to(out.parent / "elsewhere")
+    with records(out, resume=True) as batch:
+        row = batch.add(30, replace(result(True), content=b"motion"), start=None, attempts=1)
+    assert (row["status"], row["file"]) == ("not_saved", None)
+    assert "is a symbolic link" in row["detail"]
+    assert not any((out.parent / "elsewhere").iterdir())

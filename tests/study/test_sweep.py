@@ -13,7 +13,6 @@ import pytest
 from tests.support.problems import REACH_TIME, reach
 from trajopt.errors import InputError
 from trajopt.robot.units import Units
-from trajopt.study.sweep.front import load_front, packaged_fronts
 from trajopt.study.sweep.plan import SweepPlan
 from trajopt.study.sweep.plot import plot
 from trajopt.study.sweep.records import SweepRecords, SweepRequest, SweepResults
@@ -104,58 +103,23 @@ def test_figures_of_another_run_are_not_the_medians():
     assert not rows[1].on_front
 
 
-def test_a_front_is_read_back_as_it_was_written(tmp_path: Path):
-    known = measured()
-    problem = reach()
+def test_tables_hold_the_settings_and_the_front(tmp_path: Path):
+    known, problem = measured(), reach()
     units = Units(problem.robot)
     write_tables(tmp_path, "reach", problem, known, summarize(PLAN, known, (0,)))
-    read = load_front(tmp_path / "settings.csv")
-    assert (read.problem, read.robot, read.kind) == ("reach", problem.robot.name, "arm")
-    assert (read.n_velocities, read.natural_time, read.length) == (
-        problem.robot.nv,
-        pytest.approx(units.time, rel=DIGITS),
-        pytest.approx(units.length, rel=DIGITS),
-    )
-    assert [point.setting for point in read.points] == [FAST, BASE, SLOW, FINE]
-    assert [point.setting for point in read.best()] == [FAST, BASE, FINE]
-    assert [point.setting for point in read.best(lambda one: one.solver == "sqp")] == [SLOW]
-    assert read.default.setting == BASE
-    assert read.points[0].relative_time == pytest.approx(0.1)
-    assert read.points[0].relative_error == pytest.approx(1e-2 / units.length, rel=DIGITS)
-    assert read.points[0].density == pytest.approx(5 * units.time / REACH_TIME, rel=DIGITS)
-    assert read.for_accuracy(2e-3).setting == BASE
-    assert read.for_accuracy(1e-9) is None
-    assert read.for_budget(0.5).setting == FAST
-    assert read.for_budget(0.01) is None
+    with (tmp_path / "settings.csv").open() as stream:
+        rows = {row["label"]: row for row in csv.DictReader(stream)}
+    base, fast = rows[BASE.label(BASE)], rows[FAST.label(BASE)]
+    assert (base["problem"], base["robot"], base["kind"]) == ("reach", problem.robot.name, "arm")
+    assert float(base["length_m"]) == pytest.approx(units.length, rel=DIGITS)
+    assert float(fast["relative_time"]) == pytest.approx(0.1)
+    assert float(fast["relative_error"]) == pytest.approx(1e-2 / units.length, rel=DIGITS)
+    density = 5 * units.time / REACH_TIME
+    assert float(fast["intervals_per_natural_time"]) == pytest.approx(density, rel=DIGITS)
     with (tmp_path / "front.csv").open() as stream:
         assert [row["label"] for row in csv.DictReader(stream)] == [
             "legendre:2@5", "legendre:2@10", "legendre:2@20",
         ]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (None, "cannot read the front"),
-        ("", "the default setting is not among the solved ones"),
-        ("time_s,error_m\n1,1\n", "a setting lacks a value or has a wrong one"),
-        ("\0\xff", "the default setting is not among"),
-    ],
-)
-def test_a_file_that_is_no_front_is_refused(tmp_path: Path, text: str | None, words: str):
-    if text is not None:
-        (tmp_path / "bad.csv").write_text(text)
-    with pytest.raises(InputError) as caught:
-        load_front(tmp_path / "bad.csv")
-    assert str(caught.value).startswith(words)
-
-
-@pytest.mark.parametrize("name", packaged_fronts())
-def test_the_packaged_fronts_hold_their_default_and_something_faster_and_better(name: str):
-    read = load_front(name)
-    assert read.default in read.points
-    assert read.for_budget(1.0) is not None
-    assert read.best()[0].relative_time <= 1.0
 
 
 def test_the_plot_shows_the_front(tmp_path: Path):

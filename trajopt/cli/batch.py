@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
@@ -120,7 +121,8 @@ def _chosen(problem: str, choosing: dict[str, Any]) -> list[BatchCase]:
 
 def _asked_before(folder: Path, names: Sequence[str]) -> tuple[list[BatchCase], dict[str, Any]]:
     """Cases and settings of the batch in a folder; raises `InputError` for options that would change them."""
-    from trajopt.study.batch.records import cases_of, read_request
+    from trajopt.study.batch.records import looked_up_cases, read_request
+    from trajopt.study.batch.solved_case import BatchSettings
 
     for name in names:
         if is_given(name):
@@ -129,7 +131,13 @@ def _asked_before(folder: Path, names: Sequence[str]) -> tuple[list[BatchCase], 
                 "allowed: with PROBLEM; --resume alone goes on with what was asked for",
             )
     head = read_request(folder)
-    return cases_of(head), dict(head["settings"])
+    settings, known = dict(head["settings"]), {field.name for field in fields(BatchSettings)}
+    if set(settings) != known:
+        raise InputError(
+            f"settings of the batch in {folder} are {', '.join(settings) or 'none'}",
+            f"allowed: {', '.join(sorted(known))}",
+        )
+    return looked_up_cases(head), settings
 
 
 def _run(

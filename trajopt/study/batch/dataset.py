@@ -11,7 +11,7 @@ from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded
 from trajopt.solution.solution import Solution
 from trajopt.study.batch.columns import FIGURES, FIRST, parameter_columns, schema
-from trajopt.study.batch.records import cases_of, merged, read_request, read_rows
+from trajopt.study.batch.records import cases_of, merged, read_request, read_rows, solution_file
 from trajopt.study.batch.variation import BatchCase
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class BatchDataset:
         """All cases that have a row, solved or not."""
         for batch in self.index.to_batches():
             for row in batch.to_pylist():
-                file = None if row["file"] is None else self.folder / row["file"]
+                file = None if row["file"] is None else self.folder / solution_file(row["case"])
                 yield BatchEntry(case=self.cases[row["case"]], figures=row, file=file)
 
 

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from trajopt.errors import InputError, expanded
+from trajopt.problem.catalogue import families
+from trajopt.problem.family import PLAIN_NAME, choose
 from trajopt.solution.file import write_bytes
 from trajopt.solution.output import replacing
 from trajopt.study.batch.columns import arrow, parameter_columns, row_of, schema
@@ -102,6 +104,8 @@ class BatchRecords:
         if result.content is not None:
             place = self.folder / solution_file(index)
             try:
+                for part in (place.parent, place):
+                    _require_no_link(part)
                 place.parent.mkdir(parents=True, exist_ok=True)
                 write_bytes(place, result.content)
                 figures["file"] = solution_file(index)
@@ -178,18 +182,55 @@ def solution_file(index: int) -> str:
 
 def read_request(folder: Path) -> dict[str, Any]:
     """What a batch was asked for: cases, settings, versions. Raises `InputError` for another folder."""
-    place = expanded(folder) / REQUEST
+    place = expanded(folder)
+    for name in (REQUEST, INDEX, JOURNAL, SOLUTIONS):
+        _require_no_link(place / name)
     try:
-        head = json.loads(place.read_text(encoding="utf-8"))
-        head["cases"], head["settings"], head["versions"]
-    except (OSError, ValueError, KeyError, TypeError):
+        head = json.loads((place / REQUEST).read_text(encoding="utf-8"))
+        kinds = {"cases": list, "settings": dict, "versions": dict}
+        wrong = next((name for name, kind in kinds.items() if not isinstance(head[name], kind)), None)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{folder} holds no batch", "allowed: the folder of trajopt batch --out") from None
+    if wrong is not None:
+        raise InputError(f"{wrong} in {place / REQUEST} is not a {kinds[wrong].__name__}")
     return dict(head)
 
 
 def cases_of(head: Mapping[str, Any]) -> list[BatchCase]:
-    """The cases of a request."""
-    return [BatchCase(problem=problem, values=values) for problem, values in head["cases"]]
+    """The cases of a request. Raises `InputError` for an entry that is none."""
+    cases = []
+    for number, entry in enumerate(head["cases"]):
+        problem, values = entry if isinstance(entry, list) and len(entry) == 2 else (None, None)
+        if not isinstance(problem, str) or not isinstance(values, dict):
+            raise InputError(f"case {number} of the batch is {entry!r:.80}", "allowed: [problem, parameters]")
+        for name, value in values.items():
+            if not isinstance(value, (str, int, float)) or isinstance(value, bool):
+                raise InputError(
+                    f"{name} of case {number} of the batch is {value!r:.80}", "allowed: a number or a text"
+                )
+        cases.append(BatchCase(problem=problem, values=values))
+    return cases
+
+
+def looked_up_cases(head: Mapping[str, Any]) -> list[BatchCase]:
+    """Cases as a folder alone names them: problems and robots of the catalogue, never files that would run.
+
+    Raises `InputError` for others.
+    """
+    cases, known = cases_of(head), families()
+    for problem, robot in dict.fromkeys((case.problem, case.values.get("robot")) for case in cases):
+        choose(known, problem)
+        if robot is not None and not PLAIN_NAME.fullmatch(str(robot)):
+            raise InputError(
+                f"the batch names the robot {robot!r:.200}, and files that a folder names are not run",
+                "allowed: the command that began it, with --resume",
+            )
+    return cases
+
+
+def _require_no_link(place: Path) -> None:
+    if place.is_symlink():
+        raise InputError(f"{place} is a symbolic link", "allowed: files and folders of the batch itself")
 
 
 def read_rows(folder: Path, wanted: pa.Schema) -> tuple[pa.Table, dict[int, dict[str, Any]]]:
