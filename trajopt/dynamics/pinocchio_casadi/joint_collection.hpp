@@ -10,62 +10,31 @@ namespace trajopt {
 // The mimic joint stays because Pinocchio's Model and Data name it; no model
 // that reaches this code contains one.
 template <typename _Scalar, int _Options>
-struct JointCollectionTpl {
-  using Scalar = _Scalar;
-  static constexpr int Options = _Options;
-
-  using JointModelRX = pinocchio::JointModelRevoluteTpl<Scalar, Options, 0>;
-  using JointModelRY = pinocchio::JointModelRevoluteTpl<Scalar, Options, 1>;
-  using JointModelRZ = pinocchio::JointModelRevoluteTpl<Scalar, Options, 2>;
-  using JointModelRUBX = pinocchio::JointModelRevoluteUnboundedTpl<Scalar, Options, 0>;
-  using JointModelRUBY = pinocchio::JointModelRevoluteUnboundedTpl<Scalar, Options, 1>;
-  using JointModelRUBZ = pinocchio::JointModelRevoluteUnboundedTpl<Scalar, Options, 2>;
-  using JointModelRevoluteUnaligned = pinocchio::JointModelRevoluteUnalignedTpl<Scalar, Options>;
-  using JointModelRevoluteUnboundedUnaligned =
-      pinocchio::JointModelRevoluteUnboundedUnalignedTpl<Scalar, Options>;
-  using JointModelPX = pinocchio::JointModelPrismaticTpl<Scalar, Options, 0>;
-  using JointModelPY = pinocchio::JointModelPrismaticTpl<Scalar, Options, 1>;
-  using JointModelPZ = pinocchio::JointModelPrismaticTpl<Scalar, Options, 2>;
-  using JointModelPrismaticUnaligned = pinocchio::JointModelPrismaticUnalignedTpl<Scalar, Options>;
-  using JointModelSpherical = pinocchio::JointModelSphericalTpl<Scalar, Options>;
-  using JointModelSphericalZYX = pinocchio::JointModelSphericalZYXTpl<Scalar, Options>;
-  using JointModelTranslation = pinocchio::JointModelTranslationTpl<Scalar, Options>;
-  using JointModelFreeFlyer = pinocchio::JointModelFreeFlyerTpl<Scalar, Options>;
-  using JointModelPlanar = pinocchio::JointModelPlanarTpl<Scalar, Options>;
-  using JointModelMimic = pinocchio::JointModelMimicTpl<Scalar, Options, trajopt::JointCollectionTpl>;
+struct JointCollectionTpl : pinocchio::JointCollectionDefaultTpl<_Scalar, _Options> {
+  using Default = pinocchio::JointCollectionDefaultTpl<_Scalar, _Options>;
+  using JointModelMimic = pinocchio::JointModelMimicTpl<_Scalar, _Options, trajopt::JointCollectionTpl>;
+  using JointDataMimic = pinocchio::JointDataMimicTpl<_Scalar, _Options, trajopt::JointCollectionTpl>;
 
   using JointModelVariant = boost::variant<
-      JointModelRX, JointModelRY, JointModelRZ, JointModelFreeFlyer, JointModelPlanar,
-      JointModelRevoluteUnaligned, JointModelSpherical, JointModelSphericalZYX, JointModelPX,
-      JointModelPY, JointModelPZ, JointModelPrismaticUnaligned, JointModelTranslation,
-      JointModelRUBX, JointModelRUBY, JointModelRUBZ, JointModelRevoluteUnboundedUnaligned,
+      typename Default::JointModelRX, typename Default::JointModelRY, typename Default::JointModelRZ,
+      typename Default::JointModelFreeFlyer, typename Default::JointModelPlanar,
+      typename Default::JointModelRevoluteUnaligned, typename Default::JointModelSpherical,
+      typename Default::JointModelSphericalZYX, typename Default::JointModelPX,
+      typename Default::JointModelPY, typename Default::JointModelPZ,
+      typename Default::JointModelPrismaticUnaligned, typename Default::JointModelTranslation,
+      typename Default::JointModelRUBX, typename Default::JointModelRUBY, typename Default::JointModelRUBZ,
+      typename Default::JointModelRevoluteUnboundedUnaligned,
       boost::recursive_wrapper<JointModelMimic>>;
 
-  using JointDataRX = pinocchio::JointDataRevoluteTpl<Scalar, Options, 0>;
-  using JointDataRY = pinocchio::JointDataRevoluteTpl<Scalar, Options, 1>;
-  using JointDataRZ = pinocchio::JointDataRevoluteTpl<Scalar, Options, 2>;
-  using JointDataRUBX = pinocchio::JointDataRevoluteUnboundedTpl<Scalar, Options, 0>;
-  using JointDataRUBY = pinocchio::JointDataRevoluteUnboundedTpl<Scalar, Options, 1>;
-  using JointDataRUBZ = pinocchio::JointDataRevoluteUnboundedTpl<Scalar, Options, 2>;
-  using JointDataRevoluteUnaligned = pinocchio::JointDataRevoluteUnalignedTpl<Scalar, Options>;
-  using JointDataRevoluteUnboundedUnaligned =
-      pinocchio::JointDataRevoluteUnboundedUnalignedTpl<Scalar, Options>;
-  using JointDataPX = pinocchio::JointDataPrismaticTpl<Scalar, Options, 0>;
-  using JointDataPY = pinocchio::JointDataPrismaticTpl<Scalar, Options, 1>;
-  using JointDataPZ = pinocchio::JointDataPrismaticTpl<Scalar, Options, 2>;
-  using JointDataPrismaticUnaligned = pinocchio::JointDataPrismaticUnalignedTpl<Scalar, Options>;
-  using JointDataSpherical = pinocchio::JointDataSphericalTpl<Scalar, Options>;
-  using JointDataSphericalZYX = pinocchio::JointDataSphericalZYXTpl<Scalar, Options>;
-  using JointDataTranslation = pinocchio::JointDataTranslationTpl<Scalar, Options>;
-  using JointDataFreeFlyer = pinocchio::JointDataFreeFlyerTpl<Scalar, Options>;
-  using JointDataPlanar = pinocchio::JointDataPlanarTpl<Scalar, Options>;
-  using JointDataMimic = pinocchio::JointDataMimicTpl<Scalar, Options, trajopt::JointCollectionTpl>;
-
   using JointDataVariant = boost::variant<
-      JointDataRX, JointDataRY, JointDataRZ, JointDataFreeFlyer, JointDataPlanar,
-      JointDataRevoluteUnaligned, JointDataSpherical, JointDataSphericalZYX, JointDataPX,
-      JointDataPY, JointDataPZ, JointDataPrismaticUnaligned, JointDataTranslation, JointDataRUBX,
-      JointDataRUBY, JointDataRUBZ, JointDataRevoluteUnboundedUnaligned,
+      typename Default::JointDataRX, typename Default::JointDataRY, typename Default::JointDataRZ,
+      typename Default::JointDataFreeFlyer, typename Default::JointDataPlanar,
+      typename Default::JointDataRevoluteUnaligned, typename Default::JointDataSpherical,
+      typename Default::JointDataSphericalZYX, typename Default::JointDataPX, typename Default::JointDataPY,
+      typename Default::JointDataPZ, typename Default::JointDataPrismaticUnaligned,
+      typename Default::JointDataTranslation, typename Default::JointDataRUBX,
+      typename Default::JointDataRUBY, typename Default::JointDataRUBZ,
+      typename Default::JointDataRevoluteUnboundedUnaligned,
       boost::recursive_wrapper<JointDataMimic>>;
 };
 

@@ -1,3 +1,4 @@
+#include <casadi/casadi.hpp>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/map.h>
@@ -16,7 +17,7 @@
 #include "read.hpp"
 #include "solve.hpp"
 #include "stage_kkt.hpp"
-#include "tape_compiler.hpp"
+#include "tape.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+namespace casadi { class Function; }
+
 namespace trajopt {
 
 constexpr int kLanes = 8;
@@ -80,5 +82,8 @@ class Tape {
   std::vector<int> first_result_;
   int n_inputs_ = 0, statements_ = 0;
 };
+
+// Throws std::invalid_argument where the function is not one of scalar operations (an SX function).
+Tape compile(const casadi::Function& function);
 
 }  // namespace trajopt

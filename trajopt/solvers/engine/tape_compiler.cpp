@@ -1,5 +1,6 @@
-#include "tape_compiler.hpp"
+#include "tape.hpp"
 
+#include <casadi/casadi.hpp>
 #include <algorithm>
 #include <cstring>
 #include <stdexcept>
