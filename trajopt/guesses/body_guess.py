@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import accumulate
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError
@@ -24,6 +24,9 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
 from trajopt.solution.solution import Solution
 from trajopt.terrain.swing_paths import require_clearance, smooth_step, swing_profile
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 # Height in m of a swing over the straight line between its footholds, unless the caller says otherwise.
 DEFAULT_CLEARANCE = 0.05
@@ -66,6 +69,8 @@ class _PhasePath:
         turned = np.array(self.rotations)
         velocity = np.einsum("kij,kj->ki", turned, v[:, :3])
         acceleration = np.einsum("kij,kj->ki", turned, a[:, :3] + np.cross(v[:, 3:6], v[:, :3]))
+        from scipy.interpolate import BPoly  # takes a while to load
+
         self.position = BPoly.from_derivatives(self.t, np.stack([q[:, :3], velocity, acceleration], axis=1))
         self.turns = [self._turn(k, v[:, 3:6]) for k in range(len(self.t) - 1)]
 
@@ -73,6 +78,8 @@ class _PhasePath:
         """theta(t) from sample k to the next: theta' = omega at its start, Jlog(theta) omega at its end."""
         relative = self.rotations[k].T @ self.rotations[k + 1]
         rates = np.array([omega[k], pin.Jlog3(relative) @ omega[k + 1]])
+        from scipy.interpolate import CubicHermiteSpline
+
         return CubicHermiteSpline(self.t[k : k + 2], np.array([np.zeros(3), pin.log3(relative)]), rates)
 
     def placement(self, t: float) -> pin.SE3:

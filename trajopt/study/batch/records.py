@@ -220,7 +220,7 @@ def looked_up_cases(head: Mapping[str, Any]) -> list[BatchCase]:
     cases, known = cases_of(head), families()
     for problem, robot in dict.fromkeys((case.problem, case.values.get("robot")) for case in cases):
         choose(known, problem)
-        if robot is not None and not PLAIN_NAME.fullmatch(str(robot)):
+        if robot is not None and Path(str(robot)).suffix and not PLAIN_NAME.fullmatch(str(robot)):
             raise InputError(
                 f"the batch names the robot {robot!r:.200}, and files that a folder names are not run",
                 "allowed: the command that began it, with --resume",

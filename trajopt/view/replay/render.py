@@ -93,8 +93,9 @@ class Shots:
         self._check_numbers()
         self._check_use()
         self._check_size()
-        if self.fps is not None and not 1 <= self.fps <= (most := MOST_RATE[self.ending]):
-            raise InputError(f"--fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
+        if self.fps is not None and not 1 <= self.fps <= MOST_RATE[self.ending]:
+            allowed = f"allowed for a {self.ending}: 1 to {MOST_RATE[self.ending]:g}"
+            raise InputError(f"--fps is {self.fps:g}", allowed)
 
     @property
     def pixels(self) -> tuple[int, int]:
