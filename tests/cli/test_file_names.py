@@ -10,7 +10,7 @@ import pytest
 from tests.support.command_lines import assert_refused, invoke
 from trajopt import Solution
 from trajopt.cli.commands import main
-from trajopt.cli.file_names import file_of_settings
+from trajopt.cli.input import file_of_settings
 
 # The words of a name, beside the problem's, of the options that are given.
 WORDS = {

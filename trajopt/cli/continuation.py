@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.input import (
     NOT_REACHED,
     WholeNumber,
     default_option,
+    file_of_settings,
     grid_options,
     json_option,
     options_of,
     parse_settings,
     solver_options,
     tolerance_option,
+    value_option,
 )
-from trajopt.cli.progress import watched
+from trajopt.cli.progress import open_viewer, show_until_interrupted, watch_options, watched
 from trajopt.cli.report import console, plain_table, say, to_json
 from trajopt.cli.warm import cost
-from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
 from trajopt.errors import InputError, expanded
 from trajopt.solution.output import check_apart, check_output
 
@@ -45,9 +45,7 @@ VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 @click.option("--compare", is_flag=True, help="Also solve every value from its default guess.")
 @default_option("--max-halvings", 4, "N", "How often a failed step is halved.", kind=HALVINGS)
 @click.option("--start", type=Path, metavar="FILE", help="Solution file to start the first value from.")
-@click.option(
-    "--output-dir", type=Path, metavar="DIR", help="Folder for the solution files.  [default: none]"
-)
+@value_option("--output-dir", "DIR", "Folder for the solution files.  [default: none]", Path)
 @grid_options
 @tolerance_option
 @solver_options

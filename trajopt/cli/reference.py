@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.input import (
     NOT_REACHED,
     chosen_problem,
     default_option,
+    file_of_settings,
     json_option,
+    output_option,
     threads_option,
 )
 from trajopt.cli.report import say, to_json
@@ -32,13 +33,7 @@ if TYPE_CHECKING:
 @default_option("--distance", 1e-3, "PART", "Agreement of motions, over the reach.")
 @default_option("--max-time", 600.0, "S", "Time limit, s.")
 @threads_option
-@click.option(
-    "-o",
-    "--output",
-    type=Path,
-    metavar="FILE",
-    help="Solution file.  [default: PROBLEM-SETTINGS-reference.npz]",
-)
+@output_option("FILE", "Solution file.  [default: PROBLEM-SETTINGS-reference.npz]")
 @json_option
 def reference_command(
     problem: str,

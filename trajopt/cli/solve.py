@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
-from trajopt.cli.diagnose import diagnose_option, diagnosis_of
-from trajopt.cli.file_names import file_of_settings
+from trajopt.cli.check import diagnose_option, diagnosis_of
 from trajopt.cli.grade import grade_options, solve_to_grade, solve_whole, wants_grade
 from trajopt.cli.groups import GroupedCommand
 from trajopt.cli.input import (
@@ -17,17 +16,19 @@ from trajopt.cli.input import (
     NOT_REACHED,
     chosen_problem,
     default_option,
+    file_of_settings,
     grid_options,
     is_given,
     json_option,
     options_of,
+    output_option,
     solver_options,
     tolerance_option,
 )
 from trajopt.cli.nearest import Search, nearest_option, wants_other_way
+from trajopt.cli.progress import open_viewer, show_until_interrupted, watch_options
 from trajopt.cli.report import failed_figures, say, solve_dict, solve_summary, to_json
 from trajopt.cli.warm import solve_warm, warm_options
-from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
 from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.output import check_apart, check_solution_output
 
@@ -69,13 +70,7 @@ if TYPE_CHECKING:
 @nearest_option
 @diagnose_option
 @watch_options
-@click.option(
-    "-o",
-    "--output",
-    type=Path,
-    metavar="FILE",
-    help="Solution file.  [default: PROBLEM-SETTINGS.npz]",
-)
+@output_option("FILE", "Solution file.  [default: PROBLEM-SETTINGS.npz]")
 @json_option
 def solve_command(
     problem: str,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import GRID, option_group
+from trajopt.cli.input import GRID, option_group, value_option
 from trajopt.cli.progress import watched
 from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError
@@ -20,9 +20,7 @@ LADDER_FORM = "allowed: SCHEME@INTERVALS,..., such as legendre:1@15,legendre:2@5
 
 warm_options = option_group(
     click.option("--start", type=Path, metavar="FILE", help="Solution file to start from."),
-    click.option(
-        "--ladder", metavar="GRIDS", help="Coarse to fine meshes, e.g. legendre:1@15,legendre:2@50."
-    ),
+    value_option("--ladder", "GRIDS", "Coarse to fine meshes, e.g. legendre:1@15,legendre:2@50."),
     click.option("--compare", is_flag=True, help="Also solve from the default guess."),
 )
 
