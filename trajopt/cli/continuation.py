@@ -87,24 +87,23 @@ def continue_command(
         check_apart([Path(log)], [] if start is None else [start])
     context = click.get_current_context()
     targets = {value: file_of_settings(context, f"{name}={value:.9g}") for value in values}
-    known = None if start is None else solution_of(start)
-    arguments |= {"options": options_of(solver_options), "start": known}
+    arguments |= {"options": options_of(solver_options), "start": start and solution_of(start)}
     folder = None if output_dir is None else _folder(output_dir, problem)
     viewer = open_viewer(watch)
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
     most = (arguments["max_time"] + BESIDE) * len(values) * each
     with watched(problem, most, log, viewer) as callbacks:
-        found = continuation(load, values, **callbacks, **arguments)
+        result = continuation(load, values, **callbacks, **arguments)
     files = {}
     if folder is not None:
-        for value, solution in found.solutions.items():
+        for value, solution in result.solutions.items():
             files[f"{value:.9g}"] = str(solution.save(folder / targets[value]))
     if as_json:
-        say(to_json({"problem": problem, "parameter": name, "files": files, **found.to_dict()}))
+        say(to_json({"problem": problem, "parameter": name, "files": files, **result.to_dict()}))
     else:
-        _print(found, problem, name, files)
-    show_until_interrupted(viewer, found.steps[-1].solution)
-    return 0 if found.success else NOT_REACHED
+        _print(result, problem, name, files)
+    show_until_interrupted(viewer, result.steps[-1].solution)
+    return 0 if result.success else NOT_REACHED
 
 
 def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, list[float]]:
@@ -116,13 +115,12 @@ def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, l
     count = parts[2] if len(parts) == 3 else ""
     if not (equals and count.isascii() and count.isdigit() and 2 <= int(count) <= MOST_VALUES):
         raise InputError(f"--vary '{text}' has the wrong form", f"{VARY_FORM}, COUNT 2 to {MOST_VALUES}")
-    numbers = [one.name for one in family.parameters if isinstance(one, Parameter)]
-    parameter = next((one for one in family.parameters if one.name == name), None)
-    if not isinstance(parameter, Parameter):
+    numbers = {each.name: each for each in family.parameters if isinstance(each, Parameter)}
+    if name not in numbers:
         raise InputError(f"{family.name} has no number '{name}' to vary", f"allowed: {', '.join(numbers)}")
     if name in fixed:
         raise InputError(f"'{name}' is both varied and set", "allowed: one of --vary and --set")
-    first, last = (parameter.parse(part) for part in parts[:2])
+    first, last = (numbers[name].parse(part) for part in parts[:2])
     if first == last:
         raise InputError(f"--vary '{text}' starts where it ends", VARY_FORM)
     steps = int(count) - 1
@@ -139,15 +137,15 @@ def _folder(path: Path, problem: str) -> Path:
     return folder
 
 
-def _print(found: Continuation, problem: str, name: str, files: dict[str, str]) -> None:
+def _print(result: Continuation, problem: str, name: str, files: dict[str, str]) -> None:
     shown = console()
-    compared = any(step.cold is not None for step in found.steps)
+    compared = any(step.cold is not None for step in result.steps)
     titles: tuple[str, ...] = (name, "from", "status", "iterations", "time s", "objective")
     titles += ("cold iterations", "cold time s") if compared else ()
-    rows = [_row(step, compared) for step in found.steps]
-    shown.print(f"{problem}: {len(found.solved)} of {len(set(found.values))} values solved")
+    rows = [_row(step, compared) for step in result.steps]
+    shown.print(f"{problem}: {len(result.solved)} of {len(set(result.values))} values solved")
     shown.print(plain_table(titles, rows, justify="right", no_wrap=True))
-    totals = found.to_dict()
+    totals = result.to_dict()
     shown.print(f"in all {cost(totals['total'])}")
     if compared:
         saved = totals["saved"]

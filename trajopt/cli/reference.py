@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -18,9 +19,6 @@ from trajopt.cli.input import (
 )
 from trajopt.cli.report import say, to_json
 from trajopt.solution.output import check_solution_output
-
-if TYPE_CHECKING:
-    from trajopt.solving.reference import MeshSolve
 
 
 @click.command("reference")
@@ -54,10 +52,7 @@ def reference_command(
     loaded = chosen_problem(problem, settings)
     target = check_solution_output(output or file_of_settings(click.get_current_context(), "reference"))
     bounds = Agreement(objective=objective, distance=distance)
-
-    def show(rung: MeshSolve) -> None:
-        say(str(rung), err=True)
-
+    show = functools.partial(say, err=True)
     try:
         converged = converged_reference(loaded, agreement=bounds, progress=show, **arguments)
     except NoReferenceError as error:

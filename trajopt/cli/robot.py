@@ -39,8 +39,8 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
         require_ending(check_output(html), ".html")
     loaded = _loaded(robot, base, write)
     text = None if write is None else _starter(loaded, write)
-    found = robot_report(loaded)
-    say(to_json(found.to_dict()) if as_json else found.table())
+    report = robot_report(loaded)
+    say(to_json(report.to_dict()) if as_json else report.table())
     if write is not None and text is not None:
         with replacing(write) as unfinished:
             unfinished.write_text(text, encoding="utf-8")
@@ -61,9 +61,8 @@ def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
         return guessed(Path(name), cast("Base | None", base))
     for option, value in (("--base", base), ("--write", write)):
         if value is not None:
-            raise InputError(
-                f"{option} needs a .urdf file, and {name} is not one", "a path that ends in .urdf"
-            )
+            what = f"{option} needs a .urdf file, and {name} is not one"
+            raise InputError(what, "a path that ends in .urdf")
     from trajopt.robot.catalogue import robot
 
     return robot(name)

@@ -27,7 +27,7 @@ from trajopt.cli.input import (
 )
 from trajopt.cli.nearest import Search, nearest_option, wants_other_way
 from trajopt.cli.progress import open_viewer, show_until_interrupted, watch_options
-from trajopt.cli.report import failed_figures, say, solve_dict, solve_summary, to_json
+from trajopt.cli.report import say, solve_dict, solve_summary, to_json
 from trajopt.cli.warm import solve_warm, warm_options
 from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.output import check_apart, check_solution_output
@@ -185,6 +185,7 @@ def _checked(solution: Solution, notes: list[str]) -> CheckReport | None:
     import numpy as np
 
     from trajopt.certify.check import check
+    from trajopt.certify.report import FIGURES
 
     try:
         with np.errstate(all="ignore"):  # an iterate of a failed solve may overflow; its figures show that
@@ -192,7 +193,7 @@ def _checked(solution: Solution, notes: list[str]) -> CheckReport | None:
     except (TrajoptError, ArithmeticError, ValueError) as error:
         notes.append(f"accuracy cannot be computed: {error}")
         return None
-    beyond = failed_figures(report)
+    beyond = ", ".join(FIGURES[name].text for name in report.failures())
     if beyond and solution.success:
         notes.append(f"beyond the tolerances of a check: {beyond}; try more intervals")
     return report

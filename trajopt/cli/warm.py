@@ -49,14 +49,14 @@ def solve_warm(
     if compare and start is None and ladder is None:
         raise InputError("--compare has nothing to compare", "allowed: with --start or --ladder")
     rungs = [grid] if ladder is None else parse_ladder(ladder)
-    known = None if start is None else solution_of(start)
+    known = start and solution_of(start)
     most = (settings["max_time"] + BESIDE) * (len(rungs) + compare)
     with watched(title, most, log, viewer) as callbacks:
-        found = solve_ladder(problem, rungs, start=known, compare=compare, **callbacks, **settings)
-    solution = found.solution
-    if len(found.rungs) == 1 and found.cold is None:
+        result = solve_ladder(problem, rungs, start=known, compare=compare, **callbacks, **settings)
+    solution = result.solution
+    if len(result.rungs) == 1 and result.cold is None:
         return SolveReport(solution, solution.success)
-    figures = found.to_dict()
+    figures = result.to_dict()
     return SolveReport(solution, solution.success, _lines(figures), {"ladder": figures})
 
 
@@ -73,17 +73,16 @@ def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:
 
 def _lines(figures: dict[str, Any]) -> list[str]:
     """Lines of the summary: the rungs, and the comparison."""
-    lines = [
-        f"{rung['transcription']}, {rung['intervals']} intervals: {_found(rung)}" for rung in figures["rungs"]
-    ]
+    grids = [f"{rung['transcription']}, {rung['intervals']} intervals" for rung in figures["rungs"]]
+    lines = [f"{grid}: {_outcome(rung)}" for grid, rung in zip(grids, figures["rungs"], strict=True)]
     if len(figures["rungs"]) > 1:
         lines.append(f"all rungs: {cost(figures['total'])}")
     if figures["cold"] is not None:
-        lines.append(f"from the default guess: {_found(figures['cold'])}")
+        lines.append(f"from the default guess: {_outcome(figures['cold'])}")
     return lines
 
 
-def _found(figures: dict[str, Any]) -> str:
+def _outcome(figures: dict[str, Any]) -> str:
     return f"{figures['status'].replace('_', ' ')}, {cost(figures)}"
 
 
