@@ -88,7 +88,7 @@ def continue_command(
     context = click.get_current_context()
     targets = {value: file_of_settings(context, f"{name}={value:.9g}") for value in values}
     arguments |= {"options": options_of(solver_options), "start": start and solution_of(start)}
-    folder = None if output_dir is None else _folder(output_dir, problem)
+    folder = output_dir and _folder(output_dir, problem)
     viewer = open_viewer(watch)
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
     most = (arguments["max_time"] + BESIDE) * len(values) * each
@@ -165,7 +165,7 @@ def _row(step: ContinuationStep, compared: bool) -> list[str]:
     objective = "" if statistics.objective is None else f"{statistics.objective:.5g}"
     row = [f"{step.value:g}", origin, statistics.status.replace("_", " "), str(spent["iterations"])]
     row += [f"{spent['wall_time_s']:.2f}", objective]
-    if compared:
-        cold = None if step.cold is None else total_effort([step.cold])
-        row += ["", ""] if cold is None else [str(cold["iterations"]), f"{cold['wall_time_s']:.2f}"]
-    return row
+    if not compared:
+        return row
+    cold = step.cold and total_effort([step.cold])
+    return [*row, str(cold["iterations"]), f"{cold['wall_time_s']:.2f}"] if cold else [*row, "", ""]

@@ -9,8 +9,8 @@ import click
 
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.check import diagnose_option, diagnosis_of
+from trajopt.cli.commands import GroupedCommand
 from trajopt.cli.grade import grade_options, solve_to_grade, solve_whole, wants_grade
-from trajopt.cli.groups import GroupedCommand
 from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,

@@ -77,12 +77,20 @@ class Iterate:
     def configurations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times (n,) in s, configurations (n, nq) and phases (n,) at the nodes that are finite.
 
-        The cheap part of `solution`. A node between two phases is the later one's.
+        The cheap part of `solution`. A node between two phases is the later one's; rotations are normalised.
         """
+        layout = self.transcription.layout
         if self.unknowns is None:
-            model = self.transcription.layout.robot.model
-            return np.zeros(0), np.zeros((0, model.nq)), np.zeros(0, dtype=int)
-        return configurations(self.transcription, self.unknowns)
+            return np.zeros(0), np.zeros((0, layout.robot.model.nq)), np.zeros(0, dtype=int)
+        nodes = np.append(layout.interval_stages, layout.interval_stages[-1] + 1)
+        phases = layout.phase_of[np.append(layout.interval_stages, layout.interval_stages[-1])]
+        with np.errstate(all="ignore"):  # a rotation of length zero becomes NaN
+            unknowns = self.unknowns * self.transcription.scale
+            t = layout.times(unknowns)[nodes]
+            raw = _by_phase(layout, unknowns, nodes, phases)
+            q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
+        good = np.isfinite(q).all(axis=1) & np.isfinite(t)
+        return t[good], q[good], phases[good]
 
 
 # Called with the guess, every iterate, and the end of a solve.
@@ -156,23 +164,6 @@ class ProgressReporter:
             status=status,
         )
         self.watch(iterate)
-
-
-def configurations(transcription: Transcription, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,) in s, configurations (n, nq) of the whole robot, and phases (n,) at the nodes of intervals.
-
-    x: scaled variables. Nodes that are not finite are left out; rotations are normalised.
-    """
-    layout, unknowns = transcription.layout, x * transcription.scale
-    with np.errstate(all="ignore"):
-        times = layout.times(unknowns)
-        nodes = np.append(layout.interval_stages, layout.interval_stages[-1] + 1)
-        phases = layout.phase_of[np.append(layout.interval_stages, layout.interval_stages[-1])]
-        # a rotation of length zero becomes NaN
-        raw = _by_phase(layout, unknowns, nodes, phases)
-        q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
-    good = np.isfinite(q).all(axis=1) & np.isfinite(times[nodes])
-    return times[nodes][good], q[good], phases[good]
 
 
 def _by_phase(layout: Layout, unknowns: np.ndarray, nodes: np.ndarray, phases: np.ndarray) -> np.ndarray:
