@@ -28,8 +28,7 @@ class InputError(TrajoptError):
     """
 
     def __init__(self, what: str, allowed: str = "") -> None:
-        self.what = what
-        self.allowed = allowed
+        self.what, self.allowed = what, allowed
         super().__init__(f"{what}; {allowed}" if allowed else what)
 
 
@@ -53,11 +52,9 @@ class UnsupportedJointError(InputError):
     """A joint of the model has a kind that the toolkit cannot differentiate or transcribe."""
 
     def __init__(self, joint: str, kind: str, allowed: str) -> None:
-        self.joint = joint
-        self.kind = kind
-        super().__init__(
-            f"joint '{joint}' is of kind {kind}, which is not supported", f"supported: {allowed}"
-        )
+        self.joint, self.kind = joint, kind
+        what = f"joint '{joint}' is of kind {kind}, which is not supported"
+        super().__init__(what, f"supported: {allowed}")
 
 
 class SolutionFileError(InputError):
@@ -119,28 +116,27 @@ def is_number(value: Any) -> TypeGuard[float]:
 
 def require_positive(what: str, value: Any, unit: str = "") -> None:
     """Raise `InputError` unless ``value`` is a finite number above zero."""
-    if not (is_number(value) and value > 0):
-        raise InputError(f"{what} is {_shown(value, unit)}", "allowed: finite and > 0")
+    _require(is_number(value) and value > 0, what, value, unit, "finite and > 0")
 
 
 def require_not_negative(what: str, value: Any, unit: str = "") -> None:
     """Raise `InputError` unless ``value`` is a finite number of zero or above."""
-    if not (is_number(value) and value >= 0):
-        raise InputError(f"{what} is {_shown(value, unit)}", "allowed: finite and >= 0")
+    _require(is_number(value) and value >= 0, what, value, unit, "finite and >= 0")
 
 
 def require_finite(what: str, value: Any, unit: str = "") -> None:
     """Raise `InputError` unless ``value`` is a finite number."""
-    if not is_number(value):
-        raise InputError(f"{what} is {_shown(value, unit)}", "allowed: a finite number")
+    _require(is_number(value), what, value, unit, "a finite number")
 
 
 def _is_real(value: Any) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
-def _shown(value: Any, unit: str) -> str:
-    return (f"{value:g}" if _is_real(value) else repr(value)) + (f" {unit}" if unit else "")
+def _require(right: bool, what: str, value: Any, unit: str, allowed: str) -> None:
+    if not right:
+        shown = f"{value:g}" if _is_real(value) else repr(value)
+        raise InputError(f"{what} is {shown} {unit}".rstrip(), f"allowed: {allowed}")
 
 
 def numbers_of(value: Any) -> np.ndarray:
@@ -160,9 +156,8 @@ def finite_array(what: str, value: Any, shape: tuple[int, ...] = (3,), unit: str
     array = numbers_of(value)
     if array.shape != shape or not np.isfinite(array).all():
         size = str(shape[0]) if len(shape) == 1 else f"{shape}"
-        raise InputError(
-            f"{what} is {value!r}", f"allowed: {size} finite numbers" + (f", {unit}" if unit else "")
-        )
+        allowed = f"allowed: {size} finite numbers" + (f", {unit}" if unit else "")
+        raise InputError(f"{what} is {value!r}", allowed)
     array.setflags(write=False)
     return array
 

@@ -171,13 +171,7 @@ def kind_of(hint: Any, keeps: bool) -> Kind:
         return _array(ArrayShape(), keeps)
     if origin is tuple and parts[1:] != (Ellipsis,):
         return _tuple(parts, keeps)
-    if origin in (
-        tuple,
-        list,
-        collections.abc.Sequence,
-        collections.abc.Collection,
-        collections.abc.Iterable,
-    ):
+    if origin in SERIES:
         return _several(parts[0], list if origin is list else tuple, keeps)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return _mapping(kind_of(parts[0], keeps), kind_of(parts[1], keeps))

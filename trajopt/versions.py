@@ -29,26 +29,24 @@ def optional_package(name: str, *, what: str = "this", extra: str = "") -> Modul
     try:
         return importlib.import_module(name)
     except ImportError:
-        own = name.partition(".")[0]
-        advice = f"pip install {own}" + (f", or the extra '{extra}'" if extra else "")
-        raise InputError(f"{what} needs {own}, which is not installed", advice) from None
+        package = name.partition(".")[0]
+        advice = f"pip install {package}" + (f", or the extra '{extra}'" if extra else "")
+        raise InputError(f"{what} needs {package}, which is not installed", advice) from None
 
 
 def check_versions(needed: Mapping[str, str]) -> None:
-    """Compare the installed wheels with the ones needed.
+    """Raise `VersionMismatchError` unless the wheels are those needed, by name the only version accepted.
 
-    ``needed`` maps a distribution's name to the only version accepted. Raises
-    ``VersionMismatchError`` with one line: what is installed, what is needed and the command
-    that installs it.
+    Its one line says what is installed, what is needed and the command that installs it.
     """
     wrong = {name: wanted for name, wanted in needed.items() if installed_version(name) != wanted}
     if not wrong:
         return
-    found = ", ".join(f"{name} {installed_version(name)}" for name in wrong)
+    installed = ", ".join(f"{name} {installed_version(name)}" for name in wrong)
     wanted = ", ".join(f"{name} {version}" for name, version in wrong.items())
     pins = " ".join(f"{name}=={version}" for name, version in wrong.items())
     raise VersionMismatchError(
-        f"installed: {found}; trajopt was compiled against {wanted}; run: pip install {pins}"
+        f"installed: {installed}; trajopt was compiled against {wanted}; run: pip install {pins}"
     )
 
 

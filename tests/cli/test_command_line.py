@@ -39,9 +39,9 @@ def strict(text: str) -> dict:  # type: ignore[type-arg]
     def refuse(word: str) -> None:
         raise AssertionError(f"{word} in JSON")
 
-    found = json.loads(text, parse_constant=refuse)
-    assert isinstance(found, dict)
-    return found
+    read = json.loads(text, parse_constant=refuse)
+    assert isinstance(read, dict)
+    return read
 
 
 @pytest.fixture(scope="module")
@@ -85,19 +85,13 @@ def test_list_shows_every_parameter_with_its_unit() -> None:
 @pytest.mark.long
 def test_json_of_a_solve_is_one_object_with_the_agreed_keys(hop: subprocess.CompletedProcess[str]) -> None:
     assert hop.returncode == 1, hop.stderr  # its feet drift on so coarse a mesh
-    found = strict(hop.stdout)
-    assert set(found) >= KEYS
-    assert (found["success"], found["status"], found["converged"]) == (False, "coarse_grid", True)
-    assert found["max_violation"] <= found["tolerance"]
-    assert found["intervals"] == 12
-
-
-def test_progress_is_silent_where_stderr_is_no_terminal(hop: subprocess.CompletedProcess[str]) -> None:
-    assert hop.stderr == ""
-
-
-def test_a_value_may_carry_a_unit(hop: subprocess.CompletedProcess[str]) -> None:
-    assert strict(hop.stdout)["parameters"]["distance"] == pytest.approx(0.1)
+    assert hop.stderr == ""  # no terminal: progress is silent
+    report = strict(hop.stdout)
+    assert set(report) >= KEYS
+    assert (report["success"], report["status"], report["converged"]) == (False, "coarse_grid", True)
+    assert report["max_violation"] <= report["tolerance"]
+    assert report["intervals"] == 12
+    assert report["parameters"]["distance"] == pytest.approx(0.1)  # given as 10cm
 
 
 def test_default_output_is_named_for_the_settings(
@@ -150,11 +144,11 @@ def test_chatter_of_the_solver_is_not_on_stdout(tmp_path: Path) -> None:
 def test_iteration_limit_ends_with_one_and_names_the_worst_rows(solver: str, tmp_path: Path) -> None:
     target = tmp_path / "x.npz"
     result = invoke(*HOP, "--solver", solver, "--max-iterations", 2, "--output", target, "--json")
-    found = strict(result.stdout)
+    report = strict(result.stdout)
     assert result.exit_code == 1
-    assert (found["success"], found["status"]) == (False, "iteration_limit")
-    assert "--max-iterations" in found["advice"]
-    assert all(block["phase"] in ("stance", "flight", "landing") for block in found["worst_blocks"])
+    assert (report["success"], report["status"]) == (False, "iteration_limit")
+    assert "--max-iterations" in report["advice"]
+    assert all(block["phase"] in ("stance", "flight", "landing") for block in report["worst_blocks"])
     assert Solution.load(target).success is False
 
 
@@ -173,10 +167,7 @@ def test_impossible_goal_ends_with_one_and_names_rows_phase_and_time(tmp_path: P
 
 BAD = {
     "no command": ((), ["Missing command"]),
-    "unknown command": (
-        ("sole",),
-        ["sole", "allowed: batch, bench, check, continue, diagnose, export, list"],
-    ),
+    "unknown command": (("sole",), ["sole", "allowed: batch, bench, check"]),
     "no problem": (("solve",), ["PROBLEM"]),
     "unknown problem": (("solve", "solo12-jmp"), ["did you mean solo12-jump?"]),
     "unknown option": ((*HOP, "--sovler", "ipopt"), ["--sovler"]),
@@ -355,19 +346,12 @@ def test_options_of_solve_are_grouped():
     assert headings == [
         "Problem:", "Accuracy and mesh:", "Start:", "Solver:", "Watching:", "Output:", "Other options:",
     ]  # fmt: skip
-    assert shown.split("Other options:")[1].split() == [
-        "-h,",
-        "--help",
-        "Show",
-        "this",
-        "message",
-        "and",
-        "exit.",
-    ]
+    assert shown.split("Other options:")[1].split()[:2] == ["-h,", "--help"]
+    assert shown.split("Other options:")[1].count(" --") == 1
 
 
 def test_layers_that_may_be_hidden_are_listed():
-    from trajopt.cli.render import LAYERS
+    from trajopt.cli.view import LAYERS
     from trajopt.view.replay.layers import LAYERS as KNOWN
 
     assert LAYERS.replace(" or ", ", ").split(", ") == [layer[0] for layer in KNOWN]

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from click.testing import Result
 
-from tests.support.command_lines import invoke
+from tests.support.command_lines import assert_refused, invoke
 from tests.support.sampled_problems import solution_of_kind
 from tests.support.synthetic_motions import with_meta
 from trajopt.export.formats import FORMATS
@@ -151,27 +151,21 @@ def test_bad_input_is_refused_in_one_line_and_nothing_is_written(
 ) -> None:
     solution_of_kind("points").save("other.npz")
     before = {path: path.read_bytes() for path in Path().iterdir()}
-    result = export("hop.npz", *words)
-    assert result.exit_code == 2
-    assert message in result.stderr
-    assert result.stderr.count("\n") == 1
+    assert_refused(export("hop.npz", *words), message)
     assert before == {path: path.read_bytes() for path in Path().iterdir()}
 
 
 def test_a_file_that_is_no_solution_is_refused(plan: Path) -> None:
     Path("a.npz").write_text("hello")
     for name in ("a.npz", "none.npz"):
-        result = export(name)
-        assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+        assert_refused(export(name), name)
 
 
 def test_a_solution_that_is_no_success_is_written_with_a_warning(plan: Path) -> None:
     solution = Solution.load(plan)
     with_meta(solution, success=False, status="coarse_grid").save("bad.npz")
     result = export("bad.npz", "--format", "npz")
-    assert (result.exit_code, result.stderr) == (
-        0,
-        "trajopt: warning: bad.npz is not a success: coarse_grid\n",
-    )
+    assert result.exit_code == 0
+    assert "warning: bad.npz is not a success: coarse_grid" in result.stderr
     with np.load("bad-500hz.npz") as archive:
         assert str(archive["success"]) == "False"

@@ -35,10 +35,10 @@ def test_ctrl_c_while_solving_keeps_the_iterate(tmp_path: Path) -> None:
         process.read_until("iteration 2")
         process.press()
         status, output, _ = process.finish()
-    found = json.loads(output)
+    report = json.loads(output)
     assert status == 1
-    assert (found["success"], found["status"]) == (False, "interrupted")
-    assert found["iterations"] >= 2
+    assert (report["success"], report["status"]) == (False, "interrupted")
+    assert report["iterations"] >= 2
     assert Solution.load(target).statistics.status == "interrupted"
     assert [path.name for path in tmp_path.iterdir()] == ["x.npz"]
 

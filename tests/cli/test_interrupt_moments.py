@@ -73,14 +73,14 @@ def outcomes(arguments: Sequence[object], moments: Sequence[Moment], folder: Pat
 
 def assert_ends(arguments: Sequence[object], moments: Sequence[Moment], folder: Path) -> None:
     """Every moment comes, and the command ends with a status that is allowed and without a traceback."""
-    found = outcomes(arguments, moments, folder)
+    results = outcomes(arguments, moments, folder)
     wrong = [
         f"{moment.module}:{moment.name} {moment.event} {moment.count}: {one['status']}, {one['seen'][-500:]}"
-        for moment, one in zip(moments, found, strict=False)
+        for moment, one in zip(moments, results, strict=False)
         if one["status"] not in moment.statuses or "Traceback" in one["seen"] or "ignored" in one["seen"]
     ]
     assert wrong == []
-    assert [bool(one["calls"]) for one in found] == [True] * len(moments), [one.name for one in moments]
+    assert [bool(one["calls"]) for one in results] == [True] * len(moments), [one.name for one in moments]
 
 
 def spread(arguments: Sequence[object], folder: Path) -> list[Moment]:
@@ -169,11 +169,11 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a solution and the tests' own families, in which the commands run."""
-    found = tmp_path_factory.mktemp("moments")
-    install(suite_problems, found)
-    install(sweep_problems, found)
-    solve(hop(), intervals=8).save(found / HOP)
-    return found
+    place = tmp_path_factory.mktemp("moments")
+    install(suite_problems, place)
+    install(sweep_problems, place)
+    solve(hop(), intervals=8).save(place / HOP)
+    return place
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -21,9 +21,9 @@ def test_patterns_choose_problems() -> None:
 
 
 def test_a_robot_chooses_the_problems_it_is_tested_on() -> None:
-    found = _listed("--robot", "go2")
-    assert "quadruped-trot" in found
-    assert all(name.startswith("quadruped-") for name in found)
+    names = _listed("--robot", "go2")
+    assert "quadruped-trot" in names
+    assert all(name.startswith("quadruped-") for name in names)
 
 
 def test_without_a_problem_each_has_a_line_under_the_robots_of_its_kind() -> None:

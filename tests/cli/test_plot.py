@@ -58,12 +58,7 @@ def test_bad_input_is_refused_in_one_line(
     file: Path, tmp_path: Path, arguments: tuple[str, ...], words: str
 ) -> None:
     places = [word.replace("FILE", str(file)).replace("FOLDER", str(tmp_path)) for word in arguments]
-    result = plot(*places)
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("trajopt: ")
-    assert result.stderr.count("\n") == 1
-    assert words in result.stderr
+    assert_refused(plot(*places), words)
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
 
 

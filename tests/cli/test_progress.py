@@ -193,12 +193,12 @@ def test_a_table_has_every_iteration_as_the_progress_was_told_it(solver: str, tm
         seen_by(table, solver=solver, progress=lambda figures: told.append(figures) is None, label="a, b")
     rows = list(csv.DictReader((tmp_path / "log.csv").open()))
     assert tuple(rows[0]) == COLUMNS
-    assert [int(found["iteration"]) for found in rows] == [info["iteration"] for info in told]
-    for found, info in zip(rows, told, strict=True):
-        assert (found["solve"], found["label"], found["solver"]) == ("1", "a, b", solver)
+    assert [int(entry["iteration"]) for entry in rows] == [info["iteration"] for info in told]
+    for entry, info in zip(rows, told, strict=True):
+        assert (entry["solve"], entry["label"], entry["solver"]) == ("1", "a, b", solver)
         for name in FIGURES:
-            assert float(found[name]) == pytest.approx(float(info[name]), rel=1e-8, abs=1e-300)
-    times = [float(found["time_s"]) for found in rows]
+            assert float(entry[name]) == pytest.approx(float(info[name]), rel=1e-8, abs=1e-300)
+    times = [float(entry["time_s"]) for entry in rows]
     assert times == sorted(times)
 
 
@@ -211,10 +211,10 @@ def test_a_table_that_cannot_be_written_is_refused_in_one_line(tmp_path: Path):
 def test_lines_have_one_iteration_each(capsys: pytest.CaptureFixture[str]):
     told: list[float] = []
     seen_by(IterationLines(sys.stderr, "hop"), progress=lambda f: told.append(f["iteration"]) is None)
-    found = capsys.readouterr().err.splitlines()
-    assert found[0].startswith("hop: legendre:1")
-    assert found[-1].startswith("hop: solved, ")
-    numbers = [int(line.split()[0]) for line in found[1:-1] if not line.startswith(" iter")]
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("hop: legendre:1")
+    assert lines[-1].startswith("hop: solved, ")
+    numbers = [int(line.split()[0]) for line in lines[1:-1] if not line.startswith(" iter")]
     assert numbers == told
 
 
@@ -237,8 +237,8 @@ def test_an_interrupt_in_a_watch_stops_the_solver():
         if iterate.stage == "iteration" and iterate.figures["iteration"] == 2:
             raise KeyboardInterrupt
 
-    found = solve(small(), transcription="legendre:1", watch=interrupt)
-    assert found.statistics.status == "interrupted"
+    solution = solve(small(), transcription="legendre:1", watch=interrupt)
+    assert solution.statistics.status == "interrupted"
 
 
 def test_figures_alone_never_request_the_variables(tmp_path: Path):

@@ -1,4 +1,4 @@
-"""The engine in adversity: threads that cannot start, exceptions in them, two threads on one NLP, wrong sizes."""
+"""The engine in adversity: threads that cannot start, exceptions, two threads on one NLP, wrong sizes."""
 
 from __future__ import annotations
 

@@ -11,8 +11,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import trajopt
-from tests.support.problems import REACH, REACH_TIME, SCHEME_ORDERS, hop, planar_hopper, reach
+from tests.support.problems import FOOT, REACH, REACH_TIME, SCHEME_ORDERS, hop, planar_hopper, reach
 from tests.support.solved_problems import ROUNDING, SAME_STATE, Solved, solved, solved_hop
+from trajopt.errors import InputError, SolutionFileError
 from trajopt.motion.configurations import motion_of
 from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
@@ -21,7 +22,7 @@ from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import prepare
 from trajopt.solving.warm_start import warm_start
-from trajopt.terms import AccelerationCost, TorqueCost, VelocityCost
+from trajopt.terms import AccelerationCost, FrameHeight, TorqueCost, VelocityCost
 from trajopt.transcription.violations import row_violations
 from trajopt_library import problems
 
@@ -118,15 +119,15 @@ def test_quaternions_of_either_sign_give_one_start():
 
 @pytest.mark.parametrize("name", ["legendre:2", "legendre:3", "radau:2"])
 def test_rows_on_a_finer_grid_are_violated_by_the_collocation_error(name):
-    found = []
+    violations = []
     for intervals in (8, 16):
         solution = solved(swing(), name, intervals).solution
         fine = prepare(swing(), transcription=name, intervals=2 * intervals)
         start = warm_start(fine.transcription, solution)
         gaps = np.concatenate(fine.transcription.gap_rows)
-        found.append(float(row_violations(fine.nlp, start.x)[gaps].max()))
+        violations.append(float(row_violations(fine.nlp, start.x)[gaps].max()))
     # Nodes are polynomials' own values: a defect is that of halving them, at rounding where they nest.
-    assert max(found) < SAME_STATE
+    assert max(violations) < SAME_STATE
 
 
 def test_states_between_schemes_agree_to_the_collocation_error():
@@ -166,13 +167,13 @@ def test_free_durations_start_as_the_solutions_within_their_bounds():
         flight = replace(phases[1], duration=nominal, duration_bounds=bounds)
         problem = hop(schedule=Schedule((phases[0], flight, phases[2])))
         t = prepare(problem, transcription="legendre:2", intervals=10).transcription
-        found = extract(t, warm_start(t, solution).x)
-        assert found.meta["durations"] == pytest.approx([0.3, expected, 0.3])
-        for row in [rows[0] for rows in found.intervals if found.phase[rows[0]] == 1][1:]:
-            equal = 0.3 + 0.2 * (found.t[row] - 0.3) / expected
+        start = extract(t, warm_start(t, solution).x)
+        assert start.meta["durations"] == pytest.approx([0.3, expected, 0.3])
+        for row in [rows[0] for rows in start.intervals if start.phase[rows[0]] == 1][1:]:
+            equal = 0.3 + 0.2 * (start.t[row] - 0.3) / expected
             moving = motion_rate(solution, equal, 1e-6) * 0.2 / expected
             # Differences over 1e-6 s, in which accelerations of 1e2 / s^2 may jump.
-            assert_allclose(found.v[row], moving, atol=1e-3)
+            assert_allclose(start.v[row], moving, atol=1e-3)
 
 
 def motion_rate(solution: Solution, t: float, step: float) -> np.ndarray:
@@ -260,3 +261,61 @@ def test_multipliers_of_other_terms_are_left_out():
     free = replace(other, schedule=Schedule((Phase(name="reach", duration=0.8, duration_bounds=(0.5, 1.0)),)))
     t = prepare(free, transcription="legendre:2", intervals=12).transcription
     assert warm_start(t, first.solution).multipliers is None  # its nodes have a clock more
+
+
+# What cannot be mapped, and multipliers that are damaged
+
+
+def test_another_robot_is_refused():
+    t = prepare(reach()).transcription
+    with pytest.raises(InputError, match=r"'hopper' has other joints than 'arm'"):
+        warm_start(t, solved_hop().solution)
+
+
+def test_other_phases_are_refused():
+    stand = hop(schedule=Schedule((Phase(name="stance", duration=0.3, contacts=(FOOT,)),)),
+                terms=(TorqueCost(weight=1.0),))  # fmt: skip
+    t = prepare(stand, intervals=4).transcription
+    with pytest.raises(InputError, match="phases"):
+        warm_start(t, solved_hop().solution)
+
+
+def test_phases_of_other_names_are_mapped_by_order():
+    phases = tuple(replace(phase, name=f"{phase.name} again") for phase in hop().schedule.phases)
+    terms = tuple(term for term in hop().terms if not isinstance(term, FrameHeight))
+    renamed = hop(schedule=Schedule(phases), terms=terms)
+    t = prepare(renamed, transcription="legendre:2", intervals=8).transcription
+    assert_allclose(warm_start(t, solved_hop().solution).x, solved_hop().result.x, atol=SAME_STATE)
+
+
+@pytest.mark.parametrize("start", [5, {}, b"file"])
+def test_a_start_that_is_no_solution_is_refused(start):
+    with pytest.raises(InputError, match="is not a solution; allowed: a Solution or the path"):
+        trajopt.solve(reach(), start=start, fixed_mesh=True)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(SolutionFileError, match="does not exist"):
+        trajopt.solve(reach(), start=tmp_path / "none.npz", fixed_mesh=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"row_place": None}, "come together"),
+        ({"row_multiplier": np.zeros(3)}, "row_place"),
+        ({"bound_multiplier": np.full(5, np.nan)}, "NaN"),
+    ],
+)
+def test_damaged_multipliers_are_refused(changes, words, tmp_path):
+    damaged = replace(solved_hop().solution, **changes)
+    with pytest.raises(InputError, match=words):
+        damaged.save(tmp_path / "damaged.npz")
+
+
+def test_multipliers_of_rows_that_are_nowhere_are_left_out():
+    case = solved_hop()
+    place = case.solution.row_place.copy()
+    place[-1, 1] = 10_000
+    strange = replace(case.solution, row_place=place)
+    assert warm_start(case.transcription, strange).multipliers is None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from trajopt.cli.groups import LazyGroup
+from trajopt.cli.commands import LazyGroup
 
 COMMANDS = {
     "reference": "trajopt.cli.reference:reference_command",

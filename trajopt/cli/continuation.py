@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.input import (
     NOT_REACHED,
     WholeNumber,
     default_option,
+    file_of_settings,
     grid_options,
     json_option,
     options_of,
     parse_settings,
     solver_options,
     tolerance_option,
+    value_option,
 )
-from trajopt.cli.progress import watched
+from trajopt.cli.progress import open_viewer, show_until_interrupted, watch_options, watched
 from trajopt.cli.report import console, plain_table, say, to_json
 from trajopt.cli.warm import cost
-from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
 from trajopt.errors import InputError, expanded
 from trajopt.solution.output import check_apart, check_output
 
@@ -45,9 +45,7 @@ VARY_FORM = "allowed: NAME=START:STOP:COUNT, such as distance=0.2:0.4:5"
 @click.option("--compare", is_flag=True, help="Also solve every value from its default guess.")
 @default_option("--max-halvings", 4, "N", "How often a failed step is halved.", kind=HALVINGS)
 @click.option("--start", type=Path, metavar="FILE", help="Solution file to start the first value from.")
-@click.option(
-    "--output-dir", type=Path, metavar="DIR", help="Folder for the solution files.  [default: none]"
-)
+@value_option("--output-dir", "DIR", "Folder for the solution files.  [default: none]", Path)
 @grid_options
 @tolerance_option
 @solver_options
@@ -89,24 +87,23 @@ def continue_command(
         check_apart([Path(log)], [] if start is None else [start])
     context = click.get_current_context()
     targets = {value: file_of_settings(context, f"{name}={value:.9g}") for value in values}
-    known = None if start is None else solution_of(start)
-    arguments |= {"options": options_of(solver_options), "start": known}
-    folder = None if output_dir is None else _folder(output_dir, problem)
+    arguments |= {"options": options_of(solver_options), "start": start and solution_of(start)}
+    folder = output_dir and _folder(output_dir, problem)
     viewer = open_viewer(watch)
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
     most = (arguments["max_time"] + BESIDE) * len(values) * each
     with watched(problem, most, log, viewer) as callbacks:
-        found = continuation(load, values, **callbacks, **arguments)
+        result = continuation(load, values, **callbacks, **arguments)
     files = {}
     if folder is not None:
-        for value, solution in found.solutions.items():
+        for value, solution in result.solutions.items():
             files[f"{value:.9g}"] = str(solution.save(folder / targets[value]))
     if as_json:
-        say(to_json({"problem": problem, "parameter": name, "files": files, **found.to_dict()}))
+        say(to_json({"problem": problem, "parameter": name, "files": files, **result.to_dict()}))
     else:
-        _print(found, problem, name, files)
-    show_until_interrupted(viewer, found.steps[-1].solution)
-    return 0 if found.success else NOT_REACHED
+        _print(result, problem, name, files)
+    show_until_interrupted(viewer, result.steps[-1].solution)
+    return 0 if result.success else NOT_REACHED
 
 
 def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, list[float]]:
@@ -118,13 +115,12 @@ def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, l
     count = parts[2] if len(parts) == 3 else ""
     if not (equals and count.isascii() and count.isdigit() and 2 <= int(count) <= MOST_VALUES):
         raise InputError(f"--vary '{text}' has the wrong form", f"{VARY_FORM}, COUNT 2 to {MOST_VALUES}")
-    numbers = [one.name for one in family.parameters if isinstance(one, Parameter)]
-    parameter = next((one for one in family.parameters if one.name == name), None)
-    if not isinstance(parameter, Parameter):
+    numbers = {each.name: each for each in family.parameters if isinstance(each, Parameter)}
+    if name not in numbers:
         raise InputError(f"{family.name} has no number '{name}' to vary", f"allowed: {', '.join(numbers)}")
     if name in fixed:
         raise InputError(f"'{name}' is both varied and set", "allowed: one of --vary and --set")
-    first, last = (parameter.parse(part) for part in parts[:2])
+    first, last = (numbers[name].parse(part) for part in parts[:2])
     if first == last:
         raise InputError(f"--vary '{text}' starts where it ends", VARY_FORM)
     steps = int(count) - 1
@@ -141,15 +137,15 @@ def _folder(path: Path, problem: str) -> Path:
     return folder
 
 
-def _print(found: Continuation, problem: str, name: str, files: dict[str, str]) -> None:
+def _print(result: Continuation, problem: str, name: str, files: dict[str, str]) -> None:
     shown = console()
-    compared = any(step.cold is not None for step in found.steps)
+    compared = any(step.cold is not None for step in result.steps)
     titles: tuple[str, ...] = (name, "from", "status", "iterations", "time s", "objective")
     titles += ("cold iterations", "cold time s") if compared else ()
-    rows = [_row(step, compared) for step in found.steps]
-    shown.print(f"{problem}: {len(found.solved)} of {len(set(found.values))} values solved")
+    rows = [_row(step, compared) for step in result.steps]
+    shown.print(f"{problem}: {len(result.solved)} of {len(set(result.values))} values solved")
     shown.print(plain_table(titles, rows, justify="right", no_wrap=True))
-    totals = found.to_dict()
+    totals = result.to_dict()
     shown.print(f"in all {cost(totals['total'])}")
     if compared:
         saved = totals["saved"]
@@ -169,7 +165,7 @@ def _row(step: ContinuationStep, compared: bool) -> list[str]:
     objective = "" if statistics.objective is None else f"{statistics.objective:.5g}"
     row = [f"{step.value:g}", origin, statistics.status.replace("_", " "), str(spent["iterations"])]
     row += [f"{spent['wall_time_s']:.2f}", objective]
-    if compared:
-        cold = None if step.cold is None else total_effort([step.cold])
-        row += ["", ""] if cold is None else [str(cold["iterations"]), f"{cold['wall_time_s']:.2f}"]
-    return row
+    if not compared:
+        return row
+    cold = step.cold and total_effort([step.cold])
+    return [*row, str(cold["iterations"]), f"{cold['wall_time_s']:.2f}"] if cold else [*row, "", ""]

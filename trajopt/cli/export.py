@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from trajopt.cli.input import COUNT, default_option, is_given, load_plan
+from trajopt.cli.input import (
+    COUNT,
+    choice_option,
+    default_option,
+    is_given,
+    load_plan,
+    option_group,
+    output_option,
+    value_option,
+)
 from trajopt.cli.report import say
 from trajopt.errors import InputError
 from trajopt.export.formats import FORMATS, OPTIONS, keyword_arguments, require_count, require_options
@@ -22,63 +31,39 @@ OF_SAMPLES = ("quaternion", "base_velocity")
 OF_MOTIONS = ("cycles", *OPTIONS)
 # Samples a second in the formats above, for robots; motions for learning have fewer.
 SAMPLE_RATE = 500.0
+# Lines of the help: each motion format, and what it is for.
+FORMAT_LINES = [f"  {name:{max(map(len, FORMATS))}}  {each.help}" for name, each in FORMATS.items()]
 
 
-def _motion_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that motion formats have, each with the formats that know it."""
-    for name, option in reversed(OPTIONS.items()):
-        knowing = ", ".join(sorted(key for key, each in FORMATS.items() if name in each.options))
-        kind = Path if option.is_path else str
-        words = f"{option.help} ({knowing})"
-        command = click.option(f"--{name.replace('_', '-')}", type=kind, metavar=option.metavar, help=words)(
-            command
-        )
-    return command
+def _motion_option(name: str) -> Callable[..., Any]:
+    """An option that some motion formats have, which its help names."""
+    option = OPTIONS[name]
+    knowing = ", ".join(sorted(key for key, each in FORMATS.items() if name in each.options))
+    kind = Path if option.is_path else str
+    return value_option(f"--{name.replace('_', '-')}", option.metavar, f"{option.help} ({knowing})", kind)
 
 
-def _described_formats() -> str:
-    """Lines of the help: each motion format, and what it is for."""
-    width = max(map(len, FORMATS))
-    lines = [f"  {name:{width}}  {each.help}" for name, each in FORMATS.items()]
-    return "\n".join(["\b", "Motion formats:", *lines])
-
-
-@click.command("export", epilog=_described_formats())
+@click.command("export", epilog="\n".join(["\b", "Motion formats:", *FORMAT_LINES]))
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=Path)
 @click.option(
     "--format",
     type=click.Choice((*ENDINGS, *FORMATS)),
     help="Form of the file.  [default: by the ending of --output, else csv]",
 )
-@click.option(
-    "--rate",
-    type=click.FLOAT,
-    metavar="HZ",
-    help="Samples a second.  [default: 500; of motion formats 50, but of mujoco 500]",
+@value_option(
+    "--rate", "HZ", "Samples a second.  [default: 500; of motion formats 50, but of mujoco 500]", click.FLOAT
 )
-@click.option(
-    "--output",
-    "-o",
-    type=Path,
-    metavar="OUT",
-    help="File or folder to write.  [default: FILE-500hz.csv, FILE.xml of a model, else FILE-FORMAT]",
+@output_option(
+    "OUT", "File or folder to write.  [default: FILE-500hz.csv, FILE.xml of a model, else FILE-FORMAT]"
 )
-@click.option(
-    "--quaternion",
-    type=click.Choice(("xyzw", "wxyz")),
-    default="xyzw",
-    show_default=True,
-    help="Order of quaternions in csv, parquet, npz.",
-)
-@click.option(
+@choice_option("--quaternion", ["xyzw", "wxyz"], "Order of quaternions in csv, parquet, npz.")
+@choice_option(
     "--base-velocity",
-    type=click.Choice(("body", "world")),
-    default="body",
-    show_default=True,
-    help="Axes of the velocity and acceleration of a moving base in csv, parquet, npz.",
+    ["body", "world"],
+    "Axes of the velocity and acceleration of a moving base in csv, parquet, npz.",
 )
 @default_option("--cycles", 1, "N", "Cycles of a periodic plan, in motion formats.", kind=COUNT)
-@_motion_options
+@option_group(*map(_motion_option, OPTIONS))
 def export_command(
     files: tuple[Path, ...],
     format: str | None,
@@ -97,7 +82,8 @@ def export_command(
     """
     form = _format(format, output)
     if form in FORMATS:
-        _export_motions(files, form, output, rate=rate, cycles=cycles, options=options)
+        rate = FORMATS[form].rate if rate is None else rate
+        _export_motions(files, form, output, rate, cycles, keyword_arguments(**options))
         return
     _refuse_options(form, OF_MOTIONS)
     if len(files) > 1:
@@ -107,21 +93,13 @@ def export_command(
 
 
 def _export_motions(
-    files: tuple[Path, ...],
-    form: str,
-    output: Path | None,
-    *,
-    rate: float | None,
-    cycles: int,
-    options: dict[str, Any],
+    files: Sequence[Path], form: str, output: Path | None, rate: float, cycles: int, given: dict[str, Any]
 ) -> None:
     """Write motions in the format of another tool."""
     from trajopt.export.writing import export_motion
 
     chosen = FORMATS[form]
-    rate = chosen.rate if rate is None else rate
     _refuse_options(form, OF_SAMPLES)
-    given = keyword_arguments(**options)
     require_options(form, chosen, given)
     require_count(form, chosen, len(files))
     target = output or Path(f"{files[0].stem}-{form}{chosen.ending}")

@@ -1,10 +1,11 @@
-"""Input of the command line: numbers, NAME=VALUE settings, options that several commands share."""
+"""Input of the command line: options that commands share, NAME=VALUE settings, the files they name."""
 
 from __future__ import annotations
 
 import re
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -14,13 +15,11 @@ from trajopt.errors import InputError
 from trajopt.solvers.drivers import SOLVERS
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from trajopt.problem.problem import Problem
     from trajopt.solution.solution import Solution
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
-_INTEGER = re.compile(r"[-+]?[0-9]+", re.ASCII)
+_Option = Callable[[_Command], _Command]
 # Exit status of a command that ran but did not reach its goal.
 NOT_REACHED = 1
 # Solvers count in C's int.
@@ -32,6 +31,14 @@ LIMITS = {
     "max_iter": "--max-iterations",
     "max_wall_time": "--max-time",
 }
+# Arguments of commands that do not change the motion, and those whose values are NAME=VALUE already.
+SAME_MOTION = {
+    "problem", "output", "output_dir", "vary", "as_json", "watch", "log", "diagnosed", "explain",
+    "threads", "compare", "nearest",
+}  # fmt: skip
+NAMED = {"settings", "solver_options"}
+# Characters that are replaced in a file's name, and the most characters that it may have.
+UNSAFE, LONGEST = re.compile(r"[^\w.=+,@-]+"), 200
 
 
 class WholeNumber(click.ParamType):
@@ -59,19 +66,27 @@ GRID = WholeNumber(-LARGEST_INTEGER, 100_000)
 THREADS = WholeNumber(1, 1024)
 
 
+def value_option(name: str, metavar: str, help: str, kind: Any = None, **settings: Any) -> _Option:
+    """Return an option that takes a value, text unless ``kind`` or a default say more."""
+    return click.option(name, metavar=metavar, help=help, type=kind, **settings)
+
+
 def default_option(
-    name: str,
-    default: Any,
-    metavar: str,
-    help: str,
-    *,
-    to: str | None = None,
-    kind: click.ParamType | None = None,
-    **settings: Any,
-) -> Callable[[_Command], _Command]:
+    name: str, default: Any, metavar: str, help: str, *, to: str = "", kind: Any = None, **settings: Any
+) -> _Option:
     """Return an option with a default that its help shows; ``to`` names the command's argument."""
-    names, settings = (name,) if to is None else (name, to), {"show_default": True, **settings}
+    names, settings = (name, to) if to else (name,), {"show_default": True, **settings}
     return click.option(*names, default=default, type=kind, metavar=metavar, help=help, **settings)
+
+
+def choice_option(name: str, choices: Sequence[str], help: str) -> _Option:
+    """Return an option with one of several values, the first by default."""
+    return click.option(name, type=click.Choice(choices), default=choices[0], show_default=True, help=help)
+
+
+def output_option(metavar: str, help: str, required: bool = False) -> _Option:
+    """Return the option that names the file to write."""
+    return click.option("-o", "--output", type=Path, metavar=metavar, help=help, required=required)
 
 
 def is_given(name: str) -> bool:
@@ -80,7 +95,7 @@ def is_given(name: str) -> bool:
     return source is click.core.ParameterSource.COMMANDLINE
 
 
-def option_group(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
+def option_group(*options: _Option) -> _Option:
     """Return a decorator that adds several options to a command, in the order in which they are listed."""
 
     def decorate(command: _Command) -> _Command:
@@ -97,16 +112,11 @@ threads_option = default_option(
     "--threads", 1, "N", "Threads for functions and linear systems.", kind=THREADS
 )
 grid_options = option_group(
-    click.option(
-        "--transcription", metavar="NAME", help="Scheme, e.g. legendre:2.  [default: the problem's]"
-    ),
-    click.option(
-        "--intervals", type=GRID, metavar="N", help="Number of intervals in all.  [default: the problem's]"
-    ),
+    value_option("--transcription", "NAME", "Scheme, e.g. legendre:2.  [default: the problem's]"),
+    value_option("--intervals", "N", "Number of intervals in all.  [default: the problem's]", GRID),
     solver_option,
 )
 tolerance_option = default_option("--tolerance", 1e-6, "TOL", "Solver tolerance.")
-
 solver_options = option_group(
     default_option("--max-iterations", 500, "N", "Iteration limit of a solve.", kind=COUNT),
     default_option("--max-time", 600.0, "S", "Time limit of a solve, s."),
@@ -115,17 +125,9 @@ solver_options = option_group(
         "--solver-option", "solver_options", multiple=True, metavar="NAME=VALUE", help="Option of the solver."
     ),
 )
-
-
-controller_option = click.option(
-    "--controller",
-    type=click.Choice(["joints", "whole-body"]),
-    default="joints",
-    show_default=True,
-    help="Feedback of single joints, or of the whole body.",
+controller_option = choice_option(
+    "--controller", ["joints", "whole-body"], "Feedback of single joints, or of the whole body."
 )
-
-
 layout_options = option_group(
     click.option(
         "--side-by-side",
@@ -175,11 +177,11 @@ def options_of(settings: Sequence[str]) -> dict[str, str | int | float]:
     values = parse_settings(settings, "--solver-option")
     for name in LIMITS.keys() & values.keys():
         raise InputError(f"--solver-option {name} is an option of the command", f"allowed: {LIMITS[name]}")
-    return {name: _option(name, text.strip()) for name, text in values.items()}
+    return {name: _solver_option(name, text.strip()) for name, text in values.items()}
 
 
-def _option(name: str, text: str) -> str | int | float:
-    if _INTEGER.fullmatch(text) and abs(int(text)) <= LARGEST_INTEGER:
+def _solver_option(name: str, text: str) -> str | int | float:
+    if re.fullmatch(r"[-+]?[0-9]+", text, re.ASCII) and abs(int(text)) <= LARGEST_INTEGER:
         return int(text)
     try:
         number = float(text)
@@ -188,3 +190,29 @@ def _option(name: str, text: str) -> str | int | float:
     if number != number:
         raise InputError(f"--solver-option {name} is {text}", "allowed: a number or a word")
     return number
+
+
+def file_of_settings(context: click.Context, *last: str) -> Path:
+    """File that is written without ``--output``, such as ``solo12-jump-distance=0.8-smallest.npz``.
+
+    Its name has the settings of the command that change the motion, and ends with the words ``last``. Raises
+    `InputError` where it is too long for a file.
+    """
+    words = [context.params["problem"]]
+    for option in context.command.params:
+        value = context.params.get(str(option.name))  # none of one without a value
+        if option.name not in SAME_MOTION and value and value != option.get_default(context):
+            words += _words(option, value)
+    name = UNSAFE.sub("_", "-".join((*words, *last)).replace(" ", ""))
+    if len(name) > LONGEST:
+        raise InputError(f"the settings make a file name of {len(name)} characters", "allowed: --output FILE")
+    return Path(f"{name}.npz")
+
+
+def _words(option: click.Parameter, value: Any) -> list[str]:
+    title = option.opts[0].removeprefix("--")
+    if isinstance(value, tuple):
+        return [each if option.name in NAMED else f"{title}={each}" for each in value]
+    if value is True:
+        return [title]
+    return [f"{title}={value.with_suffix('') if isinstance(value, Path) and value.name else value}"]

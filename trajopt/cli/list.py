@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from trajopt.cli.input import json_option
 from trajopt.cli.report import console, plain_table, say, to_json
 from trajopt.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.table import Table
-
     from trajopt.problem.family import Choice, Family, Parameter, RobotName
 
 # Headings of the brief list by kind of robot; the last has all other kinds.
@@ -29,7 +26,7 @@ WIDTH = 80
 @click.option("--robot", metavar="NAME", help="Only problems that are tested on that robot.")
 @click.option("--brief", is_flag=True, help="One row per problem.  [default without PROBLEM]")
 @click.option("--full", is_flag=True, help="With robots, phases and parameters.  [default with PROBLEM]")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option
 def list_command(
     problems: tuple[str, ...], robot: str | None, brief: bool, full: bool, as_json: bool
 ) -> None:
@@ -50,10 +47,8 @@ def list_command(
     elif brief or not (full or problems):
         _print_brief(listed)
     else:
-        shown = console()
         for family in listed:
-            shown.print(_heading(family), soft_wrap=True)
-            shown.print(_parameter_table(family))
+            _print_full(family)
 
 
 def _print_brief(families: Sequence[Family]) -> None:
@@ -63,12 +58,12 @@ def _print_brief(families: Sequence[Family]) -> None:
     groups: dict[str, list[Family]] = {heading: [] for heading in HEADINGS.values()}
     for family in families:
         groups[HEADINGS.get(robot_kind(family.robot) or "", OTHERS)].append(family)
-    for heading, own in groups.items():
-        if own:
-            robots = ", ".join(dict.fromkeys(name for family in own for name in family.robots))
+    for heading, members in groups.items():
+        if members:
+            robots = ", ".join(dict.fromkeys(name for family in members for name in family.robots))
             _print_wrapped(f"{heading}: {robots}", 2)
-            indent = max(len(family.name) for family in own) + 4
-            for family in own:
+            indent = max(len(family.name) for family in members) + 4
+            for family in members:
                 _print_wrapped(f"  {family.name:{indent - 2}}{family.summary}", indent)
             say()
     say("trajopt list PROBLEM shows its robots, phases and parameters.")
@@ -78,7 +73,7 @@ def _print_wrapped(text: str, indent: int) -> None:
     say("\n".join(textwrap.wrap(text, WIDTH, subsequent_indent=indent * " ")))
 
 
-def _family_dict(family: Family) -> Mapping[str, Any]:
+def _family_dict(family: Family) -> dict[str, Any]:
     """A family as JSON; a parameter that is a choice has no range."""
     shared = ("unit", "lower", "upper")
     return {
@@ -88,19 +83,18 @@ def _family_dict(family: Family) -> Mapping[str, Any]:
         "phases": list(family.phases),
         "summary": family.summary,
         "parameters": [
-            {name: getattr(own, name) for name in shared} | vars(own) for own in family.parameters
+            {name: getattr(each, name) for name in shared} | vars(each) for each in family.parameters
         ],
     }
 
 
-def _heading(family: Family) -> str:
+def _print_full(family: Family) -> None:
     robots = f"robot{'s' * (len(family.robots) > 1)} {', '.join(family.robots)}"
-    return f"{family.name} ({robots}; phases {', '.join(family.phases)})\n  {family.summary}"
-
-
-def _parameter_table(family: Family) -> Table:
-    rows = [(f"  {own.name}", _default(own), _range(own), own.meaning) for own in family.parameters]
-    return plain_table(("  parameter", "default", "range", "meaning"), rows)
+    heading = f"{family.name} ({robots}; phases {', '.join(family.phases)})\n  {family.summary}"
+    rows = [(f"  {each.name}", _default(each), _range(each), each.meaning) for each in family.parameters]
+    shown = console()
+    shown.print(heading, soft_wrap=True)
+    shown.print(plain_table(("  parameter", "default", "range", "meaning"), rows))
 
 
 def _default(parameter: Parameter | Choice | RobotName) -> str:

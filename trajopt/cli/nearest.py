@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from trajopt.cli.grade import SOLVER_SETTINGS
-from trajopt.cli.input import parse_settings
+from trajopt.cli.input import parse_settings, value_option
 from trajopt.cli.progress import watched
 from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError, not_among
@@ -20,8 +18,8 @@ if TYPE_CHECKING:
     from trajopt.problem.family import Family
     from trajopt.problem.problem import Problem
 
-nearest_option = click.option(
-    "--nearest", metavar="PARAMETER", help="Search the nearest value that is solved, where --set's is not."
+nearest_option = value_option(
+    "--nearest", "PARAMETER", "Search the nearest value that is solved, where --set's is not."
 )
 
 
@@ -44,31 +42,24 @@ class Search:
         from trajopt.problem.family import Parameter, choose
 
         family, fixed = choose(families(), problem), parse_settings(settings, "--set")
-        numbers = {own.name: own for own in family.parameters if isinstance(own, Parameter)}
+        numbers = {each.name: each for each in family.parameters if isinstance(each, Parameter)}
         if name not in numbers:
             raise not_among(numbers, name, f"{family.name} has no number '{name}'")
         if name not in fixed:
-            raise InputError(
-                f"--nearest {name} has no value to come near", f"allowed: with --set {name}=VALUE"
-            )
+            allowed = f"allowed: with --set {name}=VALUE"
+            raise InputError(f"--nearest {name} has no value to come near", allowed)
         text = fixed.pop(name)
         asked = numbers[name].parse(text)
         first = numbers[name].default
         if first is None:
             derived = family.load(fixed).parameters.get(name)
             if isinstance(derived, bool) or not isinstance(derived, (int, float)):
-                raise InputError(
-                    f"'{name}' of {family.name} has no number as its default",
-                    f"allowed: {', '.join(name for name in numbers)}",
-                )
+                allowed = f"allowed: {', '.join(numbers)}"
+                raise InputError(f"'{name}' of {family.name} has no number as its default", allowed)
             first = float(derived)
         if first == asked:
             raise InputError(f"{name}={asked:g} is the default", f"allowed: another value of {name}")
         return cls(family=family, fixed=fixed, name=name, first=first, asked=asked, text=text, target=target)
-
-    def load(self, value: float) -> Problem:
-        """The problem at a value of the parameter."""
-        return self.family.load({**self.fixed, self.name: value})
 
     def run(self, failed: SolveReport, arguments: dict[str, Any]) -> SolveReport:
         """Search, save what is found, and add it to the report of the value asked for, which failed.
@@ -79,11 +70,15 @@ class Search:
 
         if failed.solution.statistics.status == Status.INTERRUPTED.word:
             return failed
+
+        def load(value: float) -> Problem:
+            return self.family.load({**self.fixed, self.name: value})
+
         settings = {key: arguments[key] for key in (*SOLVER_SETTINGS, "transcription", "intervals")}
         most = arguments["max_time"] * NEAREST_SOLVES
         title = f"{arguments['title']}, nearest {self.name}"
         with watched(title, most, None, arguments["viewer"]) as callbacks:
-            step = nearest(self.load, self.first, self.asked, **callbacks, **settings)
+            step = nearest(load, self.first, self.asked, **callbacks, **settings)
         if step is None:
             line = f"no value of {self.name} was solved, not even {self.first:g}, the default"
             return _with(failed, line, {"parameter": self.name, "value": None, "file": None})

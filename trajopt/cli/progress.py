@@ -1,4 +1,4 @@
-"""While a solver runs: Ctrl-C, a final deadline, and the display of iterations."""
+"""While a solver runs: Ctrl-C, a final deadline, the display of iterations, ``--watch`` and ``--log``."""
 
 from __future__ import annotations
 
@@ -10,17 +10,29 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from trajopt.cli.input import NOT_REACHED
+import click
+
+from trajopt.cli.input import NOT_REACHED, option_group
 from trajopt.cli.interruption import INTERRUPTION, end_at_once
+from trajopt.cli.report import say
 from trajopt.solving.time_limits import GRACE
 
 if TYPE_CHECKING:
+    from trajopt.solution.solution import Solution
     from trajopt.solving.monitoring import Watch
+    from trajopt.view.watching.viewer import Viewer
 
 # Value of ``log`` for a line per iteration on stderr.
 LINES = "-"
 # Seconds between two displays of `busy`; and what clears the rest of a terminal's line.
 SECOND, CLEAR = 1.0, "\x1b[K"
+# Seconds between two checks for Ctrl-C, and the time limit for drawing the solution, s.
+LOOK, DRAWN = 0.1, 60.0
+
+watch_options = option_group(
+    click.option("--watch", is_flag=True, help="Show the iterates in Meshcat while solving."),
+    click.option("--log", metavar="FILE", help="Write all iterations to FILE (CSV); - for lines on stderr."),
+)
 
 
 class SolveControl:
@@ -156,3 +168,50 @@ def _stdout_to_stderr() -> Iterator[None]:
         sys.stdout.flush()
         os.dup2(kept, 1)
         os.close(kept)
+
+
+def open_viewer(watch: bool) -> Viewer | None:
+    """Start a viewer if ``watch``, print its address on stderr; a browser opens only from a terminal.
+
+    It is closed with the command, however that ends.
+    """
+    if not watch:
+        return None
+    from trajopt.view.replay.show import server_address_text
+    from trajopt.view.watching.viewer import Viewer
+
+    viewer = Viewer(open_browser=_both_at_terminal())
+    click.get_current_context().call_on_close(viewer.close)
+    say(server_address_text(viewer.url), err=True)
+    return viewer
+
+
+def show_until_interrupted(viewer: Viewer | None, solution: Solution) -> None:
+    """Show the solution until Ctrl-C; without a terminal close the viewer at once: a script must not hang.
+
+    A Ctrl-C that came too late to stop the solver closes it too.
+    """
+    if viewer is None:
+        return
+    from trajopt.solving.rounds import INTERRUPTED
+
+    with INTERRUPTION.deferring():
+        late = INTERRUPTION.stops and solution.statistics.status != INTERRUPTED
+
+        def leaving() -> bool:
+            return late or INTERRUPTION.pressed
+
+        viewer.show(solution)
+        end = time.monotonic() + DRAWN
+        while not (leaving() or viewer.flush(LOOK) or time.monotonic() > end):
+            pass
+        if viewer.alive and _both_at_terminal() and not leaving():
+            say(f"shown at {viewer.url}, Ctrl-C stops the server", err=True)
+            while not (leaving() or viewer.wait(LOOK)):
+                pass
+        INTERRUPTION.answer()
+        viewer.close()
+
+
+def _both_at_terminal() -> bool:
+    return sys.stdout.isatty() and sys.stderr.isatty()

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from trajopt.cli.file_names import file_of_settings
 from trajopt.cli.input import (
     NOT_REACHED,
     chosen_problem,
     default_option,
+    file_of_settings,
     json_option,
+    output_option,
     threads_option,
 )
 from trajopt.cli.report import say, to_json
 from trajopt.solution.output import check_solution_output
-
-if TYPE_CHECKING:
-    from trajopt.solving.reference import MeshSolve
 
 
 @click.command("reference")
@@ -32,13 +31,7 @@ if TYPE_CHECKING:
 @default_option("--distance", 1e-3, "PART", "Agreement of motions, over the reach.")
 @default_option("--max-time", 600.0, "S", "Time limit, s.")
 @threads_option
-@click.option(
-    "-o",
-    "--output",
-    type=Path,
-    metavar="FILE",
-    help="Solution file.  [default: PROBLEM-SETTINGS-reference.npz]",
-)
+@output_option("FILE", "Solution file.  [default: PROBLEM-SETTINGS-reference.npz]")
 @json_option
 def reference_command(
     problem: str,
@@ -59,10 +52,7 @@ def reference_command(
     loaded = chosen_problem(problem, settings)
     target = check_solution_output(output or file_of_settings(click.get_current_context(), "reference"))
     bounds = Agreement(objective=objective, distance=distance)
-
-    def show(rung: MeshSolve) -> None:
-        say(str(rung), err=True)
-
+    show = functools.partial(say, err=True)
     try:
         converged = converged_reference(loaded, agreement=bounds, progress=show, **arguments)
     except NoReferenceError as error:

@@ -128,36 +128,35 @@ def solve_summary(solution: Solution, report: CheckReport | None, file: Path | N
     from trajopt.transcription.violations import describe_block
 
     statistics = solution.statistics
-    lines = [_verdict(solution)]
+    lines: list[tuple[str, str]] = []
     if not statistics.success:
-        lines.append(_line("advice", statistics.advice))
+        lines.append(("advice", statistics.advice))
         blocks = [] if statistics.converged else statistics.worst_blocks
-        lines += [_line("worst", describe_block(block)) for block in blocks]
+        lines += [("worst", describe_block(block)) for block in blocks]
     grid = f"{statistics.transcription}, {solution.n_intervals} intervals"
-    lines.append(
-        _line("size", f"{statistics.variables} variables, {statistics.constraints} constraints; {grid}")
-    )
-    lines.append(_line("objective", _number(statistics.objective)))
-    lines.append(
-        _line("violation", f"{_number(statistics.max_violation)} (tolerance {statistics.tolerance:g})")
-    )
-    lines.append(_line("energy", _energy(solution)))
+    violation = f"{_number(statistics.max_violation)} (tolerance {statistics.tolerance:g})"
     times = (
         f"solver {statistics.wall_time_s:.2f} s (functions {statistics.function_time_s:.2f} s), "
         f"build {statistics.build_time_s:.2f} s, compile {statistics.compile_time_s:.2f} s"
     )
-    lines.append(_line("times", times))
+    lines += [
+        ("size", f"{statistics.variables} variables, {statistics.constraints} constraints; {grid}"),
+        ("objective", _number(statistics.objective)),
+        ("violation", violation),
+        ("energy", _energy(solution)),
+        ("times", times),
+    ]
     if report is not None:
-        lines.append(_line("accuracy", _accuracy_line(report)))
-    lines += [_line("note", note) for note in notes]
-    lines.append(_line("file", "none" if file is None else str(file)))
+        lines.append(("accuracy", _accuracy_line(report)))
+    lines += [("note", note) for note in notes]
+    lines.append(("file", "none" if file is None else str(file)))
     if file is not None:
         name = shlex.quote(str(file))
-        checks = [_line("next", f"trajopt check {name}"), _line("", f"trajopt replay {name}")]
-        lines += checks if statistics.success else [_line("next", f"trajopt diagnose {name}")]
+        checks = [("next", f"trajopt check {name}"), ("", f"trajopt replay {name}")]
+        lines += checks if statistics.success else [("next", f"trajopt diagnose {name}")]
     elif not statistics.success:
-        lines.append(_line("next", "the same command with --diagnose"))
-    return "\n".join(lines)
+        lines.append(("next", "the same command with --diagnose"))
+    return "\n".join([_verdict(solution), *(f"  {title:10} {text}" for title, text in lines)])
 
 
 def _verdict(solution: Solution) -> str:
@@ -169,10 +168,6 @@ def _verdict(solution: Solution) -> str:
         outcome = f"NOT solved, {statistics.status.replace('_', ' ')} ({statistics.solver_status})"
     count = f"{statistics.solver}, {statistics.iterations} iterations"
     return f"{plan.problem} on {plan.robot}: {outcome}; {count}"
-
-
-def _line(title: str, text: str) -> str:
-    return f"  {title:10} {text}"
 
 
 def _energy(solution: Solution) -> str:
@@ -188,19 +183,12 @@ def _accuracy_line(report: CheckReport) -> str:
     """The key figures of a check in one line."""
     from trajopt.certify.report import FIGURES
 
-    parts = []
-    for name, short in KEY_FIGURES.items():
-        value = getattr(report, name)
-        if value is not None:
-            parts.append(f"{short} {value:.1e} {FIGURES[name].unit}")
-    return ", ".join(parts)
-
-
-def failed_figures(report: CheckReport) -> str:
-    """Name the figures beyond the check's tolerances; empty if there are none."""
-    from trajopt.certify.report import FIGURES
-
-    return ", ".join(FIGURES[name].text for name in report.failures())
+    values = {name: getattr(report, name) for name in KEY_FIGURES}
+    return ", ".join(
+        f"{KEY_FIGURES[name]} {value:.1e} {FIGURES[name].unit}"
+        for name, value in values.items()
+        if value is not None
+    )
 
 
 def _number(value: float | None) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import click
 
-from trajopt.cli.input import json_option
+from trajopt.cli.input import json_option, value_option
 from trajopt.cli.report import say, to_json
 from trajopt.errors import InputError
 from trajopt.solution.output import check_apart, check_output, replacing, require_ending
@@ -19,15 +19,9 @@ if TYPE_CHECKING:
 
 @click.command("robot")
 @click.argument("robot")
-@click.option(
-    "--base", metavar="KIND", help="Base of a URDF: freeflyer, planar, virtual or fixed.  [default: guessed]"
-)
-@click.option(
-    "--write", type=Path, metavar="FILE.py", help="Write a first robot file for a URDF, to be edited."
-)
-@click.option(
-    "--html", type=Path, metavar="OUT", help="Write a page that shows the reference posture at rest."
-)
+@value_option("--base", "KIND", "Base of a URDF: freeflyer, planar, virtual or fixed.  [default: guessed]")
+@value_option("--write", "FILE.py", "Write a first robot file for a URDF, to be edited.", Path)
+@value_option("--html", "OUT", "Write a page that shows the reference posture at rest.", Path)
 @json_option
 def robot_command(robot: str, base: str | None, write: Path | None, html: Path | None, as_json: bool) -> None:
     """Print joints, limits and contacts of ROBOT, and warnings.
@@ -45,8 +39,8 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
         require_ending(check_output(html), ".html")
     loaded = _loaded(robot, base, write)
     text = None if write is None else _starter(loaded, write)
-    found = robot_report(loaded)
-    say(to_json(found.to_dict()) if as_json else found.table())
+    report = robot_report(loaded)
+    say(to_json(report.to_dict()) if as_json else report.table())
     if write is not None and text is not None:
         with replacing(write) as unfinished:
             unfinished.write_text(text, encoding="utf-8")
@@ -67,9 +61,8 @@ def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
         return guessed(Path(name), cast("Base | None", base))
     for option, value in (("--base", base), ("--write", write)):
         if value is not None:
-            raise InputError(
-                f"{option} needs a .urdf file, and {name} is not one", "a path that ends in .urdf"
-            )
+            what = f"{option} needs a .urdf file, and {name} is not one"
+            raise InputError(what, "a path that ends in .urdf")
     from trajopt.robot.catalogue import robot
 
     return robot(name)

@@ -1,4 +1,4 @@
-"""``trajopt simulate``: run a plan in MuJoCo with its torques and joint feedback."""
+"""``trajopt simulate``, ``walk`` and ``push``: plans and walks in MuJoCo."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ import click
 from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
+    choice_option,
     controller_option,
     default_option,
     is_given,
     json_option,
     load_plan,
+    output_option,
     parse_settings,
+    value_option,
 )
 from trajopt.cli.progress import busy
 from trajopt.cli.report import say, to_json
@@ -23,22 +26,17 @@ from trajopt.errors import InputError
 from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
 
 if TYPE_CHECKING:
+    from trajopt.simulation.settings import Controller
     from trajopt.simulation.simulate import Simulation
     from trajopt.solution.solution import Solution
 
 
 @click.command("simulate")
 @click.argument("file", type=Path)
-@click.option("--output", "-o", type=Path, metavar="SIM", help="Save the simulated motion as a solution.")
+@output_option("SIM", "Save the simulated motion as a solution.")
 @click.option("--html", type=Path, metavar="BOTH", help="Write a page that shows plan and simulation.")
 @controller_option
-@click.option(
-    "--qp-solver",
-    type=click.Choice(["piqp", "proxqp", "osqp"]),
-    default="piqp",
-    show_default=True,
-    help="Of the programs of the whole body.",
-)
+@choice_option("--qp-solver", ["piqp", "proxqp", "osqp"], "Of the programs of the whole body.")
 @default_option("--cycles", 1, "N", "Cycles of a periodic plan.", kind=COUNT)
 @default_option("--kp", 1.0, "X", "Factor on position gains.")
 @default_option("--kd", 1.0, "X", "Factor on velocity gains.")
@@ -59,12 +57,8 @@ if TYPE_CHECKING:
     "Offset of the robot's centre of mass, base frame, m.",
     kind=click.Tuple([float, float, float]),
 )
-@click.option(
-    "--ground-offset",
-    "ground_offsets",
-    multiple=True,
-    metavar="FRAME=M",
-    help="Ground under a contact is higher by this, m. Repeatable.",
+@value_option(
+    "--ground-offset", "FRAME=M", "Ground under a contact is higher by this, m. Repeatable.", multiple=True
 )
 @default_option("--push", 0.0, "N", "Force on the base to its left, halfway, N.")
 @click.option("--rolling", is_flag=True, help="Feet with a radius roll, which plans neglect.")
@@ -82,28 +76,121 @@ def simulate_command(
     check_apart([output, html], [file])
     if is_given("seed") and not settings["noise"] and not settings["sensor_noise"]:
         raise InputError("--seed has no effect here", "allowed: with --noise or --sensor-noise SIGMA")
-    for name, own in (("kp", "joints"), ("kd", "joints"), ("qp_solver", "whole-body")):
-        if is_given(name) and settings["controller"] != own:
-            option = name.replace("_", "-")
-            raise InputError(f"--{option} has no effect here", f"allowed: with --controller {own}")
-    offsets = parse_settings(settings["ground_offsets"], "--ground-offset")
+    for name, controller in (("kp", "joints"), ("kd", "joints"), ("qp-solver", "whole-body")):
+        if is_given(name.replace("-", "_")) and settings["controller"] != controller:
+            raise InputError(f"--{name} has no effect here", f"allowed: with --controller {controller}")
+    offsets = parse_settings(settings.pop("ground_offset"), "--ground-offset")
     settings["ground_offsets"] = {frame: _metres(frame, text) for frame, text in offsets.items()}
-    motion, page = output and check_solution_output(output), page_output(html)
+    motion, page = _checked_outputs(output, html)
     plan = load_plan(file)
     with busy(f"simulating {plan.t[-1]:.3g} s of {file} in MuJoCo"):
         simulated = simulate(plan, **settings)
-    return report_simulation(plan, simulated, motion, page, as_json)
+    return _report_simulation(plan, simulated, motion, page, as_json)
 
 
-def page_output(html: Path | None) -> Path | None:
-    """The page, if one is named and can be written; raises `InputError`."""
-    page = html and check_output(html)
+@click.command("walk")
+@click.argument("robot")
+@default_option("--steps", 20, "N", "Number of steps.", kind=COUNT)
+@default_option("--speed", 0.3, "M/S", "Forward; negative walks backwards.")
+@default_option("--side-speed", 0.0, "M/S", "To the left; negative walks to the right.")
+@default_option("--turn-rate", 0.0, "RAD/S", "To the left.")
+@value_option("--step-time", "S", "Single support.  [default: 1.9 sqrt(l / g), l the reach]", float)
+@value_option("--double-support", "S", "Double support between steps.  [default: 0.45 sqrt(l / g)]", float)
+@value_option("--clearance", "M", "Height of the swings.  [default: 0.06 of the reach]", float)
+@value_option("--crouch", "M", "Base lower than in the reference.  [default: searched]", float)
+@default_option("--friction", 0.7, "MU", "Friction of the ground.")
+@click.option("--plan", type=Path, metavar="PLAN", help="Save the plan: a solution, not yet simulated.")
+@output_option("SIM", "Save the simulated walk as a solution.")
+@click.option("--html", type=Path, metavar="BOTH", help="Write a page that shows plan and simulation.")
+@json_option
+def walk_command(
+    robot: str,
+    clearance: float | None,
+    crouch: float | None,
+    friction: float,
+    plan: Path | None,
+    output: Path | None,
+    html: Path | None,
+    as_json: bool,
+    **steps: Any,
+) -> int:
+    """Let ROBOT, a biped on soles, walk in MuJoCo without solving a problem.
+
+    Footsteps, the centre of mass of a linear inverted pendulum over them, and whole-body control. Arms keep
+    the reference posture. --plan saves what is tracked, for trajopt simulate with pushes or other friction.
+    Exit status 0 when the walk is tracked, 1 when the robot falls or ends too far from it, 2 for bad input.
+    """
+    check_apart([plan, output, html], [Path(robot)])
+    planned, (motion, page) = plan and check_solution_output(plan), _checked_outputs(output, html)
+    from trajopt.guesses.pendulum_walk import commanded_walk, walk_plan
+    from trajopt.robot.catalogue import robot as load
+    from trajopt.robot.legs import legs_only
+    from trajopt.simulation.simulate import simulate
+
+    legs = legs_only(load(robot))
+    with busy(f"planning {steps['steps']} steps of {legs.name}"):
+        walk = commanded_walk(legs, **steps)
+        made = walk_plan(legs, walk, crouch=crouch, clearance=clearance, friction=friction)
+    if planned is not None:
+        made.save(planned)
+    if not made.success:
+        say(f"trajopt: warning: the walk of the pendulum is {made.statistics.status}", err=True)
+    with busy(f"simulating {made.t[-1]:.3g} s in MuJoCo"):
+        simulated = simulate(made, controller="whole-body")
+    return _report_simulation(made, simulated, motion, page, as_json)
+
+
+@click.command("push")
+@click.argument("file", type=Path)
+@output_option("OUT", "Plot to a .png, .svg or .pdf file.")
+@click.option(
+    "--controller",
+    type=click.Choice(["joints", "whole-body"]),
+    help="Measure one controller alone.  [default: both]",
+)
+@value_option("--directions", "N", "Directions, evenly around the robot.  [default: 8; 2 in a plane]", COUNT)
+@value_option(
+    "--time",
+    "S",
+    "Time of the push.  [default: middle of a gait; where a plan ends at rest, its end]",
+    float,
+)
+@value_option("--cycles", "N", "Cycles of a periodic plan.  [default: 6 sqrt(l / g) follow the push]", COUNT)
+@default_option("--accuracy", 0.05, "X", "Relative accuracy of the impulses.")
+@json_option
+def push_command(
+    file: Path, output: Path | None, controller: Controller | None, as_json: bool, **settings: Any
+) -> int:
+    """Measure the largest push that the plan in FILE survives in MuJoCo.
+
+    A push is a level impulse on the base, over a tenth of sqrt(l / g), l the robot's reach; it is survived if
+    the robot does not fall. Directions are degrees from the base's front, counter-clockwise.
+    """
+    from trajopt.simulation.push import CONTROLLERS, largest_pushes
+    from trajopt.view.plotting.pushes import check_push_plot, write_push_plot
+
+    check_apart([output], [file])
+    if output is not None:
+        check_push_plot(output)
+    plan = load_plan(file)
+    chosen = CONTROLLERS if controller is None else (controller,)
+    with busy(f"pushing {file} in MuJoCo"):
+        report = largest_pushes(plan, controllers=chosen, **settings)
+        if output is not None:
+            write_push_plot(report, output)
+    say(to_json(report.to_dict()) if as_json else report.table())
+    return 0
+
+
+def _checked_outputs(output: Path | None, html: Path | None) -> tuple[Path | None, Path | None]:
+    """Files of the motion and of the page, if they are asked for; raises `InputError`."""
+    motion, page = output and check_solution_output(output), html and check_output(html)
     if page is not None:
         require_ending(page, ".html")
-    return page
+    return motion, page
 
 
-def report_simulation(
+def _report_simulation(
     plan: Solution, simulated: Simulation, motion: Path | None, page: Path | None, as_json: bool
 ) -> int:
     """Write what a simulation is asked for, print its report; the exit status."""

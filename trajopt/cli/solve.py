@@ -8,26 +8,27 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
-from trajopt.cli.diagnose import diagnose_option, diagnosis_of
-from trajopt.cli.file_names import file_of_settings
+from trajopt.cli.check import diagnose_option, diagnosis_of
+from trajopt.cli.commands import GroupedCommand
 from trajopt.cli.grade import grade_options, solve_to_grade, solve_whole, wants_grade
-from trajopt.cli.groups import GroupedCommand
 from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
     chosen_problem,
     default_option,
+    file_of_settings,
     grid_options,
     is_given,
     json_option,
     options_of,
+    output_option,
     solver_options,
     tolerance_option,
 )
 from trajopt.cli.nearest import Search, nearest_option, wants_other_way
-from trajopt.cli.report import failed_figures, say, solve_dict, solve_summary, to_json
+from trajopt.cli.progress import open_viewer, show_until_interrupted, watch_options
+from trajopt.cli.report import say, solve_dict, solve_summary, to_json
 from trajopt.cli.warm import solve_warm, warm_options
-from trajopt.cli.watch import open_viewer, show_until_interrupted, watch_options
 from trajopt.errors import InputError, TrajoptError
 from trajopt.solution.output import check_apart, check_solution_output
 
@@ -69,13 +70,7 @@ if TYPE_CHECKING:
 @nearest_option
 @diagnose_option
 @watch_options
-@click.option(
-    "-o",
-    "--output",
-    type=Path,
-    metavar="FILE",
-    help="Solution file.  [default: PROBLEM-SETTINGS.npz]",
-)
+@output_option("FILE", "Solution file.  [default: PROBLEM-SETTINGS.npz]")
 @json_option
 def solve_command(
     problem: str,
@@ -190,6 +185,7 @@ def _checked(solution: Solution, notes: list[str]) -> CheckReport | None:
     import numpy as np
 
     from trajopt.certify.check import check
+    from trajopt.certify.report import FIGURES
 
     try:
         with np.errstate(all="ignore"):  # an iterate of a failed solve may overflow; its figures show that
@@ -197,7 +193,7 @@ def _checked(solution: Solution, notes: list[str]) -> CheckReport | None:
     except (TrajoptError, ArithmeticError, ValueError) as error:
         notes.append(f"accuracy cannot be computed: {error}")
         return None
-    beyond = failed_figures(report)
+    beyond = ", ".join(FIGURES[name].text for name in report.failures())
     if beyond and solution.success:
         notes.append(f"beyond the tolerances of a check: {beyond}; try more intervals")
     return report

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trajopt.cli.input import GRID, option_group
+from trajopt.cli.input import GRID, option_group, value_option
 from trajopt.cli.progress import watched
 from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError
@@ -20,9 +20,7 @@ LADDER_FORM = "allowed: SCHEME@INTERVALS,..., such as legendre:1@15,legendre:2@5
 
 warm_options = option_group(
     click.option("--start", type=Path, metavar="FILE", help="Solution file to start from."),
-    click.option(
-        "--ladder", metavar="GRIDS", help="Coarse to fine meshes, e.g. legendre:1@15,legendre:2@50."
-    ),
+    value_option("--ladder", "GRIDS", "Coarse to fine meshes, e.g. legendre:1@15,legendre:2@50."),
     click.option("--compare", is_flag=True, help="Also solve from the default guess."),
 )
 
@@ -51,14 +49,14 @@ def solve_warm(
     if compare and start is None and ladder is None:
         raise InputError("--compare has nothing to compare", "allowed: with --start or --ladder")
     rungs = [grid] if ladder is None else parse_ladder(ladder)
-    known = None if start is None else solution_of(start)
+    known = start and solution_of(start)
     most = (settings["max_time"] + BESIDE) * (len(rungs) + compare)
     with watched(title, most, log, viewer) as callbacks:
-        found = solve_ladder(problem, rungs, start=known, compare=compare, **callbacks, **settings)
-    solution = found.solution
-    if len(found.rungs) == 1 and found.cold is None:
+        result = solve_ladder(problem, rungs, start=known, compare=compare, **callbacks, **settings)
+    solution = result.solution
+    if len(result.rungs) == 1 and result.cold is None:
         return SolveReport(solution, solution.success)
-    figures = found.to_dict()
+    figures = result.to_dict()
     return SolveReport(solution, solution.success, _lines(figures), {"ladder": figures})
 
 
@@ -75,17 +73,16 @@ def parse_ladder(text: str) -> list[tuple[str | None, int | None]]:
 
 def _lines(figures: dict[str, Any]) -> list[str]:
     """Lines of the summary: the rungs, and the comparison."""
-    lines = [
-        f"{rung['transcription']}, {rung['intervals']} intervals: {_found(rung)}" for rung in figures["rungs"]
-    ]
+    grids = [f"{rung['transcription']}, {rung['intervals']} intervals" for rung in figures["rungs"]]
+    lines = [f"{grid}: {_outcome(rung)}" for grid, rung in zip(grids, figures["rungs"], strict=True)]
     if len(figures["rungs"]) > 1:
         lines.append(f"all rungs: {cost(figures['total'])}")
     if figures["cold"] is not None:
-        lines.append(f"from the default guess: {_found(figures['cold'])}")
+        lines.append(f"from the default guess: {_outcome(figures['cold'])}")
     return lines
 
 
-def _found(figures: dict[str, Any]) -> str:
+def _outcome(figures: dict[str, Any]) -> str:
     return f"{figures['status'].replace('_', ' ')}, {cost(figures)}"
 
 

@@ -66,10 +66,9 @@ def extract(transcription: Transcription, x: np.ndarray, **statistics: Any) -> S
     times = layout.times(unknowns)
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
     for k in layout.interval_stages:
-        interval = _interval(
-            problem, layout, unknowns, int(k), float(steps[k]), float(time_scales[layout.phase_of[k]])
-        )
-        scheme = layout.scheme_of(int(layout.phase_of[k]))
+        phase = int(layout.phase_of[k])
+        interval = _interval(problem, layout, unknowns, int(k), float(steps[k]), float(time_scales[phase]))
+        scheme = layout.scheme_of(phase)
         ends = scheme.interpolation(np.array([0.0, 1.0]))
         inner = times[k] + scheme.c * steps[k]
         columns["t"].append(np.concatenate([[times[k]], inner, [times[k + 1]]]))
@@ -108,17 +107,13 @@ def _impacts(layout: Layout, unknowns: np.ndarray) -> dict[str, np.ndarray]:
     stages = layout.transitions_of(StageKind.IMPACT)
     if not stages:
         return {}
-    impulse = [
-        _wrenches(
-            layout,
-            layout.touching[layout.stages[k].phase],
-            unknowns[layout.window(k)][layout.local_impulse(k)],
-        )
-        for k in stages
-    ]
-    before = [layout.interval_stages[layout.interval_stages < k] for k in stages]
-    first = [int(_widths(layout, intervals).sum()) for intervals in before]
-    return {"impulse": np.array(impulse), "impact_index": np.array(first)}
+    impulses, first = [], []
+    for k in stages:
+        touching, window = layout.touching[layout.stages[k].phase], unknowns[layout.window(k)]
+        impulses.append(_wrenches(layout, touching, window[layout.local_impulse(k)]))
+        before = layout.interval_stages[layout.interval_stages < k]
+        first.append(int(_widths(layout, before).sum()))
+    return {"impulse": np.array(impulses), "impact_index": np.array(first)}
 
 
 def _labels(layout: Layout) -> dict[str, np.ndarray]:
@@ -159,10 +154,7 @@ def _interval(
     method = layout.scheme_of(phase)
     window, nv = unknowns[layout.window(k)], form.coordinates.nv
     y = np.array([window[layout.local_derivative(phase, i)] for i in range(method.s)])
-    nodes = [
-        form.state(unknowns[layout.node(k)])[0],
-        layout.forms[k + 1].state(unknowns[layout.node(k + 1)])[0],
-    ]
+    nodes = [layout.forms[node].state(unknowns[layout.node(node)])[0] for node in (k, k + 1)]
     start, rates = np.zeros(nv), nodes[0][-nv:]
     start[form.coordinates.additive_index] = nodes[0][form.additive]
     rotations = nodes[0][form.rotations]
@@ -181,12 +173,8 @@ def _interval(
         every = _in_pinocchio(form, rotations, start + h * weights @ y / time_scale, first, second)
         q, v, a = (part[1:-1] for part in every)
         edge = (form.coordinates.node_to_pinocchio(np.array(nodes))[0], every[1][[0, -1]], every[2][[0, -1]])
-    f = np.array(
-        [
-            _wrenches(layout, layout.contacts[phase], window[layout.local_wrench(phase, i)])
-            for i in range(method.s)
-        ]
-    )
+    wrenches = [window[layout.local_wrench(phase, i)] for i in range(method.s)]
+    f = np.array([_wrenches(layout, layout.contacts[phase], wrench) for wrench in wrenches])
     full = [np.concatenate([e[:1], p, e[1:]]) for p, e in zip((q, v, a), edge, strict=True)]
     mode = layout.modes.get(layout.schedule.phases[phase].name)
     if mode is not None:
@@ -249,9 +237,8 @@ def described_robot(problem: Problem) -> dict[str, Any]:
     image = None
     if periodicity is not None:
         index, sign = periodicity.images(robot)
-        image = PeriodicImage(
-            index=index, sign=sign, origin=problem.initial_q[:3].copy(), **asdict(periodicity)
-        )
+        origin = problem.initial_q[:3].copy()
+        image = PeriodicImage(index=index, sign=sign, origin=origin, **asdict(periodicity))
     return {
         "robot": robot.name,
         "contacts": tuple(_contact(contact, problem.terrain.friction) for contact in robot.contacts),
@@ -328,13 +315,16 @@ def _surfaces(problem: Problem) -> tuple[dict[str, Surface], ...]:
 
 def _patches(problem: Problem) -> tuple[dict[str, Patch], ...]:
     """For each phase the patches on which active contacts stand, by their frames; empty if there are none."""
-    phases: list[dict[str, Patch]] = []
-    for i, phase in enumerate(problem.schedule.phases):
-        patches = {name: problem.schedule.patch(i, name) for name in phase.contacts}
-        phases.append(
-            {problem.robot.contact(n).frame: patch for n, patch in patches.items() if patch is not None}
-        )
-    return tuple(phases) if any(phases) else ()
+    robot, schedule = problem.robot, problem.schedule
+    phases = tuple(
+        {
+            robot.contact(name).frame: patch
+            for name in phase.contacts
+            if (patch := schedule.patch(i, name)) is not None
+        }
+        for i, phase in enumerate(schedule.phases)
+    )
+    return phases if any(phases) else ()
 
 
 def _finite(limit: np.ndarray | None) -> np.ndarray | None:

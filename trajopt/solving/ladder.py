@@ -34,11 +34,10 @@ class Ladder:
 
     def to_dict(self) -> dict[str, Any]:
         """Figures of every solve and their totals, and of the solve from the default guess."""
-        cold = None if self.cold is None else solve_figures(self.cold)
         return {
             "rungs": [solve_figures(rung) for rung in self.rungs],
             "total": total_effort(self.rungs),
-            "cold": cold,
+            "cold": None if self.cold is None else solve_figures(self.cold),
         }
 
 
@@ -85,19 +84,19 @@ def solve_ladder(
     rungs = [chosen_mesh(problem, *entry) for entry in ladder]
     if not rungs:
         raise InputError("the ladder has no rung", "allowed: pairs of scheme and number of intervals")
-    found: list[Solution] = []
+    solutions: list[Solution] = []
     exchange = None
     for index, mesh in enumerate(rungs):
         noise = perturb if index == 0 else 0.0
         label = f"rung {index + 1} of {len(rungs)}" if len(rungs) > 1 else ""
-        own = {**settings, "start": start, "perturb": noise, "label": label}
-        made = solve_graded(problem, mesh=mesh, exchange=exchange, refine=False, **own)
-        found.append(made.solution)
+        settings |= {"start": start, "perturb": noise, "label": label}
+        made = solve_graded(problem, mesh=mesh, exchange=exchange, refine=False, **settings)
+        solutions.append(made.solution)
         if made.interrupted:
             break
         start, exchange = made.solution if made.solution.converged else start, made.exchange
     cold = None
     if compare and not made.interrupted:
-        own = {**settings, "label": FROM_DEFAULT_GUESS}
-        cold = solve_graded(problem, mesh=rungs[-1], refine=False, **own).solution
-    return Ladder(rungs=tuple(found), cold=cold)
+        settings |= {"start": None, "perturb": 0.0, "label": FROM_DEFAULT_GUESS}
+        cold = solve_graded(problem, mesh=rungs[-1], refine=False, **settings).solution
+    return Ladder(rungs=tuple(solutions), cold=cold)

@@ -50,8 +50,8 @@ class Iterate:
         First read while the watch is called; a copy is kept for later. Raises RuntimeError when it is first
         read afterwards: the solver has gone on.
         """
-        found = np.array(self.read(), dtype=float)
-        return found if found.size == self.transcription.layout.n_unknowns else None
+        unknowns = np.array(self.read(), dtype=float)
+        return unknowns if unknowns.size == self.transcription.layout.n_unknowns else None
 
     @property
     def grid(self) -> str:
@@ -77,12 +77,20 @@ class Iterate:
     def configurations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times (n,) in s, configurations (n, nq) and phases (n,) at the nodes that are finite.
 
-        The cheap part of `solution`. A node between two phases is the later one's.
+        The cheap part of `solution`. A node between two phases is the later one's; rotations are normalised.
         """
+        layout = self.transcription.layout
         if self.unknowns is None:
-            model = self.transcription.layout.robot.model
-            return np.zeros(0), np.zeros((0, model.nq)), np.zeros(0, dtype=int)
-        return configurations(self.transcription, self.unknowns)
+            return np.zeros(0), np.zeros((0, layout.robot.model.nq)), np.zeros(0, dtype=int)
+        nodes = np.append(layout.interval_stages, layout.interval_stages[-1] + 1)
+        phases = layout.phase_of[np.append(layout.interval_stages, layout.interval_stages[-1])]
+        with np.errstate(all="ignore"):  # a rotation of length zero becomes NaN
+            unknowns = self.unknowns * self.transcription.scale
+            t = layout.times(unknowns)[nodes]
+            raw = _by_phase(layout, unknowns, nodes, phases)
+            q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
+        good = np.isfinite(q).all(axis=1) & np.isfinite(t)
+        return t[good], q[good], phases[good]
 
 
 # Called with the guess, every iterate, and the end of a solve.
@@ -120,8 +128,7 @@ class ProgressReporter:
         label: str,
     ) -> None:
         self.transcription, self.solver, self.label = transcription, solver, label
-        self.progress = progress
-        self.watch = None if watch is None else combine_watches(watch)
+        self.progress, self.watch = progress, watch and combine_watches(watch)
 
     def __call__(self, figures: dict[str, float], unknowns: Callable[[], np.ndarray]) -> bool:
         """One iteration; ``unknowns`` may be called before this returns. False stops the solver."""
@@ -132,12 +139,9 @@ class ProgressReporter:
 
     def end(self, result: Result, status: str) -> None:
         """Call the watch with the solver's result."""
-        figures = {
-            "iteration": result.iterations,
-            "objective": self.transcription.objective_unit * result.objective,
-            "primal": result.primal,
-            "dual": result.dual,
-        }
+        objective = self.transcription.objective_unit * result.objective
+        figures = {"iteration": result.iterations, "objective": objective}
+        figures |= {"primal": result.primal, "dual": result.dual}
         self.see("end", lambda: result.x, figures, status.replace("_", " "))
 
     def see(
@@ -148,45 +152,29 @@ class ProgressReporter:
         status: str = "",
     ) -> None:
         """Call the watch with an iterate."""
-        if self.watch is not None:
-            self.watch(
-                Iterate(
-                    stage=stage,
-                    transcription=self.transcription,
-                    read=read,
-                    figures=figures or {},
-                    solver=self.solver,
-                    label=self.label,
-                    status=status,
-                )
-            )
+        if self.watch is None:
+            return
+        iterate = Iterate(
+            stage=stage,
+            transcription=self.transcription,
+            read=read,
+            figures=figures or {},
+            solver=self.solver,
+            label=self.label,
+            status=status,
+        )
+        self.watch(iterate)
 
 
-def configurations(transcription: Transcription, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,) in s, configurations (n, nq) of the whole robot, and phases (n,) at the nodes of intervals.
-
-    x: scaled variables. Nodes that are not finite are left out; rotations are normalised.
-    """
-    layout, unknowns = transcription.layout, x * transcription.scale
-    with np.errstate(all="ignore"):
-        times = layout.times(unknowns)
-        starts = [(int(k), int(layout.phase_of[k])) for k in layout.interval_stages]
-        nodes = [*starts, (starts[-1][0] + 1, starts[-1][1])]
-        # a rotation of length zero becomes NaN
-        raw = _by_phase(layout, unknowns, nodes)
-        q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
-    t, phases = times[[node for node, _ in nodes]], np.array([phase for _, phase in nodes])
-    good = np.isfinite(q).all(axis=1) & np.isfinite(t)
-    return t[good], q[good], phases[good]
-
-
-def _by_phase(layout: Layout, unknowns: np.ndarray, nodes: list[tuple[int, int]]) -> np.ndarray:
+def _by_phase(layout: Layout, unknowns: np.ndarray, nodes: np.ndarray, phases: np.ndarray) -> np.ndarray:
     """Configurations of the whole robot at nodes in time order, one call of its functions a phase."""
-    found = []
-    for phase in dict.fromkeys(phase for _, phase in nodes):
-        form, own = layout.form_of(phase), [node for node, of in nodes if of == phase]
-        states = form.state(np.array([unknowns[layout.node(node)] for node in own]))
+    parts = []
+    for phase in dict.fromkeys(phases.tolist()):
+        form = layout.form_of(phase)
+        states = form.state(
+            np.array([unknowns[layout.node(node)] for node in nodes[phases == phase].tolist()])
+        )
         q, _ = form.coordinates.node_to_pinocchio(states)
         mode = layout.modes.get(layout.schedule.phases[phase].name)
-        found.append(q if mode is None else mode.lifted(q)[0])
-    return np.vstack(found)
+        parts.append(q if mode is None else mode.lifted(q)[0])
+    return np.vstack(parts)

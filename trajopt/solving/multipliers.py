@@ -72,18 +72,20 @@ def resampled_multipliers(transcription: Transcription, solution: Solution) -> W
     return WarmMultipliers(lam_g=rows, lam_x=bounds)
 
 
-def _resample(old: Iterable[_Block], known: np.ndarray, new: Iterable[_Block], found: np.ndarray) -> None:
-    """Put multipliers of new blocks in ``found``, interpolated linearly, constant beyond the samples."""
+def _resample(old: Iterable[_Block], known: np.ndarray, new: Iterable[_Block], result: np.ndarray) -> None:
+    """Put multipliers of new blocks in ``result``, interpolated linearly, constant beyond the samples."""
     members: defaultdict[_Key, list[_Block]] = defaultdict(list)
     for block in old:
         members[block.key].append(block)
-    fractions = {key: [one.fraction for one in own] for key, own in members.items()}
-    values = {key: np.array([known[one.rows] / one.weight for one in own]) for key, own in members.items()}
+    fractions = {key: [each.fraction for each in blocks] for key, blocks in members.items()}
+    values = {
+        key: np.array([known[each.rows] / each.weight for each in blocks]) for key, blocks in members.items()
+    }
     for block in new:
         if block.key in members:
             columns, times = values[block.key].T, fractions[block.key]
             samples = [np.interp(block.fraction, times, column) for column in columns]
-            found[block.rows] = block.weight * np.array(samples)
+            result[block.rows] = block.weight * np.array(samples)
 
 
 def _layout_of(layout: Layout, solution: Solution, bounds: np.ndarray) -> Layout | None:
@@ -113,9 +115,8 @@ def _blocks(layout: Layout, info: RowInfo) -> Iterator[_Block]:
     edges = np.flatnonzero(np.any(np.diff([info.block, info.stage, info.point], axis=1), axis=0)) + 1
     for rows in np.split(np.arange(len(info.block)), edges):
         if len(rows):
-            first = rows[0]
-            place = (int(info.stage[first]), int(info.point[first]))
-            yield _block(layout, info.names[info.block[first]], *place, rows)
+            block, stage, point = (int(each[rows[0]]) for each in (info.block, info.stage, info.point))
+            yield _block(layout, info.names[block], stage, point, rows)
 
 
 def _block(layout: Layout, name: str, k: int, point: int, rows: np.ndarray) -> _Block:

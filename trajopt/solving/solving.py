@@ -80,8 +80,8 @@ def prepare(
     if start is None:
         guess, warm = initial_guess(transcribed), None
     else:
-        found = warm_start(transcribed, solution_of(start))
-        guess, warm = found.x, found.multipliers or WarmMultipliers()
+        resampled = warm_start(transcribed, solution_of(start))
+        guess, warm = resampled.x, resampled.multipliers or WarmMultipliers()
     build_time = time.perf_counter() - begun - report.compile_time
     return PreparedProblem(
         transcription=transcribed,
@@ -157,14 +157,12 @@ def solve(
         start=start,
     )
     guess = perturbed(prepared.transcription, prepared.guess, seed, perturb) if perturb else prepared.guess
-    stop = StoppingCriteria(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time)
-    origin = {"seed": seed, "perturb": perturb}
     return solve_prepared(
         prepared,
         guess,
-        origin=origin,
+        origin={"seed": seed, "perturb": perturb},
         solver=solver,
-        stop=stop,
+        stop=StoppingCriteria(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time),
         options=options,
         progress=progress,
         watch=watch,
@@ -210,14 +208,14 @@ def solve_prepared(
         )
     else:
         result, certificate = _not_finite(prepared, start), None
-    found = _solution(prepared, result, solver, stop.tolerance, place, origin)
+    solution = _solution(prepared, result, solver, stop.tolerance, place, origin)
     if certificate is not None:
-        found = certified_infeasible(found, why_infeasible(prepared.nlp, certificate))
-    found = fail_on_gimbal_lock(found)
+        solution = certified_infeasible(solution, why_infeasible(prepared.nlp, certificate))
+    solution = fail_on_gimbal_lock(solution)
     if judge and prepared.transcription.problem.holds_contacts:
-        found = judged(found)
-    told.end(result, found.statistics.status)
-    return found
+        solution = judged(solution)
+    told.end(result, solution.statistics.status)
+    return solution
 
 
 def check_settings(

@@ -59,18 +59,18 @@ class _Source(MotionSource):
         phase = node_phase(layout, k)
         stages = layout.intervals_of(phase)
         middle = (layout.node_times[stages[0]] + layout.node_times[stages[-1] + 1]) / 2
-        found = self._at(phase, float(layout.node_times[k]), float(middle))
-        return layout.in_coordinates_of(layout.forms[k], found.q, found.v, found.a)[:2]
+        sample = self._at(phase, float(layout.node_times[k]), float(middle))
+        return layout.in_coordinates_of(layout.forms[k], sample.q, sample.v, sample.a)[:2]
 
     @override
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         layout, form, phase = self.layout, self.layout.forms[k], self.layout.stages[k].phase
         start, step = layout.node_times[k], layout.steps[k]
-        found = self._at(phase, float(start + layout.scheme_of(phase).c[i] * step), float(start + step / 2))
+        sample = self._at(phase, float(start + layout.scheme_of(phase).c[i] * step), float(start + step / 2))
         origin = form.coordinates.node_to_pinocchio(form.state(node))[0][0]
-        state = layout.in_coordinates_of(form, found.q, found.v, found.a)
+        state = layout.in_coordinates_of(form, sample.q, sample.v, sample.a)
         highest = local_state(form.robot.model, origin, *state)[layout.order]
-        wrenches = [found.f[self.columns[c.frame], list(c.rows)] for c in layout.contacts[phase]]
+        wrenches = [sample.f[self.columns[c.frame], list(c.rows)] for c in layout.contacts[phase]]
         scale = self.time_scales[phase] ** layout.order
         return highest * scale, np.concatenate([np.zeros(0), *wrenches])
 
@@ -88,8 +88,8 @@ class _Source(MotionSource):
         stages, times = self.layout.intervals_of(phase), self.layout.node_times
         start, end = float(times[stages[0]]), float(times[stages[-1] + 1])
         fraction, side = (t - start) / (end - start), (towards - start) / (end - start)
-        found, stretch = self.motion.in_phase(phase, fraction, side), self.stretch[phase]
-        return replace(found, v=found.v / stretch, a=found.a / stretch**2)
+        sample, stretch = self.motion.in_phase(phase, fraction, side), self.stretch[phase]
+        return replace(sample, v=sample.v / stretch, a=sample.a / stretch**2)
 
 
 def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
@@ -113,7 +113,7 @@ def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
 
 def _require_same_robot(layout: Layout, solution: Solution) -> None:
     def joints(model: pin.Model) -> list[tuple[str, str]]:
-        return [(name, own.shortname()) for name, own in zip(model.names, model.joints, strict=True)][1:]
+        return [(name, joint.shortname()) for name, joint in zip(model.names, model.joints, strict=True)][1:]
 
     if joints(layout.robot.model) != joints(solution.model):
         given = solution.description.robot
@@ -126,15 +126,14 @@ def _require_same_robot(layout: Layout, solution: Solution) -> None:
 def _require_same_phases(layout: Layout, solution: Solution) -> None:
     """As many phases, each with the same contacts; names may differ."""
     frames = np.array(solution.contact_frames)
-    found = [set(frames[solution.active[rows.start]].tolist()) for rows in solution.phases]
+    solved = [set(frames[solution.active[rows.start]].tolist()) for rows in solution.phases]
     wanted = [{contact.frame for contact in contacts} for contacts in layout.touching]
-    if found != wanted:
+    if solved != wanted:
         raise InputError(
-            f"the solution's phases have the contacts {_in_words(found)}, the problem's {_in_words(wanted)}",
+            f"the solution's phases have the contacts {_in_words(solved)}, the problem's {_in_words(wanted)}",
             "allowed: a solution with the same phases",
         )
-    velocity = solution.description.actuation == "velocity"
-    if velocity != (layout.order == 1):
+    if (solution.description.actuation == "velocity") != (layout.order == 1):
         raise InputError(
             "only one of solution and problem has velocity sources, whose nodes have no rates",
             "allowed: both or none",
@@ -154,16 +153,14 @@ def _source(transcription: Transcription, solution: Solution) -> _Source:
     for i, phase in enumerate(phases):
         if phase.duration_bounds is not None:
             time_scales[i] = np.clip(old[i], *phase.duration_bounds) / phase.duration
-    new = time_scales * [phase.duration for phase in phases]
     impulses = {}
     if solution.impulse is not None and solution.impact_index is not None:
         impulses = dict(zip(solution.phase[solution.impact_index].tolist(), solution.impulse, strict=True))
-    columns = {frame: i for i, frame in enumerate(solution.contact_frames)}
     return _Source(
         layout=layout,
         motion=motion,
         time_scales=time_scales,
-        stretch=new / old,
-        columns=columns,
+        stretch=time_scales * [phase.duration for phase in phases] / old,
+        columns={frame: i for i, frame in enumerate(solution.contact_frames)},
         known_impulses=impulses,
     )
