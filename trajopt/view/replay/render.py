@@ -93,7 +93,8 @@ class Shots:
         self._check_numbers()
         self._check_use()
         self._check_size()
-        if self.fps is not None and not 1 <= self.fps <= (most := MOST_RATE[self.ending]):
+        if self.fps is not None and not 1 <= self.fps <= MOST_RATE[self.ending]:
+            most = MOST_RATE[self.ending]
             raise InputError(f"--fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
 
     @property
