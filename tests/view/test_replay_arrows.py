@@ -43,7 +43,7 @@ def test_force_of_a_sole_starts_at_its_centre_of_pressure_unless_it_is_held(held
     board = Surface(point=place.translation, normal=place.rotation[:, 2], bilateral=held)
     motion = replay_motion(on_surface(sampled(robot, [stance], INTERVALS), {frame: board}))
     start = place.translation if held else place.act(offset)
-    assert_allclose(motion.pressed[:, 0], np.tile(start, (motion.n_frames, 1)), atol=1e-9)
+    assert_allclose(motion.pressed(motion.wrench)[:, 0], np.tile(start, (motion.n_frames, 1)), atol=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -54,12 +54,13 @@ def draw_arrows(run: DrawnSolution, tracks: Animation, size: float, weight_arrow
     """
     motion = run.motion
     kinds = (
-        ("forces", motion.pressed, motion.force, motion.active, FORCE_COLOUR),
-        ("impulses", motion.struck, motion.impact, np.ones_like(motion.active), IMPULSE_COLOUR),
+        ("forces", motion.wrench, motion.active, FORCE_COLOUR),
+        ("impulses", motion.impact, np.ones_like(motion.active), IMPULSE_COLOUR),
     )
+    starts = [motion.pressed(wrench) for _, wrench, *_ in kinds]
     for contact, frame in enumerate(run.solution.contact_frames):
-        for layer, start, vector, active, colour in kinds:
-            force = vector[:, contact] / motion.weight
+        for start, (layer, wrench, active, colour) in zip(starts, kinds, strict=True):
+            force = wrench[:, contact, :3] / motion.weight
             shown = active[:, contact] & (np.linalg.norm(force, axis=1) > LEAST_FORCE)
             look = ArrowLook(size=size, scale=weight_arrow, colour=run.ink(colour))
             node = run.node[layer][frame.replace("/", "_")]
@@ -118,6 +119,7 @@ def draw_cones(run: DrawnSolution, tracks: Animation, size: float) -> None:
     """
     motion, touched = run.motion, run.motion.touched
     shown, used = motion.active & ~touched.bilateral, _friction_used(motion)
+    pressed = motion.pressed(motion.wrench)
     stops = np.array([parts.colour_array(colour) for colour in COLOURS])
     for contact, frame in enumerate(run.solution.contact_frames):
         visible = shown[:, contact]
@@ -130,7 +132,7 @@ def draw_cones(run: DrawnSolution, tracks: Animation, size: float) -> None:
         tracks.show(
             place,
             visible,
-            position=motion.pressed[:, contact],
+            position=pressed[:, contact],
             quaternion=turns_to(touched.normal[:, contact]),
             scale=np.column_stack([friction * height, friction * height, height]),
         )

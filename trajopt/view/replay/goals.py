@@ -16,7 +16,6 @@ from trajopt.terrain.surface import UP, Surface, frame_of_normal
 from trajopt.view.replay.balance import THROUGH
 from trajopt.view.replay.commands import Animation
 from trajopt.view.replay.contacts import LEAST_FORCE, ArrowLook, draw_arrow
-from trajopt.view.replay.motion import pressing_soles, pressure_offsets
 from trajopt.view.replay.parts import HIDDEN_OPACITY, bullseye, draw_showing_through, draw_unshadowed, placed
 from trajopt.view.replay.robot import tip_frames
 from trajopt.view.replay.runs import DrawnSolution
@@ -140,9 +139,8 @@ def draw_controller(
     if solution.asked_force is None or solution.com_goal is None or solution.foot_goal is None:
         return
     look = ArrowLook(size=size, scale=weight_arrow, colour=ASKED_COLOUR, broad=BROAD, opacity=OPACITY)
-    wrench, soles = motion.between(solution.asked_force), pressing_soles(solution)[motion.last]
-    start = motion.feet + pressure_offsets(motion.contacts, wrench, soles, motion.weight)
-    below = solution.description.radii[:, None] * motion.touched.normal
+    wrench = motion.between(solution.asked_force)
+    start, below = motion.pressed(wrench), solution.description.radii[:, None] * motion.touched.normal
     wanted_feet = motion.between(solution.foot_goal) - below
     for contact, frame in enumerate(solution.contact_frames):
         name, force = frame.replace("/", "_"), wrench[:, contact, :3] / motion.weight

@@ -102,7 +102,9 @@ def _legend(motions: Sequence[ReplayMotion], weight_arrow: float) -> list[Line]:
     """Scales of arrows, in parts of each robot's weight, and the colours of cones."""
     weights = dict.fromkeys(f"{motion.weight:.1f} N" for motion in motions)
     forces = f"forces: {weight_arrow:.2f} m is the weight, {' or '.join(weights)}"
-    impulses = dict.fromkeys(f"{motion.weight * FLASH:.2f} N s" for motion in motions if motion.impact.any())
+    impulses = dict.fromkeys(
+        f"{motion.weight * FLASH:.2f} N s" for motion in motions if motion.impact[..., :3].any()
+    )
     struck = f"impulses: {weight_arrow:.2f} m is {' or '.join(impulses)}"
     ends = [f"#{colour:06x} {100 * used:.0f}%" for used, colour in zip(USED, CONE_COLOURS, strict=True)]
     cones = "cones: share of friction used, 0 to 100 %"

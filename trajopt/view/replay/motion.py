@@ -16,9 +16,9 @@ from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.solution import Solution
 
 # Pictures a second of playback: what screens show.
+FRAME_RATE = 60.0
 # Playback speed beyond which nothing is seen.
 FASTEST = 1e3
-FRAME_RATE = 60.0
 # Most frames: all are computed and written before the first one is shown.
 MOST_FRAMES = 100_000
 # Time for which an impulse is shown (s of the solution), as the constant force with that impulse.
@@ -55,10 +55,10 @@ class ReplayMotion:
     t: (n,) s of the solution. frame_rate: frames a second of playback. speed: solution over playback time.
     q: (n, nq). joints: (n, njoints, 4, 4) world placements. contacts: (n, nc, 4, 4), of contact frames, at
     the point of a contact with a radius that is nearest to what it touches. touched: what contacts touch.
-    pressed: (n, nc, 3) m, where the force acts. wrench: (n, nc, 6) N and N m, as in the solution.
-    active: (n, nc). last: (n,) the sample that begins the span of each frame, part: (n,) how far into it.
-    impact: (n, nc, 3) N, impulse over `FLASH` while it is shown, else zero. struck: (n, nc, 3) m, where
-    it acts. phase: (n,). weight: N.
+    wrench: (n, nc, 6) N and N m, as in the solution. impact: (n, nc, 6), impulse over `FLASH` while it is
+    shown, else zero. active: (n, nc). soles: (n, nc), which contacts are soles that press, unilaterally.
+    last: (n,) the sample that begins the span of each frame, part: (n,) how far into it. phase: (n,).
+    weight: N.
     """
 
     t: np.ndarray
@@ -68,13 +68,12 @@ class ReplayMotion:
     joints: np.ndarray
     contacts: np.ndarray
     touched: TouchedSurfaces
-    pressed: np.ndarray
     wrench: np.ndarray
+    impact: np.ndarray
     active: np.ndarray
+    soles: np.ndarray
     last: np.ndarray
     part: np.ndarray
-    impact: np.ndarray
-    struck: np.ndarray
     phase: np.ndarray
     weight: float
 
@@ -97,6 +96,12 @@ class ReplayMotion:
     def force(self) -> np.ndarray:
         """Contact forces (n, nc, 3) in world axes, N."""
         return np.asarray(self.wrench[:, :, :3])
+
+    def pressed(self, wrench: np.ndarray) -> np.ndarray:
+        """Where wrenches (n, nc, 6) act (n, nc, 3), m: at centres of pressure of soles, else contacts."""
+        normal, force, moment = self.contacts[:, :, :3, 2], wrench[:, :, :3], wrench[:, :, 3:]
+        pressed = self.soles & (np.sum(normal * force, axis=-1) > LEAST_PRESSURE * self.weight)
+        return self.feet + np.where(pressed[:, :, None], centre_of_pressure(force, moment, normal), 0.0)
 
     def between(self, values: np.ndarray) -> np.ndarray:
         """Values (n, ...) at the frames of values (K, ...) at the samples, linear in between."""
@@ -143,15 +148,10 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
     q = geodesic_configurations(solution, t)
     frames = [solution.model.getFrameId(name) for name in solution.contact_frames]
     joints, contacts = placements(solution.model, frames, q)
-    last, part = _spans(solution, t)
+    last, part = spans(solution.t, t)
     surfaces = touched_surfaces(solution, contacts[:, :, :3, 3], solution.phase[last])
     contacts[:, :, :3, 3] = surfaces.touching(contacts[:, :, :3, 3])
-    wrench = (1 - part)[:, None, None] * solution.f[last] + part[:, None, None] * solution.f[last + 1]
     mass = mass_of(solution.model)
-    weight = mass * gravity_of(solution.model) if mass > 0 else 1.0
-    feet = contacts[:, :, :3, 3]
-    soles = pressing_soles(solution)[last]
-    impact = _impacts(solution, t)
     return ReplayMotion(
         t=t,
         frame_rate=frame_rate,
@@ -160,15 +160,14 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
         joints=joints,
         contacts=contacts,
         touched=surfaces.ground,
-        pressed=feet + pressure_offsets(contacts, wrench, soles, weight),
-        wrench=wrench,
+        wrench=(1 - part)[:, None, None] * solution.f[last] + part[:, None, None] * solution.f[last + 1],
+        impact=_impacts(solution, t),
         active=solution.active[last],
+        soles=(~held_samples(solution) & solution.description.soles)[last],
         last=last,
         part=part,
-        impact=impact[:, :, :3],
-        struck=feet + pressure_offsets(contacts, impact, soles, weight),
         phase=solution.phase[last],
-        weight=weight,
+        weight=mass * gravity_of(solution.model) if mass > 0 else 1.0,
     )
 
 
@@ -186,11 +185,11 @@ def placements(model: pin.Model, frames: Sequence[int], q: np.ndarray) -> tuple[
     return joints, contacts
 
 
-def _spans(solution: Solution, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The sample (n,) that begins each time's span, and how far into it (n,) the time is, 0 to 1."""
-    last = np.clip(np.searchsorted(solution.t, t, side="right") - 1, 0, len(solution.t) - 2)
-    span = solution.t[last + 1] - solution.t[last]
-    part = np.where(span > 0, (t - solution.t[last]) / np.where(span > 0, span, 1.0), 1.0)
+def spans(nodes: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The one of nodes (K,) that begins each time's span (n,), and how far into it (n,) it is, 0 to 1."""
+    last = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, max(len(nodes) - 2, 0))
+    span = nodes[np.minimum(last + 1, len(nodes) - 1)] - nodes[last]
+    part = np.where(span > 0, (t - nodes[last]) / np.where(span > 0, span, 1.0), 1.0)
     return last, np.clip(part, 0.0, 1.0)
 
 
@@ -205,17 +204,3 @@ def _impacts(solution: Solution, t: np.ndarray) -> np.ndarray:
         struck = impulse.any(axis=1)
         impact[first:end, struck] = impulse[struck] / FLASH
     return impact
-
-
-def pressing_soles(solution: Solution) -> np.ndarray:
-    """Which contacts are soles that press, unilaterally (K, nc)."""
-    return np.asarray(~held_samples(solution) & solution.description.soles)
-
-
-def pressure_offsets(
-    contacts: np.ndarray, wrench: np.ndarray, soles: np.ndarray, weight: float
-) -> np.ndarray:
-    """From each contact frame to its centre of pressure (n, nc, 3); zero for all but ``soles`` (n, nc)."""
-    normal, force, moment = contacts[:, :, :3, 2], wrench[:, :, :3], wrench[:, :, 3:]
-    pressed = soles & (np.sum(normal * force, axis=-1) > LEAST_PRESSURE * weight)
-    return np.where(pressed[:, :, None], centre_of_pressure(force, moment, normal), 0.0)

@@ -53,7 +53,7 @@ def live_page(facts: dict[str, Any]) -> str:
 
 def _text(facts: dict[str, Any], allowed: dict[str, str], scene: bytes) -> str:
     player = _player()
-    digest = base64.b64encode(hashlib.sha256(player.encode()).digest()).decode("ascii")
+    digest = _base64(hashlib.sha256(player.encode()).digest())
     viewer, licence = _viewer()
     return Template((WEB / "page.html").read_text(encoding="utf-8")).substitute(
         policy=POLICY.format(player=digest, **allowed),
@@ -61,8 +61,9 @@ def _text(facts: dict[str, Any], allowed: dict[str, str], scene: bytes) -> str:
         style=(WEB / "page.css").read_text(encoding="utf-8"),
         licence=licence,
         viewer=viewer,
-        scene=_text_of(scene),
-        facts=_script_text(facts),
+        scene=_base64(scene),
+        # It cannot end its script element.
+        facts=json.dumps(without_nonfinite(facts), allow_nan=False).replace("<", "\\u003c"),
         player=player,
     )
 
@@ -82,16 +83,11 @@ def _viewer() -> tuple[str, str]:
         licence = VIEWER.with_name(VIEWER.name + ".LICENSE.txt").read_text(encoding="utf-8")
     except OSError as error:
         raise TrajoptError(f"Meshcat's viewer cannot be read: {error}") from None
-    return _text_of(gzip.compress(code, compresslevel=9, mtime=0)), licence.replace("</", "<\\/")
+    return _base64(gzip.compress(code, compresslevel=9, mtime=0)), licence.replace("</", "<\\/")
 
 
-def _text_of(data: bytes) -> str:
+def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
-
-
-def _script_text(value: object) -> str:
-    """JSON that cannot end its script element; non-finite numbers are null."""
-    return json.dumps(without_nonfinite(value), allow_nan=False).replace("<", "\\u003c")
 
 
 def without_nonfinite(value: object) -> object:
@@ -107,15 +103,20 @@ def packed_scene(scene: ReplayScene) -> bytes:
     """Return the scene as compressed msgpack: ``{"meshes": [...], "commands": [...]}``, each mesh once."""
     meshes: dict[bytes, Any] = {}
     names: dict[str, str] = {}
-    commands = [_with_shared_meshes(_numbered(command.lower(), names), meshes) for command in scene.commands]
-    data = umsgpack.packb(
-        {"meshes": list(meshes.values()), "commands": commands}, force_float_precision="single"
-    )
+    commands = []
+    for command in scene.commands:
+        message = command.lower()
+        if message["type"] == "set_object":
+            content = _with_shared_meshes(_numbered(message["object"], names), meshes)
+            message = {**message, "object": content}
+        commands.append(message)
+    content = {"meshes": list(meshes.values()), "commands": commands}
+    data = umsgpack.packb(content, force_float_precision="single")
     return gzip.compress(data, compresslevel=COMPRESSION, mtime=0)
 
 
-def _numbered(message: dict[str, Any], names: dict[str, str]) -> dict[str, Any]:
-    """Return the message with numbers in place of Meshcat's random names: equal scenes give equal files.
+def _numbered(content: dict[str, Any], names: dict[str, str]) -> dict[str, Any]:
+    """Return an object with numbers in place of Meshcat's random names: equal scenes give equal files.
 
     ``names`` are the numbers so far; a part is named where it has its ``uuid``, before or after its use.
     """
@@ -124,11 +125,9 @@ def _numbered(message: dict[str, Any], names: dict[str, str]) -> dict[str, Any]:
         if isinstance(value, dict):
             if isinstance(value.get("uuid"), str):
                 names.setdefault(value["uuid"], str(len(names)))
-            for entry in value.values():
-                collect(entry)
-        elif isinstance(value, list):
-            for entry in value:
-                collect(entry)
+            value = list(value.values())
+        for entry in value if isinstance(value, list) else ():
+            collect(entry)
 
     def renamed(value: Any) -> Any:
         if isinstance(value, dict):
@@ -137,14 +136,12 @@ def _numbered(message: dict[str, Any], names: dict[str, str]) -> dict[str, Any]:
             return [renamed(entry) for entry in value]
         return names.get(value, value) if isinstance(value, str) else value
 
-    if message["type"] != "set_object":
-        return message
-    collect(message["object"])
-    return {**message, "object": renamed(message["object"])}
+    collect(content)
+    return renamed(content)
 
 
-def _with_shared_meshes(message: dict[str, Any], meshes: dict[bytes, Any]) -> dict[str, Any]:
-    """Return the message with the content of its geometries replaced by their place in ``meshes``."""
+def _with_shared_meshes(content: dict[str, Any], meshes: dict[bytes, Any]) -> dict[str, Any]:
+    """Return an object with the content of its geometries replaced by their place in ``meshes``."""
 
     def shared(part: dict[str, Any]) -> dict[str, Any]:
         if "data" not in part:
@@ -155,9 +152,5 @@ def _with_shared_meshes(message: dict[str, Any], meshes: dict[bytes, Any]) -> di
         rest = {name: value for name, value in part.items() if name != "data"}
         return {**rest, "shared": list(meshes).index(key)}
 
-    if message["type"] != "set_object":
-        return message
-    content = dict(message["object"])
-    content["geometries"] = [shared(part) for part in content.get("geometries", [])]
-    content["object"] = shared(content["object"])
-    return {**message, "object": content}
+    geometries = [shared(part) for part in content.get("geometries", [])]
+    return {**content, "geometries": geometries, "object": shared(content["object"])}

@@ -94,8 +94,8 @@ class Shots:
         self._check_use()
         self._check_size()
         if self.fps is not None and not 1 <= self.fps <= MOST_RATE[self.ending]:
-            allowed = f"allowed for a {self.ending}: 1 to {MOST_RATE[self.ending]:g}"
-            raise InputError(f"--fps is {self.fps:g}", allowed)
+            most = MOST_RATE[self.ending]
+            raise InputError(f"--fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
 
     @property
     def pixels(self) -> tuple[int, int]:

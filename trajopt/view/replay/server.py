@@ -107,18 +107,18 @@ class Bridge(zmqserver.ZMQWebSocketBridge):
                 websocket.write_message(data, binary=True)
 
 
-def _end_with_standard_input() -> None:
-    sys.stdin.buffer.read()
-    os._exit(0)
-
-
 def serve_until_input_ends() -> None:
     """Serve until standard input ends."""
     if sys.platform == "win32":  # tornado needs this loop there
         asyncio.set_event_loop_policy(asyncio.WindowsSelectorEventLoopPolicy())
+
+    def end_with_standard_input() -> None:
+        sys.stdin.buffer.read()
+        os._exit(0)
+
     bridge = Bridge()
     print(f"zmq_url={bridge.zmq_url}\nweb_url={bridge.web_url}", flush=True)
-    threading.Thread(target=_end_with_standard_input, daemon=True).start()
+    threading.Thread(target=end_with_standard_input, daemon=True).start()
     bridge.run()
 
 

@@ -12,7 +12,7 @@ import webbrowser
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from meshcat.visualizer import ViewerWindow
 
@@ -69,8 +69,7 @@ def replay(
 ) -> Replay:
     """Show solutions in Meshcat, or write them to the self-contained page ``html``; does not block.
 
-    Keep a live replay up with `serve`. The page is written atomically. Without meshes a robot is drawn as a
-    skeleton, with a line on stderr.
+    Keep a live replay up with `serve`. Without meshes a robot is drawn as a skeleton, with a line on stderr.
 
     Args:
         solutions: One or several, or the paths of their files.
@@ -92,8 +91,8 @@ def replay(
     scene = build_scene(several, motions, layout, labels)
     if scene.note:
         print(scene.note, file=sys.stderr)
-    shown: dict[str, Any] = {"frames": motions[0].n_frames, "note": scene.note, "facts": scene.facts}
-    shown["duration"] = (motions[0].n_frames - 1) / motions[0].frame_rate
+    shown: dict[str, Any] = {"frames": motions[0].n_frames, "duration": motions[0].duration}
+    shown |= {"note": scene.note, "facts": scene.facts}
     if target is not None:
         with replacing(target) as unfinished:
             size = unfinished.write_bytes(page(scene).encode())
@@ -131,10 +130,7 @@ class LiveWindow(ViewerWindow):
         self.connect_zmq()
 
     def show(self, commands: Sequence[ViewerCommand], facts: dict[str, Any]) -> None:
-        """Send a scene and its facts to the server; open browsers show it at once.
-
-        facts: of a `ReplayScene`.
-        """
+        """Send a scene and its facts, of a `ReplayScene`, to the server; open browsers show it at once."""
         self.zmq_socket.send_multipart([server.PAGE.encode(), b"", live_page(facts).encode()])
         self.zmq_socket.recv()
         self.tell("facts", facts)
@@ -154,7 +150,7 @@ class LiveWindow(ViewerWindow):
 
     def open(self) -> LiveWindow:
         """Open the page in the browser, if there is a screen."""
-        if can_open():
+        if sys.platform in ("win32", "darwin") or any(os.environ.get(name) for name in DISPLAYS):
             webbrowser.open(self.web_url, new=2)
         return self
 
@@ -179,11 +175,6 @@ class LiveWindow(ViewerWindow):
         self.zmq_socket.close(linger=0)
 
 
-def can_open() -> bool:
-    """Whether a browser would have a screen here."""
-    return sys.platform in ("win32", "darwin") or any(os.environ.get(name) for name in DISPLAYS)
-
-
 def server_address_text(url: str) -> str:
     """Return the message about a server: its address and, over ssh, how to reach it."""
     if not os.environ.get("SSH_CONNECTION"):
@@ -195,33 +186,22 @@ def server_address_text(url: str) -> str:
 def _started() -> tuple[subprocess.Popen[str], str, str]:
     """The server's process, and its addresses for Python and for browsers; it uses free ports."""
     # -P: the file's folder has modules whose names others may import.
-    command = [sys.executable, "-u", "-P", str(Path(server.__file__))]
+    command, pipe = [sys.executable, "-u", "-P", server.__file__], subprocess.PIPE
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints:
+        # A separate session: Ctrl-C is handled in this process, which stops the server.
         process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=complaints,
-            text=True,
-            start_new_session=True,  # Ctrl-C is handled in this process, which stops the server
+            command, stdin=pipe, stdout=pipe, stderr=complaints, text=True, start_new_session=True
         )
+        assert process.stdout is not None
         try:
-            lines = [_line(process.stdout, name) for name in ("zmq_url", "web_url")]
+            lines = [process.stdout.readline().strip() for _ in range(2)]
         except BaseException:  # Ctrl-C
             process.kill()
             raise
-        if not all(lines):
+        if not (lines[0].startswith("zmq_url=") and lines[1].startswith("web_url=")):
             process.kill()
             process.wait()
             complaints.seek(0)
-            said = complaints.read().strip().splitlines()
-            raise TrajoptError(
-                f"the Meshcat server does not start: {said[-1] if said else 'it ended at once'}"
-            )
-    return process, lines[0], lines[1]
-
-
-def _line(stream: IO[str] | None, name: str) -> str:
-    """The value of the next line NAME=VALUE; empty at the end of the stream."""
-    text = stream.readline().strip() if stream is not None else ""
-    return text.removeprefix(f"{name}=") if text.startswith(f"{name}=") else ""
+            reason = (complaints.read().strip().splitlines() or ["it ended at once"])[-1]
+            raise TrajoptError(f"the Meshcat server does not start: {reason}")
+    return process, lines[0].removeprefix("zmq_url="), lines[1].removeprefix("web_url=")

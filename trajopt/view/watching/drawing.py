@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +18,7 @@ from trajopt.solving.monitoring import Iterate
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
 from trajopt.view.replay.contacts import TRAIL_COLOURS
 from trajopt.view.replay.layers import caption_line, layer, title
-from trajopt.view.replay.motion import placements, replay_motion
+from trajopt.view.replay.motion import placements, replay_motion, spans
 from trajopt.view.replay.parts import draw_line
 from trajopt.view.replay.robot import draw_robot, draw_skeleton, joint_path, tip_frames
 from trajopt.view.replay.runs import GHOST_COLOUR, draw_copy, messages_below
@@ -59,24 +60,17 @@ class IterateMotion:
         return max(float(self.t[-1] - self.t[0]), 1 / FRAME_RATE)
 
     def placed(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Place the robot at times (k,).
+        """Placements at times (k,) of joints (k, njoints, 4, 4), of ``frames`` (k, f, 3) and mass (k, 3), m.
 
-        Returns:
-            Placements of joints (k, njoints, 4, 4); positions of ``frames`` (k, f, 3) and of the centre of
-            mass (k, 3), m, world.
+        Configurations are on the geodesics between nodes.
         """
-        q, data = np.array([self._at(float(t)) for t in times]), self.model.createData()
+        last, part = spans(self.t, times)
+        ends = zip(self.q[last], self.q[np.minimum(last + 1, len(self.t) - 1)], part, strict=True)
+        q = np.array([pin.interpolate(self.model, *pair, float(way)) for *pair, way in ends])
         joints, frames = placements(self.model, self.frames, q)
+        data = self.model.createData()
         mass = np.array([pin.centerOfMass(self.model, data, row) for row in q])
         return joints, frames[:, :, :3, 3], mass
-
-    def _at(self, t: float) -> np.ndarray:
-        """Configuration on the geodesic between the nodes around ``t``."""
-        last = int(np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, max(len(self.t) - 2, 0)))
-        if last + 1 >= len(self.t) or not self.t[last + 1] > self.t[last]:
-            return np.asarray(self.q[last])
-        part = float(np.clip((t - self.t[last]) / (self.t[last + 1] - self.t[last]), 0.0, 1.0))
-        return np.asarray(pin.interpolate(self.model, self.q[last], self.q[last + 1], part))
 
     def poses(self) -> np.ndarray:
         """Times (k,) of drawn poses: starts of phases and the end; evenly spaced if those are few."""
@@ -123,12 +117,10 @@ class IterateScene:
         facts = self._facts | {"lines": [caption_line(text, kind) for text, kind in _words(iterate, len(t))]}
         if len(t):
             motion = IterateMotion(model=self._model, t=t, q=q, phase=phase, frames=self._frames)
-            vis = meshcat.Visualizer(window=recorder)
-            _move_poses(vis[POSES], motion)
-            _draw_paths(vis[PATHS], motion)
-            recorder.commands.append(_animation(vis, motion))
-            self._facts |= _times(iterate, motion)
-            facts |= _times(iterate, motion)
+            _draw_motion(recorder, motion)
+            times = _times(iterate, motion)
+            self._facts |= times
+            facts |= times
         return Picture(new=new, commands=recorder.commands, facts=facts)
 
     def _begin(self, iterate: Iterate, recorder: Recorder) -> None:
@@ -161,19 +153,19 @@ def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
         size = reach(solution.model) or 1.0
         facts = {"start": 0.0, "speed": 1.0, "size": size, "box": [[-size] * 3, [size] * 3], "runs": []}
         return recorder.commands, facts | {"title": name, "layers": added}
-    layers = [one for one in scene.facts["layers"] if all(_is_still(path) for path in one["paths"])]
-    kept = [command for command in scene.commands if _stands(command.message)]
-    return kept, scene.facts | {"title": name, "layers": [*layers, *added]}
 
+    def moves(path: str) -> bool:
+        return path.startswith(f"{TOP}/") and path.split("/")[2] not in STILL
 
-def _is_still(path: str) -> bool:
-    return path.split("/")[0] in STILL
-
-
-def _stands(message: dict[str, Any]) -> bool:
-    path = str(message["path"])
-    above = not path.startswith(f"{TOP}/")
-    return message["type"] != "set_animation" and (above or _is_still(path.removeprefix(f"{TOP}/")))
+    layers = [
+        one for one in scene.facts["layers"] if not any(moves(f"{TOP}/{path}") for path in one["paths"])
+    ]
+    messages = [command.message for command in scene.commands]
+    kept = [m for m in messages if m["type"] != "set_animation" and not moves(m["path"])]
+    return [ViewerCommand(message) for message in kept], scene.facts | {
+        "title": name,
+        "layers": [*layers, *added],
+    }
 
 
 def _draw_poses(recorder: Recorder, solution: Solution) -> None:
@@ -187,38 +179,34 @@ def _draw_poses(recorder: Recorder, solution: Solution) -> None:
         draw_copy(recorder, drawn, ROBOT, f"{POSES}/{number}/{ROBOT}", GHOST_COLOUR)
 
 
-def _move_poses(node: Any, motion: IterateMotion) -> None:
-    joints, _, _ = motion.placed(motion.poses())
+def _draw_motion(recorder: Recorder, motion: IterateMotion) -> None:
+    """Move the poses and the robot, and draw the paths of ``frames`` and of the centre of mass."""
+    vis, model, count = meshcat.Visualizer(window=recorder), motion.model, len(motion.joints)
+    places = [(joint, joint_path(model, joint)) for joint in range(1, model.njoints)]
+    poses, _, _ = motion.placed(motion.poses())
     for number in range(MOST_POSES):
-        node[str(number)].set_property("visible", number < len(joints))
-        for joint in range(1, motion.model.njoints if number < len(joints) else 0):
-            node[str(number)][joint_path(motion.model, joint)].set_transform(joints[number, joint])
-
-
-def _draw_paths(node: Any, motion: IterateMotion) -> None:
-    """The paths of contact frames (of tips where there are none) and of the centre of mass, as lines."""
+        node = vis[POSES][str(number)]
+        node.set_property("visible", number < len(poses))
+        for joint, place in places if number < len(poses) else ():
+            node[place].set_transform(poses[number, joint])
     for number, frame in enumerate(motion.frames):
-        name = motion.model.frames[frame].name.replace("/", "_")
-        draw_line(node[name], motion.points[:, number], TRAIL_COLOURS[number % len(TRAIL_COLOURS)])
-    draw_line(node["centre of mass"], motion.mass, MASS_COLOUR)
-
-
-def _animation(vis: Any, motion: IterateMotion) -> ViewerCommand:
-    count = len(motion.joints)
-    tracks = Animation(count, (count - 1) / motion.duration, reach(motion.model) or 1.0)
-    for joint in range(1, motion.model.njoints):
-        tracks.place(vis[joint_path(motion.model, joint)], motion.joints[:, joint])
-    return tracks.command()
+        name = model.frames[frame].name.replace("/", "_")
+        draw_line(vis[PATHS][name], motion.points[:, number], TRAIL_COLOURS[number % len(TRAIL_COLOURS)])
+    draw_line(vis[PATHS]["centre of mass"], motion.mass, MASS_COLOUR)
+    tracks = Animation(count, (count - 1) / motion.duration, reach(model) or 1.0)
+    for joint, place in places:
+        tracks.place(vis[place], motion.joints[:, joint])
+    recorder.commands.append(tracks.command())
 
 
 def _times(iterate: Iterate, motion: IterateMotion) -> dict[str, Any]:
     """Start, duration and phases of a motion, whose times may be variables."""
     starts = [0, *(np.flatnonzero(np.diff(motion.phase)) + 1).tolist()]
     edges = [*motion.t[starts].tolist(), float(motion.t[-1])]
-    names = [phase.name for phase in iterate.transcription.layout.schedule.phases]
+    names = [iterate.transcription.layout.schedule.phases[motion.phase[first]].name for first in starts]
     phases = [
-        {"name": names[motion.phase[first]], "start": edges[number], "end": edges[number + 1]}
-        for number, first in enumerate(starts)
+        {"name": name, "start": start, "end": end}
+        for name, (start, end) in zip(names, itertools.pairwise(edges), strict=True)
     ]
     span = {"start": float(motion.t[0]), "duration": motion.duration, "picture": 1 / FRAME_RATE}
     return {**span, "phases": phases}

@@ -13,16 +13,7 @@ from typing import TextIO
 from trajopt.errors import InputError, expanded
 from trajopt.solving.monitoring import Iterate
 
-FIGURES = (
-    "objective",
-    "primal",
-    "dual",
-    "barrier",
-    "step",
-    "regularization",
-    "line_search",
-    "restoration",
-)
+FIGURES = ("objective", "primal", "dual", "barrier", "step", "regularization", "line_search", "restoration")
 # Trials of a line search from which it is reported: the step is a sixteenth of the first, or less.
 MANY_TRIALS = 5
 # A step below this fraction of the full step makes hardly any progress.
@@ -160,18 +151,16 @@ class IterationLines:
         else:
             if len(history.rows) % PAGE == 1:
                 self._write(HEADING)
-            self._write(_line(history))
+            row = history.rows[-1]
+            numbers = (
+                f"{row['iteration']:5.0f} {row['objective']:14.7g} {row['primal']:9.2e} {row['dual']:9.2e} "
+                f"{row['barrier']:9.2e} {row['step']:9.2e} {row['time']:8.2f}"
+            )
+            self._write(f"{numbers}  {'; '.join(history.troubles())}")
 
     def _write(self, text: str) -> None:
         self._stream.write(text.rstrip() + "\n")
         self._stream.flush()
-
-
-def _line(history: History) -> str:
-    row = history.rows[-1]
-    numbers = f"{row['iteration']:5.0f} {row['objective']:14.7g} {row['primal']:9.2e} {row['dual']:9.2e}"
-    more = f"{row['barrier']:9.2e} {row['step']:9.2e} {row['time']:8.2f}"
-    return f"{numbers} {more}  {'; '.join(history.troubles())}"
 
 
 def _require_table(target: Path) -> None:
