@@ -26,7 +26,7 @@ from trajopt.certify.accuracy.table import accuracy_table
 from trajopt.certify.contact.impact import impact
 from trajopt.certify.reintegration import active_contacts
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.motion.natural_units import NaturalUnits
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.payload import loaded_model
 from trajopt.robot.robot import Robot
 from trajopt.solution.description import CarriedBody, PlannedContact

@@ -23,7 +23,7 @@ from trajopt.control import (
 from trajopt.control.contact_forces import ActiveContact
 from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.errors import InputError
-from trajopt.motion.natural_units import NaturalUnits, turning_rows
+from trajopt.robot.natural_units import NaturalUnits, turning_rows
 from trajopt.robot.robot import Robot
 from trajopt_library import robots
 

@@ -15,7 +15,7 @@ from tests.support.synthetic_motions import arm_motion, planar_flight, sampled, 
 from trajopt import Solution
 from trajopt.control.reference import reference_of
 from trajopt.errors import InputError
-from trajopt.motion.natural_units import NaturalUnits
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.run import SimulationRun
 from trajopt.simulation.settings import SimulationSettings

@@ -15,7 +15,7 @@ from tests.support.sampled_problems import KINDS, solution_of_kind
 from trajopt.certify.accuracy.between import figures_between_points
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.motion.carried import carrying_model
-from trajopt.motion.natural_units import NaturalUnits
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.sampled_motion import SampledMotion
 from trajopt.solution.solution import Solution
 

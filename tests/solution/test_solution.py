@@ -218,6 +218,8 @@ def test_foreign_file_is_refused(saved, write, message):
         ({"payloads": "box"}, "payloads of meta is not null or a list"),
         ({"payloads": [3]}, "payloads of meta: .* 3"),
         ({"payloads": [{"frame": "paw", "mass": 1.0}]}, "payloads of meta: .*paw"),
+        ({"units": {"length": 1e9}}, "units of meta are .* those of its model: weight"),
+        ({"units": [1.0]}, "units of meta are"),
     ],
 )
 def test_inconsistent_meta_is_refused(saved, changes, message):
@@ -264,6 +266,18 @@ def test_meta_that_is_no_json_is_not_written(arm, tmp_path):
     strange = with_meta(arm, parameters={"model": pin.Model()})
     with pytest.raises(InputError, match="cannot be written as JSON"):
         strange.save(tmp_path / "arm.npz")
+
+
+def test_natural_units_are_stated_and_are_the_models(saved, arm):
+    """A reader without Pinocchio has them; a file that states others would be judged by them."""
+    with np.load(saved) as archive:
+        units = json.loads(str(archive["meta"]))["units"]
+    weight = 9.81 * sum(inertia.mass for inertia in list(arm.model.inertias)[1:])
+    assert units["weight"] == pytest.approx(weight)
+    assert units["time"] == pytest.approx(np.sqrt(units["length"] / units["gravity"]))
+    with pytest.raises(SolutionFileError, match="units of meta"):
+        Solution.load(rewrite_meta(saved, units={**units, "length": 2 * units["length"]}))
+    assert Solution.load(rewrite_meta(saved, units="drop")).t[0] == 0.0
 
 
 def test_every_array_of_the_format_is_a_field():

@@ -32,10 +32,10 @@ from trajopt.certify.report import (
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.motion.body_distances import FileBodies, missing_shapes
 from trajopt.motion.dynamics_rows import dynamics_traces
-from trajopt.motion.natural_units import NaturalUnits
 from trajopt.motion.samples import largest, largest_known, sample_quantities
 from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
 from trajopt.motion.traces import Found, Occurrence, Traces, worst_of
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution
 

@@ -13,7 +13,7 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import LOWEST, Support, next_narrow, support_of, thin_axes
 from trajopt.control.tasks import CenterOfMassTask
-from trajopt.motion.natural_units import NaturalUnits
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
 # Feedback of the centre of mass is at most so many g: more would only leave the friction cones.

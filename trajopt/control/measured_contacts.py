@@ -9,7 +9,7 @@ import numpy as np
 from trajopt.control.contact_forces import ActiveContact
 from trajopt.control.plan_targets import PlanTargets
 from trajopt.control.reference import ReferenceTrajectory
-from trajopt.motion.natural_units import NaturalUnits
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
 # A contact that is early by less than this part of its swing takes load at once.

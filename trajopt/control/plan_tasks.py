@@ -17,7 +17,7 @@ from trajopt.control.swing_tasks import SwingTasks
 from trajopt.control.tasks import ContactForceTask, FrameTask, PostureTask, Task
 from trajopt.dynamics.base_joint import base_of
 from trajopt.motion.cycles import moving_rows
-from trajopt.motion.natural_units import NaturalUnits
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
 # Rotations of the base about lines on which the robot balances weigh this part.

@@ -22,7 +22,7 @@ from trajopt.control.support import LOWEST
 from trajopt.control.support_polygon import SupportPolygon
 from trajopt.control.swing_legs import SwingLeg, diagonal_pairs, swing_leg
 from trajopt.control.swing_tasks import level_footholds
-from trajopt.motion.natural_units import NaturalUnits
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP
 

@@ -13,7 +13,7 @@ from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.cycles import CycleImage, passes_of
-from trajopt.motion.natural_units import NaturalUnits
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
 # After a plan that ends at rest, its last posture is held for this many natural times, to test balance.

@@ -15,7 +15,7 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import Support
 from trajopt.control.tasks import FrameTask
-from trajopt.motion.natural_units import NaturalUnits
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface
 

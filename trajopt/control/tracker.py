@@ -23,7 +23,7 @@ from trajopt.control.robot_state import RobotState
 from trajopt.control.tick_counts import TickCounts
 from trajopt.control.tick_request import TickRequest
 from trajopt.errors import InputError
-from trajopt.motion.natural_units import NaturalUnits
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.solution import Solution

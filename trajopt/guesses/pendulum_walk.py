@@ -22,13 +22,13 @@ from trajopt.control.tasks import ContactForceTask, PostureTask
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses.body_guess import FootMotion, guess_from_lip
-from trajopt.motion.natural_units import NaturalUnits
 from trajopt.problem.problem import Problem
 from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.footsteps import Walk, feet_of
 from trajopt.reduced.lip import Pendulum
 from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kinematics
 from trajopt.robot.legs import biped_legs, require_soles
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.solution.statistics import SolveStatistics

@@ -1,4 +1,4 @@
-"""Natural units of a robot: scales of variables, rows and costs."""
+"""Scales of the variables, rows and costs of a robot's NLP, with which a term takes its quantities."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.robot.robot import Robot
 
-# A limit this many natural units away cannot bind in a motion that the robot's own weight drives:
+# A limit this many scaled units away cannot bind in a motion that the robot's own weight drives:
 # 30 sqrt(g / l) is a full turn of a leg in about a fifth of its swing time, 30 m g l thirty times the
 # moment of the whole weight at the leg's length. Placeholder limits of URDF files (1000 rad/s,
 # 1000 N m) lie beyond. Rows for them are left out; ``check`` verifies the limits all the same.
@@ -18,7 +18,10 @@ UNREACHABLE = 30.0
 
 
 class Units:
-    """Natural units from weight m g, length l and g, of ``robot``, or of the one it is ``part_of``.
+    """Scales from weight m g, length l and g, of ``robot``, or of the one it is ``part_of``.
+
+    l is `Robot.length`, the height at which legs carry the base, as motions on legs scale with it. What a
+    motion is judged in is `trajopt.robot.natural_units`: it must not depend on how a problem was posed.
 
     ``position``, ``velocity``, ``acceleration`` are arrays (nv,) over the local coordinates (m or rad and
     their derivatives), ``generalized_force`` (nv,) their forces (N or N m); ``force`` in N, ``torque`` in

@@ -49,13 +49,13 @@ ASYMMETRY = 2e-2
 ROUNDING = 1e-9
 # Terms about frames that constrain nothing across the plane; footholds are checked separately.
 ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)
-# Start, goals and terms may differ from their mirror images by this, in natural units (rad, lengths of the
+# Start, goals and terms may differ from their mirror images by this, in scaled units (rad, lengths of the
 # robot): below what joints are calibrated to. Above it a task is asymmetric.
 TASK = 1e-3
 # Torques of mirrored motions may differ by this multiple of the robot's own asymmetry: a mismatch of an
 # inertia enters several rows.
 PASSED_ON = 20.0
-# Rows and costs are compared at this many random states of order one in natural units.
+# Rows and costs are compared at this many random states of order one in scaled units.
 STATES = 2
 # Rounding error of the base's heading, rad, from the world's x axis.
 HEADING = 1e-6

@@ -243,7 +243,7 @@ def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) ->
     """Return the motion of the whole robot of ``problem`` that a small robot's ``solution`` stands for.
 
     Configurations, rates and contact wrenches follow from the reduction. The halves of a real robot differ a
-    little: wrenches of active contacts get the least correction, in natural units, with which the whole
+    little: wrenches of active contacts get the least correction, in scaled units, with which the whole
     robot's base rows hold. What contacts cannot provide (all of it in flight) remains as a residual in the
     check. Torques are the actuated rows of numeric RNEA - J^T f, locked joints' too.
     """

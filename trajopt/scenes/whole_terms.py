@@ -33,7 +33,7 @@ from trajopt.terms.costs import NodeCost
 from trajopt.terms.interfaces import Cost, NodeConstraint, NodePlace, PointConstraint, Rows, Term
 from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions, guessed_posture
 
-# Random points at which rows are compared, and the rounding difference of equal rows, natural units.
+# Random points at which rows are compared, and the rounding difference of equal rows, scaled units.
 SAMPLES = 3
 SAME = 1e-9
 

@@ -13,9 +13,9 @@ from trajopt.collision.near import GROUND
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.motion.body_distances import FileBodies
 from trajopt.motion.carried import carrying_model
-from trajopt.motion.natural_units import NaturalUnits
 from trajopt.motion.samples import SampleQuantities, sample_quantities
 from trajopt.motion.touched import held_samples
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation.bodies import (
     Bodies,
     add_geom,

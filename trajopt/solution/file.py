@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import sys
 from collections.abc import Mapping
@@ -14,7 +15,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError, SolutionFileError, expanded, first_line
+from trajopt.errors import InputError, SolutionFileError, expanded, first_line, is_number
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.archive import read_members
 from trajopt.solution.arrays import OTHERS, SAMPLED, read_only, runs
 from trajopt.solution.consistency import inconsistency
@@ -29,6 +31,8 @@ FORMAT = "trajopt-solution"
 VERSION = 1
 # Values in its meta, and how many of them within each other.
 MOST_VALUES, DEEPEST = 2_000_000, 50
+# Units of a model are the same up to rounding.
+SAME_UNITS = 1e-6
 LARGEST_FLOAT = sys.float_info.max
 # Entries of a meta whose numbers reach code that trusts them.
 BOUNDED = (
@@ -64,6 +68,7 @@ class FileContent:
             "format": FORMAT,
             "version": VERSION,
             **meta_of(self.description, self.statistics),
+            "units": NaturalUnits.of(self.model).describe(),
             "intervals": [len(part) for part in times],
             "durations": [float(part[-1, 1] - part[0, 0]) for part in times],
         }
@@ -122,11 +127,24 @@ def parse_solution(content: bytes, source: Path) -> FileContent:
         )
     except InputError as error:
         raise SolutionFileError(f"{source}: {error.what}", error.allowed) from None
+    _require_units(source, meta, parts.model)
     wrong = inconsistency(values, parts.model, parts.description, parts.statistics)
     if wrong:
         raise SolutionFileError(f"{source}: {wrong}")
     values["f"] = _forces_of_contacts(parts.description, values)
     return parts
+
+
+def _require_units(source: Path, meta: Mapping[str, Any], model: pin.Model) -> None:
+    """Raise `SolutionFileError` for natural units that are not the model's; older files state none."""
+    stated, allowed = meta.get("units"), NaturalUnits.of(model).describe()
+    same = isinstance(stated, dict) and all(
+        is_number(stated.get(name)) and math.isclose(stated[name], value, rel_tol=SAME_UNITS)
+        for name, value in allowed.items()
+    )
+    if stated is not None and not same:
+        shown = ", ".join(f"{name} {value:.6g}" for name, value in allowed.items())
+        raise SolutionFileError(f"{source}: units of meta are {stated!r:.80}", f"those of its model: {shown}")
 
 
 def _forces_of_contacts(plan: PlanDescription, arrays: Mapping[str, np.ndarray]) -> np.ndarray:

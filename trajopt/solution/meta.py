@@ -62,7 +62,7 @@ DESCRIBED = (
     *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
     *("visual", "phase_names"),
 )
-DERIVED = ("format", "version", "durations", "intervals", "simulated")
+DERIVED = ("format", "version", "durations", "intervals", "units", "simulated")
 # Fields of statistics that are numbers, words or flags, by their type.
 TEXTS = ("transcription", "solver", "status", "solver_status", "advice", "hessian", "worst_figure")
 FLAGS = ("success", "converged", "warm_start", "certified_infeasible")

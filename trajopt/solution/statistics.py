@@ -40,7 +40,7 @@ class GradedStatistics:
 
 @dataclass(frozen=True, kw_only=True)
 class SolveStatistics:
-    """How a solution was found. Times in s, residuals in natural units; None where there is no such figure.
+    """How a solution was found. Times in s, residuals scaled; None where there is no such figure.
 
     Attributes:
         success: the verdict: the solver converged and the motion is within the tolerances it was judged by.

@@ -1,6 +1,6 @@
 """The elastic problem: how near to feasible can an iterate come?
 
-Every row may be violated at a price of one per natural unit, and the objective is left out:
+Every row may be violated at a price of one per scaled unit, and the objective is left out:
 
     min over x, s   sum s + prox/2 |x - centre|^2
     with   low <= g(x) + s_low - s_high <= high,   s >= 0,   bounds of x
@@ -32,7 +32,7 @@ from trajopt.transcription.nlp import Nlp
 # Weights of the distance from the start, of the first minimum and of those that are searched from there. With
 # ten times the second, tall hops and long jumps that can be done end at a violation.
 FAR, NEAR = 1e-4, 1e-6
-# A violation of one row that is clear, and one that a solver can mend, in natural units. Measured: points of
+# A violation of one row that is clear, and one that a solver can mend, in scaled units. Measured: points of
 # feasible problems end below 1e-3, of infeasible ones above 1.2e-2: the gap is narrow near what can just be
 # done, and a point between them is no verdict.
 CLEAR, MENDED = 1e-2, 1e-3

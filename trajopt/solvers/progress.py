@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-# Rows violated by less than this, natural units, count as feasible.
+# Rows violated by less than this, scaled units, count as feasible.
 VIOLATED = 1e-3
 # No verdict on fewer iterations; so many of the last ones must have large multipliers.
 LEAST, LAST = 8, 3

@@ -38,7 +38,7 @@ CONVEX_DELTA = 1e-4
 # Steps shorter than this share of their direction increase delta; the shortest that are tried.
 SHORT, SHORTEST, SHORTEST_ELASTIC = 0.2, 1e-3, 1e-6
 # The elastic program: its first and least share of the objective, the fraction of the violation that may
-# remain for the share to be accepted, and its curvature, in natural units.
+# remain for the share to be accepted, and its curvature, in scaled units.
 FIRST_SHARE, LEAST_SHARE, ACCEPTED, ELASTIC_DELTA = 0.1, 1e-4, 0.9, 1e-2
 # With a smaller relative reduction of the violation, the point is a stationary point of the violation.
 STATIONARY = 1e-6

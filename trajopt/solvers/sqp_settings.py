@@ -10,7 +10,7 @@ from trajopt.solvers.result import StoppingCriteria
 
 # Options with what they allow; whole numbers count as numbers.
 ALLOWED = {
-    "early": "a number > 0, of violation in natural units",
+    "early": "a number > 0, of violation in scaled units",
     "max_sqp": "a whole number of steps >= 0",
     "regularization": "a number >= 0",
 }

@@ -16,6 +16,7 @@ from trajopt.arguments import check_settings, checked
 from trajopt.certify.report import GRADE, Tolerances
 from trajopt.errors import InputError, require_positive
 from trajopt.problem.problem import Problem
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.units import Units
 from trajopt.solution.solution import Solution
 from trajopt.solving.exchange import Exchange
@@ -29,10 +30,10 @@ from trajopt.transcription.transcription import chosen_mesh
 # accurate than two points on all of them, in half the time. On a fixed base fewer do: errors of a stance on
 # two feet grow, and with a quarter of the intervals a dozen gaits are not tracked in MuJoCo.
 FIRST_SCHEME, FIRST_PART, FIXED_BASE_PART = "legendre:4", 0.4, 0.25
-# Widest interval of the first mesh, in natural times sqrt(l / g).
+# Widest interval of the first mesh, in the NLP's scale of time.
 WIDEST = 1.0
 MOST_ROUNDS = 10
-# The solver's tolerance, as a fraction of an accuracy over the robot's length, and its least: the error grows
+# The solver's tolerance, as a fraction of an accuracy over the robot's reach, and its least: the error grows
 # along the motion.
 TOLERANCE_SHARE, LEAST_TOLERANCE, USUAL_TOLERANCE = 1e-3, 1e-10, 1e-6
 
@@ -55,7 +56,7 @@ def first_mesh(problem: Problem, least: bool = False) -> Mesh:
 
 
 def tolerance_for(accuracy: float, length: float) -> float:
-    """A solver's tolerance that leaves a small part of ``accuracy`` (m) on a robot of ``length`` m."""
+    """A solver's tolerance that leaves a small part of ``accuracy`` (m) on a robot of reach ``length``."""
     return float(np.clip(TOLERANCE_SHARE * accuracy / length, LEAST_TOLERANCE, USUAL_TOLERANCE))
 
 
@@ -135,7 +136,7 @@ def solve_graded(
     check_settings(solve_on_mesh, settings)
     if accuracy is not None:
         require_positive("accuracy", accuracy, "m")
-        wanted = tolerance_for(accuracy, problem.robot.length)
+        wanted = tolerance_for(accuracy, NaturalUnits.of(problem.robot.model).length)
         settings["tolerance"] = min(settings.get("tolerance", USUAL_TOLERANCE), wanted)
     if not problem.holds_contacts:
         own = mesh or chosen_mesh(problem)

@@ -16,8 +16,8 @@ from typing import Any
 
 from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.errors import InputError, TrajoptError, require_positive
-from trajopt.motion.natural_units import NaturalUnits
 from trajopt.problem.problem import Problem
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import DEFAULT_SOLVER, solve

@@ -20,8 +20,8 @@ import numpy as np
 from trajopt.certify.accuracy.measures import Accuracy, measure
 from trajopt.certify.check import BODIES, Examination, examine
 from trajopt.certify.report import OPEN_LOOP, CheckReport, Tolerances
-from trajopt.motion.natural_units import NaturalUnits
 from trajopt.problem.problem import Problem
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solvers.result import LEAST_TIME

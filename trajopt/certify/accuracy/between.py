@@ -14,10 +14,10 @@ from trajopt.certify.contact_figures import ContactStarts
 from trajopt.certify.dense import DenseMotion, dense_motion, figures_at
 from trajopt.motion.body_distances import FileBodies
 from trajopt.motion.dynamics_rows import dynamics_rows
-from trajopt.motion.natural_units import NaturalUnits
 from trajopt.motion.resampling import resampled
 from trajopt.motion.samples import sample_quantities
 from trajopt.motion.touched import touched_surfaces
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
 # Fractions of an interval for its residuals: between the points of a scheme of degree four lie two at least.

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from trajopt.certify.accuracy.named_points import NamedPoints
 from trajopt.certify.reintegration import PhaseDynamics, integrated_interval_error, phase_dynamics
-from trajopt.motion.natural_units import NaturalUnits, turning_rows
+from trajopt.robot.natural_units import NaturalUnits, turning_rows
 from trajopt.solution.interpolation import InterpolatedMotion
 from trajopt.solution.solution import Solution
 

@@ -15,8 +15,8 @@ import numpy as np
 from trajopt.certify.accuracy.named_points import NamedPoints
 from trajopt.certify.reintegration import RobotState, integrate_interval, integrated_states, phase_dynamics
 from trajopt.dynamics.base_joint import base_of
-from trajopt.motion.natural_units import NaturalUnits
 from trajopt.motion.samples import state_distance
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
 

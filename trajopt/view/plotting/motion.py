@@ -13,11 +13,11 @@ from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.dynamics.virtual_base import angles_of
 from trajopt.motion.carried import payload_wrenches
 from trajopt.motion.dynamics_rows import DynamicsRows, dynamics_rows
-from trajopt.motion.natural_units import NaturalUnits
 from trajopt.motion.samples import SampleQuantities, sample_quantities
 from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.motion import LEAST_PRESSURE

@@ -1,9 +1,13 @@
-"""Natural units of a solution's robot, from its model alone: weight, reach and gravity."""
+"""Natural units of a robot, from its model alone: weight, reach and gravity.
+
+Errors, grades, controllers and simulations measure in them; a solution file states them as ``units``. The
+scales of an NLP are others, see `trajopt.robot.Units`.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -29,6 +33,10 @@ class NaturalUnits:
         """Units of a model; a massless one counts as 1 kg."""
         gravity = gravity_of(model)
         return cls(weight=(mass_of(model) or 1.0) * gravity, length=reach(model) or 1.0, gravity=gravity)
+
+    def describe(self) -> dict[str, float]:
+        """JSON-able entry ``units`` of a solution file, SI."""
+        return {**asdict(self), "time": self.time}
 
     @property
     def time(self) -> float:
