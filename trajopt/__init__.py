@@ -11,6 +11,6 @@ rooms of the library, in the order in which they build on each other, are in doc
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
