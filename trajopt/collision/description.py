@@ -185,8 +185,8 @@ def _disabled(robot: Robot) -> dict[frozenset[str], str]:
         entries = list(Tree.parse(file).getroot().iter("disable_collisions"))
     except Tree.ParseError:
         return {}
-    found = {frozenset((e.get("link1", ""), e.get("link2", ""))): e.get("reason", "") for e in entries}
-    return {pair: reason for pair, reason in found.items() if reason.lower() not in JUDGED_REASONS}
+    reasons = {frozenset((e.get("link1", ""), e.get("link2", ""))): e.get("reason", "") for e in entries}
+    return {pair: reason for pair, reason in reasons.items() if reason.lower() not in JUDGED_REASONS}
 
 
 def _srdf_of(urdf: Path) -> Path | None:

@@ -104,7 +104,7 @@ class Graded:
     @property
     def spent(self) -> float:
         """Time of the solver in all rounds, s."""
-        return sum(own.wall_time for own in self.rounds)
+        return sum(solved.wall_time for solved in self.rounds)
 
     @property
     def statistics(self) -> GradedStatistics:
@@ -131,7 +131,7 @@ def largest_error(accuracy: Accuracy | None) -> float:
 
 def phase_errors(accuracy: Accuracy) -> tuple[float, ...]:
     """Error of each phase in m: open loop from its planned start, or the drift of its contacts."""
-    return tuple(max(own.open_loop.position, own.foot_drift or 0.0) for own in accuracy.phases)
+    return tuple(max(phase.open_loop.position, phase.foot_drift or 0.0) for phase in accuracy.phases)
 
 
 def unknowns_by_phase(problem: Problem) -> list[tuple[int, int]]:
