@@ -95,7 +95,7 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         WATCH,
         [
             at("solve:solve_command", CANCELLED),
-            at("live:_started", CANCELLED),
+            at("show:_started", CANCELLED),
             at("viewer:Viewer.__init__", CANCELLED, event="return"),
             at("panel:ConvergencePanel.__enter__", CANCELLED),
             at("transcription:transcribe", CANCELLED),
@@ -140,11 +140,11 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
     "replay": (
         REPLAY,
         [
-            at("live:_started", CANCELLED),
-            at("live:LiveWindow.show", CANCELLED),
+            at("show:_started", CANCELLED),
+            at("show:LiveWindow.show", CANCELLED),
             at("show:replay", CANCELLED, event="return"),
             at("show:serve", SOLVED),
-            at("live:LiveWindow.ended", SOLVED, count=2),
+            at("show:LiveWindow.ended", SOLVED, count=2),
         ],
     ),
     "suite": (
