@@ -130,6 +130,19 @@ def periodic_image(
     return found, sign * v[..., index]
 
 
+def periodicity_error(plan: Solution) -> float | None:
+    """Largest difference (m, rad, m/s, rad/s) of the last state from the first's image; None if not periodic.
+
+    What the image is, `PeriodicImage` says.
+    """
+    described = plan.description.periodicity
+    if not described:
+        return None
+    q, v = periodic_image(plan.model, described, plan.q[0], plan.v[0], float(plan.t[-1] - plan.t[0]))
+    apart = pin.difference(plan.model, q, plan.q[-1])
+    return float(max(np.abs(apart).max(), np.abs(v - plan.v[-1]).max()))
+
+
 def _turning(turn: float) -> np.ndarray:
     """Matrix (4, 4) that turns quaternions (x, y, z, w) by ``turn`` rad about the world's vertical."""
     c, s = np.cos(turn / 2), np.sin(turn / 2)

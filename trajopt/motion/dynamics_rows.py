@@ -40,13 +40,12 @@ def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
     return DynamicsRows(base=balance, actuated=force[:, base:] - plan.tau, contact=contact)
 
 
-def dynamics_traces(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> Traces:
+def dynamics_traces(plan: Solution, rows: DynamicsRows) -> Traces:
     """Largest residuals at the collocation points, over the weight (moments: times 1 m) and over g.
 
     With velocity sources, the contacts' velocities are over sqrt(g 1 m).
     """
-    rows, points = dynamics_rows(plan, samples, surfaces), plan.collocation[:, None]
-    gravity = gravity_of(plan.model)
+    points, gravity = plan.collocation[:, None], gravity_of(plan.model)
     weight = mass_of(plan.model) * gravity
     moving = np.sqrt(gravity) if plan.description.actuation == "velocity" else gravity
     names, contact = names_of_rows(plan), np.abs(rows.contact).max(axis=-1, initial=0.0) / moving

@@ -12,13 +12,9 @@ import numpy as np
 
 from trajopt.certify.contact_figures import ContactStarts
 from trajopt.certify.dense import DenseMotion, dense_motion, figures_at
-from trajopt.motion.body_distances import FileBodies
-from trajopt.motion.dynamics_rows import dynamics_rows
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.resampling import resampled
-from trajopt.motion.samples import sample_quantities
-from trajopt.motion.touched import touched_surfaces
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.solution import Solution
 
 # Fractions of an interval for its residuals: between the points of a scheme of degree four lie two at least.
 FRACTIONS = np.linspace(0.0, 1.0, 11)
@@ -90,29 +86,24 @@ class BetweenPoints:
     foot_drift: tuple[float | None, ...]
 
 
-def figures_between_points(plan: Solution) -> BetweenPoints:
-    """Figures at any time of a plan whose rotations are of unit norm."""
-    samples = sample_quantities(plan)
-    surfaces = touched_surfaces(plan, samples.position)
-    starts = ContactStarts.of(plan, samples, surfaces)
-    bodies, apart = FileBodies.of(plan)
-    here = figures_at(plan, samples, surfaces, starts, apart)
-    dense = dense_motion(plan, plan.polynomials, here, starts, bodies)
-    units, phases = NaturalUnits.of(plan.model), range(len(plan.phases))
+def figures_between_points(motion: MotionQuantities) -> BetweenPoints:
+    """Figures of a motion at any time."""
+    starts = ContactStarts.of(motion)
+    dense = dense_motion(motion, figures_at(motion, starts), starts)
+    units, phases = motion.units, range(len(motion.solution.phases))
     return BetweenPoints(
-        residuals=_residuals(resampled(plan, FRACTIONS), units),
+        residuals=_residuals(MotionQuantities(resampled(motion.solution, FRACTIONS)), units),
         violations=tuple(_violations(dense, phase, units) for phase in phases),
         foot_drift=tuple(_worst(dense, "foot_drift", phase) for phase in phases),
     )
 
 
-def _residuals(dense: Solution, units: NaturalUnits) -> IntervalResiduals:
-    samples = sample_quantities(dense)
-    rows = dynamics_rows(dense, samples, touched_surfaces(dense, samples.position))
+def _residuals(motion: MotionQuantities, units: NaturalUnits) -> IntervalResiduals:
+    dense, rows = motion.solution, motion.residuals
     force = units.generalized_force(dense.model)
     base = dense.n_unactuated
     turning = np.array([1.0] * 3 + [1.0 / units.length] * 3)
-    if dense.description.actuation == "velocity":
+    if motion.moved_by_rates:
         contact = rows.contact / (np.sqrt(units.gravity * units.length) * turning)
     else:
         contact = rows.contact / (units.gravity * turning)
@@ -124,13 +115,13 @@ def _residuals(dense: Solution, units: NaturalUnits) -> IntervalResiduals:
 
 
 def _worst(dense: DenseMotion, figure: str, phase: int) -> float | None:
-    found = dense.traces[figure].at(dense.plan.phase == phase).worst()
-    return None if found is None else found[0]
+    worst = dense.traces[figure].at(dense.plan.phase == phase).worst()
+    return None if worst is None else worst[0]
 
 
 def _violations(dense: DenseMotion, phase: int, units: NaturalUnits) -> _Figures:
-    found: _Figures = {}
+    violations: _Figures = {}
     for name, bound in VIOLATIONS.items():
         value = _worst(dense, bound.figure, phase)
-        found[name] = None if value is None else max(bound.sign * value / bound.unit(units), 0.0)
-    return found
+        violations[name] = None if value is None else max(bound.sign * value / bound.unit(units), 0.0)
+    return violations
