@@ -174,7 +174,7 @@ class CheckReport:
         margin.
     landing_height: distance of active contacts from their surface at their phase's start, unsigned.
     patch_margin: least distance of active contacts (of soles: their corners) inside their patches' edges.
-    position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: at
+    position_gap, velocity_gap: see `integration_gaps.interval_gaps`. ballistic_error, momentum_error: at
         nodes, ``..._between`` at collocation points, see
         `flight.flight_errors`. open_loop_...: see `reintegration.open_loop`; inf where it diverged.
     """
