@@ -106,8 +106,8 @@ def _vertices(dense: DenseMotion) -> tuple[np.ndarray, np.ndarray]:
         others = known.setdefault(number, [])
         if all(abs(fraction - other) > SAME for other in others):
             others.append(fraction)
-    found = [(number, fraction) for number, own in known.items() for fraction in own]
-    return np.array([n for n, _ in found], dtype=int), np.array([f for _, f in found])
+    chosen = [(number, fraction) for number, inside in known.items() for fraction in inside]
+    return np.array([n for n, _ in chosen], dtype=int), np.array([f for _, f in chosen])
 
 
 def _peaks(
@@ -117,18 +117,18 @@ def _peaks(
     if not trace.counts.any():
         return []
     bad = trace.badness
-    left, peak, right = (bad[own] for own in rows)
+    left, peak, right = (bad[order] for order in rows)
     high = np.isfinite(left) & np.isfinite(right) & (peak >= left) & (peak >= right)
     high &= peak > np.minimum(left, right)
     places = np.argwhere(high)
     if len(places) > PEAKS:
         places = places[np.argsort(-peak[high])[:PEAKS]]
-    found = []
+    vertices = []
     for i, column in places:
-        x = fractions[[own[i] for own in rows]]
+        x = fractions[[order[i] for order in rows]]
         y = np.array([part[i, column] for part in (left, peak, right)])
-        found.append((int(rows[1][i]), _vertex(x, y)))
-    return [(row, fraction) for row, fraction in found if np.abs(fractions[row] - fraction) > SAME]
+        vertices.append((int(rows[1][i]), _vertex(x, y)))
+    return [(row, fraction) for row, fraction in vertices if np.abs(fractions[row] - fraction) > SAME]
 
 
 def _vertex(x: np.ndarray, y: np.ndarray) -> float:

@@ -59,9 +59,9 @@ def _task(motion: ExportedMotion, options: Mapping[str, Any]) -> str:
 def _require_same_features(episodes: Sequence[Mapping[str, Feature]]) -> None:
     first = {key: feature.names for key, feature in episodes[0].items()}
     for number, episode in enumerate(episodes):
-        own = {key: feature.names for key, feature in episode.items()}
-        for key in sorted(set(first) | set(own)):
-            if first.get(key) != own.get(key):
+        columns = {key: feature.names for key, feature in episode.items()}
+        for key in sorted(set(first) | set(columns)):
+            if first.get(key) != columns.get(key):
                 raise InputError(
                     f"'{key}' of motion {number} has other entries than that of motion 0",
                     "allowed: motions with the same joints and contacts",
@@ -120,15 +120,17 @@ def _described_episodes(
 def _statistics(values: np.ndarray) -> dict[str, list[Any]]:
     """Statistics of the entries of a feature (n, k) over frames, as lists (k,); ``count`` of frames."""
     columns = values.reshape(len(values), -1).astype(values.dtype if values.dtype.kind == "i" else float)
-    found = {
+    statistics = {
         "min": columns.min(axis=0),
         "max": columns.max(axis=0),
         "mean": columns.mean(axis=0),
         "std": columns.std(axis=0),
         "count": np.array([len(columns)]),
     }
-    found |= {name: np.quantile(columns, level, axis=0, method=METHOD) for name, level in QUANTILES.items()}
-    return {name: value.tolist() for name, value in found.items()}
+    statistics |= {
+        name: np.quantile(columns, level, axis=0, method=METHOD) for name, level in QUANTILES.items()
+    }
+    return {name: value.tolist() for name, value in statistics.items()}
 
 
 def _write_json(path: Path, described: Mapping[str, Any]) -> None:

@@ -34,7 +34,7 @@ class Feature:
 def features_of(motion: ExportedMotion, *, episode: int, start: int, task: int) -> dict[str, Feature]:
     """Features of a motion by name, without those of no entries; ``start``: index of its first frame."""
     frames, count = np.arange(len(motion.t)), len(motion.t)
-    found = {
+    features = {
         "observation.state": _vector(
             np.hstack([motion.joint_position, motion.joint_velocity]),
             [f"{name}.pos" for name in motion.joint_names] + [f"{name}.vel" for name in motion.joint_names],
@@ -48,7 +48,7 @@ def features_of(motion: ExportedMotion, *, episode: int, start: int, task: int) 
         "index": Feature(values=start + frames),
         "task_index": Feature(values=np.full(count, task)),
     }
-    return {key: feature for key, feature in found.items() if feature.size}
+    return {key: feature for key, feature in features.items() if feature.size}
 
 
 def _vector(values: np.ndarray, names: list[str]) -> Feature:
@@ -57,11 +57,11 @@ def _vector(values: np.ndarray, names: list[str]) -> Feature:
 
 def _base_features(motion: ExportedMotion) -> dict[str, Feature]:
     """Pose and velocity of the link that a moving base carries, world axes; quaternion xyzw."""
-    links, own = motion.links, motion.links.base
-    if own is None:
+    links, base = motion.links, motion.links.base
+    if base is None:
         return {}
-    pose = np.hstack([links.position[:, own], links.quaternion[:, own][:, [1, 2, 3, 0]]])
-    velocity = np.hstack([links.linear_velocity[:, own], links.angular_velocity[:, own]])
+    pose = np.hstack([links.position[:, base], links.quaternion[:, base][:, [1, 2, 3, 0]]])
+    velocity = np.hstack([links.linear_velocity[:, base], links.angular_velocity[:, base]])
     twist = [f"{part}.{axis}" for part in ("linear", "angular") for axis in AXES]
     return {
         "observation.base_pose": _vector(pose, [*AXES, "qx", "qy", "qz", "qw"]),
