@@ -30,7 +30,7 @@ def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
     """Residuals at every sample; base rows of velocity sources are statics, RNEA(q, 0, 0) - sum J^T f."""
     base, force = plan.n_unactuated, samples.generalized_force
     balance, held = force[:, :base], samples.acceleration
-    if plan.description.actuation == "velocity":  # rows of statics and of velocities, not of motion
+    if plan.description.velocity_input:  # rows of statics and of velocities, not of motion
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
         balance = sample_quantities(still).generalized_force[:, :base] if base else balance
         held = samples.velocity
@@ -47,7 +47,7 @@ def dynamics_traces(plan: Solution, rows: DynamicsRows) -> Traces:
     """
     points, gravity = plan.collocation[:, None], gravity_of(plan.model)
     weight = mass_of(plan.model) * gravity
-    moving = np.sqrt(gravity) if plan.description.actuation == "velocity" else gravity
+    moving = np.sqrt(gravity) if plan.description.velocity_input else gravity
     names, contact = names_of_rows(plan), np.abs(rows.contact).max(axis=-1, initial=0.0) / moving
     base = plan.n_unactuated
     return {

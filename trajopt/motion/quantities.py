@@ -77,7 +77,7 @@ class MotionQuantities:
     @property
     def moved_by_rates(self) -> bool:
         """Whether the joints are velocity sources."""
-        return self.solution.description.actuation == "velocity"
+        return self.solution.description.velocity_input
 
     @cached_property
     def base(self) -> Base:

@@ -5,7 +5,6 @@ The violations are those of the check (`certify.dense`), in natural units.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,37 +21,26 @@ FRACTIONS = np.linspace(0.0, 1.0, 11)
 _Figures = dict[str, float | None]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Bound:
-    """How a constraint's violation follows from a figure of the check: its sign, and its unit."""
-
-    figure: str
-    sign: float = 1.0
-    unit: Callable[[NaturalUnits], float] = lambda _: 1.0
-
-
-def _length(units: NaturalUnits) -> float:
-    return units.length
-
-
-# Violations are over the weight (forces), weight times reach (moments of soles), the limit (torques,
-# velocities, drives), the joint's range (positions) and the reach (depths, distances).
+# Figures of the check by the name of the constraint that they violate.
 VIOLATIONS = {
-    "friction": _Bound(figure="friction_margin", sign=-1.0),
-    "unilateral": _Bound(figure="unilateral_margin", sign=-1.0),
-    "sole": _Bound(figure="sole_margin", sign=-1.0, unit=_length),
-    "sliding": _Bound(figure="sliding_friction"),
-    "effort": _Bound(figure="effort_excess"),
-    "drive_torque": _Bound(figure="drive_torque_excess"),
-    "drive_voltage": _Bound(figure="drive_voltage_excess"),
-    "velocity": _Bound(figure="velocity_excess"),
-    "position": _Bound(figure="position_excess"),
-    "penetration": _Bound(figure="penetration", unit=_length),
-    "link_depth": _Bound(figure="link_depth", unit=_length),
-    "obstacle": _Bound(figure="obstacle_distance", sign=-1.0, unit=_length),
-    "self_collision": _Bound(figure="self_distance", sign=-1.0, unit=_length),
-    "patch": _Bound(figure="patch_margin", sign=-1.0, unit=_length),
+    "friction": "friction_margin",
+    "unilateral": "unilateral_margin",
+    "sole": "sole_margin",
+    "sliding": "sliding_friction",
+    "effort": "effort_excess",
+    "drive_torque": "drive_torque_excess",
+    "drive_voltage": "drive_voltage_excess",
+    "velocity": "velocity_excess",
+    "position": "position_excess",
+    "penetration": "penetration",
+    "link_depth": "link_depth",
+    "obstacle": "obstacle_distance",
+    "self_collision": "self_distance",
+    "patch": "patch_margin",
 }
+# Those over the reach (of soles: weight times reach). Others are over the weight (forces), the limit
+# (torques, velocities, drives) and the joint's range (positions), as the figures are.
+OVER_REACH = ("sole", "penetration", "link_depth", "obstacle", "self_collision", "patch")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +109,9 @@ def _worst(dense: DenseMotion, figure: str, phase: int) -> float | None:
 
 def _violations(dense: DenseMotion, phase: int, units: NaturalUnits) -> _Figures:
     violations: _Figures = {}
-    for name, bound in VIOLATIONS.items():
-        value = _worst(dense, bound.figure, phase)
-        violations[name] = None if value is None else max(bound.sign * value / bound.unit(units), 0.0)
+    for name, figure in VIOLATIONS.items():
+        value = _worst(dense, figure, phase)
+        sign = -1.0 if dense.traces[figure].margin else 1.0
+        unit = units.length if name in OVER_REACH else 1.0
+        violations[name] = None if value is None else max(sign * value / unit, 0.0)
     return violations
