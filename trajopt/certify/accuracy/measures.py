@@ -52,7 +52,7 @@ class Accuracy:
         velocity_gap (m/s, rad/s): q against the integral of v, v against that of a, see
         `motion.integration_gaps.interval_gaps`.
     foot_drift: m, of active contacts from where they are at their phase's start; None without contacts.
-    violation_between: largest of ``violations``, by name in natural units (`between.BOUNDS`): 0 where the
+    violation_between: largest of ``violations``, by name in natural units (`between.VIOLATIONS`): 0 where the
         constraint holds between the points too, None without such a constraint.
     comparison: against a reference, or None.
     """
