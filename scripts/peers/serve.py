@@ -20,7 +20,7 @@ import numpy as np
 from scripts.peers import problems
 from scripts.peers.tasks import TASKS
 from trajopt.certify.reintegration import integrated_states
-from trajopt.motion.samples import state_distance
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solvers.ipopt import LINEAR_SOLVER
@@ -63,9 +63,9 @@ def solve(task: str, scheme: str, intervals: int, linear_solver: str, threads: i
 def open_loop(task: str, scheme: str, intervals: int, linear_solver: str, threads: int) -> dict[str, Any]:
     """Errors of the base's position in m, at the end and the largest at nodes; largest torque, N m."""
     plan = _SOLVED[task, scheme, intervals, linear_solver, threads]
-    errors = []
-    for rows, state in zip(plan.intervals, integrated_states(plan, range(plan.n_intervals)), strict=False):
-        apart = np.inf if state is None else state_distance(plan.model, plan.q[rows.stop - 1], state[0])[0]
+    motion, errors = MotionQuantities(plan), []
+    for rows, state in zip(plan.intervals, integrated_states(motion, range(plan.n_intervals)), strict=False):
+        apart = np.inf if state is None else motion.distance_from(rows.stop - 1, state[0])[0]
         errors.append(float(apart))
     torque = float(np.abs(plan.tau[plan.collocation]).max())
     return {"end": errors[-1], "largest": max(errors), "torque": torque}

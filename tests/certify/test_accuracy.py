@@ -26,6 +26,7 @@ from trajopt.certify.accuracy.table import accuracy_table
 from trajopt.certify.contact.impact import impact
 from trajopt.certify.reintegration import active_contacts
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.payload import loaded_model
 from trajopt.robot.robot import Robot
@@ -245,7 +246,12 @@ def test_impact_with_a_carried_body_is_judged_with_its_mass():
     model.addFrame(pin.Frame("trunk", 1, 0, pin.SE3.Identity(), pin.OP_FRAME))
     inertia = pin.Inertia(body["mass"], np.array(body["centre"]), np.eye(3))
     carrying = loaded_model(model, "trunk", inertia)
-    law = impact(carrying, plan.q[row], plan.v[row - 1], active_contacts(plan, carrying, row))
+    law = impact(
+        carrying,
+        plan.q[row],
+        plan.v[row - 1],
+        active_contacts(MotionQuantities(plan), row),
+    )
     v, impulse = plan.v.copy(), plan.impulse.copy()
     v[row], impulse[0] = law.velocity, 0.0
     impulse[0, plan.active[row]] = law.impulses

@@ -12,10 +12,8 @@ from trajopt.certify.accuracy.local_errors import local_errors
 from trajopt.certify.accuracy.measures import interval_errors
 from trajopt.certify.check import check
 from trajopt.certify.contact_figures import force_traces
-from trajopt.motion.limits import limit_traces
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.resampling import resampled
-from trajopt.motion.samples import contact_places
-from trajopt.motion.touched import touched_surfaces
 from trajopt.solution.solution import Solution
 
 pytestmark = pytest.mark.long
@@ -34,11 +32,8 @@ def plan(request: pytest.FixtureRequest) -> Solution:
 
 def test_worst_of_two_hundred_samples_is_found_with_a_few(plan):
     report, fine = check(plan, integrate=False), resampled(plan.normalized(), FINE)
-    places = contact_places(fine)
-    expected = {
-        **force_traces(fine, places, touched_surfaces(fine, places.position)),
-        **limit_traces(fine),
-    }
+    motion = MotionQuantities(fine)
+    expected = {**force_traces(motion), **motion.limit_traces}
     for name in ("friction_margin", "unilateral_margin", "velocity_excess", "position_excess"):
         worst = expected[name].worst()
         assert worst is not None
@@ -60,7 +55,7 @@ def test_places_are_those_of_the_worst_values(plan):
 @pytest.mark.parametrize("problem", [landing(), hop(), reach(gravity=True)], ids=["landing", "hop", "reach"])
 def test_local_errors_are_those_of_an_integration(problem):
     plan = trajopt.solve(problem, intervals=12).normalized()
-    found = local_errors(plan, plan.polynomials).position
+    found = local_errors(MotionQuantities(plan)).position
     expected = interval_errors(plan)
     large = expected > 1e-2 * expected.max()
     assert_allclose(np.log(found[large] / expected[large]), 0.0, atol=np.log(FACTOR))
@@ -69,5 +64,5 @@ def test_local_errors_are_those_of_an_integration(problem):
 
 def test_local_errors_of_uneven_meshes_are_in_the_order_of_the_intervals():
     plan = trajopt.solve(landing(), transcription="legendre:2,legendre:2,legendre:3", intervals=8)
-    found = local_errors(plan.normalized(), plan.normalized().polynomials).position
+    found = local_errors(MotionQuantities.normalized(plan)).position
     assert np.argmax(found) == np.argmax(interval_errors(plan))

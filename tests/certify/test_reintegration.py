@@ -11,6 +11,7 @@ from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbl
 from trajopt.certify.check import check
 from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import Tolerances
+from trajopt.motion.quantities import MotionQuantities
 from trajopt_library import robots
 
 INTERVALS = 20
@@ -31,7 +32,7 @@ def test_wrong_torque_shows_in_the_open_loop(push):
 def test_open_loop_runs_phase_by_phase(solo):
     both = sampled(solo, [standing(solo), tumbling_flight(solo)], INTERVALS)
     pushed = replace(both, tau=both.tau + 0.1 * (both.phase == 1)[:, None])
-    stance_error, flight_error = (open_loop(pushed, phase) for phase in (0, 1))
+    stance_error, flight_error = (open_loop(MotionQuantities(pushed), phase) for phase in (0, 1))
     assert stance_error.position < EXACT
     assert flight_error.joints > 0.1
     report = check(both)

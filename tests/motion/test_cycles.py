@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose
 
 from tests.support.exported_plans import GAITS, ROUNDING, plan_to_export, swinging_arm
 from tests.support.refusals import assert_refused_in_one_line
-from trajopt.certify.closing import periodic_image
-from trajopt.motion.cycles import CycleImage, passes_of
+from trajopt.motion.cycles import CycleImage, passes_of, periodic_image
 
 # A plan closes within the solver's tolerance.
 CLOSING = 1e-5

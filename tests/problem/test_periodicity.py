@@ -11,10 +11,10 @@ import pinocchio as pin
 import pytest
 
 import trajopt
-from trajopt.certify.closing import periodic_image
 from trajopt.certify.report import RESIDUAL
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
+from trajopt.motion.cycles import periodic_image
 from trajopt.problem.periodicity import Periodicity, closing_map, landing_at_start
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics

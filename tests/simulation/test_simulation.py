@@ -10,9 +10,9 @@ import pytest
 
 from tests.support.synthetic_motions import Motion, arm_motion, sampled, standing, tumbling_flight, with_meta
 from trajopt import Contact, Robot, Solution, solve
-from trajopt.certify.closing import periodic_image
 from trajopt.control.reference import reference_of
 from trajopt.errors import InputError
+from trajopt.motion.cycles import periodic_image
 from trajopt.motion.samples import sample_quantities
 from trajopt.simulation.figures import farthest_travel
 from trajopt.simulation.settings import SimulationSettings

@@ -15,6 +15,7 @@ from tests.support.sampled_problems import KINDS, solution_of_kind
 from trajopt.certify.accuracy.between import figures_between_points
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.motion.carried import carrying_model
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.sampled_motion import SampledMotion
 from trajopt.solution.solution import Solution
@@ -97,7 +98,7 @@ def test_dynamics_hold_at_points_and_as_reported_between_them(kind: str, solutio
     if kind not in ("classic", "minimal coordinates"):
         missed = equation_of_motion(solution, solution.sample(times=solution.t[inner]))
         assert_allclose((missed / scale)[:, base], 0.0, atol=SOLVED)
-    reported = figures_between_points(solution.normalized()).residuals
+    reported = figures_between_points(MotionQuantities.normalized(solution)).residuals
     largest = max(reported.base.max(initial=0.0), reported.actuated.max(initial=0.0))
     missed = equation_of_motion(solution, solution.sample(200)) / scale
     assert np.abs(missed[:, base]).max() < LOOKED_ELSEWHERE * largest + SOLVED

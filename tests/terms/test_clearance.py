@@ -19,7 +19,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import described_bodies
 from trajopt.solving.graded import solve as solve_graded
 from trajopt.terms import Clearance
-from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.motion import PlottedMotion
 
 
 def test_file_holds_obstacles_and_the_shapes_of_the_links(tmp_path):
@@ -135,10 +135,10 @@ def test_plots_have_the_distance_from_each_obstacle_by_the_links_shapes():
     (term,) = (term for term in problem.terms if isinstance(term, Clearance))
     scene = CollisionScene(model=solution.model, shapes=term.shapes, obstacles=term.obstacles)
     least = scene.distances(solution.q)
-    found = MotionQuantities(solution).clearances
+    found = PlottedMotion(solution).clearances
     assert set(found) == {"ball", "far"}
     assert found["ball"] == pytest.approx(least[:, ::2].min(axis=1))
     assert found["far"] == pytest.approx(least[:, 1::2].min(axis=1))
     without = solution.with_description(obstacles=())
-    assert MotionQuantities(without).clearances == {}
+    assert PlottedMotion(without).clearances == {}
     assert without.description.capsule_scene(solution.model) is None

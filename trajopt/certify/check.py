@@ -9,8 +9,6 @@ import numpy as np
 
 from trajopt.arguments import checked
 from trajopt.certify.accuracy.local_errors import LocalErrors, local_errors
-from trajopt.certify.closing import periodicity_error
-from trajopt.certify.consistency import interval_gaps
 from trajopt.certify.contact_figures import ContactStarts, inactive_force, landing_height
 from trajopt.certify.dense import dense_motion, figures_at
 from trajopt.certify.flight import FIGURES as FLIGHT
@@ -29,13 +27,9 @@ from trajopt.certify.report import (
     PhaseReport,
     Tolerances,
 )
-from trajopt.dynamics.virtual_base import gimbal_margin_along
-from trajopt.motion.body_distances import FileBodies, missing_shapes
-from trajopt.motion.dynamics_rows import dynamics_traces
-from trajopt.motion.samples import largest, largest_known, sample_quantities
-from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
-from trajopt.motion.traces import Found, Occurrence, Traces, worst_of
-from trajopt.robot.natural_units import NaturalUnits
+from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.samples import largest, largest_known
+from trajopt.motion.traces import Occurrence, Trace, Traces
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution
 
@@ -94,38 +88,46 @@ class Examination:
 
 def examine(given: Solution, tolerances: Tolerances = GRADE, *, integrate: bool = False) -> Examination:
     """Check a consistent solution, and compare intervals and phases with ``tolerances``; see `check`."""
-    plan = given.normalized()  # the norm error of rotations has its own figure and must not affect others
-    motion, samples = plan.polynomials, sample_quantities(plan)
-    surfaces, local = touched_surfaces(plan, samples.position), local_errors(plan, motion)
-    starts = ContactStarts.of(plan, samples, surfaces)
-    bodies, apart = FileBodies.of(plan)
-    here = figures_at(plan, samples, surfaces, starts, apart)
-    dense = dense_motion(plan, motion, here, starts, bodies)
-    phases = tuple(_phases(plan, local, integrate))
-    own: Traces = {
-        **dynamics_traces(plan, samples, surfaces),
-        **{name: here[name].at(plan.collocation) for name in AT_POINTS},
-        **{name: here[name] for name in (*AT_SAMPLES, "contact_velocity")},
-        "inactive_force": inactive_force(plan),
-        "landing_height": landing_height(plan, samples, surfaces, starts),
+    # The norm error of rotations has its own figure and must not affect others.
+    motion = MotionQuantities.normalized(given)
+    dynamics, starts = motion.dynamics_traces, ContactStarts.of(motion)
+    samples = figures_at(motion, starts)
+    local, dense = local_errors(motion), dense_motion(motion, samples, starts)
+    phases = tuple(_phases(motion, local, integrate))
+    at_samples: Traces = {
+        **dynamics,
+        **{name: samples[name].at(motion.solution.collocation) for name in AT_POINTS},
+        **{name: samples[name] for name in (*AT_SAMPLES, "contact_velocity")},
+        "inactive_force": inactive_force(motion),
+        "landing_height": landing_height(motion, starts),
     }
     anywhere = {
         f"{name}{BETWEEN}" if name in (*AT_POINTS, *AT_SAMPLES) else name: trace
         for name, trace in dense.traces.items()
-        if name not in own or name in (*AT_POINTS, *AT_SAMPLES)
+        if name not in at_samples or name in (*AT_POINTS, *AT_SAMPLES)
     }
-    found = {
-        **{name: worst_of((plan, trace)) for name, trace in own.items()},
-        **{name: worst_of((dense.plan, trace)) for name, trace in anywhere.items()},
+    worst = {
+        **{name: _worst(motion.solution, trace) for name, trace in at_samples.items()},
+        **{name: _worst(dense.plan, trace) for name, trace in anywhere.items()},
     }
     steady = {name: trace for name, trace in anywhere.items() if name in DRIFTS}
     moving = {name: trace for name, trace in anywhere.items() if name not in (*DRIFTS, *BODIES)}
     return Examination(
-        report=_report(given, plan, surfaces, found, phases),
+        report=_report(motion, _quaternion_error(given), worst, phases),
         local=local,
-        broken=_largest_ratio(moving, tolerances, dense.plan.interval, plan.n_intervals),
+        broken=_largest_ratio(moving, tolerances, dense.plan.interval, motion.solution.n_intervals),
         drift=_largest_ratio(steady, tolerances, dense.plan.phase, len(phases)),
     )
+
+
+def _worst(plan: Solution, trace: Trace) -> tuple[float, Occurrence] | None:
+    """The worst value of a figure along the samples of a plan, and its place; None where none applies."""
+    worst = trace.worst()
+    if worst is None:
+        return None
+    value, row, column = worst
+    phase = plan.phase_names[int(plan.phase[row])]
+    return value, Occurrence(time=float(plan.t[row]), phase=phase, name=trace.names[column])
 
 
 def _largest_ratio(traces: Traces, tolerances: Tolerances, group: np.ndarray, count: int) -> np.ndarray:
@@ -140,26 +142,24 @@ def _largest_ratio(traces: Traces, tolerances: Tolerances, group: np.ndarray, co
 
 
 def _report(
-    given: Solution,
-    plan: Solution,
-    surfaces: TouchedSurfaces,
-    found: dict[str, Found | None],
+    motion: MotionQuantities,
+    quaternion_error: float | None,
+    worst: dict[str, tuple[float, Occurrence] | None],
     phases: tuple[PhaseReport, ...],
 ) -> CheckReport:
-    gaps = interval_gaps(plan)
     return CheckReport(
-        **{name: None if own is None else own.value for name, own in found.items()},
-        **impact_figures(plan, surfaces),
-        periodicity_error=periodicity_error(plan),
-        quaternion_error=_quaternion_error(given),
-        gimbal_margin=gimbal_margin_along(plan.model, plan.t, plan.q, plan.v),
-        position_gap=gaps.position,
-        velocity_gap=gaps.velocity,
+        **{name: None if known is None else known[0] for name, known in worst.items()},
+        **impact_figures(motion),
+        periodicity_error=motion.periodicity_error,
+        quaternion_error=quaternion_error,
+        gimbal_margin=motion.gimbal_margin,
+        position_gap=motion.integration_gaps.position,
+        velocity_gap=motion.integration_gaps.velocity,
         **{name: largest_known(getattr(phase, name) for phase in phases) for name in PHASE_FIGURES},
         phases=phases,
-        notes=missing_shapes(plan),
+        notes=motion.missing_shapes,
         places={
-            **{name: own.place for name, own in found.items() if own is not None},
+            **{name: known[1] for name, known in worst.items() if known is not None},
             **_places_of_phases(phases),
         },
     )
@@ -167,13 +167,13 @@ def _report(
 
 def _places_of_phases(phases: tuple[PhaseReport, ...]) -> dict[str, Occurrence]:
     """The phase in which its figures are worst, and its start."""
-    found = {}
+    places = {}
     for name in PHASE_FIGURES:
         known = [phase for phase in phases if getattr(phase, name) is not None]
         if known:
             worst = max(known, key=lambda phase: getattr(phase, name))
-            found[name] = Occurrence(time=worst.start, phase=worst.name)
-    return found
+            places[name] = Occurrence(time=worst.start, phase=worst.name)
+    return places
 
 
 def _quaternion_error(plan: Solution) -> float | None:
@@ -188,27 +188,27 @@ def _quaternion_error(plan: Solution) -> float | None:
     return largest(np.array(errors))
 
 
-def _phases(plan: Solution, local: LocalErrors, integrate: bool) -> Iterator[PhaseReport]:
-    names, reach = plan.phase_names, NaturalUnits.of(plan.model).length
+def _phases(motion: MotionQuantities, local: LocalErrors, integrate: bool) -> Iterator[PhaseReport]:
+    plan = motion.solution
     for index, phase in enumerate(plan.phases):
         inside = slice(plan.intervals_of(index).start, plan.intervals_of(index).stop)
         sums = float(local.position[inside].sum()), float(local.joints[inside].sum())
         error = None
         if integrate or _may_miss(sums):
-            error = open_loop(plan, index, RELATIVE_ERROR if integrate else ROUGH_ERROR)
+            error = open_loop(motion, index, RELATIVE_ERROR if integrate else ROUGH_ERROR)
         yield PhaseReport(
             index=int(plan.phase[phase.start]),
-            name=names[index],
+            name=plan.phase_names[index],
             start=float(plan.t[phase.start]),
             end=float(plan.t[phase.stop - 1]),
             contacts=tuple(plan.contact_frames[i] for i in np.flatnonzero(plan.active[phase.start])),
-            local_position=sums[0] / reach,
+            local_position=sums[0] / motion.units.length,
             local_joints=sums[1],
             open_loop_position=None if error is None else error.position,
             open_loop_orientation=None if error is None else error.orientation,
             open_loop_joints=None if error is None else error.joints,
             stable=None if error is None else _is_stable(error, sums),
-            **flight_errors(plan, phase),
+            **flight_errors(motion, phase),
         )
 
 

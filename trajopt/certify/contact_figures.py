@@ -8,41 +8,39 @@ import numpy as np
 
 from trajopt.certify.contact.friction import sole_margins
 from trajopt.certify.sliding import sliding_error
-from trajopt.dynamics.model_quantities import gravity_of, mass_of
-from trajopt.motion.samples import ContactPlaces
-from trajopt.motion.touched import TouchedSurfaces, held_part
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.traces import Trace, Traces
-from trajopt.solution.solution import Solution
 
 
-def force_traces(plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces) -> Traces:
+def force_traces(motion: MotionQuantities) -> Traces:
     """Margins of contact forces over the weight; none on bilateral surfaces."""
-    weight = mass_of(plan.model) * gravity_of(plan.model)
-    force, frames = plan.f[..., :3] / weight, plan.contact_frames
+    plan, surfaces = motion.solution, motion.surfaces
+    force, frames = plan.f[..., :3] / motion.weight, plan.contact_frames
     normal = surfaces.along_normal(force)
     tangential = np.linalg.norm(force - normal[..., None] * surfaces.normal, axis=-1)
     pressed = plan.active & ~surfaces.bilateral
     return {
         "friction_margin": Trace.of(surfaces.friction * normal - tangential, pressed, frames, margin=True),
         "unilateral_margin": Trace.of(normal, pressed, frames, margin=True),
-        "sole_margin": _sole_margin(plan, places, surfaces, weight),
-        "sliding_friction": sliding_error(plan, places.velocity[..., :3], surfaces),
+        "sole_margin": _sole_margin(motion),
+        "sliding_friction": sliding_error(motion),
     }
 
 
-def inactive_force(plan: Solution) -> Trace:
+def inactive_force(motion: MotionQuantities) -> Trace:
     """Largest component of a wrench of an inactive contact over the weight."""
-    weight = mass_of(plan.model) * gravity_of(plan.model)
-    size = np.abs(plan.f).max(axis=-1, initial=0.0) / weight
+    plan = motion.solution
+    size = np.abs(plan.f).max(axis=-1, initial=0.0) / motion.weight
     return Trace.of(size, ~plan.active, plan.contact_frames)
 
 
-def _sole_margin(plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces, weight: float) -> Trace:
+def _sole_margin(motion: MotionQuantities) -> Trace:
     """Least distance from the limits of pressure and yaw moment in the sole's axes, weight times metre.
 
     The yaw moment is held against what friction with the whole coefficient along the sole's
     axes leaves of it: beyond that no distribution of forces in Coulomb's cones exists.
     """
+    plan, surfaces = motion.solution, motion.surfaces
     sizes = [contact.half_size for contact in plan.description.contacts]
     margin, counts = np.zeros(plan.active.shape), np.zeros(plan.active.shape, dtype=bool)
     for index in np.flatnonzero(plan.description.soles):
@@ -50,9 +48,9 @@ def _sole_margin(plan: Solution, places: ContactPlaces, surfaces: TouchedSurface
         size = sizes[index]
         if size is None or not rows.any():
             continue
-        to_sole = np.swapaxes(places.rotation[rows, index], -1, -2)
+        to_sole = np.swapaxes(motion.places.rotation[rows, index], -1, -2)
         force, moment = (
-            np.einsum("kij,kj->ik", to_sole, part) / weight
+            np.einsum("kij,kj->ik", to_sole, part) / motion.weight
             for part in (plan.f[rows, index, :3], plan.f[rows, index, 3:])
         )
         counts[rows, index] = True
@@ -74,54 +72,51 @@ class ContactStarts:
     rows: np.ndarray
 
     @classmethod
-    def of(cls, plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces) -> ContactStarts:
-        """Read them from a plan's own samples."""
-        rows = np.array([phase.start for phase in plan.phases])
-        held = held_part(places.position, surfaces)[rows]
+    def of(cls, motion: MotionQuantities) -> ContactStarts:
+        """Read them from a motion at the samples of its file."""
+        active = motion.solution.active
+        rows = np.array([phase.start for phase in motion.solution.phases])
+        held = motion.held_position[rows]
         stance = held.copy()
         for later in range(1, len(rows)):
-            goes_on = plan.active[rows[later]] & plan.active[rows[later - 1]]
+            goes_on = active[rows[later]] & active[rows[later - 1]]
             stance[later, goes_on] = stance[later - 1, goes_on]
-        return cls(phase=held, stance=stance, rotation=places.rotation[rows], rows=rows)
+        return cls(phase=held, stance=stance, rotation=motion.places.rotation[rows], rows=rows)
 
 
-def place_traces(
-    plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces, starts: ContactStarts
-) -> Traces:
+def place_traces(motion: MotionQuantities, starts: ContactStarts) -> Traces:
     """Where contacts are, and whether they stay where they began.
 
     ``stance_drift`` is from a touchdown to the lift-off, whatever phases that spans. Of sliding contacts,
     only motion along the normal counts.
     """
-    frames, active, phase = plan.contact_frames, plan.active, plan.phase
-    distance, held = surfaces.distance(places.position), held_part(places.position, surfaces)
-    speed = np.linalg.norm(held_part(places.velocity[..., :3], surfaces), axis=-1)
+    plan, surfaces, rotation = motion.solution, motion.surfaces, motion.places.rotation
+    frames, active, phase, held = plan.contact_frames, plan.active, plan.phase, motion.held_position
     soles = active & plan.description.soles
     return {
-        "contact_velocity": Trace.of(speed, active, frames),
-        "penetration": Trace.of(np.maximum(-distance, 0.0), surfaces.known, frames),
+        "contact_velocity": Trace.of(np.linalg.norm(motion.held_velocity, axis=-1), active, frames),
+        "penetration": Trace.of(np.maximum(-motion.surface_distance, 0.0), surfaces.known, frames),
         "foot_drift": Trace.of(np.linalg.norm(held - starts.phase[phase], axis=-1), active, frames),
         "stance_drift": Trace.of(np.linalg.norm(held - starts.stance[phase], axis=-1), active, frames),
-        "foot_turn": Trace.of(_angle(places.rotation - starts.rotation[phase], np.sqrt(8)), soles, frames),
+        "foot_turn": Trace.of(_angle(rotation - starts.rotation[phase], np.sqrt(8)), soles, frames),
         "sole_tilt": Trace.of(
-            _angle(places.rotation[..., 2] - surfaces.normal, 2.0), soles & surfaces.known, frames
+            _angle(rotation[..., 2] - surfaces.normal, 2.0), soles & surfaces.known, frames
         ),
-        "patch_margin": _patch_margin(plan, places),
+        "patch_margin": _patch_margin(motion),
     }
 
 
-def landing_height(
-    plan: Solution, places: ContactPlaces, surfaces: TouchedSurfaces, starts: ContactStarts
-) -> Trace:
+def landing_height(motion: MotionQuantities, starts: ContactStarts) -> Trace:
     """Distance (K, nc) of active contacts from their surface, unsigned, at the start of their phase."""
-    begins = np.zeros((plan.n_samples, 1), dtype=bool)
+    plan, begins = motion.solution, np.zeros((motion.solution.n_samples, 1), dtype=bool)
     begins[starts.rows] = True
-    height = np.abs(surfaces.distance(places.position))
-    return Trace.of(height, begins & plan.active & surfaces.known, plan.contact_frames)
+    counts = begins & plan.active & motion.surfaces.known
+    return Trace.of(np.abs(motion.surface_distance), counts, plan.contact_frames)
 
 
-def _patch_margin(plan: Solution, places: ContactPlaces) -> Trace:
+def _patch_margin(motion: MotionQuantities) -> Trace:
     """Least distance (m) of active contacts (of a sole: its corners) inside the edges of their patches."""
+    plan, places = motion.solution, motion.places
     frames, sizes = list(plan.contact_frames), [contact.half_size for contact in plan.description.contacts]
     margin, counts = np.zeros(plan.active.shape), np.zeros(plan.active.shape, dtype=bool)
     for phase, patches in enumerate(plan.description.patches):

@@ -11,14 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.contact_figures import ContactStarts, force_traces, place_traces
-from trajopt.motion.body_distances import FileBodies
-from trajopt.motion.limits import drive_traces, limit_traces
-from trajopt.motion.resampling import samples_at
-from trajopt.motion.samples import ContactPlaces, contact_places
-from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
-from trajopt.motion.traces import Trace, Traces, merged
+from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.traces import Trace, Traces
 from trajopt.solution.arrays import REQUESTS, SAMPLED
-from trajopt.solution.interpolation import InterpolatedMotion
 from trajopt.solution.solution import Solution
 
 # Samples nearer than this fraction of an interval are one.
@@ -41,34 +36,24 @@ class DenseMotion:
     traces: Traces
 
 
-def figures_at(
-    plan: Solution,
-    places: ContactPlaces,
-    surfaces: TouchedSurfaces,
-    starts: ContactStarts,
-    apart: Traces,
-) -> Traces:
-    """All figures that are judged at any time, at the samples of ``plan``, with those of its bodies."""
+def figures_at(motion: MotionQuantities, starts: ContactStarts) -> Traces:
+    """All figures that are judged at any time, at the samples of a motion."""
     return {
-        **force_traces(plan, places, surfaces),
-        **limit_traces(plan),
-        **drive_traces(plan),
-        **place_traces(plan, places, surfaces, starts),
-        **apart,
+        **force_traces(motion),
+        **motion.limit_traces,
+        **place_traces(motion, starts),
+        **motion.body_traces,
     }
 
 
-def dense_motion(
-    plan: Solution, motion: InterpolatedMotion, traces: Traces, starts: ContactStarts, bodies: FileBodies
-) -> DenseMotion:
-    """Look between the samples of a plan with polynomials ``motion``, whose ``traces`` are known at them."""
+def dense_motion(motion: MotionQuantities, traces: Traces, starts: ContactStarts) -> DenseMotion:
+    """Look between the samples of a motion, whose ``traces`` are known at them."""
 
     def look(numbers: np.ndarray, fractions: np.ndarray) -> DenseMotion:
-        own = samples_at(plan, numbers, fractions, motion.at(numbers, fractions))
-        places = contact_places(own)
-        found = figures_at(own, places, touched_surfaces(own, places.position), starts, bodies.traces(own))
-        return DenseMotion(plan=own, fractions=fractions, traces=found)
+        between = motion.between(numbers, fractions)
+        return DenseMotion(plan=between.solution, fractions=fractions, traces=figures_at(between, starts))
 
+    plan = motion.solution
     begin, end = plan.interval_t[plan.interval].T
     dense = DenseMotion(plan=plan, fractions=(plan.t - begin) / (end - begin), traces=traces)
     numbers, fractions = _gaps(plan.interval, dense.fractions)
@@ -82,14 +67,20 @@ def dense_motion(
 
 
 def _joined(one: DenseMotion, other: DenseMotion) -> DenseMotion:
-    def along(arrays: list[np.ndarray]) -> np.ndarray:
-        return np.concatenate(arrays)
-
-    rows = {name: along([getattr(one.plan, name), getattr(other.plan, name)]) for name in SAMPLED}
+    rows = {name: np.concatenate([getattr(one.plan, name), getattr(other.plan, name)]) for name in SAMPLED}
+    traces = {
+        name: Trace(
+            values=np.concatenate([trace.values, other.traces[name].values]),
+            counts=np.concatenate([trace.counts, other.traces[name].counts]),
+            names=trace.names,
+            margin=trace.margin,
+        )
+        for name, trace in one.traces.items()
+    }
     return DenseMotion(
         plan=one.plan.with_arrays(impulse=None, impact_index=None, **dict.fromkeys(REQUESTS), **rows),
-        fractions=along([one.fractions, other.fractions]),
-        traces=merged([one.traces, other.traces], along),
+        fractions=np.concatenate([one.fractions, other.fractions]),
+        traces=traces,
     )
 
 
@@ -115,8 +106,8 @@ def _vertices(dense: DenseMotion) -> tuple[np.ndarray, np.ndarray]:
         others = known.setdefault(number, [])
         if all(abs(fraction - other) > SAME for other in others):
             others.append(fraction)
-    found = [(number, fraction) for number, own in known.items() for fraction in own]
-    return np.array([n for n, _ in found], dtype=int), np.array([f for _, f in found])
+    chosen = [(number, fraction) for number, inside in known.items() for fraction in inside]
+    return np.array([n for n, _ in chosen], dtype=int), np.array([f for _, f in chosen])
 
 
 def _peaks(
@@ -126,18 +117,18 @@ def _peaks(
     if not trace.counts.any():
         return []
     bad = trace.badness
-    left, peak, right = (bad[own] for own in rows)
+    left, peak, right = (bad[order] for order in rows)
     high = np.isfinite(left) & np.isfinite(right) & (peak >= left) & (peak >= right)
     high &= peak > np.minimum(left, right)
     places = np.argwhere(high)
     if len(places) > PEAKS:
         places = places[np.argsort(-peak[high])[:PEAKS]]
-    found = []
+    vertices = []
     for i, column in places:
-        x = fractions[[own[i] for own in rows]]
+        x = fractions[[order[i] for order in rows]]
         y = np.array([part[i, column] for part in (left, peak, right)])
-        found.append((int(rows[1][i]), _vertex(x, y)))
-    return [(row, fraction) for row, fraction in found if np.abs(fractions[row] - fraction) > SAME]
+        vertices.append((int(rows[1][i]), _vertex(x, y)))
+    return [(row, fraction) for row, fraction in vertices if np.abs(fractions[row] - fraction) > SAME]
 
 
 def _vertex(x: np.ndarray, y: np.ndarray) -> float:

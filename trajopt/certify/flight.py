@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import base_of
-from trajopt.robot.building import reach
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.solution.solution import Solution
 
 # The scale for a body that hardly turns: this fraction of m l sqrt(g l), the momentum of the robot's mass at
@@ -19,7 +18,7 @@ LEAST_TRAVEL = 1e-6
 FIGURES = ("ballistic_error", "momentum_error", "ballistic_error_between", "momentum_error_between")
 
 
-def flight_errors(solution: Solution, phase: range) -> dict[str, float | None]:
+def flight_errors(motion: MotionQuantities, phase: range) -> dict[str, float | None]:
     """Return the ``FIGURES`` of free motion in ``phase``, all None with contacts or a fixed base.
 
     Ballistic: max |c - c_0 - c'_0 t - g t^2 / 2| over the phase's max |c - c_0|.
@@ -27,20 +26,19 @@ def flight_errors(solution: Solution, phase: range) -> dict[str, float | None]:
     momentum about the centre of mass, l the reach. For a planar base only the components that its plane
     leaves free. At nodes, where a scheme has its full order, and at the collocation points between them.
     """
-    model = solution.model
-    base = base_of(model)
+    solution, base = motion.solution, motion.base
     samples = slice(phase.start, phase.stop)
     if base == "fixed" or solution.active[samples].any():
         return dict.fromkeys(FIGURES)
     t = solution.t[samples] - solution.t[phase.start]
     com, velocity, momentum, mass = _centroidal(solution, phase)
-    gravity = np.asarray(model.gravity.linear)
+    gravity = np.asarray(solution.model.gravity.linear)
     deviation = com - com[0] - np.outer(t, velocity[0]) - 0.5 * np.outer(t**2, gravity)
     if base == "planar":
-        axes = model.jointPlacements[1].rotation
+        axes = solution.model.jointPlacements[1].rotation
         deviation, momentum = deviation @ axes[:, :2], momentum @ axes[:, 2:]
     travel = max(float(np.linalg.norm(com - com[0], axis=1).max()), LEAST_TRAVEL)
-    length, fall = reach(model), float(np.linalg.norm(gravity)) or 1.0
+    length, fall = motion.reach, float(np.linalg.norm(gravity)) or 1.0
     quiet = QUIET_MOMENTUM * mass * length * np.sqrt(fall * length)
     scale = max(float(np.linalg.norm(momentum, axis=1).max()), quiet)
     ballistic = np.linalg.norm(deviation, axis=1) / travel

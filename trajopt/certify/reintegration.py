@@ -25,12 +25,8 @@ from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.certify.contact.impact import impact
 from trajopt.certify.runge_kutta import integrate
 from trajopt.certify.sliding import SlidingDynamics
-from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
-from trajopt.motion.carried import carrying_model
-from trajopt.motion.samples import state_distance
-from trajopt.solution.interpolation import collocation_fractions, lagrange_coefficients
-from trajopt.solution.solution import Solution
+from trajopt.motion.quantities import MotionQuantities
 
 PhaseDynamics = ContactDynamics | SlidingDynamics
 RobotState = tuple[np.ndarray, np.ndarray]
@@ -59,63 +55,64 @@ class OpenLoopError:
     joints: float
 
 
-def open_loop(plan: Solution, phase: int, relative_error: float = RELATIVE_ERROR) -> OpenLoopError:
+def open_loop(motion: MotionQuantities, phase: int, relative_error: float = RELATIVE_ERROR) -> OpenLoopError:
     """Integrate a phase from its first sample with the planned torques; errors at its nodes.
 
     With velocity sources the planned rates are integrated instead. An error is inf where the integration
     diverged before the phase's end. relative_error: of each step of the integration.
     """
+    plan = motion.solution
     numbers, worst = plan.intervals_of(phase), np.zeros(3)
-    for number, state in zip(numbers, integrated_states(plan, numbers, relative_error), strict=False):
+    for number, state in zip(numbers, integrated_states(motion, numbers, relative_error), strict=False):
         if state is None:
             worst[:] = np.inf
             break
-        planned = plan.q[plan.intervals[number].stop - 1]
-        worst = np.maximum(worst, state_distance(plan.model, planned, state[0]))
-    if base_of(plan.model) == "fixed":
+        worst = np.maximum(worst, motion.distance_from(plan.intervals[number].stop - 1, state[0]))
+    if motion.base == "fixed":
         return OpenLoopError(position=None, orientation=None, joints=float(worst[2]))
     return OpenLoopError(position=float(worst[0]), orientation=float(worst[1]), joints=float(worst[2]))
 
 
 def integrated_states(
-    plan: Solution, numbers: range, relative_error: float = RELATIVE_ERROR
+    motion: MotionQuantities, numbers: range, relative_error: float = RELATIVE_ERROR
 ) -> Iterator[RobotState | None]:
     """Yield the states (q, v) at the ends of intervals, integrated from the planned start of the first.
 
     Impacts follow their law at the state that is reached. The last state is None where the integration
     diverges.
     """
+    plan = motion.solution
     first = plan.intervals[numbers.start].start
     q, v = plan.q[first].copy(), plan.v[first].copy()
     impacts = set() if plan.impact_index is None else {int(row) for row in plan.impact_index}
-    dynamics, phase = phase_dynamics(plan, first), plan.phase[first]
+    dynamics, phase = phase_dynamics(motion, first), plan.phase[first]
     for number in numbers:
         row = plan.intervals[number].start
         if plan.phase[row] != phase:
-            dynamics, phase = phase_dynamics(plan, row), plan.phase[row]
+            dynamics, phase = phase_dynamics(motion, row), plan.phase[row]
         if row in impacts and row != first:
-            after = _after_impact(plan, row, q, v)
+            after = _after_impact(motion, row, q, v)
             if after is None:
                 yield None
                 return
             v = after
-        end = integrate_interval(plan, dynamics, number, q, v, relative_error)
+        end = integrate_interval(motion, dynamics, number, q, v, relative_error)
         yield end
         if end is None:
             return
         q, v = end
 
 
-def _after_impact(plan: Solution, row: int, q: np.ndarray, v: np.ndarray) -> np.ndarray | None:
-    model = carrying_model(plan, int(plan.phase[row]))
+def _after_impact(motion: MotionQuantities, row: int, q: np.ndarray, v: np.ndarray) -> np.ndarray | None:
+    model = motion.models[int(motion.solution.phase[row])]
     try:
-        return impact(model, q, v, active_contacts(plan, model, row)).velocity
+        return impact(model, q, v, active_contacts(motion, row)).velocity
     except (InputError, np.linalg.LinAlgError):  # a state that has diverged
         return None
 
 
 def integrate_interval(
-    plan: Solution,
+    motion: MotionQuantities,
     dynamics: PhaseDynamics,
     number: int,
     q: np.ndarray,
@@ -126,12 +123,9 @@ def integrate_interval(
 
     With velocity sources the planned rates are integrated, polynomials through the points, whatever ``v``.
     """
-    model, nv = plan.model, plan.model.nv
-    points, fractions = collocation_fractions(plan.arrays, number)
+    plan, model, nv = motion.solution, motion.solution.model, motion.solution.model.nv
     start, end = (float(time) for time in plan.interval_t[number])
-    moved_by_rates = plan.description.actuation == "velocity"
-    planned = plan.v if moved_by_rates else plan.tau
-    coefficients, powers = lagrange_coefficients(fractions, planned[points]), np.arange(len(points))
+    coefficients, powers = motion.inputs[number], np.arange(len(motion.inputs[number]))
     force = np.zeros(nv)
 
     def coordinate_rate(delta: np.ndarray, velocity: np.ndarray) -> np.ndarray:
@@ -140,33 +134,33 @@ def integrate_interval(
     def kinematics(fraction: float, delta: np.ndarray) -> np.ndarray:
         return (end - start) * coordinate_rate(delta, fraction**powers @ coefficients)
 
-    def motion(fraction: float, state: np.ndarray) -> np.ndarray:
+    def dynamic(fraction: float, state: np.ndarray) -> np.ndarray:
         delta, velocity = state[:nv], state[nv:]
         force[plan.n_unactuated :] = fraction**powers @ coefficients
         acceleration = dynamics.acceleration(pin.integrate(model, q, delta), velocity, force)
         return (end - start) * np.concatenate([coordinate_rate(delta, velocity), acceleration])
 
-    if moved_by_rates:
+    if motion.moved_by_rates:
         final = _run(kinematics, np.zeros(nv), relative_error)
         return None if final is None else (pin.integrate(model, q, final), coefficients.sum(axis=0))
-    final = _run(motion, np.concatenate([np.zeros(nv), v]), relative_error)
+    final = _run(dynamic, np.concatenate([np.zeros(nv), v]), relative_error)
     return None if final is None else (pin.integrate(model, q, final[:nv]), final[nv:])
 
 
 def integrated_interval_error(
-    plan: Solution, dynamics: PhaseDynamics, number: int
+    motion: MotionQuantities, dynamics: PhaseDynamics, number: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (nv,) of position and velocity at an interval's end, integrated from its planned start.
 
     NaN where it diverges. With velocity sources the velocity has no error.
     """
+    plan = motion.solution
     rows = plan.intervals[number]
-    end = integrate_interval(plan, dynamics, number, plan.q[rows.start], plan.v[rows.start])
+    end = integrate_interval(motion, dynamics, number, plan.q[rows.start], plan.v[rows.start])
     if end is None:
         return np.full(plan.model.nv, np.nan), np.full(plan.model.nv, np.nan)
     apart = pin.difference(plan.model, plan.q[rows.stop - 1], end[0])
-    moved_by_rates = plan.description.actuation == "velocity"
-    return apart, np.zeros(plan.model.nv) if moved_by_rates else end[1] - plan.v[rows.stop - 1]
+    return apart, np.zeros(plan.model.nv) if motion.moved_by_rates else end[1] - plan.v[rows.stop - 1]
 
 
 def _run(
@@ -188,12 +182,11 @@ def _run(
         return None
 
 
-def phase_dynamics(solution: Solution, row: int) -> PhaseDynamics:
+def phase_dynamics(motion: MotionQuantities, row: int) -> PhaseDynamics:
     """Dynamics of the phase of a sample: the contacts that are active in it, and what is carried."""
-    phase = int(solution.phase[row])
-    model = carrying_model(solution, phase)
-    held = active_contacts(solution, model, row)
-    described = solution.description.surfaces
+    phase = int(motion.solution.phase[row])
+    model, held = motion.models[phase], active_contacts(motion, row)
+    described = motion.solution.description.surfaces
     surfaces = described[phase] if described else {}
     sliding = {
         index: surfaces[frame]
@@ -203,8 +196,9 @@ def phase_dynamics(solution: Solution, row: int) -> PhaseDynamics:
     return SlidingDynamics(model, held, sliding) if sliding else ContactDynamics(model, held)
 
 
-def active_contacts(solution: Solution, model: pin.Model, row: int) -> ContactSet:
-    """The contacts of ``model`` that are active at a sample, by their frames."""
+def active_contacts(motion: MotionQuantities, row: int) -> ContactSet:
+    """The contacts that are active at a sample, in the model that carries what its phase carries."""
+    solution = motion.solution
     kinds = zip(solution.description.contacts, solution.active[row], strict=True)
     contacts = [(contact.frame, 6 if contact.is_sole else 3) for contact, on in kinds if on]
-    return ContactSet.of(model, contacts)
+    return ContactSet.of(motion.models[int(solution.phase[row])], contacts)

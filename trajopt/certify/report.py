@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from trajopt.dynamics.virtual_base import LEAST_MARGIN
+from trajopt.motion.samples import largest_known
 from trajopt.motion.traces import Occurrence
 from trajopt.solution.meta import jsonable
 
@@ -174,7 +175,7 @@ class CheckReport:
         margin.
     landing_height: distance of active contacts from their surface at their phase's start, unsigned.
     patch_margin: least distance of active contacts (of soles: their corners) inside their patches' edges.
-    position_gap, velocity_gap: see `consistency.interval_gaps`. ballistic_error, momentum_error: at
+    position_gap, velocity_gap: see `integration_gaps.interval_gaps`. ballistic_error, momentum_error: at
         nodes, ``..._between`` at collocation points, see
         `flight.flight_errors`. open_loop_...: see `reintegration.open_loop`; inf where it diverged.
     """
@@ -309,8 +310,7 @@ class CheckReport:
         figure, value = FIGURES[name], getattr(self, name)
         limit = None if figure.tolerance is None else getattr(tolerances, figure.tolerance)
         if name in OPEN_LOOP:
-            known = [getattr(phase, name) for phase in self.phases if phase.stable]
-            value = max((own for own in known if own is not None), default=None)
+            value = largest_known(getattr(phase, name) for phase in self.phases if phase.stable)
         if limit is None or value is None:
             return None
         if figure.least:
@@ -360,8 +360,8 @@ def _phase_line(phase: PhaseReport) -> str:
         (phase.open_loop_orientation, "rad"),
         (phase.open_loop_joints, "rad"),
     ]
-    found = ", ".join(f"{value:.1e} {unit}" for value, unit in errors if value is not None)
+    sizes = ", ".join(f"{value:.1e} {unit}" for value, unit in errors if value is not None)
     unstable = ", unstable without feedback" if phase.stable is False else ""
     local = f"local {phase.local_position:.1e} reach, {phase.local_joints:.1e} rad"
-    loop = f"; open loop {found}{unstable}" if found else ""
+    loop = f"; open loop {sizes}{unstable}" if sizes else ""
     return f"phase {phase.index} ({phase.start:.3f} to {phase.end:.3f} s, {names}): {local}{loop}"

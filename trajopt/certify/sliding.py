@@ -6,28 +6,26 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.dynamics.model_quantities import gravity_of, mass_of
-from trajopt.motion.touched import TouchedSurfaces
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.traces import Trace
-from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
 
 
-def sliding_error(plan: Solution, velocity: np.ndarray, surfaces: TouchedSurfaces) -> Trace:
+def sliding_error(motion: MotionQuantities) -> Trace:
     """Largest difference between forces of sliding contacts and Coulomb's law, over the weight.
 
-    The law is that of `trajopt.terms.dynamics`: mu f_n against the velocity (K, nc, 3) within the surface,
+    The law is that of `trajopt.terms.dynamics`: mu f_n against the velocity within the surface,
     over the root of its square and the square of the slip speed.
     """
+    plan, surfaces = motion.solution, motion.surfaces
     rows = plan.active & surfaces.slides
     error = np.zeros(rows.shape)
-    normal, force, velocity = surfaces.normal[rows], plan.f[rows][:, :3], velocity[rows]
+    normal, force, velocity = surfaces.normal[rows], plan.f[rows][:, :3], motion.places.velocity[rows][:, :3]
     pressure, approach = (np.sum(normal * part, axis=1)[:, None] for part in (force, velocity))
     along = velocity - approach * normal
     speed = np.sqrt(np.sum(along**2, axis=1) + surfaces.slip[rows] ** 2)[:, None]
     law = pressure * (normal - surfaces.friction[rows][:, None] * along / speed)
-    weight = mass_of(plan.model) * gravity_of(plan.model)
-    error[rows] = np.abs(force - law).max(axis=1, initial=0.0) / weight
+    error[rows] = np.abs(force - law).max(axis=1, initial=0.0) / motion.weight
     return Trace.of(error, rows, plan.contact_frames)
 
 

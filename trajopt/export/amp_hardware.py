@@ -70,12 +70,12 @@ def write_amp_hardware(motions: Sequence[ExportedMotion], path: Path, options: M
 
 
 def _base(motion: ExportedMotion) -> _Base:
-    links, own = motion.links, motion.links.base
-    quaternion = links.quaternion[:, own]
+    links, base = motion.links, motion.links.base
+    quaternion = links.quaternion[:, base]
     turn = rotation_matrices(quaternion[:, [1, 2, 3, 0]])
-    linear, angular = links.linear_velocity[:, own], links.angular_velocity[:, own]
+    linear, angular = links.linear_velocity[:, base], links.angular_velocity[:, base]
     return _Base(
-        position=links.position[:, own],
+        position=links.position[:, base],
         quaternion=quaternion,
         turn=turn,
         linear=np.einsum("nji,nj->ni", turn, linear),

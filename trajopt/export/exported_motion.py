@@ -100,14 +100,15 @@ def sample_cycles(
     times = _even_times((end - start) * passes, rate)
     slack = SAME_TIME * (end - start)
     number = np.clip(np.floor((times + slack) / (end - start)).astype(int), 0, passes - 1)
-    own = plan.sample(times=np.clip(start + times - number * (end - start), start, end))
+    samples = plan.sample(times=np.clip(start + times - number * (end - start), start, end))
     arrays = {
-        name: np.array(getattr(own, name)) for name in ("q", "v", "a", "tau", "drive_torque", "f", "active")
+        name: np.array(getattr(samples, name))
+        for name in ("q", "v", "a", "tau", "drive_torque", "f", "active")
     }
     if passes > 1:
         _move_on(CycleImage.of(plan), arrays, number, passes)
     return _named_motion(
-        plan, joints, arrays, rate=rate, cycles=cycles, t=times, number=number, phase=own.phase
+        plan, joints, arrays, rate=rate, cycles=cycles, t=times, number=number, phase=samples.phase
     )
 
 

@@ -55,8 +55,8 @@ class Format:
     def load_writer(self) -> Callable[..., None]:
         """The writer."""
         module, _, name = self.writer.partition(":")
-        found: Callable[..., None] = getattr(importlib.import_module(module), name)
-        return found
+        writer: Callable[..., None] = getattr(importlib.import_module(module), name)
+        return writer
 
 
 OPTIONS = {

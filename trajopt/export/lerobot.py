@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +14,6 @@ from trajopt.errors import InputError
 from trajopt.export.archives import frame_rate
 from trajopt.export.exported_motion import ExportedMotion, require_one_robot
 from trajopt.export.formats import package_of_format
-from trajopt.export.lerobot_features import Feature, features_of
 
 # What the layout is called, and its own limits: files in a folder, and the size at which a new one begins.
 VERSION, FILES, FILE_SIZE_MB, VIDEO_SIZE_MB = "v3.0", 1000, 100, 200
@@ -25,6 +25,26 @@ QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 # A value of the data at which so many are reached, as LeRobot's own counting in bins has it.
 METHOD: Final = "inverted_cdf"
 EXTRA = "data"
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Feature:
+    """Values of all frames: (n, k) float32 with the names of the k entries, or (n,) without names."""
+
+    values: np.ndarray
+    names: tuple[str, ...] | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return 1 if self.names is None else len(self.names)
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """Its entry in ``features`` of info.json."""
+        names = None if self.names is None else list(self.names)
+        return {"dtype": str(self.values.dtype), "shape": [self.size], "names": names}
 
 
 def write_lerobot(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
@@ -41,7 +61,7 @@ def write_lerobot(motions: Sequence[ExportedMotion], path: Path, options: Mappin
     episodes, start = [], 0
     for number, motion in enumerate(motions):
         task = tasks.index(_task(motion, options))
-        episodes.append(features_of(motion, episode=number, start=start, task=task))
+        episodes.append(_features_of(motion, episode=number, start=start, task=task))
         start += len(motion.t)
     _require_same_features(episodes)
     joined = {key: np.concatenate([episode[key].values for episode in episodes]) for key in episodes[0]}
@@ -56,12 +76,65 @@ def _task(motion: ExportedMotion, options: Mapping[str, Any]) -> str:
     return str(options.get("task", motion.problem))
 
 
+def _features_of(motion: ExportedMotion, *, episode: int, start: int, task: int) -> dict[str, Feature]:
+    """Features of a motion by name, without those of no entries; ``start``: index of its first frame."""
+    frames, count = np.arange(len(motion.t)), len(motion.t)
+    features = {
+        "observation.state": _vector(
+            np.hstack([motion.joint_position, motion.joint_velocity]),
+            [f"{name}.pos" for name in motion.joint_names] + [f"{name}.vel" for name in motion.joint_names],
+        ),
+        "action": _vector(motion.drive_torque, [f"{name}.torque" for name in motion.plan.torque_names]),
+        **_base_features(motion),
+        **_contact_features(motion),
+        "timestamp": Feature(values=(frames / motion.rate).astype(np.float32)),
+        "frame_index": Feature(values=frames),
+        "episode_index": Feature(values=np.full(count, episode)),
+        "index": Feature(values=start + frames),
+        "task_index": Feature(values=np.full(count, task)),
+    }
+    return {key: feature for key, feature in features.items() if feature.size}
+
+
+def _vector(values: np.ndarray, names: list[str]) -> Feature:
+    return Feature(values=values.astype(np.float32), names=tuple(names))
+
+
+def _base_features(motion: ExportedMotion) -> dict[str, Feature]:
+    """Pose and velocity of the link that a moving base carries, world axes; quaternion xyzw."""
+    links, base = motion.links, motion.links.base
+    if base is None:
+        return {}
+    pose = np.hstack([links.position[:, base], links.quaternion[:, base][:, [1, 2, 3, 0]]])
+    velocity = np.hstack([links.linear_velocity[:, base], links.angular_velocity[:, base]])
+    twist = [f"{part}.{axis}" for part in ("linear", "angular") for axis in AXES]
+    return {
+        "observation.base_pose": _vector(pose, [*AXES, "qx", "qy", "qz", "qw"]),
+        "observation.base_velocity": _vector(velocity, twist),
+    }
+
+
+def _contact_features(motion: ExportedMotion) -> dict[str, Feature]:
+    """Contacts that are active, forces, and moments of soles, which points do not have; world axes."""
+    frames, count = motion.plan.contact_frames, len(motion.t)
+    soles = np.flatnonzero(motion.plan.description.soles).tolist()
+    force = motion.f[..., :3].reshape(count, -1)
+    moment = motion.f[:, soles, 3:].reshape(count, -1)
+    return {
+        "observation.contacts": _vector(motion.active, list(frames)),
+        "observation.contact_forces": _vector(force, [f"{name}.{axis}" for name in frames for axis in AXES]),
+        "observation.contact_moments": _vector(
+            moment, [f"{frames[i]}.{axis}" for i in soles for axis in AXES]
+        ),
+    }
+
+
 def _require_same_features(episodes: Sequence[Mapping[str, Feature]]) -> None:
     first = {key: feature.names for key, feature in episodes[0].items()}
     for number, episode in enumerate(episodes):
-        own = {key: feature.names for key, feature in episode.items()}
-        for key in sorted(set(first) | set(own)):
-            if first.get(key) != own.get(key):
+        columns = {key: feature.names for key, feature in episode.items()}
+        for key in sorted(set(first) | set(columns)):
+            if first.get(key) != columns.get(key):
                 raise InputError(
                     f"'{key}' of motion {number} has other entries than that of motion 0",
                     "allowed: motions with the same joints and contacts",
@@ -120,15 +193,17 @@ def _described_episodes(
 def _statistics(values: np.ndarray) -> dict[str, list[Any]]:
     """Statistics of the entries of a feature (n, k) over frames, as lists (k,); ``count`` of frames."""
     columns = values.reshape(len(values), -1).astype(values.dtype if values.dtype.kind == "i" else float)
-    found = {
+    statistics = {
         "min": columns.min(axis=0),
         "max": columns.max(axis=0),
         "mean": columns.mean(axis=0),
         "std": columns.std(axis=0),
         "count": np.array([len(columns)]),
     }
-    found |= {name: np.quantile(columns, level, axis=0, method=METHOD) for name, level in QUANTILES.items()}
-    return {name: value.tolist() for name, value in found.items()}
+    statistics |= {
+        name: np.quantile(columns, level, axis=0, method=METHOD) for name, level in QUANTILES.items()
+    }
+    return {name: value.tolist() for name, value in statistics.items()}
 
 
 def _write_json(path: Path, described: Mapping[str, Any]) -> None:

@@ -57,9 +57,9 @@ def link_motion(model: pin.Model, q: np.ndarray, v: np.ndarray) -> LinkMotion:
         for joint in sorted(bare):
             model.addFrame(pin.Frame(model.names[joint], joint, pin.SE3.Identity(), pin.BODY))
     frames, carrying = link_frames(model), BASE_JOINT[base_of(model)]
-    own = [model.frames[index] for index in frames.values()]
-    carried = [i for i, frame in enumerate(own) if carrying and frame.parentJoint == carrying]
-    central = [i for i in carried if own[i].placement.isIdentity()]
+    links = [model.frames[index] for index in frames.values()]
+    carried = [i for i, frame in enumerate(links) if carrying and frame.parentJoint == carrying]
+    central = [i for i in carried if links[i].placement.isIdentity()]
     return replace(frame_motion(model, frames, q, v), base=next(iter(central + carried), None))
 
 

@@ -29,7 +29,7 @@ def write_loco_mujoco(motions: Sequence[ExportedMotion], path: Path, options: Ma
     """
     require_one_robot(motions)
     simulator = read_simulator_model(motions[0], options.get("mjcf"))
-    found = [simulator_motion(motion, simulator) for motion in motions]
+    simulated = [simulator_motion(motion, simulator) for motion in motions]
     arrays = {
         "joint_names": names_array(simulator.joint_names),
         "body_names": names_array(simulator.body_names),
@@ -39,6 +39,6 @@ def write_loco_mujoco(motions: Sequence[ExportedMotion], path: Path, options: Ma
     }
     arrays |= {key: np.array(getattr(simulator.compiled, key)) for key in OF_MODEL}
     arrays |= {
-        key: np.concatenate([getattr(one, key) for one in found]) for key in ("qpos", "qvel", *COMPUTED)
+        key: np.concatenate([getattr(one, key) for one in simulated]) for key in ("qpos", "qvel", *COMPUTED)
     }
     write_archive(path, arrays)

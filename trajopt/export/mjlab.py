@@ -21,17 +21,17 @@ def write_mjlab(motions: Sequence[ExportedMotion], path: Path, options: Mapping[
     """
     (motion,) = motions
     simulator = read_simulator_model(motion, options.get("mjcf"))
-    found = simulator_motion(motion, simulator)
+    simulated = simulator_motion(motion, simulator)
     compiled, joints = simulator.compiled, np.flatnonzero(~simulator.is_free)
     names = [simulator.joint_names[i] for i in joints]
     arrays = {
         "fps": frame_rate(motion.rate)[None],
-        "joint_pos": single(found.qpos[:, compiled.jnt_qposadr[joints]]),
-        "joint_vel": single(found.qvel[:, compiled.jnt_dofadr[joints]]),
-        "body_pos_w": single(found.xpos[:, 1:]),
-        "body_quat_w": single(found.xquat[:, 1:]),
-        "body_lin_vel_w": single(found.linear_velocity[:, 1:]),
-        "body_ang_vel_w": single(found.angular_velocity[:, 1:]),
+        "joint_pos": single(simulated.qpos[:, compiled.jnt_qposadr[joints]]),
+        "joint_vel": single(simulated.qvel[:, compiled.jnt_dofadr[joints]]),
+        "body_pos_w": single(simulated.xpos[:, 1:]),
+        "body_quat_w": single(simulated.xquat[:, 1:]),
+        "body_lin_vel_w": single(simulated.linear_velocity[:, 1:]),
+        "body_ang_vel_w": single(simulated.angular_velocity[:, 1:]),
         "joint_names": names_array(names),
         "body_names": names_array(simulator.body_names[1:]),
         "joint_torques": single(_torques(motion, names)),
@@ -41,8 +41,8 @@ def write_mjlab(motions: Sequence[ExportedMotion], path: Path, options: Mapping[
 
 def _torques(motion: ExportedMotion, names: list[str]) -> np.ndarray:
     """Torques (n, d) of joints by name; 0 of those that the motion does not move, such as a base's."""
-    found = np.zeros((len(motion.t), len(names)))
+    torque = np.zeros((len(motion.t), len(names)))
     for column, name in enumerate(names):
         if name in motion.joint_names:
-            found[:, column] = motion.joint_torque[:, motion.joint_names.index(name)]
-    return found
+            torque[:, column] = motion.joint_torque[:, motion.joint_names.index(name)]
+    return torque

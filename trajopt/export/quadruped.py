@@ -41,10 +41,10 @@ def three_joint_legs(motion: ExportedMotion) -> dict[str, Leg]:
         raise InputError(f"the legs of {motion.robot} do not have three joints each", ALLOWED)
     hips = np.array([model.jointPlacements[chain[0]].translation for chain in chains])
     by_x = np.argsort(-hips[:, 0], kind="stable")
-    found = {}
+    legs = {}
     for place, pair in (("F", by_x[:2]), ("R", by_x[2:])):
         right, left = sorted(pair, key=lambda i: hips[i, 1])
         for side, i in (("R", right), ("L", left)):
             columns = tuple(motion.joint_names.index(model.names[joint]) for joint in chains[i])
-            found[place + side] = Leg(foot=feet[i], columns=columns)
-    return found
+            legs[place + side] = Leg(foot=feet[i], columns=columns)
+    return legs

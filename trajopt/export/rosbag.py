@@ -178,22 +178,22 @@ def _transforms(
 
 def _odometry(messages: RosMessages, motion: ExportedMotion) -> Iterator[Any] | None:
     """Messages of the link that a moving base carries, sample by sample; None of a fixed base."""
-    links, own = motion.links, motion.links.base
-    if own is None:
+    links, base = motion.links, motion.links.base
+    if base is None:
         return None
-    quaternion = links.quaternion[:, own][:, [1, 2, 3, 0]]
+    quaternion = links.quaternion[:, base][:, [1, 2, 3, 0]]
     turn = rotation_matrices(quaternion)
     twist = np.hstack(
         [
-            np.einsum("nji,nj->ni", turn, velocity[:, own])
+            np.einsum("nji,nj->ni", turn, velocity[:, base])
             for velocity in (links.linear_velocity, links.angular_velocity)
         ]
     )
     return (
         messages.odometry(
             _stamp(motion, row),
-            (WORLD_FRAME, links.names[own]),
-            (links.position[row, own], quaternion[row]),
+            (WORLD_FRAME, links.names[base]),
+            (links.position[row, base], quaternion[row]),
             twist[row],
         )
         for row in range(len(motion.t))
@@ -212,9 +212,9 @@ def _local_wrenches(motion: ExportedMotion) -> np.ndarray:
 
 def _topics(frames: Sequence[str]) -> list[str]:
     """Topics of contacts, of the letters that ROS allows; a number where two would be the same."""
-    found: list[str] = []
+    topics: list[str] = []
     for number, frame in enumerate(frames):
         name = re.sub(r"[^A-Za-z0-9_]|^(?=[0-9])", "_", frame)
         topic = f"/contacts/{name}/wrench"
-        found.append(f"/contacts/{name}_{number}/wrench" if topic in found else topic)
-    return found
+        topics.append(f"/contacts/{name}_{number}/wrench" if topic in topics else topic)
+    return topics

@@ -77,24 +77,24 @@ def named_coordinates(
     The parts of a planar or virtual base are left out where the model has a free joint in their place.
     """
     model, base = motion.model, base_of(motion.model)
-    found = {
+    coordinates = {
         name: (motion.joint_position[:, i], motion.joint_velocity[:, i])
         for i, name in enumerate(motion.joint_names)
     }
     if simulator.is_free.any():
-        return found
+        return coordinates
     if base == "planar":
         x, y, cosine, sine = motion.q[:, :4].T
         forward, left, turning = motion.v[:, :3].T
         angle = np.unwrap(np.arctan2(sine, cosine))
         rates = (cosine * forward - sine * left, sine * forward + cosine * left, turning)
         parts = zip(("x", "y", "angle"), (x, y, angle), rates, strict=True)
-        found |= {f"{model.names[1]}_{part}": (value, rate) for part, value, rate in parts}
+        coordinates |= {f"{model.names[1]}_{part}": (value, rate) for part, value, rate in parts}
     elif base == "virtual":
         for joint in range(1, BASE_JOINT[base] + 1):
-            own = model.joints[joint]
-            found[model.names[joint]] = (motion.q[:, own.idx_q], motion.v[:, own.idx_v])
-    return found
+            entry = model.joints[joint]
+            coordinates[model.names[joint]] = (motion.q[:, entry.idx_q], motion.v[:, entry.idx_v])
+    return coordinates
 
 
 def require_same_joints(motion: ExportedMotion, simulator: SimulatorModel) -> None:
@@ -121,15 +121,15 @@ def held_joints(motion: ExportedMotion, simulator: SimulatorModel) -> dict[str, 
     Such as those of the arms of a humanoid whose plan moves only its legs. They are read from the two links'
     poses.
     """
-    compiled, names, found = simulator.compiled, motion.links.names, {}
+    compiled, names, angles = simulator.compiled, motion.links.names, {}
     hinge = mujoco_package().mjtJoint.mjJNT_HINGE
     for joint, name in enumerate(simulator.joint_names):
         body = int(compiled.jnt_bodyid[joint])
-        own, parent = (simulator.body_names[i] for i in (body, compiled.body_parentid[body]))
+        child, parent = (simulator.body_names[i] for i in (body, compiled.body_parentid[body]))
         single = compiled.body_jntnum[body] == 1 and compiled.jnt_type[joint] == hinge
-        if single and name not in motion.joint_names and own in names and parent in names:
-            found[name] = _hinge_angle(motion, simulator, joint, (parent, own))
-    return found
+        if single and name not in motion.joint_names and child in names and parent in names:
+            angles[name] = _hinge_angle(motion, simulator, joint, (parent, child))
+    return angles
 
 
 def _hinge_angle(
@@ -137,10 +137,10 @@ def _hinge_angle(
 ) -> float:
     """The angle of a hinge between two links at the motion's start; as ``qpos`` counts it."""
     mujoco, compiled = mujoco_package(), simulator.compiled
-    parent, own = (motion.links.quaternion[0, motion.links.names.index(link)] for link in links)
+    parent, child = (motion.links.quaternion[0, motion.links.names.index(link)] for link in links)
     turned, angle, back = np.zeros(4), np.zeros(3), np.zeros(4)
     mujoco.mju_negQuat(back, parent)
-    mujoco.mju_mulQuat(turned, back, own)
+    mujoco.mju_mulQuat(turned, back, child)
     mujoco.mju_negQuat(back, compiled.body_quat[compiled.jnt_bodyid[joint]])
     mujoco.mju_mulQuat(turned, back, turned.copy())
     mujoco.mju_quat2Vel(angle, turned, 1.0)

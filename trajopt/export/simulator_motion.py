@@ -76,9 +76,9 @@ def simulator_motion(motion: ExportedMotion, simulator: SimulatorModel) -> Simul
         name: np.array(values) for name, values in zip(COMPUTED, zip(*rows, strict=True), strict=True)
     }
     computed["xquat"] = without_jumps(computed["xquat"])
-    found = SimulatorMotion(simulator=simulator, qpos=qpos, qvel=qvel, **computed)
-    _require_same_places(motion, found)
-    return found
+    result = SimulatorMotion(simulator=simulator, qpos=qpos, qvel=qvel, **computed)
+    _require_same_places(motion, result)
+    return result
 
 
 def _coordinates(motion: ExportedMotion, simulator: SimulatorModel) -> tuple[np.ndarray, np.ndarray]:
@@ -107,21 +107,21 @@ def _free_joint(motion: ExportedMotion, body: str) -> tuple[np.ndarray, np.ndarr
     Linear velocity along world axes, angular velocity along those of the body.
     """
     links = motion.links
-    own = links.names.index(body) if body in links.names else links.base
-    quaternion = links.quaternion[:, own]
+    base = links.names.index(body) if body in links.names else links.base
+    quaternion = links.quaternion[:, base]
     turn = rotation_matrices(quaternion[:, [1, 2, 3, 0]])
-    angular = np.einsum("nji,nj->ni", turn, links.angular_velocity[:, own])
-    return np.hstack([links.position[:, own], quaternion]), np.hstack(
-        [links.linear_velocity[:, own], angular]
+    angular = np.einsum("nji,nj->ni", turn, links.angular_velocity[:, base])
+    return np.hstack([links.position[:, base], quaternion]), np.hstack(
+        [links.linear_velocity[:, base], angular]
     )
 
 
-def _require_same_places(motion: ExportedMotion, found: SimulatorMotion) -> None:
-    simulator = found.simulator
+def _require_same_places(motion: ExportedMotion, result: SimulatorMotion) -> None:
+    simulator = result.simulator
     for body, name in enumerate(simulator.body_names):
         if name in motion.links.names:
-            own = motion.links.position[:, motion.links.names.index(name)]
-            apart = float(np.linalg.norm(found.xpos[:, body] - own, axis=1).max())
+            planned = motion.links.position[:, motion.links.names.index(name)]
+            apart = float(np.linalg.norm(result.xpos[:, body] - planned, axis=1).max())
             if apart > SAME_PLACE:
                 raise InputError(
                     f"{simulator.source} has '{name}' {1000 * apart:.0f} mm from where the motion has it",

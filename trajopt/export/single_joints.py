@@ -27,17 +27,17 @@ class SingleJoints:
 
 def single_joints(plan: Solution) -> SingleJoints:
     """The joints beside the base; raises `InputError` for one of several degrees of freedom."""
-    own = Coordinates(plan.model).joints[BASE_JOINT[base_of(plan.model)] :]
-    for joint in own:
+    single = Coordinates(plan.model).joints[BASE_JOINT[base_of(plan.model)] :]
+    for joint in single:
         if joint.v.stop - joint.v.start != 1:
             raise InputError(
                 f"joint '{joint.name}' has several degrees of freedom", "allowed: one, beside a moving base"
             )
     return SingleJoints(
-        names=tuple(joint.name for joint in own),
-        rows=np.array([joint.v.start for joint in own], dtype=int),
-        places=np.array([joint.q.start for joint in own], dtype=int),
-        counted=np.array([joint.is_counted for joint in own], dtype=bool),
+        names=tuple(joint.name for joint in single),
+        rows=np.array([joint.v.start for joint in single], dtype=int),
+        places=np.array([joint.q.start for joint in single], dtype=int),
+        counted=np.array([joint.is_counted for joint in single], dtype=bool),
     )
 
 
@@ -46,12 +46,12 @@ def joint_angles(joints: SingleJoints, q: np.ndarray, v: np.ndarray, t: np.ndarr
 
     From sample to sample the velocities say how many whole turns a continuous joint has made.
     """
-    found = q[:, joints.places]
+    angles = q[:, joints.places]
     for column in np.flatnonzero(joints.counted):
         place = joints.places[column]
         angle = np.arctan2(q[:, place + 1], q[:, place])
         rate = v[:, joints.rows[column]]
         expected = (rate[1:] + rate[:-1]) / 2 * np.diff(t)
         turns = np.round((expected - np.diff(angle)) / (2 * np.pi))
-        found[:, column] = angle + 2 * np.pi * np.append(0.0, np.cumsum(turns))
-    return found
+        angles[:, column] = angle + 2 * np.pi * np.append(0.0, np.cumsum(turns))
+    return angles

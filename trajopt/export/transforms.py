@@ -36,9 +36,9 @@ def frame_tree(motion: ExportedMotion) -> FrameTree:
     contacts = {
         name: model.getFrameId(name) for name in motion.plan.contact_frames if name not in links.names
     }
-    own = frame_motion(model, contacts, motion.q, motion.v)
-    position = np.concatenate([links.position, own.position], axis=1)
-    turn = np.concatenate([links.quaternion, own.quaternion], axis=1)[..., [1, 2, 3, 0]]
+    touching = frame_motion(model, contacts, motion.q, motion.v)
+    position = np.concatenate([links.position, touching.position], axis=1)
+    turn = np.concatenate([links.quaternion, touching.quaternion], axis=1)[..., [1, 2, 3, 0]]
     frames, names = link_frames(model) | contacts, (*links.names, *contacts)
     joints = [
         model.frames[frames[name]].parentJoint if name in frames else model.getJointId(name) for name in names
@@ -70,14 +70,14 @@ def _parents(
     the first link of the joint, or of the one before.
     """
     first = {joint: i for i, joint in reversed(list(enumerate(joints))) if i < len(links)}
-    found: list[int | None] = []
-    for own, (name, joint) in enumerate(zip(names, joints, strict=True)):
+    parents: list[int | None] = []
+    for frame, (name, joint) in enumerate(zip(names, joints, strict=True)):
         above = _link_above(model, frames[name], links) if name in frames else None
-        before = joint if first.get(joint, own) != own else model.parents[joint]
-        if above is None and first.get(before, own) != own:
+        before = joint if first.get(joint, frame) != frame else model.parents[joint]
+        if above is None and first.get(before, frame) != frame:
             above = first[before]
-        found.append(above)
-    return found
+        parents.append(above)
+    return parents
 
 
 def _link_above(model: pin.Model, frame: int, links: tuple[str, ...]) -> int | None:
@@ -97,9 +97,9 @@ def _seen_from_parents(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions (n, F, 3) and quaternions (n, F, 4), xyzw without jumps of sign, from each frame's parent."""
     moved, turned = position.copy(), turn.copy()
-    for own, parent in enumerate(parents):
+    for frame, parent in enumerate(parents):
         if parent is not None:
             back = Rotation.from_quat(turn[:, parent]).inv()
-            moved[:, own] = back.apply(position[:, own] - position[:, parent])
-            turned[:, own] = (back * Rotation.from_quat(turn[:, own])).as_quat()
+            moved[:, frame] = back.apply(position[:, frame] - position[:, parent])
+            turned[:, frame] = (back * Rotation.from_quat(turn[:, frame])).as_quat()
     return moved, without_jumps(turned[..., [3, 0, 1, 2]])[..., [1, 2, 3, 0]]

@@ -46,12 +46,12 @@ _Lines = Iterator[str]
 def find_faults(robot: Robot, standing: StandingPosture) -> tuple[str, ...]:
     """One line for each fault, the worst first: bodies, limits, reference posture, feet, left and right."""
     legged = robot.base != "fixed"
-    found = [*_bodies(robot), *_limits(robot), *_reference(robot, standing)]
+    faults = [*_bodies(robot), *_limits(robot), *_reference(robot, standing)]
     if legged:
-        found += [*_feet(robot, standing), *_legs(robot, standing), *_sides(robot)]
+        faults += [*_feet(robot, standing), *_legs(robot, standing), *_sides(robot)]
     else:
-        found += _tool(robot)
-    return tuple(found)
+        faults += _tool(robot)
+    return tuple(faults)
 
 
 def listed(names: Sequence[str]) -> str:
@@ -245,8 +245,8 @@ def _lowest_of_body(robot: Robot, kind: pin.GeometryType, data: pin.Data, joint:
         geometry = shapes_of(robot, kind)
     except InputError:
         return np.inf
-    found = [] if geometry is None else [g for g in geometry.geometryObjects if g.parentJoint == joint]
-    heights = [_lowest(g.geometry, data.oMi[joint] * g.placement) for g in found]
+    shapes = [] if geometry is None else [g for g in geometry.geometryObjects if g.parentJoint == joint]
+    heights = [_lowest(g.geometry, data.oMi[joint] * g.placement) for g in shapes]
     return min(heights, default=np.inf)
 
 

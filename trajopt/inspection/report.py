@@ -124,7 +124,7 @@ def robot_report(robot: Robot) -> RobotReport:
 
 
 def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
-    found, first = [], robot.n_unactuated
+    facts, first = [], robot.n_unactuated
     effort = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
     for joint in list(robot.model.joints)[1:]:
         if joint.idx_v < BASE_ROWS[robot.base]:
@@ -135,7 +135,7 @@ def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
         angle = float(q[0]) if joint.nq == 1 else float(np.arctan2(q[1], q[0])) if joint.nq == 2 else np.nan
         bounded = joint.nq == joint.nv == 1
         row = joint.idx_v - first
-        found.append(
+        facts.append(
             JointFacts(
                 name=robot.model.names[joint.id],
                 kind=kind,
@@ -148,7 +148,7 @@ def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
                 torque=float(torque[row]) if actuated and single else np.nan,
             )
         )
-    return tuple(found)
+    return tuple(facts)
 
 
 def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:

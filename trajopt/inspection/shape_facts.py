@@ -51,21 +51,21 @@ class ShapeFacts:
 
 def shape_facts(robot: Robot) -> ShapeFacts:
     """Return the figures of `robot_shapes`."""
-    found = robot_shapes(robot)
-    counts = Counter(shape.kind for shape in found.shapes)
+    shapes = robot_shapes(robot)
+    counts = Counter(shape.kind for shape in shapes.shapes)
     return ShapeFacts(
         kinds={kind: counts[kind] for kind in KINDS if counts[kind]},
-        pairs=len(found.pairs),
-        left_out=_by_reason(found),
-        missing=found.missing,
-        above_ground=found.above_ground,
+        pairs=len(shapes.pairs),
+        left_out=_by_reason(shapes),
+        missing=shapes.missing,
+        above_ground=shapes.above_ground,
     )
 
 
-def _by_reason(found: RobotShapes) -> dict[str, tuple[tuple[str, str], ...]]:
+def _by_reason(shapes: RobotShapes) -> dict[str, tuple[tuple[str, str], ...]]:
     """Pairs by reason; the depths of overlaps are left out."""
     reasons: dict[str, list[tuple[str, str]]] = {}
-    for pair, reason in found.left_out.items():
+    for pair, reason in shapes.left_out.items():
         what = "overlap in the reference posture" if "reference" in reason else reason
         reasons.setdefault(what, []).append(pair)
     return {reason: tuple(pairs) for reason, pairs in reasons.items()}

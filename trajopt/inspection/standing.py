@@ -66,20 +66,20 @@ def standing_posture(robot: Robot) -> StandingPosture:
     weight_force = pin.rnea(robot.model, robot.model.createData(), robot.reference, zero, zero)
     rows = [(contact.frame, contact.rows) for contact in feet]
     jacobian = contact_jacobian(robot.model, robot.reference, rows)
-    own = robot.n_unactuated
-    scales = np.full(own, robot.weight * robot.length)
-    scales[: 3 if own >= 6 else min(own, 2)] = robot.weight
+    unactuated = robot.n_unactuated
+    scales = np.full(unactuated, robot.weight * robot.length)
+    scales[: 3 if unactuated >= 6 else min(unactuated, 2)] = robot.weight
     pushes, pushing = _pushes(robot, feet)
-    carried = robot.weight * jacobian[:, :own].T @ pushes / scales[:, None]
-    wrench = robot.weight * pushes @ _least_forces(weight_force[:own] / scales, carried, pushing)
+    carried = robot.weight * jacobian[:, :unactuated].T @ pushes / scales[:, None]
+    wrench = robot.weight * pushes @ _least_forces(weight_force[:unactuated] / scales, carried, pushing)
     left = weight_force - jacobian.T @ wrench
     vertical = np.array([axis == 2 for contact in feet for axis in contact.rows], dtype=bool)
     centre = pin.centerOfMass(robot.model, robot.model.createData(), robot.reference)[:2]
     return StandingPosture(
         feet=tuple(contact.name for contact in feet),
         load=wrench[vertical],
-        effort=left[own:],
-        unbalanced=float(np.abs(left[:own] / scales).max(initial=0.0)),
+        effort=left[unactuated:],
+        unbalanced=float(np.abs(left[:unactuated] / scales).max(initial=0.0)),
         centre=centre,
         margin=inside(support_points(robot, feet), centre),
     )
@@ -111,8 +111,8 @@ def _least_forces(wanted: np.ndarray, carried: np.ndarray, pushing: np.ndarray) 
         return np.zeros(0)
     system = np.vstack([BALANCE_WEIGHT * carried, np.eye(count)])
     target = np.concatenate([BALANCE_WEIGHT * wanted, np.zeros(count)])
-    found = lsq_linear(system, target, (np.where(pushing, 0.0, -np.inf), np.inf), method="bvls")
-    return np.asarray(found.x)
+    result = lsq_linear(system, target, (np.where(pushing, 0.0, -np.inf), np.inf), method="bvls")
+    return np.asarray(result.x)
 
 
 def support_points(robot: Robot, feet: tuple[Contact, ...]) -> np.ndarray:

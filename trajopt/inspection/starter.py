@@ -76,11 +76,11 @@ def _ball_at(robot: Robot, name: str) -> float:
             geometry = shapes_of(robot, kind)
         except InputError:
             continue
-        for found in [] if geometry is None else geometry.geometryObjects:
-            apart = np.linalg.norm(found.placement.translation - frame.placement.translation)
-            own = found.parentJoint == frame.parentJoint and apart < SAME_PLACE
-            if own and type(found.geometry).__name__ == "Sphere":
-                return float(found.geometry.radius)
+        for shape in [] if geometry is None else geometry.geometryObjects:
+            apart = np.linalg.norm(shape.placement.translation - frame.placement.translation)
+            belongs = shape.parentJoint == frame.parentJoint and apart < SAME_PLACE
+            if belongs and type(shape.geometry).__name__ == "Sphere":
+                return float(shape.geometry.radius)
     return 0.0
 
 
@@ -112,7 +112,7 @@ def starter(robot: Robot, target: Path) -> str:
 
 
 def _entries(robot: Robot) -> list[str]:
-    found = []
+    entries = []
     first = 0 if robot.base == "fixed" else 2 if robot.base in ("freeflyer", "planar") else 7
     for joint in list(robot.model.joints)[max(first, 1) :]:
         if joint.nv != 1:
@@ -121,8 +121,8 @@ def _entries(robot: Robot) -> list[str]:
         value = q[0] if joint.nq == 1 else np.arctan2(q[1], q[0])
         lower, upper = robot.position_lower[joint.idx_q], robot.position_upper[joint.idx_q]
         limits = f"{lower:.4g} to {upper:.4g}" if joint.nq == 1 and np.isfinite(lower) else "without limits"
-        found.append(f'    "{robot.model.names[joint.id]}": {_within(value, lower, upper)},  # {limits}')
-    return found
+        entries.append(f'    "{robot.model.names[joint.id]}": {_within(value, lower, upper)},  # {limits}')
+    return entries
 
 
 def _within(value: float, lower: float, upper: float) -> str:
@@ -134,15 +134,15 @@ def _within(value: float, lower: float, upper: float) -> str:
 def _tips(model: pin.Model) -> dict[int, str]:
     """The farthest body frame of every joint without children: joint -> frame."""
     parents = {int(parent) for parent in list(model.parents)[1:]}
-    found: dict[int, tuple[float, str]] = {}
+    tips: dict[int, tuple[float, str]] = {}
     for frame in model.frames:
         joint = int(frame.parentJoint)
         if joint == 0 or joint in parents or frame.type != pin.FrameType.BODY:
             continue
         distance = float(np.linalg.norm(frame.placement.translation))
-        if joint not in found or distance > found[joint][0]:
-            found[joint] = (distance, frame.name)
-    return {joint: name for joint, (_, name) in found.items()}
+        if joint not in tips or distance > tips[joint][0]:
+            tips[joint] = (distance, frame.name)
+    return {joint: name for joint, (_, name) in tips.items()}
 
 
 def _lowest_tips(model: pin.Model) -> list[str]:
@@ -168,8 +168,8 @@ def _bent(urdf: Path, straight: Robot) -> Robot:
         shift = pin.centerOfMass(model, data, q) - middle
         shift[2] = 0.0
         feet = {contact.frame: places[contact.name] + shift for contact in straight.contacts}
-        found = inverse_kinematics(straight, q, feet)
-        if found.error > REACHED * straight.length:
+        result = inverse_kinematics(straight, q, feet)
+        if result.error > REACHED * straight.length:
             return straight
-        q = found.q
+        q = result.q
     return Robot.from_urdf(urdf, base=straight.base, contacts=straight.contacts, reference=q)

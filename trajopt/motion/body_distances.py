@@ -42,31 +42,31 @@ class FileBodies:
             for scene in scenes
         ]
         asked = np.concatenate([np.zeros(0), *margins])
-        found = cls(
+        measured = cls(
             scenes=tuple(scenes),
-            kinds=np.array([kind for own in scenes for kind in _kinds(own)], dtype=object),
+            kinds=np.array([kind for part in scenes for kind in _kinds(part)], dtype=object),
             margins=asked,
             within=np.full(len(asked), NEAR + asked.max(initial=0.0)),
         )
-        distances = found.distances(plan.q)
-        reach = found.within.copy()
+        distances = measured.distances(plan.q)
+        reach = measured.within.copy()
         for kind in KINDS:
-            own = found.kinds == kind
-            short = distances[:, own] - asked[own]
+            of_kind = measured.kinds == kind
+            short = distances[:, of_kind] - asked[of_kind]
             if short.size and short.min() > NEAR:  # all are bounds: the nearest pair is no farther than here
                 at = plan.q[np.unravel_index(short.argmin(), short.shape)[0]]
                 exact = np.concatenate([scene.distances(at)[0] for scene in scenes])
-                reach[own] = (exact - asked)[own].min() + asked.max(initial=0.0)
-        if (reach > found.within).any():
-            found = replace(found, within=reach)
-            distances = found.distances(plan.q)
-        return found, found._traces(distances)
+                reach[of_kind] = (exact - asked)[of_kind].min() + asked.max(initial=0.0)
+        if (reach > measured.within).any():
+            measured = replace(measured, within=reach)
+            distances = measured.distances(plan.q)
+        return measured, measured._traces(distances)
 
     def distances(self, q: np.ndarray) -> np.ndarray:
         """Distances (K, n) m of all pairs at configurations (K, nq)."""
         parts = np.split(self.within, np.cumsum([len(scene.pairs) for scene in self.scenes])[:-1])
-        found = [scene.distances(q, part) for scene, part in zip(self.scenes, parts, strict=False)]
-        return np.concatenate([np.zeros((len(q), 0)), *found], axis=1)
+        columns = [scene.distances(q, part) for scene, part in zip(self.scenes, parts, strict=False)]
+        return np.concatenate([np.zeros((len(q), 0)), *columns], axis=1)
 
     def traces(self, plan: Solution) -> Traces:
         """Depth in the ground, and least distances, m, of every pair at the samples of ``plan``."""

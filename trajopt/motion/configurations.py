@@ -40,8 +40,8 @@ class SolutionMotion:
         start, end = self.span(phase)
         numbers = self.solution.intervals_of(phase)
         inner = start + (fraction + INSIDE * (towards - fraction)) * (end - start)
-        found = int(np.searchsorted(self.solution.interval_t[numbers, 0], inner, side="right")) - 1
-        return self._sample(numbers[max(found, 0)], start + fraction * (end - start))
+        index = int(np.searchsorted(self.solution.interval_t[numbers, 0], inner, side="right")) - 1
+        return self._sample(numbers[max(index, 0)], start + fraction * (end - start))
 
     def _sample(self, number: int, t: float) -> MotionSample:
         start, end = self.solution.interval_t[number]

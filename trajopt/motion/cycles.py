@@ -78,8 +78,10 @@ class CycleImage:
 
     def of_contact_forces(self, f: np.ndarray) -> np.ndarray:
         """Images of contact forces and moments (n, nc, 6)."""
-        own = f[:, self.contacts]
-        return np.concatenate([own[..., :3] @ self.to_force.T, own[..., 3:] @ self.to_moment.T], axis=-1)
+        wrenches = f[:, self.contacts]
+        return np.concatenate(
+            [wrenches[..., :3] @ self.to_force.T, wrenches[..., 3:] @ self.to_moment.T], axis=-1
+        )
 
     def of_contacts(self, active: np.ndarray) -> np.ndarray:
         """Images of what is known of each contact (n, nc)."""
@@ -95,11 +97,11 @@ def image_of_contacts(plan: Solution, described: PeriodicImage) -> list[int]:
 
 def moving_rows(model: pin.Model, frame: str) -> set[int]:
     """Rows of v that move a frame."""
-    found: set[int] = set()
+    rows: set[int] = set()
     for joint in list(model.supports[model.frames[model.getFrameId(frame)].parentJoint])[1:]:
         first = model.joints[joint].idx_v
-        found |= set(range(first, first + model.joints[joint].nv))
-    return found
+        rows |= set(range(first, first + model.joints[joint].nv))
+    return rows
 
 
 def periodic_image(
@@ -109,25 +111,40 @@ def periodic_image(
     index, sign = described.index, described.sign
     moved = described.moved(duration)
     turn, origin = described.turn, described.origin
-    found = q.copy()
+    image = q.copy()
     for joint in list(model.joints)[1:]:
         if joint.nv == 1:
-            other = next(own for own in list(model.joints)[1:] if own.idx_v == index[joint.idx_v])
-            found[..., joint.idx_q : joint.idx_q + joint.nq] = signed(
+            other = next(
+                candidate for candidate in list(model.joints)[1:] if candidate.idx_v == index[joint.idx_v]
+            )
+            image[..., joint.idx_q : joint.idx_q + joint.nq] = signed(
                 q[..., other.idx_q : other.idx_q + other.nq], sign[joint.idx_v]
             )
     base = base_of(model)
     if base == "freeflyer":
         rotation = pin.utils.rotate("z", turn)
         position = q[..., :3] * sign[:3] + (1 - sign[:3]) * origin
-        found[..., :3] = origin + (position - origin) @ rotation.T + moved
+        image[..., :3] = origin + (position - origin) @ rotation.T + moved
         mirrored = q[..., 3:7] * ([-1.0, 1.0, -1.0, 1.0] if described.mirror else np.ones(4))
-        found[..., 3:7] = mirrored @ _turning(turn).T
+        image[..., 3:7] = mirrored @ _turning(turn).T
     elif base == "planar":
-        found[..., :2] += moved[[0, 2]]
+        image[..., :2] += moved[[0, 2]]
     elif base == "virtual":
-        found[..., :3] += moved
-    return found, sign * v[..., index]
+        image[..., :3] += moved
+    return image, sign * v[..., index]
+
+
+def periodicity_error(plan: Solution) -> float | None:
+    """Largest difference (m, rad, m/s, rad/s) of the last state from the first's image; None if not periodic.
+
+    What the image is, `PeriodicImage` says.
+    """
+    described = plan.description.periodicity
+    if not described:
+        return None
+    q, v = periodic_image(plan.model, described, plan.q[0], plan.v[0], float(plan.t[-1] - plan.t[0]))
+    apart = pin.difference(plan.model, q, plan.q[-1])
+    return float(max(np.abs(apart).max(), np.abs(v - plan.v[-1]).max()))
 
 
 def _turning(turn: float) -> np.ndarray:

@@ -30,7 +30,7 @@ def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
     """Residuals at every sample; base rows of velocity sources are statics, RNEA(q, 0, 0) - sum J^T f."""
     base, force = plan.n_unactuated, samples.generalized_force
     balance, held = force[:, :base], samples.acceleration
-    if plan.description.actuation == "velocity":  # rows of statics and of velocities, not of motion
+    if plan.description.velocity_input:  # rows of statics and of velocities, not of motion
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
         balance = sample_quantities(still).generalized_force[:, :base] if base else balance
         held = samples.velocity
@@ -40,15 +40,14 @@ def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
     return DynamicsRows(base=balance, actuated=force[:, base:] - plan.tau, contact=contact)
 
 
-def dynamics_traces(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> Traces:
+def dynamics_traces(plan: Solution, rows: DynamicsRows) -> Traces:
     """Largest residuals at the collocation points, over the weight (moments: times 1 m) and over g.
 
     With velocity sources, the contacts' velocities are over sqrt(g 1 m).
     """
-    rows, points = dynamics_rows(plan, samples, surfaces), plan.collocation[:, None]
-    gravity = gravity_of(plan.model)
+    points, gravity = plan.collocation[:, None], gravity_of(plan.model)
     weight = mass_of(plan.model) * gravity
-    moving = np.sqrt(gravity) if plan.description.actuation == "velocity" else gravity
+    moving = np.sqrt(gravity) if plan.description.velocity_input else gravity
     names, contact = names_of_rows(plan), np.abs(rows.contact).max(axis=-1, initial=0.0) / moving
     base = plan.n_unactuated
     return {

@@ -13,7 +13,7 @@ def limit_traces(plan: Solution) -> Traces:
     """Torques and velocities over their limits minus one, positions beyond theirs over the range."""
     rows = names_of_rows(plan)
     # Rates that are control inputs have values at collocation points only, others everywhere.
-    moving = plan.collocation[:, None] if plan.description.actuation == "velocity" else True
+    moving = plan.collocation[:, None] if plan.description.velocity_input else True
     lower, upper = position_limits(plan.model)
     beyond = np.maximum(plan.q - upper, lower - plan.q)
     limited = np.isfinite(lower) | np.isfinite(upper)

@@ -15,8 +15,8 @@ Sampler = Callable[[Solution, int, np.ndarray], MotionSample]
 
 def sample_interval(plan: Solution, number: int, fractions: np.ndarray) -> MotionSample:
     """Return the motion of one interval at ``fractions`` (n,) of it."""
-    found = MotionPolynomials.of(plan.model, plan.arrays, plan.order, np.array([number]))
-    return found.at(np.zeros(len(fractions), dtype=int), np.asarray(fractions, dtype=float))
+    polynomials = MotionPolynomials.of(plan.model, plan.arrays, plan.order, np.array([number]))
+    return polynomials.at(np.zeros(len(fractions), dtype=int), np.asarray(fractions, dtype=float))
 
 
 def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler | None = None) -> Solution:

@@ -108,7 +108,8 @@ def state_distance(model: pin.Model, planned: np.ndarray, reached: np.ndarray) -
     position = BASE_POSITION[base]
     turn = difference[position:rows]
     if base == "virtual":  # differences of its angles are not a rotation
-        turn = pin.log3(_base_rotation(model, planned).T @ _base_rotation(model, reached))
+        joint = BASE_JOINT[base]
+        turn = pin.log3(_rotation(model, joint, planned).T @ _rotation(model, joint, reached))
     return np.array(
         [
             np.linalg.norm(reached[:position] - planned[:position]),
@@ -118,7 +119,7 @@ def state_distance(model: pin.Model, planned: np.ndarray, reached: np.ndarray) -
     )
 
 
-def _base_rotation(model: pin.Model, q: np.ndarray) -> np.ndarray:
+def _rotation(model: pin.Model, joint: int, q: np.ndarray) -> np.ndarray:
     data = model.createData()
     pin.forwardKinematics(model, data, q)
-    return np.array(data.oMi[BASE_JOINT[base_of(model)]].rotation)
+    return np.array(data.oMi[joint].rotation)

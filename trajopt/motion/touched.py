@@ -98,12 +98,12 @@ def _ground(
         point[:] = plane.point + radii[:, None] * plane.normal
         return point, normal, known
     for radius in np.unique(radii):
-        own, raised = radii == radius, terrain.offset(float(radius))
-        x, y = position[:, own, 0], position[:, own, 1]
+        same_radius, raised = radii == radius, terrain.offset(float(radius))
+        x, y = position[:, same_radius, 0], position[:, same_radius, 1]
         height = raised.height(x, y)
-        known[:, own] = np.isfinite(height)
-        point[:, own, 2] = np.where(known[:, own], height, 0.0)
-        normal[:, own] = raised.normal(x, y)
+        known[:, same_radius] = np.isfinite(height)
+        point[:, same_radius, 2] = np.where(known[:, same_radius], height, 0.0)
+        normal[:, same_radius] = raised.normal(x, y)
     return point, normal, known
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -65,47 +65,6 @@ class Occurrence:
 
     def __str__(self) -> str:
         return f"{self.name}{', ' if self.name else ''}{self.phase}, {self.time:.3f} s"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Found:
-    """The worst value of a figure and its place."""
-
-    value: float
-    place: Occurrence
-
-
-def place_of(plan: Solution, row: int, name: str = "") -> Occurrence:
-    """The place of a sample."""
-    return Occurrence(time=float(plan.t[row]), phase=plan.phase_names[int(plan.phase[row])], name=name)
-
-
-def worst_of(*parts: tuple[Solution, Trace | None]) -> Found | None:
-    """The worst value over traces of one figure, each along its own samples; None where it does not apply."""
-    best: tuple[float, Found] | None = None
-    for plan, trace in parts:
-        found = None if trace is None else trace.worst()
-        if found is None or trace is None:
-            continue
-        value, row, column = found
-        bad = np.inf if np.isnan(value) else -value if trace.margin else value
-        if best is None or bad > best[0]:
-            best = (bad, Found(value=value, place=place_of(plan, row, trace.names[column])))
-    return None if best is None else best[1]
-
-
-def merged(traces: Iterable[Traces], along: Callable[[list[np.ndarray]], np.ndarray]) -> Traces:
-    """Join traces of one motion at several sets of samples; ``along`` joins their arrays."""
-    parts = list(traces)
-    return {
-        name: Trace(
-            values=along([part[name].values for part in parts]),
-            counts=along([part[name].counts for part in parts]),
-            names=first.names,
-            margin=first.margin,
-        )
-        for name, first in parts[0].items()
-    }
 
 
 def joints_of(plan: Solution) -> list[tuple[Any, str]]:

@@ -44,23 +44,23 @@ def read_only(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
 
     Raises `InputError` for a value that is not an array of its type, or does not have one row per sample.
     """
-    found: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
     for name, dtype in {**SAMPLED, **OTHERS}.items():
         if given.get(name) is None and name in OPTIONAL:
             continue
         try:
-            found[name] = np.array(given.get(name), dtype=dtype)
+            arrays[name] = np.array(given.get(name), dtype=dtype)
         except (TypeError, ValueError):
             raise InputError(f"'{name}' of the solution is not an array of {dtype.__name__}") from None
-        found[name].setflags(write=False)
-    samples = found["t"].shape
+        arrays[name].setflags(write=False)
+    samples = arrays["t"].shape
     for name in SAMPLED:
-        shape = found[name].shape
+        shape = arrays[name].shape
         if len(samples) != 1 or shape[:1] != samples:
             raise InputError(
                 f"'{name}' of the solution has shape {shape}", f"first dimension as t: {samples}"
             )
-    return found
+    return arrays
 
 
 def rows_of(record: _Record, rows: slice | int | list[int] | np.ndarray) -> _Record:

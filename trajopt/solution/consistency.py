@@ -104,13 +104,8 @@ def _wrong_shape(
 
 
 def _wrong_multipliers(arrays: _Arrays, names: tuple[str, ...]) -> str:
-    rows, place, bounds = (
-        arrays.get("row_multiplier"),
-        arrays.get("row_place"),
-        arrays.get("bound_multiplier"),
-    )
-    given = [array is not None for array in (rows, place, bounds)]
-    if not any(given):
+    rows, place, bounds = map(arrays.get, ("row_multiplier", "row_place", "bound_multiplier"))
+    if rows is None and place is None and bounds is None:
         return ""
     if rows is None or place is None or bounds is None:
         return "'row_multiplier', 'row_place' and 'bound_multiplier' must come together"

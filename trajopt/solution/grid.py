@@ -30,12 +30,12 @@ def interval_schemes(solution: Solution) -> tuple[Scheme, ...]:
 
 def interpolated(solution: Solution, values: np.ndarray) -> np.ndarray:
     """Values (K, ...) at collocation points with the interpolants' values at the ends of every interval."""
-    found = values.copy()
+    extended = values.copy()
     for rows, method in zip(solution.intervals, interval_schemes(solution), strict=True):
         inner = [k for k in rows if solution.collocation[k]]
         ends = method.interpolation(np.array([0.0, 1.0]))
-        found[[rows[0], rows[-1]]] = np.tensordot(ends, values[inner], axes=1)
-    return found
+        extended[[rows[0], rows[-1]]] = np.tensordot(ends, values[inner], axes=1)
+    return extended
 
 
 def _widths(solution: Solution, rows: range) -> tuple[float, ...]:

@@ -138,9 +138,9 @@ class InterpolatedMotion:
 
     def gaps(self, numbers: np.ndarray) -> np.ndarray:
         """Return what closes the intervals ``numbers`` (k,), see `MotionPolynomials.gap`: (k, 2, nv)."""
-        own = np.concatenate([group.numbers for group in self.groups])
+        order = np.concatenate([group.numbers for group in self.groups])
         every = np.concatenate([group.gap for group in self.groups])
-        return np.asarray(every[np.argsort(own)][numbers])
+        return np.asarray(every[np.argsort(order)][numbers])
 
     def at(self, numbers: np.ndarray, fractions: np.ndarray) -> MotionSample:
         """Return the motion at ``fractions`` (k,) of the intervals ``numbers`` (k,)."""
@@ -148,10 +148,10 @@ class InterpolatedMotion:
             return self.groups[0].at(numbers, fractions)
         rows, parts = [], []
         for group in self.groups:
-            own = np.flatnonzero(np.isin(numbers, group.numbers))
-            if len(own):
-                rows.append(own)
-                parts.append(group.at(np.searchsorted(group.numbers, numbers[own]), fractions[own]))
+            members = np.flatnonzero(np.isin(numbers, group.numbers))
+            if len(members):
+                rows.append(members)
+                parts.append(group.at(np.searchsorted(group.numbers, numbers[members]), fractions[members]))
         back = np.argsort(np.concatenate(rows))
         return MotionSample(**{name: array[back] for name, array in joined(parts).items()})
 

@@ -108,18 +108,18 @@ def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
 
 
 def _cross_matrix(vector: np.ndarray) -> np.ndarray:
-    found = np.zeros((*vector.shape, 3))
+    matrix = np.zeros((*vector.shape, 3))
     for i, j, k in _CYCLES:
-        found[..., k, j], found[..., j, k] = vector[..., i], -vector[..., i]
-    return found
+        matrix[..., k, j], matrix[..., j, k] = vector[..., i], -vector[..., i]
+    return matrix
 
 
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Cross products of vectors (..., 3); for few of them much faster than NumPy's."""
-    found = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    product = np.empty(np.broadcast_shapes(first.shape, second.shape))
     for i, j, k in _CYCLES:
-        found[..., i] = first[..., j] * second[..., k] - first[..., k] * second[..., j]
-    return found
+        product[..., i] = first[..., j] * second[..., k] - first[..., k] * second[..., j]
+    return product
 
 
 def _product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -142,8 +142,8 @@ def _turned_by(start: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """Quaternions of ``start`` followed by exponential coordinates, near the start's sign."""
     half = np.linalg.norm(theta, axis=-1, keepdims=True) / 2
     turn = np.concatenate([theta / 2 * np.sinc(half / np.pi), np.cos(half)], axis=-1)
-    found = _product(np.broadcast_to(start, (*theta.shape[:-1], 4)), turn)
-    return np.asarray(np.copysign(1.0, turn[..., 3:]) * found)
+    turned = _product(np.broadcast_to(start, (*theta.shape[:-1], 4)), turn)
+    return np.asarray(np.copysign(1.0, turn[..., 3:]) * turned)
 
 
 def _angle(start: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -158,10 +158,10 @@ def _direction(start: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def _plane_rotation(direction: np.ndarray) -> np.ndarray:
-    found = np.empty((*direction.shape, 2))
-    found[..., 0, 0] = found[..., 1, 1] = direction[..., 0]
-    found[..., 0, 1], found[..., 1, 0] = -direction[..., 1], direction[..., 1]
-    return found
+    rotation = np.empty((*direction.shape, 2))
+    rotation[..., 0, 0] = rotation[..., 1, 1] = direction[..., 0]
+    rotation[..., 0, 1], rotation[..., 1, 0] = -direction[..., 1], direction[..., 1]
+    return rotation
 
 
 def _turned(v: np.ndarray, iv: int) -> np.ndarray:

@@ -33,27 +33,9 @@ _Json = dict[str, Any]
 
 # Keys that every file has.
 REQUIRED = (
-    "format",
-    "version",
-    "problem",
-    "parameters",
-    "robot",
-    "contact_frames",
-    "contact_kinds",
-    "friction",
-    "effort_limit",
-    "velocity_limit",
-    "terrain",
-    "transcription",
-    "solver",
-    "status",
-    "success",
-    "iterations",
-    "objective",
-    "tolerance",
-    "wall_time_s",
-    "gravity",
-    "versions",
+    *("format", "version", "problem", "parameters", "robot", "contact_frames", "contact_kinds", "friction"),
+    *("effort_limit", "velocity_limit", "terrain", "transcription", "solver", "status", "success"),
+    *("iterations", "objective", "tolerance", "wall_time_s", "gravity", "versions"),
 )
 # Keys of descriptions, and keys that follow from arrays: all others are of statistics.
 DESCRIBED = (
@@ -78,10 +60,11 @@ def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
     frames = [contact.frame for contact in contacts]
     bodies = _optional(meta, "bodies", RobotShapes.from_description)
     scene = _optional(meta, "collision", _collision) or {}
+    _require(isinstance(meta["parameters"], dict), "parameters", "an object")
     return PlanDescription(
         problem=str(meta["problem"]),
         robot=str(meta["robot"]),
-        parameters=_object(meta, "parameters"),
+        parameters=dict(meta["parameters"]),
         contacts=contacts,
         actuation=str(meta.get("actuation") or "torque"),
         gravity=_optional(meta, "gravity", lambda given: tuple(_numbers(given, (3,)).tolist())),
@@ -119,12 +102,10 @@ def statistics_of(meta: Mapping[str, Any]) -> SolveStatistics:
         elif name in ("versions", "redundant_contact_rows", "simulation"):
             _require(isinstance(value, dict), name, "an object")
         elif name in ("failures", "row_names"):
-            texts = isinstance(value, list) and all(isinstance(entry, str) for entry in value)
-            _require(texts, name, "a list of texts")
+            _require(_is_list(value, str), name, "a list of texts")
             value = tuple(value)
         elif name == "worst_blocks":
-            objects = isinstance(value, list) and all(isinstance(entry, dict) for entry in value)
-            _require(objects, name, "a list of objects")
+            _require(_is_list(value, dict), name, "a list of objects")
             value = tuple(value)
         elif name == "mesh":
             value = _entry(name, _mesh, value)
@@ -237,7 +218,7 @@ def _contacts(meta: Mapping[str, Any]) -> Iterator[PlannedContact]:
     names = meta.get("contact_names") or frames
     sizes = meta.get("contact_sizes") or [None] * n
     radii = meta.get("contact_radius") or [0.0] * n
-    if not (isinstance(names, list) and len(names) == n and all(isinstance(name, str) for name in names)):
+    if not (_is_list(names, str) and len(names) == n):
         raise SolutionFileError(f"contact_names {names} are not a name for each of the {n} contact_frames")
     if not all(kind in ("point", "surface") for kind in kinds):
         raise SolutionFileError(f"contact_kinds {kinds} are not all 'point' or 'surface'")
@@ -275,8 +256,7 @@ def _phase_names(meta: Mapping[str, Any], n_phases: int) -> tuple[str, ...]:
     names = meta.get("phase_names")
     if names is None:
         return tuple(f"phase {number}" for number in range(n_phases))
-    texts = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    _require(texts, "phase_names", "a list of texts, one for each phase")
+    _require(_is_list(names, str), "phase_names", "a list of texts, one for each phase")
     return tuple(names)
 
 
@@ -286,8 +266,7 @@ def _by_phase(
     described = meta.get(key)
     if described is None:
         return ()
-    objects = isinstance(described, list) and all(isinstance(phase, dict) for phase in described)
-    _require(objects, key, f"null or a list of {{contact frame: {entry}}}")
+    _require(_is_list(described, dict), key, f"null or a list of {{contact frame: {entry}}}")
     return tuple({frame: _entry(key, read, shape) for frame, shape in phase.items()} for phase in described)
 
 
@@ -388,14 +367,13 @@ def _numbers(given: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
+def _is_list(value: Any, kind: type) -> bool:
+    return isinstance(value, list) and all(isinstance(entry, kind) for entry in value)
+
+
 def _require(holds: bool, key: str, allowed: str) -> None:
     if not holds:
         raise SolutionFileError(f"{key} of meta is not {allowed}")
-
-
-def _object(meta: Mapping[str, Any], key: str) -> _Json:
-    _require(isinstance(meta[key], dict), key, "an object")
-    return dict(meta[key])
 
 
 def _entry(key: str, read: Callable[[Any], _Read], value: Any) -> _Read:

@@ -91,7 +91,8 @@ _Arrays = Mapping[str, np.ndarray]
 
 def model_to_arrays(model: pin.Model) -> dict[str, np.ndarray]:
     """The arrays of a model, which `model_from_arrays` takes. Raises `InputError` for one that it refuses."""
-    frames, references = list(model.frames), dict(_references(model))
+    frames = list(model.frames)
+    references = {entry.key(): np.array(entry.data()) for entry in model.referenceConfigurations}
     arrays = {
         "model_name": np.array(model.name),
         "model_bodies": np.array(model.nbodies, dtype=np.int64),
@@ -271,10 +272,6 @@ def _require_rotations(given: _Arrays) -> None:
 
 def _texts(names: Sequence[str]) -> np.ndarray:
     return np.array(list(names), dtype=str)
-
-
-def _references(model: pin.Model) -> list[tuple[str, np.ndarray]]:
-    return [(entry.key(), np.array(entry.data())) for entry in model.referenceConfigurations]
 
 
 def _kind(joint: pin.JointModel) -> str:

@@ -110,7 +110,7 @@ class SampledMotion:
         drives, ``drive_torque/...`` by the names of their entries; of each contact ``active/FRAME``,
         ``force/FRAME/x`` and, of a sole, ``moment/FRAME/x``; ``extrapolated``.
         """
-        found = {"t": self.t, "phase": np.array(self.phase_names, dtype=object)[self.phase]}
+        table = {"t": self.t, "phase": np.array(self.phase_names, dtype=object)[self.phase]}
         groups = {
             "q": (self.position_names, self.q),
             "v": (self.velocity_names, self.v),
@@ -121,12 +121,12 @@ class SampledMotion:
             "active": (self.contact_frames, self.active),
         }
         for group, (names, values) in groups.items():
-            found |= {f"{group}/{name}": values[:, i] for i, name in enumerate(names)}
+            table |= {f"{group}/{name}": values[:, i] for i, name in enumerate(names)}
         for i, frame in enumerate(self.contact_frames):
-            found |= {f"force/{frame}/{axis}": self.force[:, i, k] for k, axis in enumerate(AXES)}
+            table |= {f"force/{frame}/{axis}": self.force[:, i, k] for k, axis in enumerate(AXES)}
             if self.contact_kinds[i] == "surface":
-                found |= {f"moment/{frame}/{axis}": self.moment[:, i, k] for k, axis in enumerate(AXES)}
-        return found | {"extrapolated": self.extrapolated}
+                table |= {f"moment/{frame}/{axis}": self.moment[:, i, k] for k, axis in enumerate(AXES)}
+        return table | {"extrapolated": self.extrapolated}
 
     @property
     def facts(self) -> dict[str, str]:
@@ -168,7 +168,7 @@ class SampledMotion:
 
 def _write_csv(motion: SampledMotion, path: Path) -> None:
     columns = motion.columns
-    plain = [(own.astype(int) if own.dtype == bool else own).tolist() for own in columns.values()]
+    plain = [(values.astype(int) if values.dtype == bool else values).tolist() for values in columns.values()]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
@@ -182,7 +182,8 @@ def _write_parquet(motion: SampledMotion, path: Path) -> None:
 
 
 def _write_npz(motion: SampledMotion, path: Path) -> None:
-    names = {name: np.array(own, dtype=str) for name, own in vars(motion).items() if isinstance(own, tuple)}
+    texts = {name: entry for name, entry in vars(motion).items() if isinstance(entry, tuple)}
+    names = {name: np.array(entry, dtype=str) for name, entry in texts.items()}
     facts = {key: np.array(value) for key, value in motion.facts.items()}
     with path.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **motion.arrays, **names, **facts)

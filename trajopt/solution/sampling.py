@@ -21,10 +21,10 @@ Side = Literal["after", "before"]
 MOST_SAMPLES = 200_000
 
 
-def sample_times(edges: np.ndarray, own: np.ndarray, rate: float | None, times: Any) -> np.ndarray:
+def sample_times(edges: np.ndarray, sampled: np.ndarray, rate: float | None, times: Any) -> np.ndarray:
     """Times (n,) s of samples within a motion; raises `InputError`; see `Solution.sample`.
 
-    edges: (I, 2) of its intervals. own: (K,) times of its samples, which are taken where neither is given.
+    edges: (I, 2) of its intervals. sampled: (K,) times of its samples, taken where neither is given.
     """
     start, end = float(edges[0, 0]), float(edges[-1, 1])
     same = SAME_TIME * (end - start)
@@ -33,7 +33,7 @@ def sample_times(edges: np.ndarray, own: np.ndarray, rate: float | None, times: 
     if times is not None:
         return _within(_numbers(times), start, end)
     if rate is None:
-        return own[np.append(np.diff(own) > same, True)]
+        return sampled[np.append(np.diff(sampled) > same, True)]
     require_positive("rate", rate, "Hz")
     rate = float(rate)
     count = (end - start) * rate
@@ -48,14 +48,14 @@ def sample_times(edges: np.ndarray, own: np.ndarray, rate: float | None, times: 
 
 def _numbers(times: Any) -> np.ndarray:
     try:
-        found = np.atleast_1d(np.asarray(times))
+        numbers = np.atleast_1d(np.asarray(times))
     except ValueError:  # rows of different lengths
-        found = np.zeros((0, 0))
-    if found.ndim != 1 or found.dtype.kind not in "fiu":
+        numbers = np.zeros((0, 0))
+    if numbers.ndim != 1 or numbers.dtype.kind not in "fiu":
         raise InputError(f"times are {times!r:.60}", "allowed: a list of numbers, s")
-    if not 0 < len(found) <= MOST_SAMPLES:
-        raise InputError(f"times are {len(found)} numbers", f"allowed: 1 to {MOST_SAMPLES}")
-    return found.astype(float)
+    if not 0 < len(numbers) <= MOST_SAMPLES:
+        raise InputError(f"times are {len(numbers)} numbers", f"allowed: 1 to {MOST_SAMPLES}")
+    return numbers.astype(float)
 
 
 def _within(times: np.ndarray, start: float, end: float) -> np.ndarray:
@@ -104,8 +104,8 @@ def in_convention(
             v[:, joint.v], a[:, joint.v] = rate[:, joint.v], second[:, joint.v]
             if joint.rotation is not None:
                 turn = rotation_matrices(motion.q[:, joint.q][:, 3:])
-                for found, body in ((v, motion.v), (a, motion.a)):
-                    found[:, joint.rotation] = np.einsum("nij,nj->ni", turn, body[:, joint.rotation])
+                for along, body in ((v, motion.v), (a, motion.a)):
+                    along[:, joint.rotation] = np.einsum("nij,nj->ni", turn, body[:, joint.rotation])
         if quaternion == "wxyz" and joint.rotation is not None:
             entries = slice(joint.q.stop - 4, joint.q.stop)
             q[:, entries] = np.roll(q[:, entries], 1, axis=1)

@@ -212,8 +212,8 @@ class Solution:
 
     def interval_at(self, t: ArrayLike) -> np.ndarray:
         """Return the numbers of the intervals at ``t`` (s): the later one at a node, the nearest outside."""
-        found = np.searchsorted(self.interval_t[:, 0], t, side="right") - 1
-        return np.clip(found, 0, self.n_intervals - 1)
+        numbers = np.searchsorted(self.interval_t[:, 0], t, side="right") - 1
+        return np.clip(numbers, 0, self.n_intervals - 1)
 
     def with_arrays(self, **arrays: np.ndarray | None) -> Solution:
         """Return the same solution with other arrays."""
@@ -260,9 +260,9 @@ class Solution:
             raise InputError(f"the solution cannot be sampled: {wrong}", "allowed: finite numbers")
         t = sample_times(self.interval_t, self.t, rate, times)
         numbers, fractions = located(self.interval_t, t, side)
-        own = self.polynomials.at(numbers, fractions)
-        motion = in_convention(self.model, own, quaternion, base_velocity)
-        angle_names, angle = angles_of(self.model, self.arrays, t, own.q)
+        state = self.polynomials.at(numbers, fractions)
+        motion = in_convention(self.model, state, quaternion, base_velocity)
+        angle_names, angle = angles_of(self.model, self.arrays, t, state.q)
         first = np.array([rows.start for rows in self.intervals])[numbers]
         return SampledMotion(
             problem=self.description.problem,
@@ -270,7 +270,7 @@ class Solution:
             success=self.success,
             t=t,
             **vars(motion),
-            drive_torque=drive_torque_values(self.drives, own.tau, own.v[:, self.n_unactuated :]),
+            drive_torque=drive_torque_values(self.drives, state.tau, state.v[:, self.n_unactuated :]),
             angle=angle,
             active=self.active[first],
             phase=self.phase[first],

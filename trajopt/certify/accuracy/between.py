@@ -5,20 +5,15 @@ The violations are those of the check (`certify.dense`), in natural units.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from trajopt.certify.contact_figures import ContactStarts
 from trajopt.certify.dense import DenseMotion, dense_motion, figures_at
-from trajopt.motion.body_distances import FileBodies
-from trajopt.motion.dynamics_rows import dynamics_rows
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.resampling import resampled
-from trajopt.motion.samples import sample_quantities
-from trajopt.motion.touched import touched_surfaces
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.solution import Solution
 
 # Fractions of an interval for its residuals: between the points of a scheme of degree four lie two at least.
 FRACTIONS = np.linspace(0.0, 1.0, 11)
@@ -26,37 +21,26 @@ FRACTIONS = np.linspace(0.0, 1.0, 11)
 _Figures = dict[str, float | None]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Bound:
-    """How a constraint's violation follows from a figure of the check: its sign, and its unit."""
-
-    figure: str
-    sign: float = 1.0
-    unit: Callable[[NaturalUnits], float] = lambda _: 1.0
-
-
-def _length(units: NaturalUnits) -> float:
-    return units.length
-
-
-# Violations are over the weight (forces), weight times reach (moments of soles), the limit (torques,
-# velocities, drives), the joint's range (positions) and the reach (depths, distances).
+# Figures of the check by the name of the constraint that they violate.
 VIOLATIONS = {
-    "friction": _Bound(figure="friction_margin", sign=-1.0),
-    "unilateral": _Bound(figure="unilateral_margin", sign=-1.0),
-    "sole": _Bound(figure="sole_margin", sign=-1.0, unit=_length),
-    "sliding": _Bound(figure="sliding_friction"),
-    "effort": _Bound(figure="effort_excess"),
-    "drive_torque": _Bound(figure="drive_torque_excess"),
-    "drive_voltage": _Bound(figure="drive_voltage_excess"),
-    "velocity": _Bound(figure="velocity_excess"),
-    "position": _Bound(figure="position_excess"),
-    "penetration": _Bound(figure="penetration", unit=_length),
-    "link_depth": _Bound(figure="link_depth", unit=_length),
-    "obstacle": _Bound(figure="obstacle_distance", sign=-1.0, unit=_length),
-    "self_collision": _Bound(figure="self_distance", sign=-1.0, unit=_length),
-    "patch": _Bound(figure="patch_margin", sign=-1.0, unit=_length),
+    "friction": "friction_margin",
+    "unilateral": "unilateral_margin",
+    "sole": "sole_margin",
+    "sliding": "sliding_friction",
+    "effort": "effort_excess",
+    "drive_torque": "drive_torque_excess",
+    "drive_voltage": "drive_voltage_excess",
+    "velocity": "velocity_excess",
+    "position": "position_excess",
+    "penetration": "penetration",
+    "link_depth": "link_depth",
+    "obstacle": "obstacle_distance",
+    "self_collision": "self_distance",
+    "patch": "patch_margin",
 }
+# Those over the reach (of soles: weight times reach). Others are over the weight (forces), the limit
+# (torques, velocities, drives) and the joint's range (positions), as the figures are.
+OVER_REACH = ("sole", "penetration", "link_depth", "obstacle", "self_collision", "patch")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,29 +74,24 @@ class BetweenPoints:
     foot_drift: tuple[float | None, ...]
 
 
-def figures_between_points(plan: Solution) -> BetweenPoints:
-    """Figures at any time of a plan whose rotations are of unit norm."""
-    samples = sample_quantities(plan)
-    surfaces = touched_surfaces(plan, samples.position)
-    starts = ContactStarts.of(plan, samples, surfaces)
-    bodies, apart = FileBodies.of(plan)
-    here = figures_at(plan, samples, surfaces, starts, apart)
-    dense = dense_motion(plan, plan.polynomials, here, starts, bodies)
-    units, phases = NaturalUnits.of(plan.model), range(len(plan.phases))
+def figures_between_points(motion: MotionQuantities) -> BetweenPoints:
+    """Figures of a motion at any time."""
+    starts = ContactStarts.of(motion)
+    dense = dense_motion(motion, figures_at(motion, starts), starts)
+    units, phases = motion.units, range(len(motion.solution.phases))
     return BetweenPoints(
-        residuals=_residuals(resampled(plan, FRACTIONS), units),
+        residuals=_residuals(MotionQuantities(resampled(motion.solution, FRACTIONS)), units),
         violations=tuple(_violations(dense, phase, units) for phase in phases),
         foot_drift=tuple(_worst(dense, "foot_drift", phase) for phase in phases),
     )
 
 
-def _residuals(dense: Solution, units: NaturalUnits) -> IntervalResiduals:
-    samples = sample_quantities(dense)
-    rows = dynamics_rows(dense, samples, touched_surfaces(dense, samples.position))
+def _residuals(motion: MotionQuantities, units: NaturalUnits) -> IntervalResiduals:
+    dense, rows = motion.solution, motion.residuals
     force = units.generalized_force(dense.model)
     base = dense.n_unactuated
     turning = np.array([1.0] * 3 + [1.0 / units.length] * 3)
-    if dense.description.actuation == "velocity":
+    if motion.moved_by_rates:
         contact = rows.contact / (np.sqrt(units.gravity * units.length) * turning)
     else:
         contact = rows.contact / (units.gravity * turning)
@@ -124,13 +103,15 @@ def _residuals(dense: Solution, units: NaturalUnits) -> IntervalResiduals:
 
 
 def _worst(dense: DenseMotion, figure: str, phase: int) -> float | None:
-    found = dense.traces[figure].at(dense.plan.phase == phase).worst()
-    return None if found is None else found[0]
+    worst = dense.traces[figure].at(dense.plan.phase == phase).worst()
+    return None if worst is None else worst[0]
 
 
 def _violations(dense: DenseMotion, phase: int, units: NaturalUnits) -> _Figures:
-    found: _Figures = {}
-    for name, bound in VIOLATIONS.items():
-        value = _worst(dense, bound.figure, phase)
-        found[name] = None if value is None else max(bound.sign * value / bound.unit(units), 0.0)
-    return found
+    violations: _Figures = {}
+    for name, figure in VIOLATIONS.items():
+        value = _worst(dense, figure, phase)
+        sign = -1.0 if dense.traces[figure].margin else 1.0
+        unit = units.length if name in OVER_REACH else 1.0
+        violations[name] = None if value is None else max(sign * value / unit, 0.0)
+    return violations

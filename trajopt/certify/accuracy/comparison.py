@@ -62,9 +62,9 @@ def compare(plan: Solution, reference: Solution) -> Comparison:
     """Compare two plans of one problem. Raises `InputError` for another robot, or other phases."""
     require_same_task(plan, reference)
     points, units = NamedPoints.of(plan.model), NaturalUnits.of(plan.model)
-    found = [_phase(plan, reference, points, phase) for phase in range(len(plan.phases))]
-    torques = [part.torque / units.generalized_force(plan.model)[plan.n_unactuated :] for part in found]
-    worst = np.array([part.state for part in found])
+    phases = [_phase(plan, reference, points, phase) for phase in range(len(plan.phases))]
+    torques = [part.torque / units.generalized_force(plan.model)[plan.n_unactuated :] for part in phases]
+    worst = np.array([part.state for part in phases])
     fixed = base_of(plan.model) == "fixed"
     distances = worst[:, 3] if fixed else worst[:, 0]
     return Comparison(
@@ -74,18 +74,18 @@ def compare(plan: Solution, reference: Solution) -> Comparison:
         orientation=None if fixed else float(worst[:, 1].max()),
         joints=float(worst[:, 2].max()),
         torque=float(max(np.abs(part).max(initial=0.0) for part in torques)),
-        torque_rms=_mean_over_time(torques, [part.durations[1] for part in found]),
-        time=max(abs(part.durations[0] - part.durations[1]) for part in found),
+        torque_rms=_mean_over_time(torques, [part.durations[1] for part in phases]),
+        time=max(abs(part.durations[0] - part.durations[1]) for part in phases),
         by_phase=tuple(float(distance) for distance in distances),
     )
 
 
 def objective_gap(plan: Solution, reference: Solution) -> float | None:
     """(J - J_ref) / |J_ref|, signed; of a reference without cost over ``LEAST_OBJECTIVE`` instead."""
-    own, best = (solution.statistics.objective for solution in (plan, reference))
-    if own is None or best is None:
+    reached, best = (solution.statistics.objective for solution in (plan, reference))
+    if reached is None or best is None:
         return None
-    return float((own - best) / max(abs(best), LEAST_OBJECTIVE))
+    return float((reached - best) / max(abs(best), LEAST_OBJECTIVE))
 
 
 def require_same_task(plan: Solution, reference: Solution) -> None:
@@ -99,8 +99,8 @@ def require_same_task(plan: Solution, reference: Solution) -> None:
         raise InputError("the reference is of another actuation", plan.description.actuation)
     contacts = [[_touching(s, phase) for phase in s.phases] for s in (plan, reference)]
     if contacts[0] != contacts[1]:
-        own = "; ".join(", ".join(sorted(names)) or "none" for names in contacts[0])
-        raise InputError("the reference has other phases", f"contacts by phase: {own}")
+        allowed = "; ".join(", ".join(sorted(names)) or "none" for names in contacts[0])
+        raise InputError("the reference has other phases", f"contacts by phase: {allowed}")
 
 
 def _touching(solution: Solution, phase: range) -> set[str]:
@@ -109,13 +109,13 @@ def _touching(solution: Solution, phase: range) -> set[str]:
 
 def _phase(plan: Solution, reference: Solution, points: NamedPoints, phase: int) -> _Apart:
     fractions = np.linspace(0.0, 1.0, COMPARED)
-    own, other = (_sampled(solution, phase, fractions) for solution in (plan, reference))
+    planned, other = (_sampled(solution, phase, fractions) for solution in (plan, reference))
     state = np.zeros(4)
-    for q, q_reference in zip(own.q, other.q, strict=True):
+    for q, q_reference in zip(planned.q, other.q, strict=True):
         apart = [*state_distance(plan.model, q_reference, q), points.farthest(q_reference, q)]
         state = np.maximum(state, apart)
     durations = (_span(plan, phase), _span(reference, phase))
-    return _Apart(state=state, torque=own.tau - other.tau, durations=durations)
+    return _Apart(state=state, torque=planned.tau - other.tau, durations=durations)
 
 
 def _span(solution: Solution, phase: int) -> float:

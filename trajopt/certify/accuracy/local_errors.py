@@ -19,9 +19,7 @@ import pinocchio as pin
 
 from trajopt.certify.accuracy.named_points import NamedPoints
 from trajopt.certify.reintegration import PhaseDynamics, integrated_interval_error, phase_dynamics
-from trajopt.robot.natural_units import NaturalUnits, turning_rows
-from trajopt.solution.interpolation import InterpolatedMotion
-from trajopt.solution.solution import Solution
+from trajopt.motion.quantities import MotionQuantities
 
 # Points of the quadrature beyond those of the scheme.
 MORE_POINTS = 2
@@ -41,28 +39,30 @@ class LocalErrors:
     joints: np.ndarray
 
 
-def local_errors(plan: Solution, motion: InterpolatedMotion) -> LocalErrors:
-    """Local error of every interval of a plan, whose polynomials are ``motion``."""
+def local_errors(motion: MotionQuantities) -> LocalErrors:
+    """Local error of every interval of a motion."""
+    plan = motion.solution
     position, speed = np.zeros((plan.n_intervals, plan.model.nv)), np.zeros((plan.n_intervals, plan.model.nv))
     for number, samples in enumerate(plan.phases):
-        own = plan.intervals_of(number)
-        inside, dynamics = slice(own.start, own.stop), phase_dynamics(plan, samples.start)
-        if plan.description.actuation == "velocity":
-            found = [integrated_interval_error(plan, dynamics, i) for i in own]
-            position[inside], speed[inside] = (np.array(part) for part in zip(*found, strict=True))
+        numbers = plan.intervals_of(number)
+        inside, dynamics = slice(numbers.start, numbers.stop), phase_dynamics(motion, samples.start)
+        if motion.moved_by_rates:
+            errors = [integrated_interval_error(motion, dynamics, i) for i in numbers]
+            position[inside], speed[inside] = (np.array(part) for part in zip(*errors, strict=True))
         else:
-            position[inside], speed[inside] = _collocated(plan, motion, dynamics, own)
-    return _measured(plan, position, speed)
+            position[inside], speed[inside] = _collocated(motion, dynamics, numbers)
+    return _measured(motion, position, speed)
 
 
 def _collocated(
-    plan: Solution, motion: InterpolatedMotion, dynamics: PhaseDynamics, numbers: range
+    motion: MotionQuantities, dynamics: PhaseDynamics, numbers: range
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (n, nv) of positions and velocities at the ends of a phase's intervals."""
+    plan = motion.solution
     first = plan.intervals[numbers.start]
     count = int(plan.collocation[first.start : first.stop].sum()) + MORE_POINTS
     fractions, once, twice = _gauss(count)
-    sample = motion.at(np.repeat(numbers, count), np.tile(fractions, len(numbers)))
+    sample = motion.polynomials.at(np.repeat(numbers, count), np.tile(fractions, len(numbers)))
     force = np.zeros(sample.v.shape)
     force[:, plan.n_unactuated :] = sample.tau
     step = np.diff(plan.interval_t[numbers.start : numbers.stop], axis=1)[:, None]
@@ -78,7 +78,7 @@ def _collocated(
             there = moved[:, :-1].reshape(len(q), -1)
             q = np.array([pin.integrate(plan.model, *row) for row in zip(sample.q, there, strict=True)])
             v = sample.v + faster[:, :-1].reshape(len(q), -1)
-        gap = motion.gaps(np.array(numbers))
+        gap = motion.polynomials.gaps(np.array(numbers))
         return moved[:, -1] - gap[:, 0], faster[:, -1] - gap[:, 1]
 
 
@@ -96,11 +96,12 @@ def _gauss(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return points, once @ coefficients, twice @ coefficients
 
 
-def _measured(plan: Solution, position: np.ndarray, speed: np.ndarray) -> LocalErrors:
-    points, seconds = NamedPoints.of(plan.model), NaturalUnits.of(plan.model).time
+def _measured(motion: MotionQuantities, position: np.ndarray, speed: np.ndarray) -> LocalErrors:
+    plan, seconds = motion.solution, motion.units.time
+    points = NamedPoints.of(plan.model)
     ends = plan.q[[rows.stop - 1 for rows in plan.intervals]]
     apart = points.speeds(ends, position) + seconds * points.speeds(ends, speed)
-    turns = (np.abs(position) + seconds * np.abs(speed))[:, turning_rows(plan.model)]
-    found = apart.max(axis=1), turns.max(axis=1, initial=0.0)
-    known = (np.where(np.isfinite(part), part, np.inf) for part in found)
-    return LocalErrors(**dict(zip(("position", "joints"), known, strict=True)))
+    turns = (np.abs(position) + seconds * np.abs(speed))[:, motion.turning_rows]
+    worst = (apart.max(axis=1), turns.max(axis=1, initial=0.0))
+    position, joints = (np.where(np.isfinite(part), part, np.inf) for part in worst)
+    return LocalErrors(position=position, joints=joints)

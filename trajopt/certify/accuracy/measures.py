@@ -10,11 +10,10 @@ import numpy as np
 from trajopt.certify.accuracy.between import BetweenPoints, figures_between_points
 from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.certify.accuracy.open_loop import OpenLoopDrift, interval_drifts, motion_drift, phase_drifts
-from trajopt.certify.consistency import interval_gaps
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.samples import largest_known
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.meta import jsonable
-from trajopt.solution.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +50,9 @@ class Accuracy:
     natural units (weight, weight times reach, g), ``base_error``, ``actuated_error`` and
         ``contact_error`` its kinds, ``collocation_errors`` (I,) by interval. position_gap (m, rad) and
         velocity_gap (m/s, rad/s): q against the integral of v, v against that of a, see
-        `certify.consistency.interval_gaps`.
+        `motion.integration_gaps.interval_gaps`.
     foot_drift: m, of active contacts from where they are at their phase's start; None without contacts.
-    violation_between: largest of ``violations``, by name in natural units (`between.BOUNDS`): 0 where the
+    violation_between: largest of ``violations``, by name in natural units (`between.VIOLATIONS`): 0 where the
         constraint holds between the points too, None without such a constraint.
     comparison: against a reference, or None.
     """
@@ -120,10 +119,12 @@ def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -
         SolutionFileError: for a file that is inconsistent or not finite.
         InputError: for such a solution, and for a reference of another robot or of other phases.
     """
-    plan = consistent_solution(solution).normalized()
-    comparison = None if reference is None else compare(plan, consistent_solution(reference).normalized())
-    gaps, local, dense = interval_gaps(plan), interval_drifts(plan), figures_between_points(plan)
-    phases = _phases(plan, local, dense, comparison)
+    motion = MotionQuantities.normalized(consistent_solution(solution))
+    comparison = None
+    if reference is not None:
+        comparison = compare(motion.solution, consistent_solution(reference).normalized())
+    local, dense = interval_drifts(motion), figures_between_points(motion)
+    phases = _phases(motion, local, dense, comparison)
     return Accuracy(
         **_worst("open_loop", [phase.open_loop for phase in phases]),
         **_worst("open_loop_motion", [phase.motion for phase in phases]),
@@ -132,11 +133,12 @@ def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -
         base_error=float(dense.residuals.base.max()),
         actuated_error=float(dense.residuals.actuated.max()),
         contact_error=float(dense.residuals.contact.max()),
-        position_gap=gaps.position,
-        velocity_gap=gaps.velocity,
+        position_gap=motion.integration_gaps.position,
+        velocity_gap=motion.integration_gaps.velocity,
         foot_drift=largest_known(phase.foot_drift for phase in phases),
         violations={
-            name: largest_known(found[name] for found in dense.violations) for name in dense.violations[0]
+            name: largest_known(of_phase[name] for of_phase in dense.violations)
+            for name in dense.violations[0]
         },
         phases=phases,
         comparison=comparison,
@@ -148,25 +150,25 @@ def interval_errors(solution: SolutionOrFile) -> np.ndarray:
 
     Raises as `measure`.
     """
-    return interval_drifts(consistent_solution(solution).normalized())
+    return interval_drifts(MotionQuantities.normalized(consistent_solution(solution)))
 
 
 def _phases(
-    plan: Solution, local: np.ndarray, dense: BetweenPoints, comparison: Comparison | None
+    motion: MotionQuantities, local: np.ndarray, dense: BetweenPoints, comparison: Comparison | None
 ) -> tuple[PhaseAccuracy, ...]:
-    names = plan.description.phase_names or [str(number) for number in range(len(plan.phases))]
-    own, through = phase_drifts(plan), motion_drift(plan)
-    found = []
+    plan = motion.solution
+    alone, through = phase_drifts(motion), motion_drift(motion)
+    phases = []
     for number, rows in enumerate(plan.phases):
         numbers = plan.intervals_of(number)
         inside = slice(numbers.start, numbers.stop)
         violations = [value for value in dense.violations[number].values() if value is not None]
-        found.append(
+        phases.append(
             PhaseAccuracy(
-                name=names[number],
+                name=plan.phase_names[number],
                 start=float(plan.t[rows.start]),
                 end=float(plan.t[rows.stop - 1]),
-                open_loop=own[number],
+                open_loop=alone[number],
                 motion=through[number],
                 interval_error=float(local[inside].max()),
                 collocation_error=float(dense.residuals.worst[inside].max()),
@@ -175,7 +177,7 @@ def _phases(
                 distance=None if comparison is None else comparison.by_phase[number],
             )
         )
-    return tuple(found)
+    return tuple(phases)
 
 
 def _worst(name: str, drifts: list[OpenLoopDrift]) -> dict[str, Any]:

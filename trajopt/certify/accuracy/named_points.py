@@ -24,27 +24,25 @@ class NamedPoints:
                 places[frame.parentJoint].append(frame.placement.translation)
         return cls(
             model=model,
-            by_joint={joint: np.unique(np.array(found), axis=0) for joint, found in places.items()},
+            by_joint={joint: np.unique(np.array(local), axis=0) for joint, local in places.items()},
         )
 
     def positions(self, q: np.ndarray) -> np.ndarray:
         """Positions (n, 3) m in the world at q (nq,)."""
         data = self.model.createData()
         pin.forwardKinematics(self.model, data, q)
-        found = []
-        for joint, places in self.by_joint.items():
-            found.append(data.oMi[joint].translation + places @ data.oMi[joint].rotation.T)
-        return np.vstack(found)
+        joints = ((data.oMi[joint], places) for joint, places in self.by_joint.items())
+        return np.vstack([joint.translation + places @ joint.rotation.T for joint, places in joints])
 
     def velocities(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Velocities (n, 3) m/s in the world at q (nq,), v (nv,)."""
         data = self.model.createData()
         pin.forwardKinematics(self.model, data, q, v)
-        found = []
+        by_joint = []
         for joint, places in self.by_joint.items():
             twist = data.v[joint]
-            found.append((twist.linear + np.cross(twist.angular, places)) @ data.oMi[joint].rotation.T)
-        return np.vstack(found)
+            by_joint.append((twist.linear + np.cross(twist.angular, places)) @ data.oMi[joint].rotation.T)
+        return np.vstack(by_joint)
 
     def speeds(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Speeds (k, n) m/s at k states, q (k, nq), v (k, nv)."""
@@ -56,8 +54,8 @@ class NamedPoints:
                 twists[row, joint] = data.v[joint].vector
         owner = np.repeat(list(self.by_joint), [len(places) for places in self.by_joint.values()])
         places = np.vstack(list(self.by_joint.values()))
-        own = twists[:, owner]
-        return np.asarray(np.linalg.norm(own[..., :3] + np.cross(own[..., 3:], places), axis=-1))
+        carried = twists[:, owner]
+        return np.asarray(np.linalg.norm(carried[..., :3] + np.cross(carried[..., 3:], places), axis=-1))
 
     def farthest(self, planned: np.ndarray, reached: np.ndarray) -> float:
         """Largest distance (m) of a point at one configuration (nq,) from where it is at the other."""

@@ -14,10 +14,7 @@ import numpy as np
 
 from trajopt.certify.accuracy.named_points import NamedPoints
 from trajopt.certify.reintegration import RobotState, integrate_interval, integrated_states, phase_dynamics
-from trajopt.dynamics.base_joint import base_of
-from trajopt.motion.samples import state_distance
-from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.solution import Solution
+from trajopt.motion.quantities import MotionQuantities
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,65 +31,65 @@ class OpenLoopDrift:
     farthest: float
 
 
-def phase_drifts(plan: Solution) -> tuple[OpenLoopDrift, ...]:
+def phase_drifts(motion: MotionQuantities) -> tuple[OpenLoopDrift, ...]:
     """Drift of every phase, each integrated from its planned start."""
-    points = NamedPoints.of(plan.model)
+    plan, points = motion.solution, NamedPoints.of(motion.solution.model)
     return tuple(
-        _drift(plan, points, numbers, integrated_states(plan, numbers))
+        _drift(motion, points, numbers, integrated_states(motion, numbers))
         for numbers in map(plan.intervals_of, range(len(plan.phases)))
     )
 
 
-def motion_drift(plan: Solution) -> tuple[OpenLoopDrift, ...]:
+def motion_drift(motion: MotionQuantities) -> tuple[OpenLoopDrift, ...]:
     """Drift within every phase of the whole motion in one integration, through its impacts."""
-    points = NamedPoints.of(plan.model)
-    states = list(integrated_states(plan, range(plan.n_intervals)))
+    plan, points = motion.solution, NamedPoints.of(motion.solution.model)
+    states = list(integrated_states(motion, range(plan.n_intervals)))
     states += [None] * (plan.n_intervals - len(states))
     return tuple(
-        _drift(plan, points, numbers, iter(states[numbers.start : numbers.stop]))
+        _drift(motion, points, numbers, iter(states[numbers.start : numbers.stop]))
         for numbers in map(plan.intervals_of, range(len(plan.phases)))
     )
 
 
-def interval_drifts(plan: Solution) -> np.ndarray:
+def interval_drifts(motion: MotionQuantities) -> np.ndarray:
     """Local error (I,) in m of every interval, integrated from its own planned start.
 
     The largest over the robot's named points of |p - p_plan| + T |p' - p'_plan| at the interval's end, with
     the natural time T = sqrt(reach / g): an error of the velocity counts by the displacement within T.
     With velocity sources only positions count. inf where the integration diverges.
     """
-    points = NamedPoints.of(plan.model)
-    seconds = NaturalUnits.of(plan.model).time
-    found = []
+    plan, points = motion.solution, NamedPoints.of(motion.solution.model)
+    errors = []
     for phase, samples in enumerate(plan.phases):
-        dynamics = phase_dynamics(plan, samples.start)
+        dynamics = phase_dynamics(motion, samples.start)
         for number in plan.intervals_of(phase):
             rows = plan.intervals[number]
-            end = integrate_interval(plan, dynamics, number, plan.q[rows.start], plan.v[rows.start])
-            found.append(math.inf if end is None else _local_error(plan, points, rows.stop - 1, end, seconds))
-    return np.array(found)
+            end = integrate_interval(motion, dynamics, number, plan.q[rows.start], plan.v[rows.start])
+            errors.append(math.inf if end is None else _local_error(motion, points, rows.stop - 1, end))
+    return np.array(errors)
 
 
-def _local_error(plan: Solution, points: NamedPoints, row: int, end: RobotState, seconds: float) -> float:
+def _local_error(motion: MotionQuantities, points: NamedPoints, row: int, end: RobotState) -> float:
+    plan = motion.solution
     apart = np.linalg.norm(points.positions(end[0]) - points.positions(plan.q[row]), axis=1)
-    if plan.description.actuation != "velocity":
+    if not motion.moved_by_rates:
         faster = points.velocities(*end) - points.velocities(plan.q[row], plan.v[row])
-        apart = apart + seconds * np.linalg.norm(faster, axis=1)
+        apart = apart + motion.units.time * np.linalg.norm(faster, axis=1)
     return float(apart.max())
 
 
 def _drift(
-    plan: Solution, points: NamedPoints, numbers: range, states: Iterator[RobotState | None]
+    motion: MotionQuantities, points: NamedPoints, numbers: range, states: Iterator[RobotState | None]
 ) -> OpenLoopDrift:
-    worst, farthest = np.zeros(3), 0.0
+    plan, worst, farthest = motion.solution, np.zeros(3), 0.0
     for number, state in zip(numbers, states, strict=False):
         if state is None:
             worst, farthest = np.full(3, math.inf), math.inf
             break
-        planned = plan.q[plan.intervals[number].stop - 1]
-        worst = np.maximum(worst, state_distance(plan.model, planned, state[0]))
-        farthest = max(farthest, points.farthest(planned, state[0]))
-    fixed = base_of(plan.model) == "fixed"
+        row = plan.intervals[number].stop - 1
+        worst = np.maximum(worst, motion.distance_from(row, state[0]))
+        farthest = max(farthest, points.farthest(plan.q[row], state[0]))
+    fixed = motion.base == "fixed"
     return OpenLoopDrift(
         position=farthest if fixed else float(worst[0]),
         orientation=None if fixed else float(worst[1]),

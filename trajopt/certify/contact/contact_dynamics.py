@@ -69,15 +69,15 @@ def forward_dynamics(
     lower = mass_factor(pin.crba(model, data, q))
     free = dpotrs(lower, tau - pin.nle(model, data, q, v), lower=1)[0]
     rows = contact_kinematics(model, data, q, v, contacts)
-    found = contact_response(lower, contacts, rows.jacobian)
-    change, forces = found.least(-contacts.scale * (rows.drift + rows.jacobian @ free))
+    response = contact_response(lower, contacts, rows.jacobian)
+    change, forces = response.least(-contacts.scale * (rows.drift + rows.jacobian @ free))
     acceleration = free + change
     wrenches = contacts.table(contacts.scale * forces)
     residual = generalized_force(model, data, (q, v, acceleration), contacts.frames, wrenches) - tau
     return ContactMotion(
         acceleration=acceleration,
         wrenches=wrenches,
-        rank=contact_rank(contacts, rows.jacobian, found),
+        rank=contact_rank(contacts, rows.jacobian, response),
         dynamics_residual=residual,
         contact_acceleration=_contact_acceleration(model, data, (q, v, acceleration), contacts),
     )
@@ -136,11 +136,11 @@ def _contact_acceleration(
     contacts: ContactSet,
 ) -> np.ndarray:
     pin.forwardKinematics(model, data, *motion)
-    found = [
+    forces = [
         pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector[:size]
         for frame, size in zip(contacts.frames, contacts.dimensions, strict=True)
     ]
-    return contacts.table(np.concatenate([np.zeros(0), *found]))
+    return contacts.table(np.concatenate([np.zeros(0), *forces]))
 
 
 class ContactDynamics:
@@ -162,8 +162,8 @@ class ContactDynamics:
             axes = pin.LOCAL_WORLD_ALIGNED
             constraint = pin.RigidConstraintModel(kind, model, place.parentJoint, place.placement, axes)
             self._constraints.append(constraint)
-        for own in self._constraints:
-            self._states.append(own.createData())
+        for entry in self._constraints:
+            self._states.append(entry.createData())
         pin.initConstraintDynamics(model, self._data, self._constraints, self._states)
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
@@ -172,12 +172,12 @@ class ContactDynamics:
         if set(self.contacts.dimensions) != {3}:
             return self._projected(q, v, generalized_force)
         settings = pin.ProximalSettings(PROXIMAL, SOFTNESS, MOST_PROXIMAL)
-        found: np.ndarray = pin.constraintDynamics(
+        solved: np.ndarray = pin.constraintDynamics(
             model, data, q, v, generalized_force, self._constraints, self._states, settings
         )
-        if settings.iter >= MOST_PROXIMAL or not np.isfinite(found).all():
+        if settings.iter >= MOST_PROXIMAL or not np.isfinite(solved).all():
             return self._projected(q, v, generalized_force)
-        return found.copy()
+        return solved.copy()
 
     def accelerations(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the accelerations (n, nv) at n states."""

@@ -58,9 +58,9 @@ def consistent_projector(mass: np.ndarray, contacts: ContactSet, jacobian: np.nd
 
     mass (nv, nv), jacobian (n_rows, nv) of ``contacts``. Raises `InputError` unless M is positive definite.
     """
-    found = contact_response(mass_factor(mass), contacts, jacobian)
-    allowed = null_space_projector(found.whitened.T, found.unit)
-    return np.linalg.solve(found.lower.T, allowed @ found.lower.T)
+    response = contact_response(mass_factor(mass), contacts, jacobian)
+    allowed = null_space_projector(response.whitened.T, response.unit)
+    return np.linalg.solve(response.lower.T, allowed @ response.lower.T)
 
 
 def projected_forward_dynamics(
@@ -147,10 +147,10 @@ def _torques(
     contacts: ContactSet,
     rows: ContactKinematics,
     acceleration: np.ndarray,
-    found: tuple[np.ndarray, np.ndarray, np.ndarray],
+    computed: tuple[np.ndarray, np.ndarray, np.ndarray],
     scaled: np.ndarray,
 ) -> ContactTorques:
-    residual, torque, forces = found
+    residual, torque, forces = computed
     projector = null_space_projector(scaled, contacts.moment_arm)
     actuation = np.linalg.svd(projector[:, len(projector) - len(torque) :], compute_uv=False)
     return ContactTorques(

@@ -123,10 +123,10 @@ def numeric_rank(singular: np.ndarray, unit: float) -> int:
     return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=unit)))
 
 
-def contact_rank(contacts: ContactSet, jacobian: np.ndarray, found: ContactResponse) -> ContactRank:
+def contact_rank(contacts: ContactSet, jacobian: np.ndarray, response: ContactResponse) -> ContactRank:
     """Return the rank report of ``contacts`` with J (n_rows, nv) and their response."""
-    _, singular, right = np.linalg.svd(found.whitened)
-    rank = numeric_rank(singular, found.unit)
+    _, singular, right = np.linalg.svd(response.whitened)
+    rank = numeric_rank(singular, response.unit)
     internal = right[rank:]
     plain = np.linalg.svd(contacts.scale[:, None] * jacobian, compute_uv=False)
     return ContactRank(
@@ -142,7 +142,7 @@ def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[Dependen
     """Blocks of the projector (n_rows, n_rows) onto internal wrenches."""
     coupled = np.abs(projector) > COUPLED
     owner = np.repeat(np.array(contacts.names, dtype=str), contacts.dimensions).tolist()
-    remaining, found = set(np.flatnonzero(coupled.diagonal()).tolist()), []
+    remaining, dependent = set(np.flatnonzero(coupled.diagonal()).tolist()), []
     while remaining:
         group: set[int] = set()
         reached = {min(remaining)}
@@ -151,11 +151,11 @@ def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[Dependen
             reached = set(np.flatnonzero(coupled[sorted(group)].any(axis=0)).tolist())
         rows = sorted(group)
         remaining -= group
-        found.append(
+        dependent.append(
             DependentContactRow(
                 rows=tuple(contacts.row_names[row] for row in rows),
                 contacts=tuple(dict.fromkeys(owner[row] for row in rows)),
                 excess=round(float(projector[rows, rows].sum())),
             )
         )
-    return tuple(found)
+    return tuple(dependent)

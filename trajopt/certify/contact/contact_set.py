@@ -133,8 +133,8 @@ def contact_kinematics(
     pin.computeJointJacobians(model, data)
     jacobian, drift = np.zeros((contacts.n_rows, model.nv)), np.zeros(contacts.n_rows)
     for frame, rows, size in zip(contacts.frames, contacts.slices, contacts.dimensions, strict=True):
-        found = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        jacobian[rows] = found.reshape(6, model.nv)[:size]  # one joint alone gives a vector
+        block = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        jacobian[rows] = block.reshape(6, model.nv)[:size]  # one joint alone gives a vector
         acceleration = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
         drift[rows] = acceleration.vector[:size]
     return ContactKinematics(jacobian=jacobian, drift=drift, velocity=jacobian @ v)

@@ -87,8 +87,8 @@ def impact(model: pin.Model, q: np.ndarray, v_minus: np.ndarray, contacts: Conta
     data = model.createData()
     lower = mass_factor(pin.crba(model, data, q))
     rows = contact_kinematics(model, data, q, v_minus, contacts)
-    found = contact_response(lower, contacts, rows.jacobian)
-    change, forces = found.least(-contacts.scale * rows.velocity)
+    response = contact_response(lower, contacts, rows.jacobian)
+    change, forces = response.least(-contacts.scale * rows.velocity)
     v_plus = v_minus + change
     stacked = contacts.scale * forces
     impulses = contacts.table(stacked)
@@ -96,7 +96,7 @@ def impact(model: pin.Model, q: np.ndarray, v_minus: np.ndarray, contacts: Conta
     return Impact(
         velocity=v_plus,
         impulses=impulses,
-        rank=contact_rank(contacts, rows.jacobian, found),
+        rank=contact_rank(contacts, rows.jacobian, response),
         energy_before=_kinetic_energy(lower, v_minus),
         energy_after=_kinetic_energy(lower, v_plus),
         energy_loss=_kinetic_energy(lower, v_plus - v_minus),
@@ -110,8 +110,10 @@ def impact(model: pin.Model, q: np.ndarray, v_minus: np.ndarray, contacts: Conta
 def momentum_of_links(model: pin.Model, q: np.ndarray, v: np.ndarray) -> MomentumAbout:
     """Return the momentum of all links at q (nq,), v (nv,), about the centre of mass."""
     data = model.createData()
-    found = pin.computeCentroidalMomentum(model, data, q, v)
-    return MomentumAbout(linear=found.linear.copy(), angular=found.angular.copy(), point=data.com[0].copy())
+    momentum = pin.computeCentroidalMomentum(model, data, q, v)
+    return MomentumAbout(
+        linear=momentum.linear.copy(), angular=momentum.angular.copy(), point=data.com[0].copy()
+    )
 
 
 def total_wrench(

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, UNLIMITED, base_of, position_limits
 from trajopt.solution.solution import Solution
-from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.motion import PlottedMotion
 
 # Curves in one panel: the number of distinguishable colours.
 MOST_CURVES = 7
@@ -111,7 +111,7 @@ def _slides(joint: pin.JointModel, row: int) -> bool:
     return row < (translations | {"FreeFlyer": 3}).get(kind, 0)
 
 
-def position(axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
+def position(axis: JointAxis, motion: PlottedMotion) -> np.ndarray:
     """Coordinate (K,) of an axis: rad or m, unwrapped; for a ball joint its rotation vector."""
     solution, model = motion.solution, motion.solution.model
     if axis.column is not None:
@@ -228,7 +228,7 @@ def _short_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(bare) if all(bare) and len(set(bare)) == len(bare) else tuple(names)
 
 
-def share(kind: str, axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
+def share(kind: str, axis: JointAxis, motion: PlottedMotion) -> np.ndarray:
     """Share (K,) of the limit that an axis uses; NaN where it has none.
 
     For a position, its distance from the middle of its range over half the range; for velocities and torques,
@@ -241,7 +241,7 @@ def share(kind: str, axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
     return np.abs(value(kind, axis, motion) - (upper + lower) / 2) / half
 
 
-def value(kind: str, axis: JointAxis, motion: MotionQuantities) -> np.ndarray:
+def value(kind: str, axis: JointAxis, motion: PlottedMotion) -> np.ndarray:
     """Position, velocity or torque (K,) of an axis."""
     if kind == "position":
         return position(axis, motion)
@@ -273,7 +273,7 @@ def units_of(kind: str, axes: Sequence[JointAxis]) -> str:
     return ", ".join(dict.fromkeys(unit_of(kind, axis) for axis in ordered))
 
 
-def are_far(kind: str, axes: Sequence[JointAxis], motion: MotionQuantities) -> bool:
+def are_far(kind: str, axes: Sequence[JointAxis], motion: PlottedMotion) -> bool:
     """Whether all limits of velocity or torque are many times (`FAR`) what the motion uses of them.
 
     This is so for placeholders of a description; False for positions, without a limit, and where nothing is
@@ -283,7 +283,7 @@ def are_far(kind: str, axes: Sequence[JointAxis], motion: MotionQuantities) -> b
     return kind != "position" and bool(0.0 < used[np.isfinite(used)].max(initial=0.0) < 1 / FAR)
 
 
-def most_used(kind: str, axes: Sequence[JointAxis], motion: MotionQuantities) -> float:
+def most_used(kind: str, axes: Sequence[JointAxis], motion: PlottedMotion) -> float:
     """Return the largest magnitude of a velocity or torque; 0 if none is finite."""
     values = np.array([value(kind, axis, motion) for axis in axes])
     return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))

@@ -9,17 +9,13 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.collision.near import GROUND
-from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.dynamics.virtual_base import angles_of
 from trajopt.motion.carried import payload_wrenches
-from trajopt.motion.dynamics_rows import DynamicsRows, dynamics_rows
-from trajopt.motion.samples import SampleQuantities, sample_quantities
-from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
-from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.sole import centre_of_pressure
-from trajopt.solution.solution import Solution
 from trajopt.view.replay.motion import LEAST_PRESSURE
 
 # From model, data, q and v to numbers.
@@ -27,15 +23,16 @@ _State = Callable[[pin.Model, pin.Data, np.ndarray, np.ndarray], np.ndarray]
 YAW_PITCH_ROLL = "ZYX"
 
 
-class MotionQuantities:
-    """Quantities at the K samples of a solution, computed on access; NaN where q or v are.
+class PlottedMotion(MotionQuantities):
+    """Quantities at the K samples of a solution that only plots show; NaN where q or v are.
 
     Vectors of forces, momenta and the base are in world axes, SI units.
     """
 
-    def __init__(self, solution: Solution) -> None:
-        self.solution = solution
-        self.finite = np.isfinite(solution.q).all(axis=1) & np.isfinite(solution.v).all(axis=1)
+    @cached_property
+    def finite(self) -> np.ndarray:
+        """Samples (K,) whose q and v are finite."""
+        return np.isfinite(self.solution.q).all(axis=1) & np.isfinite(self.solution.v).all(axis=1)
 
     @property
     def t(self) -> np.ndarray:
@@ -93,7 +90,7 @@ class MotionQuantities:
     @cached_property
     def base_twist(self) -> np.ndarray:
         """Velocity of the base's origin and its angular velocity (K, 6), m/s and rad/s."""
-        joint = BASE_JOINT[base_of(self.solution.model)]
+        joint = BASE_JOINT[self.base]
 
         def twist(model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray) -> np.ndarray:
             pin.forwardKinematics(model, data, q, v)
@@ -104,7 +101,7 @@ class MotionQuantities:
     @cached_property
     def _base(self) -> np.ndarray:
         """Placements (K, 4, 4) of the base; of a planar joint without the turn that lays its plane."""
-        model, kind = self.solution.model, base_of(self.solution.model)
+        model, kind = self.solution.model, self.base
         joint = BASE_JOINT[kind]
         turn = model.jointPlacements[joint].rotation.T if kind == "planar" else np.eye(3)
 
@@ -120,16 +117,6 @@ class MotionQuantities:
         for row in np.flatnonzero(self.finite):
             rows[row] = of(model, data, self.solution.q[row], self.solution.v[row])
         return rows
-
-    @cached_property
-    def samples(self) -> SampleQuantities:
-        """Generalised forces and the motion of the contacts, see `certify.samples`."""
-        return sample_quantities(self.solution)
-
-    @cached_property
-    def surfaces(self) -> TouchedSurfaces:
-        """What contacts touch, see `certify.touched_surfaces`."""
-        return touched_surfaces(self.solution, self.samples.position)
 
     @cached_property
     def force(self) -> np.ndarray:
@@ -177,16 +164,6 @@ class MotionQuantities:
         pressed &= force[..., 2] > LEAST_PRESSURE * self.units.weight
         centre = centre_of_pressure(force, moment, np.array([0.0, 0.0, 1.0]))[..., :2]
         return np.where(pressed[..., None], centre, np.nan)
-
-    @cached_property
-    def units(self) -> NaturalUnits:
-        """Weight, reach and gravity of the robot."""
-        return NaturalUnits.of(self.solution.model)
-
-    @cached_property
-    def residual_rows(self) -> DynamicsRows:
-        """Residuals of the dynamics and of contact accelerations, see `certify.dynamics_figures`."""
-        return dynamics_rows(self.solution, self.samples, self.surfaces)
 
     @cached_property
     def clearances(self) -> dict[str, np.ndarray]:

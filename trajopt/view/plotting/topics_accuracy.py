@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trajopt.motion.limits import limit_traces
 from trajopt.solution.grid import interval_schemes
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve, PlotPage, PlotRow, Tracks, page_of, panel_row
-from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.motion import PlottedMotion
 from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
@@ -26,19 +25,19 @@ FLOOR = 1e-12
 DECADES = 3
 
 
-def dynamics_residual(motion: MotionQuantities, part: str) -> np.ndarray:
+def dynamics_residual(motion: PlottedMotion, part: str) -> np.ndarray:
     """Largest residual (K,) of the "base" or "actuated" rows of the dynamics, over weight and reach."""
-    rows, base = getattr(motion.residual_rows, part), motion.solution.n_unactuated
+    rows, base = getattr(motion.residuals, part), motion.solution.n_unactuated
     scale = motion.units.generalized_force(motion.solution.model)
     return _largest(rows / (scale[:base] if part == "base" else scale[base:]))
 
 
-def contact_residual(motion: MotionQuantities) -> np.ndarray:
+def contact_residual(motion: PlottedMotion) -> np.ndarray:
     """Largest acceleration of active contacts (K,) over g; with velocity sources, velocity over sqrt(g l)."""
     units, turning = motion.units, np.array([1.0] * 3 + [1.0 / motion.units.length] * 3)
-    is_statics = motion.solution.description.velocity_input
+    is_statics = motion.moved_by_rates
     scale = math.sqrt(units.gravity * units.length) if is_statics else units.gravity
-    rows = motion.residual_rows.contact / (scale * turning)
+    rows = motion.residuals.contact / (scale * turning)
     return _largest(rows.reshape(len(rows), -1))
 
 
@@ -56,14 +55,14 @@ RESIDUALS: dict[str, MotionQuantity] = {
 VIOLATIONS: dict[str, MotionQuantity] = {
     "friction": lambda m: (m.tangential - m.cone) / m.units.weight,
     "pull": lambda m: np.where(m.surfaces.bilateral, np.nan, -m.normal) / m.units.weight,
-    "penetration": lambda m: -m.surfaces.distance(m.samples.position) / m.units.length,
-    "torque": lambda m: limit_traces(m.solution)["effort_excess"].badness,
-    "velocity": lambda m: limit_traces(m.solution)["velocity_excess"].badness,
-    "position": lambda m: limit_traces(m.solution)["position_excess"].badness,
+    "penetration": lambda m: -m.surface_distance / m.units.length,
+    "torque": lambda m: m.limit_traces["effort_excess"].badness,
+    "velocity": lambda m: m.limit_traces["velocity_excess"].badness,
+    "position": lambda m: m.limit_traces["position_excess"].badness,
 }
 
 
-def largest_violation(motion: MotionQuantities, of: MotionQuantity) -> np.ndarray:
+def largest_violation(motion: PlottedMotion, of: MotionQuantity) -> np.ndarray:
     """The largest of values (K, n) above zero, zero without any."""
     values = of(motion)
     return np.nanmax(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0)
@@ -110,7 +109,7 @@ def _log_row(tracks: Tracks, named: Mapping[str, MotionQuantity], name: str, wha
     return panel_row(name, title, f"{name} [1]", scale, height=1.0 if drawn else 0.4)
 
 
-def _floored(values: MotionQuantity, motion: MotionQuantities) -> np.ndarray:
+def _floored(values: MotionQuantity, motion: PlottedMotion) -> np.ndarray:
     """Values above `FLOOR`, NaN below it."""
     rows = values(motion)
     return np.where(rows > FLOOR, rows, np.nan)

@@ -11,7 +11,7 @@ from trajopt.dynamics.base_joint import base_of
 from trajopt.view.plotting import draw, style
 from trajopt.view.plotting.draw import Curve, PlotPage, PlotRow, Tracks, page_of
 from trajopt.view.plotting.joints import JointAxis
-from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.motion import PlottedMotion
 from trajopt.view.plotting.topics_joints import limbs
 from trajopt.view.plotting.track import MotionQuantity
 
@@ -108,7 +108,7 @@ def power_row(tracks: Tracks) -> PlotRow | None:
     return draw.curve_row("power", title, "power P [W]", drawn, scale)
 
 
-def _power(axes: Sequence[JointAxis], motion: MotionQuantities) -> np.ndarray:
+def _power(axes: Sequence[JointAxis], motion: PlottedMotion) -> np.ndarray:
     rows = [axis.torque for axis in axes if axis.torque is not None]
     return np.asarray(motion.power[:, rows].sum(axis=1))
 
@@ -123,7 +123,7 @@ def clearance_row(tracks: Tracks) -> PlotRow | None:
     return draw.curve_row("clearance", title, "distance d [m]", curves, scale)
 
 
-def _clearance(name: str, motion: MotionQuantities) -> np.ndarray:
+def _clearance(name: str, motion: PlottedMotion) -> np.ndarray:
     return motion.clearances.get(name, np.full(len(motion.t), np.nan))
 
 

@@ -19,7 +19,7 @@ from trajopt.view.plotting.draw import (
     page_of,
     panel_row,
 )
-from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.motion import PlottedMotion
 from trajopt.view.plotting.track import MotionQuantity, Track
 
 if TYPE_CHECKING:
@@ -234,7 +234,7 @@ def sole_pages(tracks: Tracks) -> list[PlotPage]:
     return page_of("soles", "centres of pressure", rows, note=note)
 
 
-def _pressure_share(motion: MotionQuantities, axis: int, half: np.ndarray) -> np.ndarray:
+def _pressure_share(motion: PlottedMotion, axis: int, half: np.ndarray) -> np.ndarray:
     return np.asarray(motion.pressure_centre[..., axis] / half)
 
 

@@ -24,7 +24,7 @@ from trajopt.view.plotting.joints import (
     units_of,
     value,
 )
-from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.motion import PlottedMotion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -165,14 +165,14 @@ def driven_axes(tracks: Tracks) -> list[tuple[JointAxis, Drive]]:
     return [(axis, drive) for axis, drive in pairs if drive is not None]
 
 
-def torque_share(axis: JointAxis, drive: Drive, motion: MotionQuantities) -> np.ndarray:
+def torque_share(axis: JointAxis, drive: Drive, motion: PlottedMotion) -> np.ndarray:
     """Motor torque over its limit (K,), equal to current over its limit; NaN without a limit."""
     if not np.isfinite(drive.torque_limit) or axis.torque is None:
         return np.full(len(motion.t), np.nan)
     return np.abs(drive.motor_torque(motion.drive_torque[:, axis.torque])) / drive.torque_limit
 
 
-def voltage_share(axis: JointAxis, drive: Drive, motion: MotionQuantities) -> np.ndarray:
+def voltage_share(axis: JointAxis, drive: Drive, motion: PlottedMotion) -> np.ndarray:
     """Voltage over the largest voltage (K,); NaN without a voltage line."""
     if not np.isfinite(drive.stall_torque) or axis.torque is None:
         return np.full(len(motion.t), np.nan)

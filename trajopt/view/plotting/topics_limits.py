@@ -21,7 +21,7 @@ from trajopt.view.plotting.joints import (
     units_of,
     value,
 )
-from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.motion import PlottedMotion
 from trajopt.view.plotting.topics_joints import limbs
 from trajopt.view.plotting.track import Track
 
@@ -110,12 +110,12 @@ def map_row(
     return PlotRow(panels=panels, height=max(LEAST_MAP, MAP_ROW * len(names)), rigid=True)
 
 
-def largest_share(kind: str, group: Sequence[JointAxis], motion: MotionQuantities) -> np.ndarray:
+def largest_share(kind: str, group: Sequence[JointAxis], motion: PlottedMotion) -> np.ndarray:
     """The largest share (K,) of some axes; NaN where none has a limit."""
     return np.asarray(np.fmax.reduce([share(kind, axis, motion) for axis in group]))
 
 
-def largest_part(scale: float, kind: str, group: Sequence[JointAxis], motion: MotionQuantities) -> np.ndarray:
+def largest_part(scale: float, kind: str, group: Sequence[JointAxis], motion: PlottedMotion) -> np.ndarray:
     """The largest magnitude (K,) of some axes over a ``scale``."""
     return np.asarray(np.fmax.reduce([np.abs(value(kind, axis, motion)) for axis in group]) / scale)
 
@@ -138,7 +138,7 @@ def _map(
     groups: Sequence[Sequence[JointAxis]],
     names: Sequence[str],
     kind: str,
-    of: Callable[[str, Sequence[JointAxis], MotionQuantities], np.ndarray],
+    of: Callable[[str, Sequence[JointAxis], PlottedMotion], np.ndarray],
 ) -> None:
     track = tracks[number]
     shares = np.array([of(kind, group, track.dense) for group in groups]).T

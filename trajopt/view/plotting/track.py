@@ -21,7 +21,7 @@ from trajopt.motion.resampling import resampled, sample_interval
 from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.solution import Solution
 from trajopt.view.plotting.joints import JointAxis, axes_of
-from trajopt.view.plotting.motion import MotionQuantities
+from trajopt.view.plotting.motion import PlottedMotion
 from trajopt.view.plotting.style import short
 from trajopt.view.replay.motion import PhaseSpan, phase_spans
 
@@ -34,7 +34,7 @@ MOST, LEAST = 11, 2
 JUMP = 0.005
 
 # Values (K, ...) of a motion's samples.
-MotionQuantity = Callable[[MotionQuantities], np.ndarray]
+MotionQuantity = Callable[[PlottedMotion], np.ndarray]
 _Result = TypeVar("_Result")
 # Name, a value for each solution, unit, and tolerance.
 _Row = tuple[str, tuple[str, ...], str, str]
@@ -55,13 +55,13 @@ class Track:
 
     label: str
     solution: Solution
-    dense: MotionQuantities = field(init=False)
-    points: MotionQuantities = field(init=False)
+    dense: PlottedMotion = field(init=False)
+    points: PlottedMotion = field(init=False)
 
     def __post_init__(self) -> None:
         plan = self.solution.normalized()
-        object.__setattr__(self, "points", MotionQuantities(plan))
-        object.__setattr__(self, "dense", MotionQuantities(between_points(plan)))
+        object.__setattr__(self, "points", PlottedMotion(plan))
+        object.__setattr__(self, "dense", PlottedMotion(between_points(plan)))
 
     @property
     def is_simulated(self) -> bool:
@@ -111,7 +111,7 @@ class Track:
         measured = self.__dict__.get("accuracy")  # if already known: it takes a second
         if measured is not None:
             return np.asarray(measured.interval_errors)
-        drifts = tried(lambda: interval_drifts(self.points.solution))
+        drifts = tried(lambda: interval_drifts(self.points))
         return np.full(self.solution.n_intervals, np.nan) if drifts is None else drifts
 
     def curve(self, values: MotionQuantity) -> tuple[np.ndarray, np.ndarray]:

@@ -36,8 +36,8 @@ def interval_gaps(solution: Solution) -> IntegrationGaps:
     """
     counts = np.array([len(rows) for rows in solution.intervals])
     same = (np.flatnonzero(counts == size) for size in set(counts.tolist()))
-    found = [_intervals(solution, numbers) for numbers in same]
-    return IntegrationGaps(max(gap.position for gap in found), max(gap.velocity for gap in found))
+    gaps = [_intervals(solution, numbers) for numbers in same]
+    return IntegrationGaps(max(gap.position for gap in gaps), max(gap.velocity for gap in gaps))
 
 
 def _intervals(solution: Solution, numbers: np.ndarray) -> IntegrationGaps:
