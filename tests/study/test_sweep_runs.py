@@ -139,7 +139,7 @@ def test_a_lost_run_loses_no_other(tmp_path: Path):
     )
     records = SweepRecords(tmp_path, asked.head(plan, {}), resume=False)
     Sweep(asked, plan, records, cores_for(1), TaskDisplay("sweep")).run()
-    first = [one for one in records.found.runs.values() if one.attempt == 0]
+    first = [one for one in records.results.runs.values() if one.attempt == 0]
     found = {
         setting.intervals: [(one.status, one.detail) for one in first if one.setting == setting.name]
         for setting in plan.settings

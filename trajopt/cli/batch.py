@@ -222,8 +222,8 @@ def _status(folder: Path, problem: str | None, as_json: bool) -> int:
 
     if problem is not None:
         raise InputError(f"--status is given with problem {problem}", "allowed: --status DIR alone")
-    found = dataset(folder)
-    _print(found, as_json, None)
+    results = dataset(folder)
+    _print(results, as_json, None)
     return 0
 
 
@@ -231,26 +231,26 @@ def _report(folder: Path, as_json: bool, complete: bool) -> int:
     from trajopt.study.batch.dataset import dataset
     from trajopt.study.batch.plot import plot_failures
 
-    found = dataset(folder)
-    title = f"{found.cases[0].problem}: {len(found)} of {found.index.num_rows} cases solved"
-    _print(found, as_json, plot_failures(found.index, found.parameters, title, found.folder))
+    results = dataset(folder)
+    title = f"{results.cases[0].problem}: {len(results)} of {results.index.num_rows} cases solved"
+    _print(results, as_json, plot_failures(results.index, results.parameters, title, results.folder))
     if not complete:
         click.echo(f"trajopt: cancelled; go on with --resume --out {folder}", err=True)
         return CANCELLED
-    return 0 if len(found) == len(found.cases) else NOT_REACHED
+    return 0 if len(results) == len(results.cases) else NOT_REACHED
 
 
-def _print(found: BatchDataset, as_json: bool, plot: Path | None) -> None:
+def _print(results: BatchDataset, as_json: bool, plot: Path | None) -> None:
     from trajopt.study.batch.summary import outcomes, regions
 
-    counts, parts = outcomes(found.index), regions(found.index, found.parameters)
-    done, total = found.index.num_rows, len(found.cases)
+    counts, parts = outcomes(results.index), regions(results.index, results.parameters)
+    done, total = results.index.num_rows, len(results.cases)
     if as_json:
         shown = [
             {"parameter": part.parameter, "region": part.text, "cases": part.cases, "solved": part.solved}
             for part in parts
         ]
-        figures = {"folder": str(found.folder), "cases": total, "done": done, "outcomes": dict(counts)}
+        figures = {"folder": str(results.folder), "cases": total, "done": done, "outcomes": dict(counts)}
         click.echo(to_json({**figures, "regions": shown, "plot": None if plot is None else str(plot)}))
         return
     out = console()
@@ -259,5 +259,5 @@ def _print(found: BatchDataset, as_json: bool, plot: Path | None) -> None:
     rows = [(part.parameter, part.text, f"{part.solved} of {part.cases}") for part in parts]
     if rows:
         out.print(plain_table(("parameter", "region", "solved"), rows))
-    for text in (f"index: {found.folder / 'index.parquet'}", *([f"plot: {plot}"] if plot else [])):
+    for text in (f"index: {results.folder / 'index.parquet'}", *([f"plot: {plot}"] if plot else [])):
         out.print(text, soft_wrap=True)

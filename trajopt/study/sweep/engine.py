@@ -70,7 +70,7 @@ class Sweep:
         self._lost: Counter[str] = Counter()
         self._given_up: set[str] = set()
         self._told = False
-        repeated = sum(run.attempt > 0 for run in records.found.runs.values())
+        repeated = sum(run.attempt > 0 for run in records.results.runs.values())
         self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(request.starts)) - repeated
 
     def run(self) -> None:
@@ -110,16 +110,16 @@ class Sweep:
 
         Settings whose functions cannot be compiled are given up: a run that says so is recorded.
         """
-        request, found = self._request, self._records.found
+        request, results = self._request, self._records.results
         for name, setting in self._settings.items():
-            if found.attempts(name, 0):
+            if results.attempts(name, 0):
                 continue
-            if setting.functions not in found.compiled:
+            if setting.functions not in results.compiled:
                 values = self._values("compiling", request.build_time, compiled, request, setting)
                 self._records.add(compiled=[setting.functions, values])
                 text = f"{setting.functions}: compiled in {values.get('compile_time', 0):.1f} s"
                 self._display.finished(text if values.get("functions_compiled") else "")
-            values = found.compiled[setting.functions]
+            values = results.compiled[setting.functions]
             if values["kind"] != DONE:
                 job = asdict(Job(setting=name, start=0))
                 run = TimedRun(**job, status=NOT_COMPILED, detail=values["detail"])
@@ -127,7 +127,7 @@ class Sweep:
                 self._display.note(f"{self._labels[name]}: not compiled ({values['detail']})")
 
     def _calibrate(self) -> None:
-        if not self._records.found.calibrations:
+        if not self._records.results.calibrations:
             values = self._values("fixed load", GRACE, calibrations, CALIBRATIONS)
             self._records.add(calibrations=values.get("seconds", []))
             self._display.finished()
@@ -135,9 +135,9 @@ class Sweep:
     @property
     def _least_load(self) -> float:
         """The fastest calibration so far, s."""
-        found = self._records.found
-        known = [run.calibration for run in found.runs.values() if run.calibration is not None]
-        return min([*found.calibrations, *known], default=float("inf"))
+        results = self._records.results
+        known = [run.calibration for run in results.runs.values() if run.calibration is not None]
+        return min([*results.calibrations, *known], default=float("inf"))
 
     def _runs(self) -> None:
         waiting, begin = deque(self._missing()), time.perf_counter()
@@ -170,10 +170,10 @@ class Sweep:
 
     def _missing(self) -> list[Job]:
         """Jobs of all rounds that are not recorded; attempts are counted on."""
-        jobs, found = [], self._records.found
+        jobs, results = [], self._records.results
         for start in self._request.starts:
             for name in self._settings:
-                tried = found.attempts(name, start)
+                tried = results.attempts(name, start)
                 for run in tried:
                     self._count(run)
                 if not tried:
@@ -214,7 +214,7 @@ class Sweep:
 
     def _reference(self) -> None:
         """The converged reference, once; a failure is recorded as the reason for missing figures."""
-        known, file = self._records.found.reference, self._records.reference_file
+        known, file = self._records.results.reference, self._records.reference_file
         if known is not None and (file.exists() or not known["ok"]):
             return
         request = self._request
@@ -242,12 +242,12 @@ class Sweep:
             self._display.finished(text)
 
     def _unmeasured(self) -> list[TimedRun]:
-        found, missing = self._records.found, []
+        results, missing = self._records.results, []
         has_reference = self._records.reference_file.exists()
         for name in self._settings:
-            run = median_run(found, name, self._request.starts)
+            run = median_run(results, name, self._request.starts)
             if run is not None and run.success:
-                job, against, _ = found.accuracy.get(name, (None, False, {}))
+                job, against, _ = results.accuracy.get(name, (None, False, {}))
                 if job != run.job or against != has_reference:
                     missing.append(run)
         return missing
