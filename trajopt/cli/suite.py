@@ -161,22 +161,21 @@ def _run(
     from trajopt.study.suite.table import outcome_line
     from trajopt.study.workers.display import TaskDisplay
 
-    known = records.open(resume=resume)
-    missing = [case for case in cases if case.name not in known]
-    outcomes = [known[case.name] for case in cases if case.name in known]
+    outcomes: list[Outcome] = []
 
     def run(check: Callable[[], None]) -> None:
-        with (
-            chosen_cluster(scheduler, jobs) as cluster,
-            TaskDisplay("suite", len(cases), len(outcomes)) as display,
-        ):
-            running = run_all(
-                missing, settings, cluster=cluster, records=records, check=check, show=display.show
-            )
-            for outcome in running:
-                records.add(outcome)
-                outcomes.append(outcome)
-                display.finished(f"{len(outcomes)}/{len(cases)} {outcome_line(outcome)}")
+        with chosen_cluster(scheduler, jobs) as cluster:  # first: without a scheduler no results are touched
+            known = records.open(resume=resume)
+            outcomes.extend(known[case.name] for case in cases if case.name in known)
+            missing = [case for case in cases if case.name not in known]
+            with TaskDisplay("suite", len(cases), len(outcomes)) as display:
+                running = run_all(
+                    missing, settings, cluster=cluster, records=records, check=check, show=display.show
+                )
+                for outcome in running:
+                    records.add(outcome)
+                    outcomes.append(outcome)
+                    display.finished(f"{len(outcomes)}/{len(cases)} {outcome_line(outcome)}")
         records.close()
 
     complete = runs_to_its_end(run)
