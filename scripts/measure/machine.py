@@ -18,6 +18,7 @@ from trajopt import _engine
 from trajopt.cache import CACHE_VARIABLE
 from trajopt.cli.input import parse_settings
 from trajopt.solving.solving import prepare
+from trajopt.study.runner import limited
 from trajopt.study.sweep.cores import physical_cores
 from trajopt.study.sweep.engine import MODULES
 from trajopt.study.sweep.plan import own_setting
@@ -25,7 +26,6 @@ from trajopt.study.sweep.records import SweepRequest
 from trajopt.study.sweep.result import Job, TimedRun
 from trajopt.study.sweep.run import run_job
 from trajopt.study.workers.executor import ProcessPerTaskExecutor
-from trajopt.study.workers.task import announced
 from trajopt.transcription.stage_functions import Derivatives
 from trajopt_library import problems
 
@@ -118,7 +118,7 @@ def disturbance(problem: str, repeats: int) -> list[str]:
 
         def run(count: int) -> list[TimedRun]:
             tasks = [
-                (announced, str(k), LIMIT, run_job, request, setting, job, Path(folder) / f"{k}.npz")
+                (limited, LIMIT, run_job, request, setting, job, Path(folder) / f"{k}.npz")
                 for k in range(count)
             ]
             futures = [executor.submit(*task) for task in tasks]

@@ -151,7 +151,7 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
         ("bench", "suite", "--problems", "t-reach,t-hanging", "--jobs", "2"),
         [
             at("pool:run_all", CANCELLED),
-            at("running:RunningTasks.ended", CANCELLED, event="return"),
+            at("runner:run_tasks", CANCELLED, event="return"),
             at("records:SuiteRecords.add", CANCELLED),
         ],
     ),

@@ -64,6 +64,11 @@ def test_lists_take_several_words(lists: tuple[str, ...]):
         (("--sigma", "-1"), "trajopt: sigma is -1; allowed: > 0"),
         (("--solver", "snopt"), "trajopt: unknown solver 'snopt'; allowed: ipopt, sqp"),
         (("--compare", "no/such"), "trajopt: cannot read no/such: No such file or directory; allowed: "),
+        (
+            ("--scheduler", "nonsense"),
+            "trajopt: no scheduler answers at 'nonsense': the form is wrong",
+        ),
+        (("--scheduler", "nonsense", "--jobs", "2"), "trajopt: --jobs has no effect here; allowed: "),
         (("--update", "no/such"), "trajopt: cannot write no/such: the folder no does not exist"),
     ],
 )
@@ -106,6 +111,13 @@ def test_results_are_printed_written_resumed_and_compared(tmp_path: Path):
     other = suite("--problems", "t-reach", *run[3:], "--resume", "--compare", bands)
     assert other.exit_code == 1
     assert "outside its bands: t-reach@arm: solved on a refined mesh with ipopt" in other.stdout
+
+
+def test_results_stay_where_no_scheduler_answers(tmp_path: Path):
+    results = tmp_path / "results.jsonl"
+    results.write_text('{"kept": 1}\n')
+    assert suite("--scheduler", "nonsense", "--output-dir", tmp_path).exit_code == 2
+    assert results.read_text() == '{"kept": 1}\n'
 
 
 def running(package: Path) -> Running:

@@ -15,12 +15,14 @@ from trajopt import Solution
 from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.motion.configurations import geodesic_configurations
+from trajopt.study.cluster import local_or
 from trajopt.study.suite import data
 from trajopt.study.suite.cases import Case
-from trajopt.study.suite.outcome import Ledger, Outcome
+from trajopt.study.suite.outcome import Outcome
 from trajopt.study.suite.physics import FELL, OFF, TRACKED, WORDS, Physics
-from trajopt.study.suite.records import SuiteRecords
-from trajopt.study.suite.run import SIMULATED, run_stages
+from trajopt.study.suite.pool import run_all
+from trajopt.study.suite.records import SIMULATED, SuiteRecords
+from trajopt.study.suite.run import measure_case
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.suite.table import outcome_line, outcome_table, summary
 from trajopt.study.suite.versions import versions
@@ -36,9 +38,10 @@ ROBOTS = ("solo12", "go2", "anymal_c")
 
 
 def gated(problem: str, robot: str, folder: Path) -> Outcome:
-    ledger = Ledger(Case(problem=problem, robot=robot, takes_robot=True))
-    run_stages(ledger.case, SETTINGS, ledger.add, folder=folder)
-    return ledger.outcome(0.0)
+    case = Case(problem=problem, robot=robot, takes_robot=True)
+    with local_or(None, 1) as cluster:
+        (outcome,) = run_all([case], SETTINGS, cluster=cluster, records=SuiteRecords(folder, SETTINGS, {}))
+    return outcome
 
 
 @pytest.mark.slow
@@ -61,9 +64,8 @@ def test_physics_tracks_jumps_and_trots_without_a_fall(problem: str, robot: str,
 def test_a_fixed_base_has_no_physics_and_without_the_option_there_is_none(
     simulate: bool, physics: Physics | None
 ):
-    ledger = Ledger(Case(problem="double-pendulum", robot="double_pendulum", takes_robot=False))
-    run_stages(ledger.case, replace(SETTINGS, simulate=simulate), ledger.add)
-    assert ledger.outcome(0.0).physics == physics
+    case = Case(problem="double-pendulum", robot="double_pendulum", takes_robot=False)
+    assert measure_case(case, replace(SETTINGS, simulate=simulate)).physics == physics
 
 
 def found(word: str = TRACKED, **changes: Any) -> Outcome:

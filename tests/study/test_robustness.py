@@ -16,13 +16,13 @@ from tests.support import suite_problems
 from tests.support.packages import installed
 from tests.support.problems import hop, hopper, planar_hopper, reach
 from trajopt import solve
+from trajopt.study.cluster import local_or
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.optima import SAME_MOTION, counted, described, distances, embedded
 from trajopt.study.suite.outcome import Outcome
 from trajopt.study.suite.pool import run_all
 from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.settings import SuiteSettings
-from trajopt.study.workers.display import TaskDisplay
 
 STARTS = SuiteSettings(perturbed=3)
 CASE = Case(problem="t-reach", robot="arm", takes_robot=False)
@@ -120,13 +120,13 @@ def pursue(folder: Path, most: int) -> tuple[list[Outcome], list[int]]:
     records.open(resume=True)
     starts = records.interrupt_after(most)
     try:
-        display = TaskDisplay("suite", 1)
-        found = list(run_all([CASE], STARTS, jobs=1, records=records, display=display))
+        with local_or(None, 1) as cluster:
+            outcomes = list(run_all([CASE], STARTS, cluster=cluster, records=records))
     except KeyboardInterrupt:
-        found = []
-    for outcome in found:
+        outcomes = []
+    for outcome in outcomes:
         records.add(outcome)
-    return found, starts
+    return outcomes, starts
 
 
 @pytest.mark.long

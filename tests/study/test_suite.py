@@ -18,21 +18,19 @@ from trajopt.problem.catalogue import families
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.statistics import SolveStatistics
 from trajopt.solvers.status import Status
+from trajopt.study.cluster import local_or
 from trajopt.study.suite import failure
 from trajopt.study.suite.cases import Case, all_cases, select
 from trajopt.study.suite.outcome import Outcome
-from trajopt.study.suite.pool import LIMITS, run_all
+from trajopt.study.suite.pool import run_all
 from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.run import measure_case
 from trajopt.study.suite.settings import SuiteSettings
-from trajopt.study.workers.display import TaskDisplay
 
 pytestmark = pytest.mark.long
 
 PLAIN = SuiteSettings()
 STARTS = replace(PLAIN, perturbed=3)
-# Seconds until a hanging build is killed: nothing else runs there.
-BUILD = 2.0
 # Objectives of one start, solved here and in another process: the same arithmetic.
 SAME = 1e-12
 # IPOPT's rows with two bounds meet slacks, which are a little inside their bounds.
@@ -50,18 +48,11 @@ def case(problem: str, robot: str = "arm") -> Case:
     return Case(problem=problem, robot=robot, takes_robot=problem == "t-robots")
 
 
-def run_pairs(
-    names: list[str], settings: SuiteSettings, build: float = 120.0, folder: Path | None = None
-) -> dict[str, Outcome]:
-    found = run_all(
-        [case(name) for name in names],
-        settings,
-        jobs=2,
-        records=SuiteRecords(folder, settings, {}),
-        display=TaskDisplay("suite", len(names)),
-        limits={**LIMITS, "build": build},
-    )
-    return {outcome.problem: outcome for outcome in found}
+def run_pairs(names: list[str], settings: SuiteSettings, folder: Path | None = None) -> dict[str, Outcome]:
+    records = SuiteRecords(folder, settings, {})
+    with local_or(None, 2) as cluster:
+        outcomes = run_all([case(name) for name in names], settings, cluster=cluster, records=records)
+        return {outcome.problem: outcome for outcome in outcomes}
 
 
 # Pairs
@@ -191,9 +182,15 @@ def test_a_lost_process_loses_no_other_pair():
     }
 
 
+class ShortSettings(SuiteSettings):
+    """Settings whose tasks are ended early."""
+
+    longest = 2.0
+
+
 def test_a_process_that_hangs_is_killed():
-    outcome = run_pairs(["t-hanging"], STARTS, BUILD)["t-hanging"]
-    assert (outcome.mode, outcome.detail) == ("time", "build killed after 2 s")
+    outcome = run_pairs(["t-hanging"], ShortSettings(perturbed=3))["t-hanging"]
+    assert (outcome.mode, outcome.detail) == ("time", "killed after 2 s")
     starts = outcome.perturbed()
     assert (starts.count, starts.solved, starts.median_iterations, starts.optima) == (3, 0, None, 0)
 

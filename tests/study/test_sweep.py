@@ -159,14 +159,14 @@ def test_records_are_read_back(tmp_path: Path):
     with (tmp_path / "record.jsonl").open("a") as stream:
         stream.write('{"run": {"setting": "cut')  # as a crash leaves it
     again = records(tmp_path, resume=True)
-    assert again.found == first.found
+    assert again.results == first.results
     again.add(calibrations=[3e-3])
-    assert records(tmp_path, resume=True).found.calibrations == [1e-3, 2e-3, 3e-3]
+    assert records(tmp_path, resume=True).results.calibrations == [1e-3, 2e-3, 3e-3]
 
 
 def test_a_new_sweep_forgets_the_old_one(tmp_path: Path):
     records(tmp_path, resume=False).add(calibrations=[1.0])
-    assert not records(tmp_path, resume=False).found.calibrations
+    assert not records(tmp_path, resume=False).results.calibrations
 
 
 @pytest.mark.parametrize(

@@ -30,11 +30,12 @@ from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.reduced.two_stage import base_rows_problem
 from trajopt.solution.solution import Solution
+from trajopt.study.runner import LOST, REFUSED
 from trajopt.study.sweep.cores import cores_for, physical_cores
 from trajopt.study.sweep.engine import Sweep
 from trajopt.study.sweep.plan import make_plan
 from trajopt.study.sweep.records import SweepRecords, SweepRequest
-from trajopt.study.sweep.result import LOST, REFUSED, Job
+from trajopt.study.sweep.result import Job
 from trajopt.study.sweep.run import objective_of, run_setting, with_torques
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.workers.display import TaskDisplay
@@ -138,7 +139,7 @@ def test_a_lost_run_loses_no_other(tmp_path: Path):
     )
     records = SweepRecords(tmp_path, asked.head(plan, {}), resume=False)
     Sweep(asked, plan, records, cores_for(1), TaskDisplay("sweep")).run()
-    first = [one for one in records.found.runs.values() if one.attempt == 0]
+    first = [one for one in records.results.runs.values() if one.attempt == 0]
     found = {
         setting.intervals: [(one.status, one.detail) for one in first if one.setting == setting.name]
         for setting in plan.settings

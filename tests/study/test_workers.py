@@ -10,8 +10,9 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,17 @@ import pytest
 
 from tests.support.processes import environment, needs_proc
 from trajopt.errors import InputError
+from trajopt.study.runner import (
+    DONE,
+    LOST,
+    NOT_RUN,
+    REFUSED,
+    TIME_LIMIT,
+    NotRunError,
+    Task,
+    limited,
+    run_tasks,
+)
 from trajopt.study.workers.display import TaskDisplay
 from trajopt.study.workers.executor import ProcessPerTaskExecutor
 from trajopt.study.workers.records import JsonLines
@@ -27,9 +39,7 @@ from trajopt.study.workers.task import (
     RefusedTaskError,
     TaskError,
     TaskTimeoutError,
-    announced,
     limit_time,
-    tell,
 )
 
 # Seconds that any task here may take; none takes one unless it hangs.
@@ -39,7 +49,6 @@ SHORT = 0.5
 
 
 def product(a: int, *, b: int) -> int:
-    tell(("factors", a, b))
     return a * b
 
 
@@ -74,7 +83,7 @@ def hang(pids: Path) -> None:
     """Hang in no Python code, beside a process like a compiler's."""
     child = subprocess.Popen(["sleep", "3600"])
     pids.write_text(f"{os.getpid()} {child.pid}")
-    limit_time(SHORT, "build")
+    limit_time(SHORT)
     threading.Lock().acquire() and threading.Event().wait()
 
 
@@ -122,12 +131,10 @@ def written(file: Path) -> Path:
 
 
 def test_it_is_an_executor():
-    told: list[Any] = []
-    with ProcessPerTaskExecutor(2, on_event=told.append) as executor:
+    with ProcessPerTaskExecutor(2) as executor:
         assert isinstance(executor, Executor)
         assert executor.submit(product, 2, b=3).result(WAIT) == 6
         assert list(executor.map(abs, [-1, -2, -3], timeout=WAIT)) == [1, 2, 3]
-    assert told == [("factors", 2, 3)]
     with pytest.raises(RuntimeError):
         executor.submit(abs, 1)
 
@@ -158,22 +165,20 @@ def test_a_task_without_result_says_why(
 @needs_proc
 def test_a_task_that_hangs_ends_with_all_it_started(tmp_path: Path):
     with ProcessPerTaskExecutor(1) as executor:
-        with pytest.raises(TaskTimeoutError, match=r"^build killed after 0\.5 s$"):
+        with pytest.raises(TaskTimeoutError, match=r"^killed after 0\.5 s$"):
             executor.submit(hang, tmp_path / "pids").result(WAIT)
         assert gone(tmp_path / "pids")
 
 
-def test_an_announced_task_tells_its_name_and_has_a_limit():
-    told: list[str] = []
-    with ProcessPerTaskExecutor(1, on_event=told.append) as executor:
-        assert executor.submit(announced, "first", WAIT, abs, -1).result(WAIT) == 1
+def test_a_limited_task_is_ended():
+    with ProcessPerTaskExecutor(1) as executor:
+        assert executor.submit(limited, WAIT, abs, -1).result(WAIT) == 1
         with pytest.raises(TaskTimeoutError, match=r"^killed after 0\.5 s$"):
-            executor.submit(announced, "second", SHORT, time.sleep, 3600).result(WAIT)
-    assert told == ["first", "second"]
+            executor.submit(limited, SHORT, time.sleep, 3600).result(WAIT)
 
 
 def test_a_limit_here_ends_nothing():
-    assert announced("here", 1e-3, time.sleep, 0.05) is None
+    assert limited(1e-3, time.sleep, 0.05) is None
 
 
 @pytest.mark.long
@@ -234,13 +239,44 @@ def test_no_task_outlives_the_process_that_waits(tmp_path: Path):
     assert gone(tmp_path / "pids")
 
 
-def interrupt(event: Any) -> None:
-    raise KeyboardInterrupt
+# The loop
 
 
-def test_what_a_listener_raises_comes_from_the_future():
-    with ProcessPerTaskExecutor(1, on_event=interrupt) as executor:
-        assert isinstance(executor.submit(product, 2, b=3).exception(WAIT), KeyboardInterrupt)
+def made(name: str) -> Task:
+    """A task by what becomes of it."""
+    functions = {"refuse": refuse, "fail": fail, "hang": time.sleep, "left out": abs}
+    if name == "left out":
+        raise NotRunError("not wanted")
+    args = (3600,) if name == "hang" else () if name in functions else (-1,)
+    limit = SHORT if name == "hang" else WAIT
+    return Task(name=name, limit=limit, function=functions.get(name, abs), args=args)
+
+
+@pytest.mark.parametrize("make", [lambda: ProcessPerTaskExecutor(2), lambda: ThreadPoolExecutor(2)])
+def test_every_task_ends_once_and_more_may_follow(make: Callable[[], Executor]):
+    waiting, ended = deque(["value", "refuse", "fail", "hang", "left out"]), {}
+    with make() as executor:
+        for one in run_tasks(waiting, made, executor, window=lambda: 2, attempts=2):
+            assert one.key not in ended
+            ended[one.key] = (one.kind, one.value, one.detail, one.attempts)
+            if one.key == "value":
+                waiting.append("another")
+    assert ended == {
+        "value": (DONE, 1, "", 1),
+        "another": (DONE, 1, "", 1),
+        "refuse": (REFUSED, None, "the goal is on the moon; allowed: on earth", 1),
+        "fail": (LOST, None, "crash: RuntimeError: first line second line", 2),
+        "hang": (TIME_LIMIT, None, "killed after 0.5 s", 1),
+        "left out": (NOT_RUN, None, "not wanted", 1),
+    }
+
+
+def test_an_exception_of_the_check_ends_the_loop():
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    with ProcessPerTaskExecutor(1) as executor, pytest.raises(KeyboardInterrupt):
+        list(run_tasks(deque(["value"]), made, executor, window=lambda: 1, check=interrupt))
 
 
 # Records
@@ -273,10 +309,10 @@ def test_lines_go_nowhere_without_a_path():
 
 def show() -> None:
     with TaskDisplay("all", total=2) as display:
-        display.show("first", "building", steps=2)
-        display.show("first", "solving", advance=1)
+        display.show(["first", "second"])
         display.more()
-        display.finished("first", "first: solved")
+        display.show(["second"])
+        display.finished("first: solved")
         display.note("a note")
 
 

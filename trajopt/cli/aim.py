@@ -33,12 +33,12 @@ class Quantity(click.ParamType):
         text = str(value).strip()
         unit = max((unit for unit in self.units if text.endswith(unit)), key=len, default="")
         try:
-            found = float(text.removesuffix(unit)) * self.units.get(unit, 1.0)
+            value = float(text.removesuffix(unit)) * self.units.get(unit, 1.0)
         except ValueError:
-            found = None
-        if found is None or not 0 < found < math.inf:
+            value = None
+        if value is None or not 0 < value < math.inf:
             self.fail(f"'{value}' is not a {self.name} above 0, allowed: such as {self.such}", param, ctx)
-        return found
+        return value
 
 
 LENGTH = Quantity("length", {"mm": 1e-3, "cm": 1e-2, "m": 1.0}, "1e-3, 1mm or 0.1cm")

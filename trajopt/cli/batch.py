@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from textwrap import shorten
@@ -28,7 +27,6 @@ from trajopt.cli.report import console, plain_table, to_json
 from trajopt.errors import InputError
 
 if TYPE_CHECKING:
-    from trajopt.study.batch.cluster import Cluster
     from trajopt.study.batch.dataset import BatchDataset
     from trajopt.study.batch.variation import BatchCase
 
@@ -90,8 +88,6 @@ def batch_command(
     """
     if status is not None:
         return _status(status, problem, as_json)
-    if jobs is not None and scheduler is not None:
-        raise InputError("--jobs has no effect here", "allowed: without --scheduler")
     choosing = {name: arguments.pop(name) for name in CHOOSING}
     if problem is None and (not resume or out is None):
         raise InputError("PROBLEM is missing", "allowed: without it --resume --out DIR, or --status DIR")
@@ -152,6 +148,7 @@ def _run(
     from trajopt.study.batch.engine import run_batch
     from trajopt.study.batch.records import BatchRecords
     from trajopt.study.batch.solved_case import BatchSettings
+    from trajopt.study.cluster import chosen_cluster
     from trajopt.study.suite.versions import versions
     from trajopt.study.workers.display import TaskDisplay
 
@@ -159,7 +156,7 @@ def _run(
 
     def run(check: Callable[[], None]) -> None:
         with (
-            _cluster(jobs, scheduler) as cluster,  # first: without a scheduler no folder is made
+            chosen_cluster(scheduler, jobs) as cluster,  # first: without a scheduler no folder is made
             BatchRecords(folder, cases, chosen, versions(), resume=resume) as records,
             TaskDisplay("batch", len(cases), len(records.solved)) as display,
         ):
@@ -170,21 +167,18 @@ def _run(
                 cluster.check()
 
             rows = run_batch(
-                cases, chosen, records, cluster.executor, window=cluster.window, check=check_both
+                cases,
+                chosen,
+                records,
+                cluster.executor,
+                window=cluster.window,
+                check=check_both,
+                show=display.show,
             )
             for row in rows:
                 named.tell(row, cases[row["case"]])
 
     return runs_to_its_end(run)
-
-
-@contextmanager
-def _cluster(jobs: int | None, scheduler: str | None) -> Iterator[Cluster]:
-    from trajopt.study.batch.batch import local_or
-    from trajopt.study.batch.cluster import dask_cluster
-
-    with local_or(None, jobs) if scheduler is None else dask_cluster(scheduler) as cluster:
-        yield cluster
 
 
 class _Named:
@@ -207,7 +201,7 @@ class _Named:
                 text = f"case {row['case']}: {case.name}: NOT solved, {why}"
             if self._failed == MOST_NAMED:
                 text += "; further ones are in the index only"
-        self._display.finished("", text)
+        self._display.finished(text)
         if 10 * self._done // self._total > before:
             self._display.note(f"{self._done}/{self._total} cases, {self._solved} solved")
 
@@ -228,8 +222,8 @@ def _status(folder: Path, problem: str | None, as_json: bool) -> int:
 
     if problem is not None:
         raise InputError(f"--status is given with problem {problem}", "allowed: --status DIR alone")
-    found = dataset(folder)
-    _print(found, as_json, None)
+    results = dataset(folder)
+    _print(results, as_json, None)
     return 0
 
 
@@ -237,26 +231,26 @@ def _report(folder: Path, as_json: bool, complete: bool) -> int:
     from trajopt.study.batch.dataset import dataset
     from trajopt.study.batch.plot import plot_failures
 
-    found = dataset(folder)
-    title = f"{found.cases[0].problem}: {len(found)} of {found.index.num_rows} cases solved"
-    _print(found, as_json, plot_failures(found.index, found.parameters, title, found.folder))
+    results = dataset(folder)
+    title = f"{results.cases[0].problem}: {len(results)} of {results.index.num_rows} cases solved"
+    _print(results, as_json, plot_failures(results.index, results.parameters, title, results.folder))
     if not complete:
         click.echo(f"trajopt: cancelled; go on with --resume --out {folder}", err=True)
         return CANCELLED
-    return 0 if len(found) == len(found.cases) else NOT_REACHED
+    return 0 if len(results) == len(results.cases) else NOT_REACHED
 
 
-def _print(found: BatchDataset, as_json: bool, plot: Path | None) -> None:
+def _print(results: BatchDataset, as_json: bool, plot: Path | None) -> None:
     from trajopt.study.batch.summary import outcomes, regions
 
-    counts, parts = outcomes(found.index), regions(found.index, found.parameters)
-    done, total = found.index.num_rows, len(found.cases)
+    counts, parts = outcomes(results.index), regions(results.index, results.parameters)
+    done, total = results.index.num_rows, len(results.cases)
     if as_json:
         shown = [
             {"parameter": part.parameter, "region": part.text, "cases": part.cases, "solved": part.solved}
             for part in parts
         ]
-        figures = {"folder": str(found.folder), "cases": total, "done": done, "outcomes": dict(counts)}
+        figures = {"folder": str(results.folder), "cases": total, "done": done, "outcomes": dict(counts)}
         click.echo(to_json({**figures, "regions": shown, "plot": None if plot is None else str(plot)}))
         return
     out = console()
@@ -265,5 +259,5 @@ def _print(found: BatchDataset, as_json: bool, plot: Path | None) -> None:
     rows = [(part.parameter, part.text, f"{part.solved} of {part.cases}") for part in parts]
     if rows:
         out.print(plain_table(("parameter", "region", "solved"), rows))
-    for text in (f"index: {found.folder / 'index.parquet'}", *([f"plot: {plot}"] if plot else [])):
+    for text in (f"index: {results.folder / 'index.parquet'}", *([f"plot: {plot}"] if plot else [])):
         out.print(text, soft_wrap=True)

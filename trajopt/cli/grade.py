@@ -64,10 +64,10 @@ def solve_to_grade(
     mesh = chosen_mesh(problem, *grid) if named else None
     rounds = 1 if arguments.pop("draft") else MOST_ROUNDS
     with watched(title, arguments["max_time"] + BESIDE, log, viewer) as callbacks:
-        found = solve_graded(
+        result = solve_graded(
             problem, mesh=mesh, refine=not named, max_rounds=rounds, **callbacks, **arguments
         )
-    return SolveReport(found.solution, found.reached, _lines(found), {"graded": found.to_dict()})
+    return SolveReport(result.solution, result.reached, _lines(result), {"graded": result.to_dict()})
 
 
 def solve_whole(problem: Problem, lifted: Solution, arguments: dict[str, Any]) -> tuple[Solution, list[str]]:
@@ -86,19 +86,19 @@ def solve_whole(problem: Problem, lifted: Solution, arguments: dict[str, Any]) -
     refine = not _names_mesh(arguments)
     title = f"{arguments['title']}, whole robot"
     with watched(title, arguments["max_time"] + BESIDE, None, arguments["viewer"]) as callbacks:
-        found = solve_graded(
+        result = solve_graded(
             problem, mesh=mesh_of(lifted), start=lifted, refine=refine, **callbacks, **settings
         )
-    iterations = sum(one.iterations for one in found.rounds)
-    return found.solution, [f"whole robot: solved from the reduced motion, {iterations} iterations"]
+    iterations = sum(one.iterations for one in result.rounds)
+    return result.solution, [f"whole robot: solved from the reduced motion, {iterations} iterations"]
 
 
-def _lines(found: Graded) -> list[str]:
+def _lines(result: Graded) -> list[str]:
     """Lines of the summary: the meshes, and the grade."""
     lines = []
-    for own in found.rounds if len(found.rounds) > 1 else ():
-        size = f"{own.mesh.transcription} on {'+'.join(map(str, own.mesh.counts))}, {own.variables} variables"
-        lines.append(f"{size}: {own.iterations} iterations, {own.wall_time:.2f} s")
-    word = "at any time" if found.reached else "at its points" if found.solution.converged else "nowhere"
-    lines.append(f"grade: holds {word}; {found.why}; {found.spent:.2f} s of the solver in all")
+    for one in result.rounds if len(result.rounds) > 1 else ():
+        size = f"{one.mesh.transcription} on {'+'.join(map(str, one.mesh.counts))}, {one.variables} variables"
+        lines.append(f"{size}: {one.iterations} iterations, {one.wall_time:.2f} s")
+    word = "at any time" if result.reached else "at its points" if result.solution.converged else "nowhere"
+    lines.append(f"grade: holds {word}; {result.why}; {result.spent:.2f} s of the solver in all")
     return lines

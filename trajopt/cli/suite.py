@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +68,7 @@ def _each(option: str, words: str) -> list[str]:
 @default_option("--perturbed", 0, "K", "Perturbed starts per pair.", kind=COUNT)
 @default_option("--sigma", 0.1, "SIGMA", "Noise of perturbed starts, scaled units.")
 @click.option("--jobs", type=THREADS, metavar="N", help="Parallel processes.  [default: all processors]")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://127.0.0.1:8786.")
 @solver_option
 @default_option("--max-iterations", 500, "N", "Iteration limit.", kind=COUNT)
 @default_option("--max-time", 300.0, "S", "Time limit of a solve, s.")
@@ -85,6 +85,7 @@ def suite(
     problems: tuple[str, ...],
     robots: tuple[str, ...],
     jobs: int | None,
+    scheduler: str | None,
     output_dir: Path | None,
     resume: bool,
     update: Path | None,
@@ -107,7 +108,6 @@ def suite(
     from trajopt.study.suite.settings import SuiteSettings
     from trajopt.study.suite.table import to_dict
     from trajopt.study.suite.versions import versions
-    from trajopt.study.workers.executor import processors
 
     settings, known = SuiteSettings(**arguments), families()
     cases = select(known, problems, robots)
@@ -124,11 +124,11 @@ def suite(
     old = data.read(target)[0] if target is not None and target.exists() else {}
     bands = None if compare is None else data.read(compare)[0]
     records = SuiteRecords(output_dir, settings, versions())
-    outcomes, complete = _run(cases, settings, records, resume, jobs or processors())
+    outcomes, complete = _run(cases, settings, records, resume, jobs, scheduler)
     outside = None if bands is None else data.deviations(outcomes, settings, bands)
     if as_json:
-        found = to_dict(outcomes, settings, versions())
-        click.echo(to_json({"complete": complete, "outside": outside, **found}))
+        results = to_dict(outcomes, settings, versions())
+        click.echo(to_json({"complete": complete, "outside": outside, **results}))
     else:
         _print(outcomes, outside)
     if not complete:
@@ -148,26 +148,34 @@ def _falls(outcomes: Sequence[Outcome]) -> bool:
 
 
 def _run(
-    cases: Sequence[Case], settings: SuiteSettings, records: SuiteRecords, resume: bool, jobs: int
+    cases: Sequence[Case],
+    settings: SuiteSettings,
+    records: SuiteRecords,
+    resume: bool,
+    jobs: int | None,
+    scheduler: str | None,
 ) -> tuple[list[Outcome], bool]:
     """Outcomes sorted by pair, and whether all pairs were run: after Ctrl-C only those finished so far."""
+    from trajopt.study.cluster import chosen_cluster
     from trajopt.study.suite.pool import run_all
     from trajopt.study.suite.table import outcome_line
     from trajopt.study.workers.display import TaskDisplay
 
-    known = records.open(resume=resume)
-    missing = [case for case in cases if case.name not in known]
-    outcomes = [known[case.name] for case in cases if case.name in known]
-    jobs = max(1, min(jobs, len(missing)))
+    outcomes: list[Outcome] = []
 
     def run(check: Callable[[], None]) -> None:
-        with TaskDisplay("suite", len(cases), len(outcomes)) as display:
-            running = run_all(missing, settings, jobs=jobs, records=records, display=display, check=check)
-            with closing(running):
+        with chosen_cluster(scheduler, jobs) as cluster:  # first: without a scheduler no results are touched
+            known = records.open(resume=resume)
+            outcomes.extend(known[case.name] for case in cases if case.name in known)
+            missing = [case for case in cases if case.name not in known]
+            with TaskDisplay("suite", len(cases), len(outcomes)) as display:
+                running = run_all(
+                    missing, settings, cluster=cluster, records=records, check=check, show=display.show
+                )
                 for outcome in running:
                     records.add(outcome)
                     outcomes.append(outcome)
-                    display.finished(outcome.name, f"{len(outcomes)}/{len(cases)} {outcome_line(outcome)}")
+                    display.finished(f"{len(outcomes)}/{len(cases)} {outcome_line(outcome)}")
         records.close()
 
     complete = runs_to_its_end(run)

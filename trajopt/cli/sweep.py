@@ -37,12 +37,12 @@ def _values(kind: Callable[[str], Any], what: str) -> Callable[..., tuple[Any, .
     def split(ctx: click.Context, option: click.Parameter, text: str | None) -> tuple[Any, ...]:
         words = [] if text is None else [word.strip() for word in text.split(",")]
         try:
-            found = tuple(kind(word) for word in words)
+            parts = tuple(kind(word) for word in words)
         except ValueError:
             raise click.BadParameter(f"'{text}' is not a list of {what}", ctx, option) from None
         if text is not None and not all(words):
             raise click.BadParameter(f"'{text}' has an empty entry", ctx, option)
-        return found
+        return parts
 
     return split
 
@@ -114,8 +114,8 @@ def sweep(
     folder = output_dir or Path(f"{problem}-sweep")
     records = SweepRecords(folder, request.head(plan, versions()), resume=resume)
     complete = _run(request, plan, records, cores)
-    rows = summarize(plan, records.found, request.starts)
-    settings = write_tables(records.folder, problem, loaded, records.found, rows)
+    rows = summarize(plan, records.results, request.starts)
+    settings = write_tables(records.folder, problem, loaded, records.results, rows)
     plot(rows, f"{problem} on {loaded.robot.name}", records.folder / PLOT)
     if as_json:
         click.echo(to_json({"problem": problem, "complete": complete, **_found(plan, records, settings)}))
@@ -152,8 +152,8 @@ def _found(plan: SweepPlan, records: SweepRecords, settings: Sequence[dict[str, 
         "folder": str(records.folder),
         "settings": settings,
         "front": [row["label"] for row in settings if row["on_front"]],
-        "reference": records.found.reference,
-        "machine": disturbance(records.found),
+        "reference": records.results.reference,
+        "machine": disturbance(records.results),
         "left_out": plan.left_out,
     }
 
@@ -163,7 +163,7 @@ def _print(plan: SweepPlan, records: SweepRecords, rows: Sequence[Summary]) -> N
     from trajopt.study.sweep.summary import disturbance
     from trajopt.study.sweep.tables import summary_table
 
-    reference, quiet = records.found.reference, disturbance(records.found)
+    reference, quiet = records.results.reference, disturbance(records.results)
     notes = [f"left out: {text}" for text in plan.left_out]
     if reference is not None:
         notes.append(f"reference: {reference['text']}")

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from trajopt.arguments import PositiveCount, checked
 from trajopt.errors import InputError
-from trajopt.study.batch.cluster import Cluster
 from trajopt.study.batch.dataset import BatchDataset, dataset
 from trajopt.study.batch.engine import run_batch
 from trajopt.study.batch.records import BatchRecords
-from trajopt.study.batch.solved_case import BatchSettings, case_executor
+from trajopt.study.batch.solved_case import BatchSettings
 from trajopt.study.batch.variation import BatchCase, checked_cases
+from trajopt.study.cluster import local_or
 from trajopt.study.suite.versions import versions
-from trajopt.study.workers.executor import processors
-
-# Tasks at a time for each process on this machine.
-AHEAD = 2
-# Tasks at a time of an executor that does not say how many workers it has.
-MOST_AHEAD = 1000
 
 
 @checked
@@ -68,16 +61,3 @@ def batch(
             if on_row is not None:
                 on_row(row)
     return dataset(folder)
-
-
-@contextmanager
-def local_or(executor: Executor | None, jobs: int | None) -> Iterator[Cluster]:
-    """An executor that is given, or processes on this machine, ended at the end."""
-    if executor is not None:
-        workers = getattr(executor, "_max_workers", None)
-        most = AHEAD * workers if workers else MOST_AHEAD
-        yield Cluster(executor=executor, window=lambda: most, check=lambda: None)
-        return
-    count = jobs or processors()
-    with case_executor(count) as own:
-        yield Cluster(executor=own, window=lambda: AHEAD * count, check=lambda: None)

@@ -39,17 +39,17 @@ FIRST = ("case", "problem")
 def arrow() -> Any:
     """PyArrow, with its Parquet; raises one line that names the extra."""
     for name in ("pyarrow.parquet", "pyarrow"):
-        found = optional_package(name, what="the index of a batch", extra="batch")
-    return found
+        package = optional_package(name, what="the index of a batch", extra="batch")
+    return package
 
 
 def parameter_columns(cases: Iterable[BatchCase]) -> dict[str, bool]:
     """Columns of all parameters of the cases, with whether they hold words."""
-    found: dict[str, bool] = {}
+    columns: dict[str, bool] = {}
     for case in cases:
         for name, value in case.values.items():
-            found[name] = found.get(name, False) or isinstance(value, str)
-    return found
+            columns[name] = columns.get(name, False) or isinstance(value, str)
+    return columns
 
 
 def column_of(name: str) -> str:

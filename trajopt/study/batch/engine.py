@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import Executor
 from typing import Any
 
-from trajopt.errors import InputError
-from trajopt.solvers.status import Status
 from trajopt.study.batch.neighbours import StartTree
-from trajopt.study.batch.records import LOST, REFUSED, BatchRecords
-from trajopt.study.batch.solved_case import BatchSettings, CaseResult, run_case_alone, run_case_anywhere
+from trajopt.study.batch.records import BatchRecords
+from trajopt.study.batch.solved_case import BatchSettings, CaseResult, solve_case
 from trajopt.study.batch.variation import BatchCase
-from trajopt.study.workers.executor import ProcessPerTaskExecutor
-from trajopt.study.workers.running import RunningTasks
-from trajopt.study.workers.task import LostTaskError, RefusedTaskError, TaskTimeoutError
+from trajopt.study.runner import DONE, Ended, Task, run_tasks
 
 # A case whose process was lost is run again, up to so many times in all.
 MOST_ATTEMPTS = 3
@@ -29,45 +25,31 @@ def run_batch(
     *,
     window: Callable[[], int],
     check: Callable[[], object] = bool,
+    show: Callable[[Collection[str]], object] = len,
 ) -> Iterator[dict[str, Any]]:
     """Yield the rows of all cases without one, as they are written.
 
-    Args:
-        cases: all of the batch.
-        settings: how they are solved.
-        records: the folder.
-        executor: any; one that is not of processes of their own starts such processes.
-        window: most tasks that it has at a time: more wait here.
-        check: called several times a second; an exception from it ends the batch.
+    Takes all cases of the batch, how they are solved, its folder, and what `run_tasks` takes.
 
     Raises:
         InputError: where the executor has broken down, or no row can be written.
     """
     queue = _Queue(cases, settings, records)
-    task = run_case_alone if isinstance(executor, ProcessPerTaskExecutor) else run_case_anywhere
-    running, attempts = RunningTasks[tuple[int, int | None]](executor, check), Counter[int]()
-    while queue.waiting or running:
-        while queue.waiting and len(running) < max(1, window()):
-            index = queue.waiting.popleft()
-            attempts[index] += 1
-            start = queue.start(index)
-            content = None if start is None else records.content(start)
-            try:
-                running.submit((index, start), task, cases[index], settings, content)
-            except (BrokenExecutor, RuntimeError) as error:
-                check()
-                raise _broken(error, records, cases) from None
-        for (index, start), future in running.ended():
-            try:
-                result = _result(future, again=attempts[index] < MOST_ATTEMPTS)
-            except (BrokenExecutor, CancelledError) as error:
-                check()
-                raise _broken(error, records, cases) from None
-            if result is None:
-                queue.waiting.append(index)
-                continue
-            yield records.add(index, result, start=start, attempts=attempts[index])
-            queue.done(index)
+    starts: dict[int, int | None] = {}
+
+    def make(index: int) -> Task:
+        start = starts[index] = queue.start(index)
+        content = None if start is None else records.content(start)
+        args = (cases[index], settings, content)
+        return Task(name=cases[index].name, limit=settings.longest, function=solve_case, args=args)
+
+    ended = run_tasks(
+        queue.waiting, make, executor, window=window, attempts=MOST_ATTEMPTS, check=check, show=show
+    )
+    for one in ended:
+        result = one.value if one.kind == DONE else _without(one)
+        yield records.add(one.key, result, start=starts[one.key], attempts=one.attempts)
+        queue.done(one.key)
 
 
 class _Queue:
@@ -99,30 +81,6 @@ class _Queue:
         self.waiting.extend(self._children.pop(index, ()))
 
 
-def _result(future: Future[CaseResult], *, again: bool) -> CaseResult | None:
-    """The result of a case; None for a lost one that is run again."""
-    try:
-        return future.result()
-    except RefusedTaskError as error:
-        return _without(REFUSED, error)
-    except TaskTimeoutError as error:
-        return _without(Status.TIME_LIMIT.word, error)
-    except LostTaskError as error:
-        return None if again else _without(LOST, error)
-    except (BrokenExecutor, CancelledError):
-        raise
-    except Exception as error:  # of the executor, such as a worker that was lost too often
-        return _without(LOST, error)
-
-
-def _without(status: str, error: Exception) -> CaseResult:
-    text = " ".join(f"{error}".split()) or type(error).__name__
-    return CaseResult(figures={"success": False, "status": status, "detail": text}, content=None)
-
-
-def _broken(error: BaseException, records: BatchRecords, cases: Sequence[BatchCase]) -> InputError:
-    text = " ".join(f"{error}".split()) or type(error).__name__
-    return InputError(
-        f"the executor has broken down: {text}",
-        f"{len(records.solved)} of {len(cases)} cases are done and kept; go on with --resume",
-    )
+def _without(ended: Ended[int]) -> CaseResult:
+    figures = {"success": False, "status": ended.kind, "detail": ended.detail}
+    return CaseResult(figures=figures, content=None)

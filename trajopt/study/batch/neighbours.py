@@ -36,30 +36,30 @@ class StartTree:
 
     def ancestors(self, index: int) -> list[int]:
         """The parent of a case, its parent and so on up to the root."""
-        found: list[int] = []
+        ancestors: list[int] = []
         above = self.parents[index]
         while above is not None:
-            found.append(above)
+            ancestors.append(above)
             above = self.parents[above]
-        return found
+        return ancestors
 
     def nearest(self, index: int) -> list[int]:
         """The ancestors of a case, the nearest first; of those as near, the lower in the tree."""
-        own, found = self._points[index], self.ancestors(index)
-        return sorted(found, key=lambda other: float(np.linalg.norm(self._points[other] - own)))
+        point, ancestors = self._points[index], self.ancestors(index)
+        return sorted(ancestors, key=lambda other: float(np.linalg.norm(self._points[other] - point)))
 
     def _grow(self, members: np.ndarray, levels: list[list[int]]) -> None:
         """Split cases at the median of their widest axis: the parent of the medians of both halves."""
         waiting: list[tuple[np.ndarray, int | None, int]] = [(members, None, 0)]
         while waiting:
-            own, parent, depth = waiting.pop()
-            points = np.array([self._points[i] for i in own])
+            part, parent, depth = waiting.pop()
+            points = np.array([self._points[i] for i in part])
             # Ties are broken by the other axes and by number: the tree depends on the cases alone.
-            keys = [own]
+            keys = [part]
             if points.shape[1]:
                 widest = int(np.argmax(np.ptp(points, axis=0)))
                 keys += [*np.delete(points, widest, axis=1).T, points[:, widest]]
-            ordered = own[np.lexsort(keys)]
+            ordered = part[np.lexsort(keys)]
             middle = len(ordered) // 2
             node = int(ordered[middle])
             self.parents[node] = parent
@@ -71,12 +71,12 @@ class StartTree:
 
 
 def _groups(cases: Sequence[BatchCase]) -> list[list[int]]:
-    found: dict[tuple[str, Words, tuple[str, ...]], list[int]] = {}
+    groups: dict[tuple[str, Words, tuple[str, ...]], list[int]] = {}
     for index, case in enumerate(cases):
         words = tuple((name, value) for name, value in sorted(case.values.items()) if isinstance(value, str))
         numbers = tuple(name for name, value in sorted(case.values.items()) if not isinstance(value, str))
-        found.setdefault((case.problem, words, numbers), []).append(index)
-    return list(found.values())
+        groups.setdefault((case.problem, words, numbers), []).append(index)
+    return list(groups.values())
 
 
 def _scaled(points: np.ndarray) -> np.ndarray:

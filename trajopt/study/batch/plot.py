@@ -57,9 +57,11 @@ def _points(axes: Axes, table: pa.Table, x: str, y: str) -> None:
         ("solved", SOLVED, "o"),
         *((word, FAILED[min(i, len(FAILED) - 1)], "X") for i, word in enumerate(failed)),
     ]:
-        own = status == word
-        label = f"{word.replace('_', ' ')}: {own.sum()}"
-        axes.scatter(places[0][own], places[1][own], s=18, color=color, marker=marker, label=label, alpha=0.8)
+        mask = status == word
+        label = f"{word.replace('_', ' ')}: {mask.sum()}"
+        axes.scatter(
+            places[0][mask], places[1][mask], s=18, color=color, marker=marker, label=label, alpha=0.8
+        )
     axes.set(xlabel=x, ylabel=y)
     axes.grid(alpha=0.25, linewidth=0.5)
 

@@ -22,6 +22,7 @@ from trajopt.solution.output import replacing
 from trajopt.study.batch.columns import arrow, parameter_columns, row_of, schema
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult
 from trajopt.study.batch.variation import BatchCase
+from trajopt.study.runner import LOST
 from trajopt.study.workers.records import JsonLines
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ JOURNAL_PART, LEAST_JOURNAL = 8, 100
 # Solution files in one folder.
 FILES_PER_FOLDER = 1000
 # Cases with these outcomes are run again when a batch is resumed: a second try may end otherwise.
-LOST, NOT_SAVED, REFUSED = "lost", "not_saved", "refused"
+NOT_SAVED = "not_saved"
 AGAIN = (LOST, NOT_SAVED)
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import multiprocessing
-import os
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +9,7 @@ from typing import Any
 from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.motion.energy_use import cost_of_transport, energy
-from trajopt.problem.catalogue import families, problem_modules
+from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
@@ -22,8 +19,6 @@ from trajopt.solving.solving import check_settings
 from trajopt.solving.time_limits import BESIDE, GRACE
 from trajopt.study.batch.variation import BatchCase
 from trajopt.study.suite.failure import failure_text
-from trajopt.study.workers.executor import ProcessPerTaskExecutor
-from trajopt.study.workers.task import limit_time
 
 # Seconds of a case beside its solves: building, functions that are not in the cache yet, the check.
 BUILD_TIME = 300.0
@@ -106,43 +101,6 @@ def solve_case(case: BatchCase, settings: BatchSettings, start: bytes | None) ->
         "intervals": best.n_intervals,
     }
     return CaseResult(figures=figures, content=content)
-
-
-def run_case_alone(case: BatchCase, settings: BatchSettings, start: bytes | None) -> CaseResult:
-    """`solve_case` as the task of a process, which the kernel ends where it never does."""
-    limit_time(settings.longest)
-    return solve_case(case, settings, start)
-
-
-def run_case_anywhere(case: BatchCase, settings: BatchSettings, start: bytes | None) -> CaseResult:
-    """`run_case_alone` in a process that this worker of any executor starts for it.
-
-    A case that crashes, hangs or runs out of memory does not take the worker with it. Raises a `TaskError`.
-    """
-    _allow_children()
-    return _processes(os.getpid()).submit(run_case_alone, case, settings, start).result()
-
-
-@functools.cache
-def _processes(worker: int) -> ProcessPerTaskExecutor:
-    """The processes of the worker with that process id; as many at a time as the worker has tasks.
-
-    A worker that is forked from another does not have its threads.
-    """
-    return case_executor(os.cpu_count() or 1)
-
-
-def case_executor(jobs: int) -> ProcessPerTaskExecutor:
-    """An executor of cases on this machine, so many at a time, with all modules loaded."""
-    return ProcessPerTaskExecutor(jobs, preload=(*problem_modules(), __name__))
-
-
-def _allow_children() -> None:
-    """Let a daemonic process have children, as the workers that Dask's nannies start are.
-
-    `multiprocessing` forbids it because they would not end with their parent; ours do.
-    """
-    getattr(multiprocessing.current_process(), "_config", {}).pop("daemon", None)
 
 
 def _from_neighbour(problem: Problem, settings: BatchSettings, start: bytes) -> list[Solution]:

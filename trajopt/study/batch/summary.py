@@ -33,14 +33,14 @@ def varied(table: pa.Table, parameters: list[str]) -> list[str]:
 def regions(table: pa.Table, parameters: list[str]) -> list[Region]:
     """The regions of all parameters that vary, in order."""
     solved = np.array(table["success"].to_pylist(), dtype=bool)
-    found = []
+    parts = []
     for name in varied(table, parameters):
         values = table[name].to_pylist()
         for text, inside in _parts(values):
-            found.append(
+            parts.append(
                 Region(parameter=name, text=text, cases=int(inside.sum()), solved=int(solved[inside].sum()))
             )
-    return found
+    return parts
 
 
 def outcomes(table: pa.Table) -> Counter[str]:
@@ -54,7 +54,7 @@ def _parts(values: list[Any]) -> list[tuple[str, np.ndarray]]:
     known = sorted({value for value in values if value is not None})
     if len(known) <= MOST_VALUES or isinstance(known[0], str):
         return [
-            (value if isinstance(value, str) else f"{value:.4g}", np.array([own == value for own in values]))
+            (value if isinstance(value, str) else f"{value:.4g}", np.array([one == value for one in values]))
             for value in known
         ]
     numbers = np.array([np.nan if value is None else value for value in values], dtype=float)

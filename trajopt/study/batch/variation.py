@@ -137,22 +137,22 @@ def batch_cases(
     samples = list(_samples(drawn, count, seed)) if drawn else [{}]
     names = [grid.name for grid in grids]
     return [
-        BatchCase(problem=problem, values={**fixed, **dict(zip(names, point, strict=True)), **own})
+        BatchCase(problem=problem, values={**fixed, **dict(zip(names, point, strict=True)), **drawn_values})
         for point in itertools.product(*(grid.values for grid in grids))
-        for own in samples
+        for drawn_values in samples
     ]
 
 
 def checked_cases(cases: Iterable[BatchCase]) -> list[BatchCase]:
     """Cases with parsed values; raises `InputError` for an unknown problem, parameter or value."""
-    known, found = families(), []
+    known, parsed = families(), []
     for case in cases:
         family = choose(known, case.problem)
         values = {name: family.parameter(name).parse(value) for name, value in case.values.items()}
-        found.append(BatchCase(problem=case.problem, values=values))
-    if not found:
+        parsed.append(BatchCase(problem=case.problem, values=values))
+    if not parsed:
         raise InputError("a batch has no case", "allowed: one or more")
-    return found
+    return parsed
 
 
 def _samples(drawn: Sequence[Distribution], count: int, seed: int) -> Iterator[dict[str, float]]:

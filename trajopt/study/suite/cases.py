@@ -61,16 +61,16 @@ def select(
     """
     wanted = _fitting(families, problems)
     known = {case.robot for case in all_cases(families)}
-    found = {case for case in all_cases(wanted) if not robots or case.robot in robots}
+    chosen = {case for case in all_cases(wanted) if not robots or case.robot in robots}
     for robot in robots:
         if robot not in known:
-            found |= _unnamed(robot, wanted, known)
-    if not found:
+            chosen |= _unnamed(robot, wanted, known)
+    if not chosen:
         raise InputError(
             f"no problem of {', '.join(problems) or 'all'} is run on {', '.join(robots)}",
             "allowed: pairs of trajopt bench suite --list",
         )
-    return tuple(sorted(found))
+    return tuple(sorted(chosen))
 
 
 def _fitting(families: Mapping[str, Family], patterns: Sequence[str]) -> dict[str, Family]:

@@ -56,10 +56,10 @@ def entry_of(outcome: Outcome, settings: SuiteSettings) -> PairBands:
     """The line of a pair that was solved."""
     assert outcome.own is not None
     assert outcome.own.objective is not None
-    own, objective = outcome.own.iterations, outcome.own.objective
-    fewest = min(own - LEAST_MARGIN, math.floor(FEWEST * own))
-    most = max(own + LEAST_MARGIN, math.ceil(MOST * own))
-    others = sorted(start.iterations for start in outcome.starts if start.solved) or [own]
+    iterations, objective = outcome.own.iterations, outcome.own.objective
+    fewest = min(iterations - LEAST_MARGIN, math.floor(FEWEST * iterations))
+    most = max(iterations + LEAST_MARGIN, math.ceil(MOST * iterations))
+    others = sorted(start.iterations for start in outcome.starts if start.solved) or [iterations]
     width = max(OBJECTIVE_BAND * abs(objective), OBJECTIVE_FLOOR)
     return PairBands(
         problem=outcome.problem,
@@ -90,9 +90,9 @@ def deviation(outcome: Outcome, settings: SuiteSettings, entry: PairBands | None
         return "no line of data"
     assert outcome.own is not None
     assert outcome.own.objective is not None
-    found, wanted = (_mesh(settings), settings.solver), (entry.mesh, entry.solver)
-    if found != wanted:
-        return "solved on a {} mesh with {}, the data on a {} mesh with {}".format(*found, *wanted)
+    solved_as, wanted = (_mesh(settings), settings.solver), (entry.mesh, entry.solver)
+    if solved_as != wanted:
+        return "solved on a {} mesh with {}, the data on a {} mesh with {}".format(*solved_as, *wanted)
     parts = []
     if not entry.objective_low <= outcome.own.objective <= entry.objective_high:
         parts.append(
@@ -123,8 +123,8 @@ def deviations(
     outcomes: Iterable[Outcome], settings: SuiteSettings, entries: Mapping[str, PairBands]
 ) -> dict[str, str]:
     """The differences of pairs outside their bands."""
-    found = {outcome.name: deviation(outcome, settings, entries.get(outcome.name)) for outcome in outcomes}
-    return {name: text for name, text in sorted(found.items()) if text}
+    texts = {outcome.name: deviation(outcome, settings, entries.get(outcome.name)) for outcome in outcomes}
+    return {name: text for name, text in sorted(texts.items()) if text}
 
 
 def updated(
@@ -158,7 +158,7 @@ def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
     versions = {name.strip(): value.strip() for name, colon, value in heads if colon}
     table = (re.sub(r"\s*,\s*", ",", line.strip()) for line in lines if not line.startswith("#"))
     rows = csv.DictReader(table)
-    lacking = [own.name for own in fields(PairBands) if own.name not in (rows.fieldnames or ())]
+    lacking = [column.name for column in fields(PairBands) if column.name not in (rows.fieldnames or ())]
     if set(lacking) - {"physics"}:
         raise InputError(
             f"{path} has no table of bands: column {lacking[0]} is missing",
@@ -172,11 +172,12 @@ def _entry(path: Path, number: int, row: Mapping[str, str]) -> PairBands:
     kinds = {"int": int, "float": float, "str": str}
     try:
         row = {"physics": "", **row}
-        entry = PairBands(**{own.name: kinds[str(own.type)](row[own.name]) for own in fields(PairBands)})
+        columns = fields(PairBands)
+        entry = PairBands(**{one.name: kinds[str(one.type)](row[one.name]) for one in columns})
         if entry.physics not in ("", *WORDS):
             raise ValueError(entry.physics)
     except (KeyError, TypeError, ValueError):
-        names = ", ".join(own.name for own in fields(PairBands))
+        names = ", ".join(column.name for column in fields(PairBands))
         raise InputError(f"line {number} of the table in {path} is not one", f"columns: {names}") from None
     return entry
 

@@ -47,27 +47,27 @@ def embedded(model: pin.Model, q: np.ndarray) -> np.ndarray:
     """A configuration (nq,) in coordinates whose differences are distances, see the module."""
     length, parts = reach(model) or 1.0, []
     for joint in Coordinates(model).joints:
-        own = q[joint.q]
+        values = q[joint.q]
         if joint.kind == "freeflyer":
-            parts += [own[:3] / length, Rotation.from_quat(own[3:]).as_matrix().ravel()]
+            parts += [values[:3] / length, Rotation.from_quat(values[3:]).as_matrix().ravel()]
         elif joint.kind == "spherical":
-            parts.append(Rotation.from_quat(own).as_matrix().ravel())
+            parts.append(Rotation.from_quat(values).as_matrix().ravel())
         elif joint.kind == "planar":
-            parts += [own[:2] / length, own[2:]]
+            parts += [values[:2] / length, values[2:]]
         else:
-            parts.append(own)
+            parts.append(values)
     return np.concatenate(parts)
 
 
 def distances(motions: Sequence[str]) -> np.ndarray:
     """Distances (n, n) of motions as `described`; NaN where one is unknown, or of another robot."""
     values = [np.frombuffer(base64.b64decode(motion), dtype="<f4") for motion in motions]
-    found = np.full((len(values), len(values)), np.nan)
+    matrix = np.full((len(values), len(values)), np.nan)
     for i, one in enumerate(values):
         for j, other in enumerate(values[: i + 1]):
             if len(one) and len(one) == len(other):
-                found[i, j] = found[j, i] = float(np.abs(one - other).max())
-    return found
+                matrix[i, j] = matrix[j, i] = float(np.abs(one - other).max())
+    return matrix
 
 
 def counted(objectives: Sequence[float], motions: Sequence[str]) -> tuple[int, int]:

@@ -120,14 +120,12 @@ class Outcome(Pair):
     def to_dict(self) -> dict[str, Any]:
         """JSON-able: the fields and derived verdicts."""
         verdict = {"ok": self.ok, "mode": self.mode, "detail": self.detail}
-        found = asdict(self) | verdict
-        found["perturbed"] = asdict(self.perturbed()) if self.starts else None
-        return found
+        return {**asdict(self), **verdict, "perturbed": asdict(self.perturbed()) if self.starts else None}
 
     @classmethod
-    def from_dict(cls, found: Mapping[str, Any]) -> Outcome:
+    def from_dict(cls, entry: Mapping[str, Any]) -> Outcome:
         """The inverse of `to_dict`. Raises KeyError, TypeError or ValueError for anything else."""
-        values = {field.name: found[field.name] for field in fields(cls)}
+        values = {field.name: entry[field.name] for field in fields(cls)}
         values |= {name: kind(**values[name]) for name, kind in PARTS.items() if values[name] is not None}
         values["starts"] = tuple(Attempt(**start) for start in values["starts"])
         return cls(**values)
@@ -139,21 +137,21 @@ def quantile(ordered: Sequence[int], part: float) -> int:
 
 
 class Ledger:
-    """Collects the events of a pair, from any process, into an `Outcome`."""
+    """Collects the events of a pair into an `Outcome`."""
 
     def __init__(self, case: Case) -> None:
         self.case = case
-        self.found: dict[str, Any] = {}
+        self.parts: dict[str, Any] = {}
         self.starts: dict[int | None, Attempt] = {}
 
     def add(self, event: Mapping[str, Any]) -> None:
-        """Take one event of `trajopt.study.suite.run`; those without figures are ignored."""
+        """Take one event of `trajopt.study.suite.pool`; those of another kind are ignored."""
         kind = event["event"]
         if kind == "start":
             start = Attempt(**event["values"])
             self.starts[start.seed] = start
         elif kind in PARTS:
-            self.found[kind] = PARTS[kind](**event["values"])
+            self.parts[kind] = PARTS[kind](**event["values"])
 
     def outcome(self, total_time: float) -> Outcome:
         """The result so far."""
@@ -162,5 +160,5 @@ class Ledger:
             robot=self.case.robot,
             starts=tuple(sorted(self.starts.values(), key=lambda start: start.seed or 0)),
             total_time=total_time,
-            **self.found,
+            **self.parts,
         )

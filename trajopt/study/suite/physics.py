@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from trajopt.errors import TrajoptError
 from trajopt.simulation.settings import Controller
@@ -30,18 +29,17 @@ class Physics:
     detail: str = ""
 
 
-def simulated(solution: Solution, target: Path | None = None, controller: Controller = "joints") -> Physics:
-    """Simulate a plan, or say why it cannot be. target: where the simulated motion is written."""
+def simulated(solution: Solution, controller: Controller = "joints") -> tuple[Physics, Solution | None]:
+    """Simulate a plan: the result and the motion, or why there is none."""
     from trajopt.simulation.simulate import simulate
 
     try:
-        found = simulate(solution, controller=controller)
-        if target is not None:
-            found.as_solution().save(target)
+        simulation = simulate(solution, controller=controller)
+        motion = simulation.as_solution()
     except (TrajoptError, ArithmeticError, ValueError) as error:
-        return Physics(detail=f"cannot be simulated: {' '.join(str(error).split())}")
-    report = found.report
-    return Physics(
+        return Physics(detail=f"cannot be simulated: {' '.join(str(error).split())}"), None
+    report = simulation.report
+    physics = Physics(
         word=FELL if report.fell else TRACKED if report.passed else OFF,
         base_error_end=report.base_error_end,
         base_error_max=report.base_error_max,
@@ -49,6 +47,7 @@ def simulated(solution: Solution, target: Path | None = None, controller: Contro
         missed=report.missed,
         detail="; ".join(report.failures),
     )
+    return physics, motion
 
 
 def in_words(physics: Physics) -> str:

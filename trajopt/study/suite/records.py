@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from trajopt.solution.file import write_bytes
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.outcome import Ledger, Outcome
 from trajopt.study.suite.settings import SuiteSettings
@@ -16,7 +17,8 @@ from trajopt.study.workers.records import JsonLines
 FILE = "results.jsonl"
 # Events of pairs that have not ended.
 EVENTS = "events.jsonl"
-LASTING = ("own", "physics", "start")
+# Suffix of files with a simulated motion.
+SIMULATED = "-simulated"
 
 
 class SuiteRecords:
@@ -41,16 +43,25 @@ class SuiteRecords:
         if not resume:
             self.close()
         known = {}
-        for entry in filter(self._is_own, entries):
+        for entry in filter(self._is_of_this_suite, entries):
             with contextlib.suppress(ValueError, KeyError, TypeError):  # invalid lines are skipped
                 outcome = Outcome.from_dict(entry["outcome"])
                 known[outcome.name] = outcome
         return {name: outcome for name, outcome in known.items() if not outcome.error}
 
     def told(self, pair: str, event: Mapping[str, Any]) -> None:
-        """Append one event of a pair that is running; those without figures are ignored."""
-        if event["event"] in LASTING:
-            self._events.append({**self._head, "pair": pair, "told": dict(event)})
+        """Append one event of a pair that is running."""
+        self._events.append({**self._head, "pair": pair, "told": dict(event)})
+
+    def save(self, case: Case, content: bytes | None, *, simulated: bool) -> None:
+        """Write the solution file of a pair; without content there is none."""
+        if self.folder is None:
+            return
+        name = f"{case.problem}@{Path(case.robot).stem}{SIMULATED if simulated else ''}.npz"
+        if content is None:
+            (self.folder / name).unlink(missing_ok=True)
+        else:
+            write_bytes(self.folder / name, content)
 
     def close(self) -> None:
         """All pairs have ended: their events are in their results."""
@@ -58,17 +69,17 @@ class SuiteRecords:
 
     def unfinished(self) -> dict[str, list[Mapping[str, Any]]]:
         """Events of this suite's settings and versions by pair; invalid lines are skipped."""
-        found: dict[str, list[Mapping[str, Any]]] = {}
-        for entry in filter(self._is_own, self._events.read()):
+        events: dict[str, list[Mapping[str, Any]]] = {}
+        for entry in filter(self._is_of_this_suite, self._events.read()):
             with contextlib.suppress(ValueError, KeyError, TypeError):
                 pair, event = entry["pair"], entry["told"]
                 Ledger(Case(problem="", robot="", takes_robot=False)).add(event)
-                found.setdefault(pair, []).append(event)
-        return found
+                events.setdefault(pair, []).append(event)
+        return events
 
     def add(self, outcome: Outcome) -> None:
         """Append one result."""
         self._results.append({**self._head, "outcome": outcome.to_dict()})
 
-    def _is_own(self, entry: Mapping[str, Any]) -> bool:
+    def _is_of_this_suite(self, entry: Mapping[str, Any]) -> bool:
         return {key: entry.get(key) for key in self._head} == self._head

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from trajopt.errors import InputError
 from trajopt.simulation.settings import Controller
 from trajopt.solving.solving import check_settings
+from trajopt.solving.time_limits import BESIDE, GRACE
 
 # Noise on the guess: a tenth of the natural units, metres of leg or half a dozen degrees.
 DEFAULT_SIGMA = 0.1
@@ -15,6 +16,10 @@ DEFAULT_SIGMA = 0.1
 MOST_STARTS = 10_000
 # Time limit of a solve, s: several times that of the library's longest on one core.
 DEFAULT_MAX_TIME = 300.0
+# Seconds of a task beside its solve: building, and functions that are not in the cache yet.
+BUILD_TIME = 300.0
+# Seconds that a timer of every kernel can take.
+MOST_TIME = 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +50,11 @@ class SuiteSettings:
         if self.controller != "joints" and not self.simulate:
             raise InputError("--controller has no effect here", "allowed: with --simulate")
         check_settings(self.solver, self.tolerance, self.max_iterations, self.max_time, self.sigma, 0)
+
+    @property
+    def longest(self) -> float:
+        """Time after which the process of a solve or a simulation is ended, s."""
+        return min(BUILD_TIME + self.max_time + BESIDE + GRACE, MOST_TIME)
 
     @property
     def seeds(self) -> tuple[int, ...]:

@@ -60,18 +60,22 @@ def outcome_table(outcomes: Sequence[Outcome], width: int) -> Table:
 
 
 def _cells(outcome: Outcome) -> dict[str, str]:
-    own = outcome.own
+    run = outcome.own
     cells = dict.fromkeys(COLUMNS, "") | {
         "problem": outcome.problem,
         "robot": outcome.robot,
         "solved": "yes" if outcome.ok else "NO",
         "failure": outcome.mode,
     }
-    if own is not None:
-        objective = "not finite" if own.objective is None else f"{own.objective:.5g}"
-        cells |= {"meshes": str(own.meshes), "iter": str(own.iterations), "time": f"{own.wall_time:.2f} s"}
-        cells |= {"objective": objective, "by its figure": own.figure}
-        cells["check"] = "" if own.used is None else f"{own.used:.2g}"
+    if run is not None:
+        objective = "not finite" if run.objective is None else f"{run.objective:.5g}"
+        cells |= {
+            "meshes": str(run.meshes),
+            "iter": str(run.iterations),
+            "time": f"{run.wall_time:.2f} s",
+        }
+        cells |= {"objective": objective, "by its figure": run.figure}
+        cells["check"] = "" if run.used is None else f"{run.used:.2g}"
     physics, starts = outcome.physics, outcome.perturbed()
     if physics is not None and physics.word:
         lengths = [
@@ -117,24 +121,24 @@ def _median(values: Sequence[float]) -> float | None:
 
 def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
     """The figures over all pairs in words, and the failures, one line per pair."""
-    found = summary(outcomes)
+    total = summary(outcomes)
     lines = [
-        f"{found['pairs']} pairs ({found['problems']} problems, {found['robots']} robots): "
-        f"{found['solved']} solved from their default guess"
+        f"{total['pairs']} pairs ({total['problems']} problems, {total['robots']} robots): "
+        f"{total['solved']} solved from their default guess"
     ]
-    kinds = {"legged": found["median_iterations_legged"], "fixed base": found["median_iterations_fixed_base"]}
+    kinds = {"legged": total["median_iterations_legged"], "fixed base": total["median_iterations_fixed_base"]}
     medians = [f"{kind} {median:g}" for kind, median in kinds.items() if median is not None]
     if medians:
-        lines.append(f"median iterations: {', '.join(medians)}; median time {found['median_time_s']:.2f} s")
-    if found["physics"] is not None:
-        counted = ", ".join(f"{count} {word}" for word, count in found["physics"].items())
+        lines.append(f"median iterations: {', '.join(medians)}; median time {total['median_time_s']:.2f} s")
+    if total["physics"] is not None:
+        counted = ", ".join(f"{count} {word}" for word, count in total["physics"].items())
         lines.append(f"physics: {counted}")
-    if found["perturbed"]:
-        share = found["perturbed_solved"] / found["perturbed"]
-        modes = "".join(f", {mode} {count}" for mode, count in found["perturbed_failures"].items())
+    if total["perturbed"]:
+        share = total["perturbed_solved"] / total["perturbed"]
+        modes = "".join(f", {mode} {count}" for mode, count in total["perturbed_failures"].items())
         lines.append(
-            f"perturbed starts: {found['perturbed_solved']} of {found['perturbed']} solved ({share:.1%}), "
-            f"worst pair {found['least_share_of_starts']:.0%}{modes}"
+            f"perturbed starts: {total['perturbed_solved']} of {total['perturbed']} solved ({share:.1%}), "
+            f"worst pair {total['least_share_of_starts']:.0%}{modes}"
         )
     lines += [
         f"failed: {outcome.name}: {outcome.mode}: {outcome.detail}" for outcome in outcomes if outcome.mode

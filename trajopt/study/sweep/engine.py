@@ -9,23 +9,21 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from trajopt.problem.catalogue import problem_modules
 from trajopt.solving.time_limits import GRACE
+from trajopt.study.runner import DONE, LOST, NOT_RUN, REFUSED, Ended, NotRunError, Task, run_tasks
 from trajopt.study.sweep.figures import figures
 from trajopt.study.sweep.plan import SweepPlan
 from trajopt.study.sweep.records import SweepRecords, SweepRequest
-from trajopt.study.sweep.result import DONE, LOST, NOT_COMPILED, REFUSED, Job, TimedRun
+from trajopt.study.sweep.result import NOT_COMPILED, Job, TimedRun
 from trajopt.study.sweep.run import calibrations, compiled, run_job, solve_reference
 from trajopt.study.sweep.summary import median_run
 from trajopt.study.workers.display import TaskDisplay
 from trajopt.study.workers.executor import ProcessPerTaskExecutor
-from trajopt.study.workers.running import RunningTasks
-from trajopt.study.workers.task import RefusedTaskError, TaskError, announced
 
 # A run is disturbed if its calibration exceeds this multiple of the fastest; on an idle machine they vary by
 # a few per cent (docs/front.md).
@@ -45,7 +43,7 @@ LEAST_SECONDS = 0.3
 CALIBRATIONS = 20
 # Modules loaded before the runs begin; the last would otherwise be loaded by the first re-integration.
 MODULES = ("trajopt.study.sweep.engine", "scipy.integrate")
-Task = Callable[..., dict[str, Any]]
+Key = TypeVar("Key")
 
 
 class Sweep:
@@ -72,7 +70,7 @@ class Sweep:
         self._lost: Counter[str] = Counter()
         self._given_up: set[str] = set()
         self._told = False
-        repeated = sum(run.attempt > 0 for run in records.found.runs.values())
+        repeated = sum(run.attempt > 0 for run in records.results.runs.values())
         self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(request.starts)) - repeated
 
     def run(self) -> None:
@@ -87,31 +85,41 @@ class Sweep:
             self._accuracy()
 
     def _tasks(self, jobs: int, cores: Sequence[int] = ()) -> ProcessPerTaskExecutor:
-        modules = (*problem_modules(), *MODULES)
-        return ProcessPerTaskExecutor(jobs, cores=cores, preload=modules, on_event=self._display.show)
+        return ProcessPerTaskExecutor(jobs, cores=cores, preload=(*problem_modules(), *MODULES))
 
-    def _values(self, name: str, limit: float, function: Task, *args: Any) -> dict[str, Any]:
+    def _each(self, waiting: deque[Key], make: Callable[[Key], Task]) -> Iterator[Ended[Key]]:
+        """Run tasks, as many at a time as there are cores."""
+        self._display.more(len(waiting))
+        return run_tasks(
+            waiting,
+            make,
+            self._executor,
+            window=lambda: len(self._cores),
+            check=self._check,
+            show=self._display.show,
+        )
+
+    def _values(self, name: str, limit: float, function: Callable[..., Any], *args: Any) -> dict[str, Any]:
         """The result of one task while nothing else runs."""
-        self._display.more()
-        running = RunningTasks[str](self._executor, self._check)
-        running.submit(name, announced, name, limit, function, *args)
-        return _values(running.ended()[0][1])
+        task = Task(name=name, limit=limit, function=function, args=args)
+        (ended,) = self._each(deque([name]), lambda name: task)
+        return _values(ended)
 
     def _compile(self) -> None:
         """Functions of all settings, before anything is timed.
 
         Settings whose functions cannot be compiled are given up: a run that says so is recorded.
         """
-        request, found = self._request, self._records.found
+        request, results = self._request, self._records.results
         for name, setting in self._settings.items():
-            if found.attempts(name, 0):
+            if results.attempts(name, 0):
                 continue
-            if setting.functions not in found.compiled:
+            if setting.functions not in results.compiled:
                 values = self._values("compiling", request.build_time, compiled, request, setting)
                 self._records.add(compiled=[setting.functions, values])
                 text = f"{setting.functions}: compiled in {values.get('compile_time', 0):.1f} s"
-                self._display.finished("compiling", text if values.get("functions_compiled") else "")
-            values = found.compiled[setting.functions]
+                self._display.finished(text if values.get("functions_compiled") else "")
+            values = results.compiled[setting.functions]
             if values["kind"] != DONE:
                 job = asdict(Job(setting=name, start=0))
                 run = TimedRun(**job, status=NOT_COMPILED, detail=values["detail"])
@@ -119,55 +127,53 @@ class Sweep:
                 self._display.note(f"{self._labels[name]}: not compiled ({values['detail']})")
 
     def _calibrate(self) -> None:
-        if not self._records.found.calibrations:
+        if not self._records.results.calibrations:
             values = self._values("fixed load", GRACE, calibrations, CALIBRATIONS)
             self._records.add(calibrations=values.get("seconds", []))
-            self._display.finished("fixed load")
+            self._display.finished()
 
     @property
     def _least_load(self) -> float:
         """The fastest calibration so far, s."""
-        found = self._records.found
-        known = [run.calibration for run in found.runs.values() if run.calibration is not None]
-        return min([*found.calibrations, *known], default=float("inf"))
+        results = self._records.results
+        known = [run.calibration for run in results.runs.values() if run.calibration is not None]
+        return min([*results.calibrations, *known], default=float("inf"))
 
     def _runs(self) -> None:
         waiting, begin = deque(self._missing()), time.perf_counter()
-        self._display.more(len(waiting))
-        running = RunningTasks[Job](self._executor, self._check)
-        while waiting or running:
-            while waiting and len(running) < len(self._cores):
-                job = waiting.popleft()
-                if job.setting in self._given_up:
-                    self._display.more(-1)
-                else:
-                    running.submit(job, *self._task(job))
-            for job, future in running.ended():
-                run = self._judged(job, future)
-                self._records.add(run=asdict(run))
-                self._display.finished(self._name(job), f"{self._name(job)}: {run_text(run)}")
-                self._estimate(run, time.perf_counter() - begin, waiting)
-                if run.disturbed and job.attempt < RETRIES and self._again > 0:
-                    self._again -= 1
-                    waiting.append(replace(job, attempt=job.attempt + 1))
-                    self._display.more()
+        for ended in self._each(waiting, self._task):
+            job = ended.key
+            if ended.kind == NOT_RUN:
+                self._display.more(-1)
+                continue
+            run = self._judged(ended)
+            self._records.add(run=asdict(run))
+            self._display.finished(f"{ended.name}: {run_text(run)}")
+            self._estimate(run, time.perf_counter() - begin, waiting)
+            if run.disturbed and job.attempt < RETRIES and self._again > 0:
+                self._again -= 1
+                waiting.append(replace(job, attempt=job.attempt + 1))
+                self._display.more()
 
-    def _task(self, job: Job) -> tuple[Any, ...]:
+    def _task(self, job: Job) -> Task:
+        """The task of a run. Raises `NotRunError` where its setting is given up."""
         request, setting = self._request, self._settings[job.setting]
+        if job.setting in self._given_up:
+            raise NotRunError(f"{self._labels[job.setting]} is given up")
         solves = 2 if setting.start == "warm" else 1
         limit = solves * request.max_time + request.build_time
-        file = self._records.solution_file(setting, job)
-        return announced, self._name(job), limit, run_job, request, setting, job, file
+        args = (request, setting, job, self._records.solution_file(setting, job))
+        return Task(name=self._name(job), limit=limit, function=run_job, args=args)
 
     def _name(self, job: Job) -> str:
         return f"{self._labels[job.setting]}, {_start_text(job)}"
 
     def _missing(self) -> list[Job]:
         """Jobs of all rounds that are not recorded; attempts are counted on."""
-        jobs, found = [], self._records.found
+        jobs, results = [], self._records.results
         for start in self._request.starts:
             for name in self._settings:
-                tried = found.attempts(name, start)
+                tried = results.attempts(name, start)
                 for run in tried:
                     self._count(run)
                 if not tried:
@@ -177,15 +183,14 @@ class Sweep:
                     jobs.append(Job(setting=name, start=start, attempt=tried[-1].attempt + 1))
         return jobs
 
-    def _judged(self, job: Job, future: Future[TimedRun]) -> TimedRun:
-        """The run of a future, judged by the calibrations."""
-        try:
-            run = future.result()
-        except TaskError as error:
-            run = TimedRun(**asdict(job), status=_kind(error), detail=str(error))
-        else:
+    def _judged(self, ended: Ended[Job]) -> TimedRun:
+        """What became of a run, judged by the calibrations."""
+        if ended.kind == DONE:
+            run: TimedRun = ended.value
             slow = (run.calibration or 0.0) > DISTURBED_LOAD * self._least_load
             run = replace(run, disturbed=slow or (run.cpu_share or 1.0) < LEAST_SHARE)
+        else:
+            run = TimedRun(**asdict(ended.key), status=_status(ended), detail=ended.detail)
         self._count(run)
         return run
 
@@ -209,7 +214,7 @@ class Sweep:
 
     def _reference(self) -> None:
         """The converged reference, once; a failure is recorded as the reason for missing figures."""
-        known, file = self._records.found.reference, self._records.reference_file
+        known, file = self._records.results.reference, self._records.reference_file
         if known is not None and (file.exists() or not known["ok"]):
             return
         request = self._request
@@ -218,49 +223,46 @@ class Sweep:
         ok = values["kind"] == DONE
         text = values["text"] if ok else values["detail"]
         self._records.add(reference={"ok": ok, "text": text})
-        self._display.finished("reference", f"reference: {text}")
+        self._display.finished(f"reference: {text}")
 
     def _accuracy(self) -> None:
         """The accuracy of each setting's median run."""
         reference = self._records.reference_file if self._records.reference_file.exists() else None
-        running = RunningTasks[TimedRun](self._executor, self._check)
-        for run in self._unmeasured():
+
+        def make(run: TimedRun) -> Task:
             file = self._records.solution_file(self._settings[run.setting], run.job)
             name = f"{self._labels[run.setting]}: accuracy"
-            task = (ACCURACY_TIME, figures, file, reference)
-            running.submit(run, announced, name, *task)
-        self._display.more(len(running))
-        while running:
-            for run, future in running.ended():
-                text = ""
-                label, values = self._labels[run.setting], _values(future)
-                if values.pop("kind") != DONE:
-                    text = f"{label}: no accuracy: {values.pop('detail')}"
-                self._records.add(accuracy=[asdict(run.job), reference is not None, values])
-                self._display.finished(f"{label}: accuracy", text)
+            return Task(name=name, limit=ACCURACY_TIME, function=figures, args=(file, reference))
+
+        for ended in self._each(deque(self._unmeasured()), make):
+            text, run, values = "", ended.key, _values(ended)
+            if values.pop("kind") != DONE:
+                text = f"{self._labels[run.setting]}: no accuracy: {values.pop('detail')}"
+            self._records.add(accuracy=[asdict(run.job), reference is not None, values])
+            self._display.finished(text)
 
     def _unmeasured(self) -> list[TimedRun]:
-        found, missing = self._records.found, []
+        results, missing = self._records.results, []
         has_reference = self._records.reference_file.exists()
         for name in self._settings:
-            run = median_run(found, name, self._request.starts)
+            run = median_run(results, name, self._request.starts)
             if run is not None and run.success:
-                job, against, _ = found.accuracy.get(name, (None, False, {}))
+                job, against, _ = results.accuracy.get(name, (None, False, {}))
                 if job != run.job or against != has_reference:
                     missing.append(run)
         return missing
 
 
-def _kind(error: TaskError) -> str:
-    return REFUSED if isinstance(error, RefusedTaskError) else LOST
+def _status(ended: Ended[Any]) -> str:
+    """`REFUSED`, or `LOST`, also by the time limit."""
+    return REFUSED if ended.kind == REFUSED else LOST
 
 
-def _values(future: Future[dict[str, Any]]) -> dict[str, Any]:
+def _values(ended: Ended[Any]) -> dict[str, Any]:
     """The result of a task as recorded: with its kind, and the detail of a lost one."""
-    try:
-        return {"kind": DONE, **future.result()}
-    except TaskError as error:
-        return {"kind": _kind(error), "detail": str(error)}
+    if ended.kind == DONE:
+        return {"kind": DONE, **ended.value}
+    return {"kind": _status(ended), "detail": ended.detail}
 
 
 def _start_text(job: Job) -> str:

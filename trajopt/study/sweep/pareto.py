@@ -40,12 +40,12 @@ def dominators(points: Sequence[Point], gain: float = 0.0) -> list[int | None]:
     ``gain``. A point that is not measured also has None.
     """
     best = front(points, gain)
-    found: list[int | None] = []
+    dominating: list[int | None] = []
     for i, (time, error) in enumerate(points):
         over = [j for j in best if points[j][0] <= time and (1 - gain) * points[j][1] <= error]
         on_it = i in best or not is_measured(points[i])
-        found.append(None if on_it else max(over, key=lambda j: _lead(points[j], (time, error))))
-    return found
+        dominating.append(None if on_it else max(over, key=lambda j: _lead(points[j], (time, error))))
+    return dominating
 
 
 def _lead(first: Point, second: Point) -> float:

@@ -67,11 +67,11 @@ def make_plan(
     values = {axis: tuple(dict.fromkeys(given)) for axis, given in (named or {}).items() if given}
     fixed = {axis: given[0] for axis, given in values.items() if len(given) == 1}
     varied = {axis: given for axis, given in values.items() if len(given) > 1}
-    own = own_setting(problem)
-    base = replace(own, **fixed)
+    default = own_setting(problem)
+    base = replace(default, **fixed)
     for axis, given in values.items():
         for value in given:
-            _require(problem, replace(own, **{axis: value}))
+            _require(problem, replace(default, **{axis: value}))
     notes: list[str] = []
     if full:
         settings: Iterable[Setting] = _product(base, varied)
@@ -139,7 +139,7 @@ def _default(
 
 def _alternatives(problem: Problem, base: Setting, notes: list[str]) -> dict[str, tuple[Any, ...]]:
     """Values of each factor besides the base; ``notes`` gets those that do not apply to the problem."""
-    found: dict[str, tuple[Any, ...]] = {
+    alternatives: dict[str, tuple[Any, ...]] = {
         "solver": WORDS["solver"],
         "tolerance": TOLERANCES,
         "hessian": HESSIANS,
@@ -152,8 +152,8 @@ def _alternatives(problem: Problem, base: Setting, notes: list[str]) -> dict[str
         except InputError as error:
             notes.append(f"{axis} {', '.join(values)}: {error.what}")
         else:
-            found[axis] = values
-    return found
+            alternatives[axis] = values
+    return alternatives
 
 
 def _require(problem: Problem, setting: Setting) -> None:

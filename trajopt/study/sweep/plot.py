@@ -101,17 +101,17 @@ def _label(axes: Axes, row: Summary, taken: list[Bbox], *, must: bool) -> None:
     distances = DISTANCES if must else DISTANCES[:2]
     places = [(distance, direction) for distance in distances for direction in DIRECTIONS]
     for last, (distance, direction) in enumerate(places, 1 - len(places)):
-        found = axes.annotate(
+        annotation = axes.annotate(
             text, (row.time, row.error), fontsize=FRONT_FONT if must else OTHER_FONT, color=color,
             xytext=(distance * direction[0], distance * direction[1] * 0.8), textcoords="offset points",
             ha=("right", "center", "left")[direction[0] + 1],
             va=("top", "center", "bottom")[direction[1] + 1],
             arrowprops=line if distance >= LINE_FROM else None,
         )  # fmt: skip
-        found.get_window_extent()  # puts the text where it belongs
-        box = Text.get_window_extent(found)  # without the line to its marker
+        annotation.get_window_extent()  # puts the text where it belongs
+        box = Text.get_window_extent(annotation)  # without the line to its marker
         inside = frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1
         if (inside and not box.count_overlaps(taken)) or (must and last == 0):
             taken.append(box)
             return
-        found.remove()
+        annotation.remove()

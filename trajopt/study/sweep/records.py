@@ -102,8 +102,8 @@ class SweepResults:
 
     def attempts(self, setting: str, start: int) -> list[TimedRun]:
         """Runs of one setting from one start, in order."""
-        found = [run for run in self.runs.values() if (run.setting, run.start) == (setting, start)]
-        return sorted(found, key=lambda run: run.attempt)
+        runs = [run for run in self.runs.values() if (run.setting, run.start) == (setting, start)]
+        return sorted(runs, key=lambda run: run.attempt)
 
     def best(self, setting: str, start: int) -> TimedRun | None:
         """The least disturbed attempt: the first undisturbed one, else that of the fastest machine."""
@@ -140,10 +140,10 @@ class SweepRecords:
 
     def __init__(self, folder: Path, head: Mapping[str, Any], *, resume: bool) -> None:
         self.folder = expanded(folder)
-        self.found = SweepResults()
+        self.results = SweepResults()
         file = self.folder / FILE
-        own = (self.folder / REFERENCE, *(self.folder / SOLUTIONS).glob("*.npz"))
-        foreign = [] if file.exists() else [path for path in own if path.exists()]
+        files = (self.folder / REFERENCE, *(self.folder / SOLUTIONS).glob("*.npz"))
+        foreign = [] if file.exists() else [path for path in files if path.exists()]
         if foreign:
             raise InputError(f"{foreign[0]} is there, without a sweep", "allowed: another --output-dir")
         self._lines = JsonLines(file)
@@ -158,7 +158,7 @@ class SweepRecords:
         self._require(first.get("head"), head)
         for entry in entries:
             with suppress(ValueError, KeyError, TypeError):  # damaged: skipped, and run again
-                self.found.add(entry)
+                self.results.add(entry)
 
     def _require(self, known: Any, head: Mapping[str, Any]) -> None:
         for name, words in HEAD.items():
@@ -180,4 +180,4 @@ class SweepRecords:
     def add(self, **entry: Any) -> None:
         """Record a result, see `SweepResults.add`."""
         self._lines.append(entry)
-        self.found.add(entry)
+        self.results.add(entry)

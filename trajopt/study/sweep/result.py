@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-# Outcomes of a task. Of a run, besides the solver's statuses: the setting does not fit the problem, or the
-# process was lost.
-DONE = "done"
-REFUSED = "refused"
-LOST = "lost"
+from trajopt.study.runner import REFUSED
+
+# Of a setting whose functions cannot be compiled; other statuses are the solver's, `REFUSED` and `LOST`.
 NOT_COMPILED = "not_compiled"
 
 

@@ -61,10 +61,10 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
     load = Load()
     before = load.seconds()
     begin, processor = time.perf_counter(), time.process_time()
-    found = _repeated(asked, setting, job, request)
+    solves = _repeated(asked, setting, job, request)
     elapsed, busy = time.perf_counter() - begin, time.process_time() - processor
     after = load.seconds()
-    made, first = sorted(found, key=lambda made: made.time)[len(found) // 2], found[0]
+    made, first = sorted(solves, key=lambda made: made.time)[len(solves) // 2], solves[0]
     solution, statistics = made.parts[-1], made.parts[-1].statistics
     objective = statistics.objective
     if setting.model == "two-stage" and solution.converged:
@@ -110,9 +110,9 @@ def compiled(request: SweepRequest, setting: Setting) -> dict[str, Any]:
 
 def solve_reference(request: SweepRequest, file: Path) -> dict[str, Any]:
     """Write the converged reference; returns its description. Raises TrajoptError if none is found."""
-    found = converged_reference(request.load(), max_time=request.reference_time)
-    found.solution.save(file)
-    return {"text": str(found)}
+    reference = converged_reference(request.load(), max_time=request.reference_time)
+    reference.solution.save(file)
+    return {"text": str(reference)}
 
 
 def calibrations(count: int) -> dict[str, Any]:
@@ -126,10 +126,10 @@ def _repeated(problem: Problem, setting: Setting, job: Job, request: SweepReques
 
     The first solve of a process pays for loading pages and libraries.
     """
-    found = [_solve(problem, setting, job, request)]
-    while found[0].time < SHORT and len(found) < TIMES:
-        found.append(_solve(problem, setting, job, request))
-    return found
+    solves = [_solve(problem, setting, job, request)]
+    while solves[0].time < SHORT and len(solves) < TIMES:
+        solves.append(_solve(problem, setting, job, request))
+    return solves
 
 
 def _solve(problem: Problem, setting: Setting, job: Job, request: SweepRequest) -> _Made:

@@ -105,9 +105,9 @@ class Setting:
     def from_dict(cls, values: Mapping[str, Any]) -> Setting:
         """The inverse of `to_dict`; text is converted. Raises InputError."""
         try:
-            found = {axis.name: values[axis.name] for axis in fields(cls)}
+            chosen = {axis.name: values[axis.name] for axis in fields(cls)}
             return cls(
-                **found | {"intervals": int(found["intervals"]), "tolerance": float(found["tolerance"])}
+                **chosen | {"intervals": int(chosen["intervals"]), "tolerance": float(chosen["tolerance"])}
             )
         except (KeyError, TypeError, ValueError):
             names = ", ".join(axis.name for axis in fields(cls))
@@ -116,13 +116,13 @@ class Setting:
     @classmethod
     def parse(cls, text: str, base: Setting) -> Setting:
         """``base`` with the words of ``text`` in place of its own, as in ``legendre:1@10 sqp 1e-3``."""
-        found: dict[str, Any] = {}
+        chosen: dict[str, Any] = {}
         for word in text.replace(",", " ").split():
             for axis, value in _meaning(word).items():
-                if axis in found:
+                if axis in chosen:
                     raise InputError(f"setting '{text}' gives its {axis} twice", "allowed: once")
-                found[axis] = value
-        return replace(base, **found)
+                chosen[axis] = value
+        return replace(base, **chosen)
 
 
 def _meaning(word: str) -> dict[str, Any]:

@@ -75,15 +75,15 @@ class Summary:
         return float(statistics.median(known)) if known else None
 
 
-def median_run(found: SweepResults, setting: str, starts: Iterable[int]) -> TimedRun | None:
+def median_run(results: SweepResults, setting: str, starts: Iterable[int]) -> TimedRun | None:
     """The run of the (upper) median time over all starts; failed ones are the slowest."""
-    runs = [run for start in starts if (run := found.best(setting, start)) is not None]
+    runs = [run for start in starts if (run := results.best(setting, start)) is not None]
     return sorted(runs, key=lambda run: (run.time, run.start))[len(runs) // 2] if runs else None
 
 
-def summarize(plan: SweepPlan, found: SweepResults, starts: Sequence[int]) -> tuple[Summary, ...]:
+def summarize(plan: SweepPlan, results: SweepResults, starts: Sequence[int]) -> tuple[Summary, ...]:
     """All settings of a plan, in its order."""
-    rows = [_summary(plan, found, starts, setting) for setting in plan.settings]
+    rows = [_summary(plan, results, starts, setting) for setting in plan.settings]
     points = [row.objectives for row in rows]
     best = set(front(points, GAIN))
     over = dominators(points, GAIN)
@@ -93,32 +93,32 @@ def summarize(plan: SweepPlan, found: SweepResults, starts: Sequence[int]) -> tu
     )
 
 
-def _summary(plan: SweepPlan, found: SweepResults, starts: Sequence[int], setting: Setting) -> Summary:
+def _summary(plan: SweepPlan, results: SweepResults, starts: Sequence[int], setting: Setting) -> Summary:
     name = setting.name
-    median = median_run(found, name, starts)
-    job, _, figures = found.accuracy.get(name, (None, False, {}))
+    median = median_run(results, name, starts)
+    job, _, figures = results.accuracy.get(name, (None, False, {}))
     known = median is not None and median.success and job == median.job
     return Summary(
         setting=setting,
         label=setting.label(plan.base),
         is_default=setting == plan.base,
-        runs=tuple(run for start in starts if (run := found.best(name, start)) is not None),
+        runs=tuple(run for start in starts if (run := results.best(name, start)) is not None),
         median=median,
         accuracy=dict(figures) if known else {},
-        compiled=found.compiled.get(setting.functions, {}),
+        compiled=results.compiled.get(setting.functions, {}),
     )
 
 
-def disturbance(found: SweepResults) -> dict[str, Any]:
+def disturbance(results: SweepResults) -> dict[str, Any]:
     """How steady the machine was: calibrations over the fastest one, and the runs out of bounds."""
-    known = sorted(run.calibration for run in found.runs.values() if run.calibration is not None)
-    shares = [run.cpu_share for run in found.runs.values() if run.cpu_share is not None]
-    least = min([*known, *found.calibrations], default=math.nan)
+    known = sorted(run.calibration for run in results.runs.values() if run.calibration is not None)
+    shares = [run.cpu_share for run in results.runs.values() if run.cpu_share is not None]
+    least = min([*known, *results.calibrations], default=math.nan)
     if not known:
-        return {"runs": len(found.runs), "disturbed": 0}
+        return {"runs": len(results.runs), "disturbed": 0}
     return {
-        "runs": len(found.runs),
-        "disturbed": sum(run.disturbed for run in found.runs.values()),
+        "runs": len(results.runs),
+        "disturbed": sum(run.disturbed for run in results.runs.values()),
         "calibration_s": least,
         "calibration_median": statistics.median(known) / least,
         "calibration_90": known[math.ceil(0.9 * len(known)) - 1] / least,

@@ -28,11 +28,11 @@ SECONDS = ("wall_time", "start_time", "stage_two_time", "function_time", "build_
 Row = dict[str, Any]
 
 
-def run_rows(problem: str, settings: Sequence[Setting], found: SweepResults) -> list[Row]:
+def run_rows(problem: str, settings: Sequence[Setting], results: SweepResults) -> list[Row]:
     """All runs in order, disturbed attempts included."""
     by_name = {setting.name: setting for setting in settings}
     rows = []
-    for run in found.runs.values():
+    for run in results.runs.values():
         setting = by_name[run.setting]
         figures = {
             f"{name}_s" if name.endswith("time") or name == "calibration" else name: getattr(run, name)
@@ -61,7 +61,7 @@ def _motion_kind(problem: Problem) -> str:
 
 
 def _setting_row(row: Summary, units: Units, duration: float, default: float) -> Row:
-    setting, own = row.setting, next((run for run in row.runs if run.start == 0), None)
+    setting, first = row.setting, next((run for run in row.runs if run.start == 0), None)
     times = [run.time for run in row.solved]
     return {
         "label": row.label,
@@ -83,7 +83,7 @@ def _setting_row(row: Summary, units: Units, duration: float, default: float) ->
         "calibration_s": row.median_of("calibration"),
         "time_least_s": min(times, default=None),
         "time_most_s": max(times, default=None),
-        "time_own_guess_s": None if own is None else own.time,
+        "time_own_guess_s": None if first is None else first.time,
         **{f"{name}_s": row.median_of(name) for name in SECONDS},
         "compile_time_s": row.compiled.get("compile_time"),
         "functions_compiled": row.compiled.get("functions_compiled"),
@@ -99,7 +99,7 @@ def _setting_row(row: Summary, units: Units, duration: float, default: float) ->
 
 
 def write_tables(
-    folder: Path, name: str, problem: Problem, found: SweepResults, summaries: Sequence[Summary]
+    folder: Path, name: str, problem: Problem, results: SweepResults, summaries: Sequence[Summary]
 ) -> list[Row]:
     """Write ``runs.csv``, ``settings.csv`` and ``front.csv``; the rows of the second.
 
@@ -107,7 +107,7 @@ def write_tables(
     """
     rows = setting_rows(name, problem, summaries)
     best = sorted((row for row in rows if row["on_front"]), key=lambda row: row["time_s"])
-    write_csv(folder / RUNS, run_rows(name, [summary.setting for summary in summaries], found))
+    write_csv(folder / RUNS, run_rows(name, [summary.setting for summary in summaries], results))
     write_csv(folder / SETTINGS, rows)
     write_csv(folder / FRONT, best, list(rows[0]))
     return rows

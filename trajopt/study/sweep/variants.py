@@ -14,12 +14,12 @@ KINDS: dict[str, type[ContactConstraint]] = {"smooth": FrictionCone, "pyramid": 
 
 def cone_of(problem: Problem) -> str | None:
     """``smooth`` or ``pyramid``, ``own`` for terms of both kinds, None without a friction term for points."""
-    found = {
+    kinds = {
         kind for kind, term_type in KINDS.items() if any(type(term) is term_type for term in problem.terms)
     }
-    if len(found) == 1:
-        return found.pop()
-    return "own" if found else None
+    if len(kinds) == 1:
+        return kinds.pop()
+    return "own" if kinds else None
 
 
 def with_cone(problem: Problem, kind: str) -> Problem:
@@ -29,10 +29,10 @@ def with_cone(problem: Problem, kind: str) -> Problem:
     The cones of soles (`SoleCone`) are pyramids already and stay. Raises InputError where there is no
     friction term.
     """
-    own = cone_of(problem)
-    if kind in ("own", own):
+    current = cone_of(problem)
+    if kind in ("own", current):
         return problem
-    if own is None:
+    if current is None:
         raise InputError(
             f"problem '{problem.name}' has no friction term of point contacts", "allowed: no --cone"
         )

@@ -47,14 +47,13 @@ class TaskDisplay:
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=20),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[state]}", markup=False),
             TimeElapsedColumn(),
             console=console,
             transient=True,
             disable=not sys.stderr.isatty() or console.is_dumb_terminal,
         )
         self._total = total
-        self._all = self._progress.add_task(title, total=total, completed=done, state="")
+        self._all = self._progress.add_task(title, total=total, completed=done)
         self._running: dict[str, TaskID] = {}
 
     def __enter__(self) -> TaskDisplay:
@@ -68,21 +67,21 @@ class TaskDisplay:
         """Say something."""
         self._progress.console.print(text)
 
-    def show(self, name: str, state: str = "", *, steps: int = 1, advance: int = 0) -> None:
-        """Update a running task: its number of steps, current activity, and newly done steps."""
-        if name not in self._running:
-            self._running[name] = self._progress.add_task(name, total=steps, state=state)
-        self._progress.update(self._running[name], state=state, advance=advance)
+    def show(self, names: Collection[str]) -> None:
+        """Show these tasks as those that run."""
+        for name in [name for name in self._running if name not in names]:
+            self._progress.remove_task(self._running.pop(name))
+        for name in names:
+            if name not in self._running:
+                self._running[name] = self._progress.add_task(name, total=None)
 
     def more(self, count: int = 1) -> None:
         """Change the number of tasks."""
         self._total += count
         self._progress.update(self._all, total=self._total)
 
-    def finished(self, name: str, text: str = "") -> None:
+    def finished(self, text: str = "") -> None:
         """A task has ended: its line, if any, above what runs."""
-        if name in self._running:
-            self._progress.remove_task(self._running.pop(name))
         self._progress.advance(self._all)
         if text:
             self.note(text)

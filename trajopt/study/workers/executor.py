@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from typing import IO, Any, TypeVar
 
-from trajopt.study.workers.task import DONE, EVENT, LIMIT, LostTaskError, TaskTimeoutError, serve_task
+from trajopt.study.workers.task import DONE, LIMIT, LostTaskError, TaskTimeoutError, serve_task
 
 _Result = TypeVar("_Result")
 # Environment of the server, and so of all tasks: one thread each, because there is a task per processor, and
@@ -62,7 +62,6 @@ class ProcessPerTaskExecutor(Executor):
         max_workers: tasks at a time.
         cores: a processor for each of them, to which it is pinned; default: none is.
         preload: modules that the server loads, where it does not run yet; there is one server in a process.
-        on_event: called with events of tasks, by threads of the executor, one event of a task at a time.
     """
 
     def __init__(
@@ -71,12 +70,10 @@ class ProcessPerTaskExecutor(Executor):
         *,
         cores: Sequence[int] = (),
         preload: Sequence[str] = (),
-        on_event: Callable[[Any], None] = lambda event: None,
     ) -> None:
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload([serve_task.__module__, *preload])
         self._threads = ThreadPoolExecutor(max_workers)
-        self._on_event = on_event
         self._running: set[ForkServerProcess] = set()
         self._cancelled = False
         self._cores: queue.SimpleQueue[int | None] = queue.SimpleQueue()
@@ -139,12 +136,9 @@ class ProcessPerTaskExecutor(Executor):
                 raise _lost(process, limit, said) from None
             if kind == DONE:
                 return value
-            if kind == EVENT:
-                self._on_event(value)
-            elif kind == LIMIT:
-                limit = value
-            else:
+            if kind != LIMIT:
                 raise value
+            limit = value
 
 
 def processors() -> int:

@@ -56,11 +56,11 @@ class JsonLines:
         """All objects; invalid lines are skipped: their results are computed again."""
         if self.path is None or not self.path.is_file():
             return []
-        found = []
+        entries = []
         for line in self.path.read_text(encoding="utf-8").splitlines():
             with suppress(ValueError):
-                found.append(json.loads(line))
-        return [entry for entry in found if isinstance(entry, dict)]
+                entries.append(json.loads(line))
+        return [entry for entry in entries if isinstance(entry, dict)]
 
     def append(self, entry: Mapping[str, Any]) -> None:
         """Write one object."""

@@ -1,4 +1,4 @@
-"""The process of a task: the events it sends to the waiting process, and how it ends."""
+"""The process of a task: its time limit, and how it ends."""
 
 from __future__ import annotations
 
@@ -10,16 +10,13 @@ import os
 import pickle
 import select
 import signal
-from collections.abc import Callable
 from multiprocessing.connection import Connection
-from typing import Any, TypeVar
 
 from trajopt.errors import TrajoptError
 
-# Kinds of message from a task's process: an event, the start of a time limit, the result, an error.
-EVENT, LIMIT, DONE, FAILED = "event", "limit", "done", "failed"
+# Kinds of message from a task's process: the start of a time limit, the result, an error.
+LIMIT, DONE, FAILED = "limit", "done", "failed"
 
-_Result = TypeVar("_Result")
 _answers: Connection | None = None
 
 
@@ -39,27 +36,14 @@ class TaskTimeoutError(LostTaskError):
     """The task was ended because of its time limit."""
 
 
-def tell(event: Any) -> None:
-    """Pass an event to the executor's ``on_event``; ignored if the task has no separate process."""
-    if _answers is not None:
-        _answers.send((EVENT, event))
-
-
-def limit_time(seconds: float, stage: str = "") -> None:
+def limit_time(seconds: float) -> None:
     """Give this task's process this many seconds from now, in place of the previous limit.
 
     The kernel ends it (SIGALRM), in whatever library it hangs. Ignored if the task has no separate process.
     """
     if _answers is not None:
-        _answers.send((LIMIT, f"{stage} killed after {seconds:g} s".lstrip()))
+        _answers.send((LIMIT, f"killed after {seconds:g} s"))
         signal.setitimer(signal.ITIMER_REAL, seconds)
-
-
-def announced(name: str, seconds: float, function: Callable[..., _Result], *args: Any) -> _Result:
-    """The result of a function, as a task that sends its name first and has a time limit, s."""
-    tell(name)
-    limit_time(seconds)
-    return function(*args)
 
 
 def serve_task(answers: Connection, said: str, core: int | None, task: bytes) -> None:

@@ -1,4 +1,4 @@
-"""A running Dask cluster as an executor: its scheduler retries and replaces lost workers."""
+"""Where tasks run: processes on this machine, a given executor, or a running Dask cluster."""
 
 from __future__ import annotations
 
@@ -11,12 +11,17 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from trajopt.errors import InputError
+from trajopt.study.runner import local_executor
+from trajopt.study.workers.executor import processors
 from trajopt.versions import optional_package
 
 # Seconds in which a scheduler has to answer.
 PATIENCE = 10.0
-# Tasks at a time for each thread of the workers, so that none waits for the next one; at least so many while
-# workers come.
+# Tasks at a time for each process on this machine, and of an executor that does not say how many workers it
+# has.
+AHEAD_HERE, MOST_AHEAD = 2, 1000
+# Tasks at a time for each thread of Dask's workers, so that none waits for the next one; at least so many
+# while workers come.
 AHEAD, LEAST_AHEAD = 3, 8
 RUNS = "running"
 # Seconds after which workers are counted again.
@@ -32,6 +37,28 @@ class Cluster:
     executor: Executor
     window: Callable[[], int]
     check: Callable[[], None]
+
+
+@contextmanager
+def local_or(executor: Executor | None, jobs: int | None) -> Iterator[Cluster]:
+    """An executor that is given, or processes on this machine, ended at the end."""
+    if executor is not None:
+        workers = getattr(executor, "_max_workers", None)
+        most = AHEAD_HERE * workers if workers else MOST_AHEAD
+        yield Cluster(executor=executor, window=lambda: most, check=lambda: None)
+        return
+    count = jobs or processors()
+    with local_executor(count) as processes:
+        yield Cluster(executor=processes, window=lambda: AHEAD_HERE * count, check=lambda: None)
+
+
+@contextmanager
+def chosen_cluster(scheduler: str | None, jobs: int | None) -> Iterator[Cluster]:
+    """What ``--scheduler`` and ``--jobs`` name. Raises `InputError` for both, or if no scheduler answers."""
+    if jobs is not None and scheduler is not None:
+        raise InputError("--jobs has no effect here", "allowed: without --scheduler")
+    with local_or(None, jobs) if scheduler is None else dask_cluster(scheduler) as cluster:
+        yield cluster
 
 
 def last_for(seconds: float) -> Callable[[Callable[[], int]], Callable[[], int]]:
