@@ -130,9 +130,9 @@ def joint_axis(model: pin.Model, index: int) -> tuple[np.ndarray, bool]:
     """Axis (3,) of a joint of one degree of freedom in its own frame, and whether the joint is revolute."""
     data = model.createData()
     columns = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
-    own = data.oMi[index].actInv(pin.Motion(columns[:, model.joints[index].idx_v]))
-    turns = bool(np.linalg.norm(own.angular) > TRANSLATION)
-    return np.array(own.angular if turns else own.linear), turns
+    motion = data.oMi[index].actInv(pin.Motion(columns[:, model.joints[index].idx_v]))
+    turns = bool(np.linalg.norm(motion.angular) > TRANSLATION)
+    return np.array(motion.angular if turns else motion.linear), turns
 
 
 def compile_bodies(bodies: Bodies) -> tuple[Any, CoordinateMap]:
@@ -156,14 +156,14 @@ def compile_bodies(bodies: Bodies) -> tuple[Any, CoordinateMap]:
 
 def _write_armature(compiled: Any, model: pin.Model, coordinates: CoordinateMap) -> None:
     for address in coordinates.addresses:
-        own = np.array(model.armature[address.joint.v])
+        armature = np.array(model.armature[address.joint.v])
         linear = {"freeflyer": 3, "planar": 2}.get(address.joint.kind, 0)
-        if own[:linear].any():
+        if armature[:linear].any():
             raise InputError(
-                f"joint '{address.joint.name}' has armatures {own[:linear]} kg along its body's axes",
+                f"joint '{address.joint.name}' has armatures {armature[:linear]} kg along its body's axes",
                 "allowed in a simulation: none along axes that turn with the body",
             )
-        compiled.dof_armature[address.v] = own
+        compiled.dof_armature[address.v] = armature
 
 
 def write_inertias(compiled: Any, model: pin.Model) -> None:

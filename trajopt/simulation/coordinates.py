@@ -46,61 +46,61 @@ class CoordinateMap:
 
     def to_mujoco(self, q: np.ndarray) -> np.ndarray:
         """MuJoCo's positions (n, nq') of Pinocchio's (n, nq)."""
-        found = np.zeros((len(q), self.nq))
+        qpos = np.zeros((len(q), self.nq))
         for address in self.addresses:
-            kind, own = address.joint.kind, q[:, address.joint.q]
+            kind, part = address.joint.kind, q[:, address.joint.q]
             if kind == "continuous":
-                found[:, address.q] = np.unwrap(np.arctan2(own[:, 1], own[:, 0]))[:, None]
+                qpos[:, address.q] = np.unwrap(np.arctan2(part[:, 1], part[:, 0]))[:, None]
             elif kind == "planar":
-                angle = np.unwrap(np.arctan2(own[:, 3], own[:, 2]))
-                found[:, address.q] = np.column_stack([own[:, :2], angle])
+                angle = np.unwrap(np.arctan2(part[:, 3], part[:, 2]))
+                qpos[:, address.q] = np.column_stack([part[:, :2], angle])
             elif kind in ("freeflyer", "spherical"):
-                found[:, address.q] = np.column_stack([own[:, :-4], own[:, -1], own[:, -4:-1]])
+                qpos[:, address.q] = np.column_stack([part[:, :-4], part[:, -1], part[:, -4:-1]])
             else:
-                found[:, address.q] = own
-        return found
+                qpos[:, address.q] = part
+        return qpos
 
     def from_mujoco(self, qpos: np.ndarray) -> np.ndarray:
         """Pinocchio's configurations (n, nq) of MuJoCo's (n, nq')."""
-        found = np.zeros((len(qpos), self.coordinates.nq))
+        q = np.zeros((len(qpos), self.coordinates.nq))
         for address in self.addresses:
-            kind, own = address.joint.kind, qpos[:, address.q]
+            kind, part = address.joint.kind, qpos[:, address.q]
             if kind == "continuous":
-                found[:, address.joint.q] = np.column_stack([np.cos(own), np.sin(own)])
+                q[:, address.joint.q] = np.column_stack([np.cos(part), np.sin(part)])
             elif kind == "planar":
-                angle = own[:, 2]
-                found[:, address.joint.q] = np.column_stack([own[:, :2], np.cos(angle), np.sin(angle)])
+                angle = part[:, 2]
+                q[:, address.joint.q] = np.column_stack([part[:, :2], np.cos(angle), np.sin(angle)])
             elif kind in ("freeflyer", "spherical"):
-                found[:, address.joint.q] = np.column_stack([own[:, :-4], own[:, -3:], own[:, -4]])
+                q[:, address.joint.q] = np.column_stack([part[:, :-4], part[:, -3:], part[:, -4]])
             else:
-                found[:, address.joint.q] = own
-        return found
+                q[:, address.joint.q] = part
+        return q
 
     def rates_to_mujoco(self, qpos: np.ndarray, v: np.ndarray) -> np.ndarray:
         """MuJoCo's velocities (or forces, which go the same way) (n, nv) at ``qpos`` (n, nq')."""
-        found = np.zeros_like(v, dtype=float)
+        qvel = np.zeros_like(v, dtype=float)
         for address in self.addresses:
-            found[:, address.v] = _turned(address, qpos, v[:, address.joint.v], back=False)
-        return found
+            qvel[:, address.v] = _turned(address, qpos, v[:, address.joint.v], back=False)
+        return qvel
 
     def rates_from_mujoco(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Pinocchio's velocities, or forces, (n, nv) of MuJoCo's at ``qpos`` (n, nq')."""
-        found = np.zeros_like(qvel, dtype=float)
+        v = np.zeros_like(qvel, dtype=float)
         for address in self.addresses:
-            found[:, address.joint.v] = _turned(address, qpos, qvel[:, address.v], back=True)
-        return found
+            v[:, address.joint.v] = _turned(address, qpos, qvel[:, address.v], back=True)
+        return v
 
     def accelerations_from_mujoco(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
         """Pinocchio's accelerations (n, nv): a = T' qacc - w x v in the linear rows of a moving base."""
-        found, v = self.rates_from_mujoco(qpos, qacc), self.rates_from_mujoco(qpos, qvel)
+        a, v = self.rates_from_mujoco(qpos, qacc), self.rates_from_mujoco(qpos, qvel)
         for address in self.addresses:
-            rows, own = address.joint.v, v[:, address.joint.v]
+            rows, part = address.joint.v, v[:, address.joint.v]
             if address.joint.kind == "freeflyer":
-                found[:, rows.start : rows.start + 3] -= np.cross(own[:, 3:], own[:, :3])
+                a[:, rows.start : rows.start + 3] -= np.cross(part[:, 3:], part[:, :3])
             elif address.joint.kind == "planar":
-                turned = own[:, 2:] * np.column_stack([-own[:, 1], own[:, 0]])
-                found[:, rows.start : rows.start + 2] -= turned
-        return found
+                turned = part[:, 2:] * np.column_stack([-part[:, 1], part[:, 0]])
+                a[:, rows.start : rows.start + 2] -= turned
+        return a
 
 
 def _turned(address: JointAddress, qpos: np.ndarray, rows: np.ndarray, *, back: bool) -> np.ndarray:
@@ -108,8 +108,8 @@ def _turned(address: JointAddress, qpos: np.ndarray, rows: np.ndarray, *, back: 
     kind = address.joint.kind
     if kind not in ("freeflyer", "planar"):
         return rows
-    own = qpos[:, address.q]
-    turn = _rotations(own[:, 3:]) if kind == "freeflyer" else _plane_rotations(own[:, 2])
+    part = qpos[:, address.q]
+    turn = _rotations(part[:, 3:]) if kind == "freeflyer" else _plane_rotations(part[:, 2])
     size = turn.shape[1]
     linear = np.einsum("nji,nj->ni" if back else "nij,nj->ni", turn, rows[:, :size])
     return np.column_stack([linear, rows[:, size:]])

@@ -80,8 +80,8 @@ def loaded_contacts(record: SimulationRecord, world: World) -> np.ndarray:
 
 def phase_surfaces(plan: Solution) -> TouchedSurfaces:
     """What contacts touch, at the first sample of each phase of the file."""
-    found = touched_surfaces(plan, sample_quantities(plan).position)
-    return rows_of(found, [phase.start for phase in plan.phases])
+    surfaces = touched_surfaces(plan, sample_quantities(plan).position)
+    return rows_of(surfaces, [phase.start for phase in plan.phases])
 
 
 def simulated_stances(
@@ -89,7 +89,7 @@ def simulated_stances(
 ) -> tuple[SimulatedStance, ...]:
     """Every planned stance, contact by contact."""
     n = min(len(record.feet), reference.planned)
-    loaded, surfaces, found = loaded_contacts(record, world)[:n], phase_surfaces(plan), []
+    loaded, surfaces, stances = loaded_contacts(record, world)[:n], phase_surfaces(plan), []
     gap = round(PULSES * world.units.time / reference.period)
     for contact in range(loaded.shape[1]):
         runs = _runs(reference.active[:n, contact])
@@ -99,10 +99,10 @@ def simulated_stances(
             # Up to mid-stance: a later load is not a touchdown.
             touch = np.flatnonzero(loaded[window : (first + end) // 2 + 1, contact])
             normal = surfaces.normal[reference.source[first], contact]
-            own = np.unique(reference.source[first:end])
-            free = bool((surfaces.bilateral | surfaces.slides)[own, contact].any())
+            phases = np.unique(reference.source[first:end])
+            free = bool((surfaces.bilateral | surfaces.slides)[phases, contact].any())
             late = (window + int(touch[0]) - first) * reference.period if len(touch) else None
-            found.append(
+            stances.append(
                 SimulatedStance(
                     contact=contact,
                     start=float(reference.t[first]),
@@ -117,7 +117,7 @@ def simulated_stances(
                     ),
                 )
             )
-    return tuple(found)
+    return tuple(stances)
 
 
 def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
@@ -184,17 +184,17 @@ def fall_of(
     plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, q: np.ndarray
 ) -> Fall | None:
     """The first fall; a robot on a fixed base falls only if its simulation diverges."""
-    found = []
+    falls = []
     if len(record.feet) < len(reference.t):
-        found.append(Fall(time=float(reference.t[len(record.feet)]), why="the simulation diverged"))
+        falls.append(Fall(time=float(reference.t[len(record.feet)]), why="the simulation diverged"))
     if base_of(plan.model) != "fixed":
         n = len(record.feet)
-        own, wanted = _bases(plan.model, q[:n]), _bases(plan.model, reference.q[:n])
+        actual, wanted = _bases(plan.model, q[:n]), _bases(plan.model, reference.q[:n])
         up = -np.array(plan.model.gravity.linear)
         up = up / (np.linalg.norm(up) or 1.0)
         over = _height_over_feet(plan, up)
-        sunk = (wanted[:, :, 3] - own[:, :, 3]) @ up > SUNK * over
-        cosine = np.einsum("nij,nij->n", wanted[:, :, :3], own[:, :, :3])
+        sunk = (wanted[:, :, 3] - actual[:, :, 3]) @ up > SUNK * over
+        cosine = np.einsum("nij,nij->n", wanted[:, :, :3], actual[:, :, :3])
         turned = np.arccos(np.clip((cosine - 1) / 2, -1, 1)) > TURNED
         for flags, why in (
             (record.touched, "a link touches the ground"),
@@ -202,18 +202,18 @@ def fall_of(
             (turned, "the base has turned over"),
         ):
             if flags.any():
-                found.append(Fall(time=float(reference.t[int(flags.argmax())]), why=why))
-    return min(found, key=lambda fall: fall.time, default=None)
+                falls.append(Fall(time=float(reference.t[int(flags.argmax())]), why=why))
+    return min(falls, key=lambda fall: fall.time, default=None)
 
 
 def _bases(model: pin.Model, q: np.ndarray) -> np.ndarray:
     """Rotation and position (n, 3, 4) of the base link in the world."""
     data, joint = model.createData(), BASE_JOINT[base_of(model)]
-    found = np.zeros((len(q), 3, 4))
+    bases = np.zeros((len(q), 3, 4))
     for row, configuration in enumerate(q):
         pin.forwardKinematics(model, data, configuration)
-        found[row, :, :3], found[row, :, 3] = data.oMi[joint].rotation, data.oMi[joint].translation
-    return found
+        bases[row, :, :3], bases[row, :, 3] = data.oMi[joint].rotation, data.oMi[joint].translation
+    return bases
 
 
 def _height_over_feet(plan: Solution, up: np.ndarray) -> float:

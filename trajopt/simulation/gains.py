@@ -65,10 +65,10 @@ def gains_of(
 def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, picked: np.ndarray) -> np.ndarray:
     """Mass matrices (n, nv, nv) of the picked periods, with what is carried, in MuJoCo's coordinates."""
     mujoco, model = mujoco_package(), copy.copy(world.compiled)
-    data, found = mujoco.MjData(model), np.zeros((len(picked), model.nv, model.nv))
+    data, matrices = mujoco.MjData(model), np.zeros((len(picked), model.nv, model.nv))
     phases, carried = reference.source[picked], -1
     for qpos, phase, matrix in zip(
-        world.coordinates.to_mujoco(reference.q[picked]), phases, found, strict=True
+        world.coordinates.to_mujoco(reference.q[picked]), phases, matrices, strict=True
     ):
         if phase != carried and plan.description.payloads:
             write_inertias(model, carrying_model(plan, int(phase)))
@@ -78,20 +78,20 @@ def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, pick
         mujoco.mj_comPos(model, data)
         mujoco.mj_crb(model, data)
         mujoco.mj_fullM(model, data, matrix)
-    return found
+    return matrices
 
 
 def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
     """Stiffness (n, nu) that legs need to hold the body, for active contacts (n, nc); zero elsewhere."""
-    found = np.zeros((len(active), plan.tau.shape[1]))
+    holding = np.zeros((len(active), plan.tau.shape[1]))
     if base_of(plan.model) == "fixed":
-        return found
+        return holding
     standing = np.maximum(active.sum(axis=1), 1)
     units, first = world.units, plan.n_unactuated
     force = units.generalized_force(plan.model)[first:]
     stiffness = STIFFER * np.where(force == units.weight, force / units.length, force)  # N/m, or N m
     for contact, frame in enumerate(plan.contact_frames):
-        own = sorted(row - first for row in moving_rows(plan.model, frame) if row >= first)
-        held = np.where(active[:, contact, None], stiffness[own] / standing[:, None], 0.0)
-        found[:, own] = np.maximum(found[:, own], held)
-    return found
+        moved = sorted(row - first for row in moving_rows(plan.model, frame) if row >= first)
+        held = np.where(active[:, contact, None], stiffness[moved] / standing[:, None], 0.0)
+        holding[:, moved] = np.maximum(holding[:, moved], held)
+    return holding

@@ -101,31 +101,31 @@ def surroundings_of(
 
 def add_ground(spec: Any, plan: Solution, place: Surroundings) -> GroundGeometry:
     """Add terrain and boards to a specification: terrain for links, and for contacts of each height."""
-    found: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], float | None]] = []
+    geoms: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], float | None]] = []
     terrain = plan.description.ground
-    own, count = _own_surfaces(plan, terrain), len(plan.contact_frames)
+    separate, count = _separate_surfaces(plan, terrain), len(plan.contact_frames)
     usual = tuple(contact.friction for contact in plan.description.contacts)
     layers: list[tuple[str, float, tuple[int, ...], float | None]] = [("", 0.0, (), 0.0)]
-    for lift, contacts in _by_lift(_standing(plan, own), place):
+    for lift, contacts in _by_lift(_standing(plan, separate), place):
         layers.append((f".{len(layers)}", lift, contacts, None))
     for offset in np.unique(place.offsets[place.offsets != 0.0]).tolist():
         layers.append((f".{len(layers)}", offset, (), offset))
     for suffix, lift, contacts, links in layers:
         for name, plane, mu in _terrain(spec, terrain, suffix, lift, place):
-            found.append((name, plane, usual if mu is None else (mu,) * count, contacts, links))
-    for surface, touching, points in _boards(plan, own, place):
+            geoms.append((name, plane, usual if mu is None else (mu,) * count, contacts, links))
+    for surface, touching, points in _boards(plan, separate, place):
         for lift, contacts in _by_lift(touching, place):
-            name = _board(spec, f"board{len(found)}", surface, points, lift, place)
-            found.append((name, surface, (surface.friction,) * count, contacts, None))
-    names, planes, own_friction, touched_by, of_links = zip(*found, strict=True) if found else ((),) * 5
-    by_phase = _by_phase(plan, planes, np.array(own_friction, dtype=float).reshape(len(names), count))
+            name = _board(spec, f"board{len(geoms)}", surface, points, lift, place)
+            geoms.append((name, surface, (surface.friction,) * count, contacts, None))
+    names, planes, friction, touched_by, of_links = zip(*geoms, strict=True) if geoms else ((),) * 5
+    by_phase = _by_phase(plan, planes, np.array(friction, dtype=float).reshape(len(names), count))
     return GroundGeometry(names=names, friction=by_phase, touched_by=touched_by, links=of_links)
 
 
 def _by_lift(contacts: Sequence[int], place: Surroundings) -> list[tuple[float, tuple[int, ...]]]:
     """Contacts by how far above the plan's ground they touch theirs."""
     return [
-        (float(lift), tuple(own for own in contacts if place.lifts[own] == lift))
+        (float(lift), tuple(contact for contact in contacts if place.lifts[contact] == lift))
         for lift in np.unique(place.lifts[list(contacts)])
     ]
 
@@ -154,19 +154,19 @@ def _by_phase(plan: Solution, planes: Sequence[Surface | None], usual: np.ndarra
 
     A contact in the air has that of its next stance, for which it may be early.
     """
-    found, frames = np.tile(usual, (len(plan.phases), 1, 1)), list(plan.contact_frames)
+    friction, frames = np.tile(usual, (len(plan.phases), 1, 1)), list(plan.contact_frames)
     for phase, surfaces in enumerate(plan.description.surfaces):
         for frame, surface in surfaces.items():
             for geom, plane in enumerate(planes):
                 if not surface.bilateral and surface.same_plane(plane):
-                    found[phase, geom, frames.index(frame)] = surface.friction
+                    friction[phase, geom, frames.index(frame)] = surface.friction
     for phase in reversed(range(len(plan.phases) - 1)):
         swings = ~plan.active[plan.phases[phase].start]
-        found[phase][:, swings] = found[phase + 1][:, swings]
-    return found
+        friction[phase][:, swings] = friction[phase + 1][:, swings]
+    return friction
 
 
-def _own_surfaces(plan: Solution, terrain: Any) -> list[tuple[int, int, Surface]]:
+def _separate_surfaces(plan: Solution, terrain: Any) -> list[tuple[int, int, Surface]]:
     """(phase, contact, surface) of what single contacts touch that is not the terrain."""
     faces = terrain.faces if isinstance(terrain, PiecewiseTerrain) else ()
     planes = [face.surface for face in faces] + ([terrain] if isinstance(terrain, Surface) else [])
@@ -179,10 +179,10 @@ def _own_surfaces(plan: Solution, terrain: Any) -> list[tuple[int, int, Surface]
     ]
 
 
-def _standing(plan: Solution, own: Sequence[tuple[int, int, Surface]]) -> tuple[int, ...]:
+def _standing(plan: Solution, separate: Sequence[tuple[int, int, Surface]]) -> tuple[int, ...]:
     """Contacts that are on the terrain in some phase, or whose image in a periodic plan is."""
-    elsewhere = {(phase, contact) for phase, contact, _ in own}
-    found = {
+    elsewhere = {(phase, contact) for phase, contact, _ in separate}
+    standing = {
         int(contact)
         for phase, rows in enumerate(plan.phases)
         for contact in np.flatnonzero(plan.active[rows.start])
@@ -191,16 +191,16 @@ def _standing(plan: Solution, own: Sequence[tuple[int, int, Surface]]) -> tuple[
     described = plan.description.periodicity
     if described:
         source = image_of_contacts(plan, described)
-        found |= {contact for contact, other in enumerate(source) if other in found}
-    return tuple(sorted(found))
+        standing |= {contact for contact, other in enumerate(source) if other in standing}
+    return tuple(sorted(standing))
 
 
 def _boards(
-    plan: Solution, own: Sequence[tuple[int, int, Surface]], place: Surroundings
+    plan: Solution, separate: Sequence[tuple[int, int, Surface]], place: Surroundings
 ) -> list[tuple[Surface, tuple[int, ...], np.ndarray]]:
     """Unilateral planes, each with its contacts and where they touch it (n, 3), soles at the corners."""
     groups: list[tuple[Surface, list[tuple[int, int]]]] = []
-    for phase, contact, surface in own:
+    for phase, contact, surface in separate:
         if surface.bilateral:
             continue
         same = [group for group in groups if group[0].same_plane(surface)]

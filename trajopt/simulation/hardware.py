@@ -55,29 +55,29 @@ class Hardware:
 
     def copy(self) -> Hardware:
         """Sensors and drives that go on as these would."""
-        own = copy.copy(self)
-        own._generator, own._history = copy.deepcopy(self._generator), self._history.copy()
-        return own
+        duplicate = copy.copy(self)
+        duplicate._generator, duplicate._history = copy.deepcopy(self._generator), self._history.copy()
+        return duplicate
 
     def measure(self, qpos: np.ndarray, qvel: np.ndarray, touching: np.ndarray) -> Measurement:
         """Measure a state; returns what the controller knows: the state ``delay`` ticks ago, or the first."""
-        found = Measurement(qpos=qpos.copy(), qvel=qvel.copy(), touching=touching)
+        measurement = Measurement(qpos=qpos.copy(), qvel=qvel.copy(), touching=touching)
         if self._settings.sensor_noise:
             size = self._settings.sensor_noise * self._units
             error = size * self._generator.standard_normal(self._model.nv)
-            mujoco_package().mj_integratePos(self._model, found.qpos, error, 1.0)
-            found.qvel[:] += size * self._generator.standard_normal(self._model.nv) / self._time
-        self._history.append(found)
+            mujoco_package().mj_integratePos(self._model, measurement.qpos, error, 1.0)
+            measurement.qvel[:] += size * self._generator.standard_normal(self._model.nv) / self._time
+        self._history.append(measurement)
         return self._history[0]
 
     def command(self, wanted: np.ndarray) -> np.ndarray:
         """Torques (nu,) for a command: rounded, and as far as they can change from the last ones."""
-        found, step = wanted, self._settings.torque_step
+        torque, step = wanted, self._settings.torque_step
         if step:
-            found = step * np.round(found / step)
+            torque = step * np.round(torque / step)
         if self._most:
-            found = np.clip(found, self._torque - self._most, self._torque + self._most)
-        return found
+            torque = np.clip(torque, self._torque - self._most, self._torque + self._most)
+        return torque
 
     def deliver(self, torque: np.ndarray) -> None:
         """Remember the torques (nu,) of a tick, after their limits."""

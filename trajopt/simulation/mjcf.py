@@ -105,16 +105,16 @@ def _numbers(values: ArrayLike) -> str:
 def _complete_body(root: ElementTree.Element, model: pin.Model, index: int) -> None:
     """Write place, inertia and axis of one joint's body."""
     body = next(one for one in root.iter("body") if one.get("name") == body_name(index))
-    place, own = model.jointPlacements[index], model.inertias[index]
+    place, body_inertia = model.jointPlacements[index], model.inertias[index]
     body.set("pos", _numbers(place.translation))
     body.set("quat", _numbers(mujoco_quaternion(place.rotation)))
-    inertia = np.array(own.inertia)
+    inertia = np.array(body_inertia.inertia)
     inertia += max(LEAST - float(np.linalg.eigvalsh(inertia)[0]), 0.0) * np.eye(3)
     entries = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     inertial = next(iter(body.iter("inertial")))
     inertial.attrib.clear()
-    inertial.set("pos", _numbers(own.lever))
-    inertial.set("mass", _numbers(max(own.mass, LEAST)))
+    inertial.set("pos", _numbers(body_inertia.lever))
+    inertial.set("mass", _numbers(max(body_inertia.mass, LEAST)))
     inertial.set("fullinertia", _numbers(entries))
     if model.joints[index].nv == 1:
         next(iter(body.iter("joint"))).set("axis", _numbers(joint_axis(model, index)[0]))
@@ -213,10 +213,10 @@ def _names(plan: Solution) -> dict[str, str]:
         if frame.type == pin.BODY and frame.placement.isIdentity():
             links.setdefault(frame.parentJoint, frame.name)
     for index in range(1, model.njoints):
-        own = model.names[index]
-        names[body_name(index)] = links.get(index, own)
+        joint = model.names[index]
+        names[body_name(index)] = links.get(index, joint)
         kind = model.joints[index].shortname()
-        parts = [f"{own}_{suffix}" for suffix in PARTS.get(kind, ())] or [own]
+        parts = [f"{joint}_{suffix}" for suffix in PARTS.get(kind, ())] or [joint]
         names |= {part_name(index, number): part for number, part in enumerate(parts)}
     return names
 

@@ -76,9 +76,9 @@ class PushReport:
     def to_dict(self) -> dict[str, Any]:
         """JSON-able figures; ``natural``: impulses in natural units."""
         natural = {name: [size / self.unit for size in row] for name, row in self.impulses.items()}
-        own = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        figures = {name: getattr(self, name) for name in self.__dataclass_fields__}
         ratios = [None if math.isnan(ratio) else ratio for ratio in self.ratios]
-        return jsonable({**own, "natural": natural, "ratios": ratios})
+        return jsonable({**figures, "natural": natural, "ratios": ratios})
 
     def table(self) -> str:
         """A line for each direction: impulses in N s and in natural units, and their ratio."""
@@ -140,7 +140,7 @@ def largest_pushes(
         )
     count = directions or (IN_A_PLANE if kind == "planar" else DIRECTIONS)
     angles = tuple(360.0 * number / count for number in range(count))
-    found: dict[Controller, tuple[float, ...]] = {}
+    impulses: dict[Controller, tuple[float, ...]] = {}
     notes: list[str] = []
     with muted_mujoco():
         trials = PushTrials.of(plan, time, cycles)
@@ -148,10 +148,10 @@ def largest_pushes(
             survives = trials.with_controller(controller)
             if not survives(0.0, 0.0):
                 notes.append(f"it falls without a push with the controller {controller}")
-                found[controller] = (0.0,) * count
+                impulses[controller] = (0.0,) * count
                 continue
             sizes = [largest_survived(partial(survives, angle), accuracy) for angle in angles]
-            found[controller] = tuple(size * trials.unit for size in sizes)
+            impulses[controller] = tuple(size * trials.unit for size in sizes)
     return PushReport(
         problem=str(plan.description.problem),
         robot=str(plan.description.robot),
@@ -162,7 +162,7 @@ def largest_pushes(
         unit=trials.unit,
         most=MOST * trials.unit,
         directions=angles,
-        impulses=found,
+        impulses=impulses,
         notes=tuple(notes),
     )
 
@@ -256,8 +256,8 @@ class PushTrials:
         def survives(angle: float, size: float) -> bool:
             if not standing:
                 return False
-            own = run.branch()
-            own.impulse = Impulse(
+            pushed = run.branch()
+            pushed.impulse = Impulse(
                 direction=math.radians(angle),
                 size=size * self.unit,
                 time=self.time,
@@ -265,7 +265,7 @@ class PushTrials:
             )
             for first in range(self.begin, self.end, stretch):
                 last = min(first + stretch, self.end)
-                if own.advance(record, first, last) < last or self._falls(record, first, last):
+                if pushed.advance(record, first, last) < last or self._falls(record, first, last):
                     return False
             return True
 

@@ -55,9 +55,9 @@ class TickReport:
         )
 
     def __str__(self) -> str:
-        found = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
+        relaxations = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
         times = f"{1e3 * self.time_mean:.2f} ms in the mean, {1e3 * self.time_99:.2f} ms at 99 %"
-        relaxed = f"relaxed: {', '.join(found) or RELAXED[0]}, slack {self.slack:.2g} in natural units"
+        relaxed = f"relaxed: {', '.join(relaxations) or RELAXED[0]}, slack {self.slack:.2g} in natural units"
         return f"{self.ticks}, {times}; {relaxed}"
 
 
@@ -107,11 +107,11 @@ class SimulationReport:
     @property
     def failures(self) -> tuple[str, ...]:
         """What is beyond its threshold, in words; empty for a plan that is tracked."""
-        found = [f"it fell at {self.fall_time:.3f} s: {self.fall_reason}"] if self.fell else []
+        failures = [f"it fell at {self.fall_time:.3f} s: {self.fall_reason}"] if self.fell else []
         for name, value, threshold, unit in self._judged():
             if value is not None and not value <= threshold:
-                found.append(f"{name} {value:.4g} {unit} > {threshold:.4g} {unit}")
-        return tuple(found + (["it touched an obstacle"] if self.obstacle_hit else []))
+                failures.append(f"{name} {value:.4g} {unit} > {threshold:.4g} {unit}")
+        return tuple(failures + (["it touched an obstacle"] if self.obstacle_hit else []))
 
     def _judged(self) -> tuple[tuple[str, float | None, float, str], ...]:
         if self.base_error_end is None:

@@ -94,12 +94,12 @@ class SimulationRun:
 
     def record(self) -> SimulationRecord:
         """The whole plan, from its start."""
-        found, count = self.start(), len(self.reference.t)
-        reached = self.advance(found, 0, count)
+        record, count = self.start(), len(self.reference.t)
+        reached = self.advance(record, 0, count)
         if reached < count:
-            return found.until(reached)
-        found.qpos[count], found.qvel[count] = self.data.qpos, self.data.qvel
-        return found
+            return record.until(reached)
+        record.qpos[count], record.qvel[count] = self.data.qpos, self.data.qvel
+        return record
 
     def start(self) -> SimulationRecord:
         """Set the start; returns a record for all periods, without entries."""
@@ -123,35 +123,35 @@ class SimulationRun:
 
     def branch(self) -> SimulationRun:
         """A run of its own that goes on from here; of its models one run at a time may advance."""
-        own = copy.copy(self)
-        own.data, own.hardware = copy.copy(self.data), self.hardware.copy()
-        own.tracker = None if self.tracker is None else self.tracker.copy()
-        return own
+        branched = copy.copy(self)
+        branched.data, branched.hardware = copy.copy(self.data), self.hardware.copy()
+        branched.tracker = None if self.tracker is None else self.tracker.copy()
+        return branched
 
-    def advance(self, found: SimulationRecord, begin: int, end: int) -> int:
+    def advance(self, record: SimulationRecord, begin: int, end: int) -> int:
         """Simulate the periods from ``begin`` to before ``end``; less than ``end`` where it diverged."""
         model, data = self.model, self.data
-        found.force[begin:end] = 0.0  # forces are summed up
+        record.force[begin:end] = 0.0  # forces are summed up
         least = TOUCHING * self.world.units.weight
         changes = set(np.flatnonzero(np.diff(self.reference.source, prepend=-1)).tolist())
         for k in range(begin, end):
             if k in changes or k == begin:
                 self._enter(int(self.reference.source[k]))
             self._push(k)
-            found.qpos[k], found.qvel[k] = data.qpos, data.qvel
+            record.qpos[k], record.qvel[k] = data.qpos, data.qvel
             if not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
                 return k
-            found.torque[k], found.saturated[k] = self._drive(k)
-            if self.tracker is not None and found.requests is not None:
-                found.requests.note(k, self.tracker.request)
+            record.torque[k], record.saturated[k] = self._drive(k)
+            if self.tracker is not None and record.requests is not None:
+                record.requests.note(k, self.tracker.request)
             self.mujoco.mj_forward(model, data)  # forces of this state: a step's stages leave others
             if not self._is_sane():
                 return k
-            found.qacc[k], found.friction[k] = data.qacc, self._friction()
-            found.feet[k] = data.site_xpos[self.world.sites]
-            found.turns[k] = data.site_xmat[self.world.sites].reshape(-1, 3, 3)
-            found.touched[k], found.hit[k] = self._contacts(found.force[k], found.feet[k])
-            self.touching = np.linalg.norm(found.force[k, :, :3], axis=1) > least
+            record.qacc[k], record.friction[k] = data.qacc, self._friction()
+            record.feet[k] = data.site_xpos[self.world.sites]
+            record.turns[k] = data.site_xmat[self.world.sites].reshape(-1, 3, 3)
+            record.touched[k], record.hit[k] = self._contacts(record.force[k], record.feet[k])
+            self.touching = np.linalg.norm(record.force[k, :, :3], axis=1) > least
             self.mujoco.mj_step(model, data, self.substeps)
         return end
 
@@ -250,8 +250,8 @@ class SimulationRun:
     def _friction(self) -> np.ndarray:
         """Torques (nu,) of friction in the drives on their joints: viscous, and Coulomb's as a constraint."""
         whole = self.data.qfrc_passive.copy()
-        own = self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
-        np.add.at(whole, self.data.efc_id[own], self.data.efc_force[own])
+        is_friction = self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+        np.add.at(whole, self.data.efc_id[is_friction], self.data.efc_force[is_friction])
         return np.asarray(whole[self.rows])
 
     def _contacts(self, force: np.ndarray, feet: np.ndarray) -> tuple[bool, bool]:
@@ -279,20 +279,20 @@ class SimulationRun:
         """Forces (n, 3) of contacts in world axes; one without friction has a normal force alone."""
         touching = self.data.contact
         rows = touching.efc_address[loaded][:, None] + np.arange(3)
-        own = self.data.efc_force[np.minimum(rows, self.data.nefc - 1)]
-        own = np.where(np.arange(3) < touching.dim[loaded][:, None], own, 0.0)
-        return np.einsum("ni,nij->nj", own, touching.frame[loaded].reshape(-1, 3, 3))
+        forces = self.data.efc_force[np.minimum(rows, self.data.nefc - 1)]
+        forces = np.where(np.arange(3) < touching.dim[loaded][:, None], forces, 0.0)
+        return np.einsum("ni,nij->nj", forces, touching.frame[loaded].reshape(-1, 3, 3))
 
     def _grasped(self, force: np.ndarray) -> None:
         """Add the wrenches of constraints that hold contacts: those with the same effect on the joints."""
         for grasp in self.world.grasps:
             number = self.model.equality(grasp.name).id
             if self.data.eq_active[number]:
-                own = (self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (
+                holding = (self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (
                     self.data.efc_id == number
                 )
-                rows = self.data.efc_J.reshape(-1, self.model.nv)[own]
-                joint = rows.T @ self.data.efc_force[own]
+                rows = self.data.efc_J.reshape(-1, self.model.nv)[holding]
+                joint = rows.T @ self.data.efc_force[holding]
                 site = self.world.sites[grasp.contact]
                 place = np.zeros((6, self.model.nv))
                 self.mujoco.mj_jacSite(self.model, self.data, place[:3], place[3:], site)

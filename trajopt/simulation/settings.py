@@ -36,7 +36,7 @@ ALLOWED = {
 }
 # Largest offset of a centre of mass or of the ground, m.
 FARTHEST = 10.0
-# Settings that have checks of their own.
+# Settings that are checked separately.
 CHECKED_APART = ("rolling", "controller", "qp_solver", "impulse", "com_offset", "ground_offsets")
 
 
@@ -126,7 +126,7 @@ class SimulationSettings:
             raise InputError(f"impulse of a simulation is {self.impulse!r}", "allowed: an Impulse or None")
         object.__setattr__(self, "com_offset", _com_offset(self.com_offset))
         object.__setattr__(self, "ground_offsets", _ground_offsets(self.ground_offsets))
-        for name in (own.name for own in fields(self) if own.name not in CHECKED_APART):
+        for name in (setting.name for setting in fields(self) if setting.name not in CHECKED_APART):
             value = getattr(self, name)
             if value is None and name == "timestep":
                 continue
@@ -145,12 +145,12 @@ class SimulationSettings:
 
     def _require_effect(self) -> None:
         """Raise `InputError` for settings that are of the other controller."""
-        for name, own in (("kp", "joints"), ("kd", "joints"), ("qp_solver", "whole-body")):
+        for name, controller in (("kp", "joints"), ("kd", "joints"), ("qp_solver", "whole-body")):
             value, default = getattr(self, name), SimulationSettings.__dataclass_fields__[name].default
-            if value != default and self.controller != own:
+            if value != default and self.controller != controller:
                 raise InputError(
                     f"{name} of a simulation is {value!r}, with the controller {self.controller!r}",
-                    f"allowed: with the controller {own!r}",
+                    f"allowed: with the controller {controller!r}",
                 )
 
     def step(self, natural_time: float) -> float:

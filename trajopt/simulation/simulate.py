@@ -154,7 +154,9 @@ def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], worl
     """Fields of the report about contacts."""
     times = [abs(stance.touchdown) for stance in stances if stance.touchdown is not None]
     travel = [stance.travel for stance in stances if stance.travel is not None]
-    own = [[stance for stance in stances if stance.contact == i] for i in range(len(plan.contact_frames))]
+    by_contact = [
+        [stance for stance in stances if stance.contact == i] for i in range(len(plan.contact_frames))
+    ]
     return {
         "touchdown_error": max(times, default=None),
         "missed": sum(stance.missed for stance in stances),
@@ -167,7 +169,7 @@ def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], worl
                 missed=sum(s.missed for s in rows),
                 travel=max((s.travel for s in rows if s.travel is not None), default=None),
             )
-            for frame, rows in zip(plan.contact_frames, own, strict=True)
+            for frame, rows in zip(plan.contact_frames, by_contact, strict=True)
         ),
     }
 

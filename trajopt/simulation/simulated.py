@@ -94,14 +94,14 @@ def _active(
     """Whether contacts are active (intervals, nc)."""
     loaded = loaded_contacts(record, world)
     held = held_samples(plan)[[rows.start for rows in plan.phases]]
-    found, before = [], -1
+    by_interval, before = [], -1
     for first, end in chunks:
-        own = loaded[first:end].any(axis=0) | held[reference.source[first]]
+        active = loaded[first:end].any(axis=0) | held[reference.source[first]]
         if reference.phase[first] != before:
-            own |= reference.active[first]
-        found.append(own)
+            active |= reference.active[first]
+        by_interval.append(active)
         before = reference.phase[first]
-    return np.array(found)
+    return np.array(by_interval)
 
 
 def _description(plan: Solution, reference: ReferenceTrajectory, phase: np.ndarray) -> PlanDescription:

@@ -140,11 +140,11 @@ def build_world(plan: Solution, settings: SimulationSettings) -> World:
 def joint_places(plan: Solution) -> np.ndarray:
     """World positions (K, njoints - 1, 3) of the joints at the samples of a plan, m."""
     model, data = plan.model, plan.model.createData()
-    found = np.zeros((plan.n_samples, model.njoints - 1, 3))
+    places = np.zeros((plan.n_samples, model.njoints - 1, 3))
     for row, q in enumerate(plan.q):
         pin.forwardKinematics(model, data, q)
-        found[row] = [data.oMi[i].translation for i in range(1, model.njoints)]
-    return found
+        places[row] = [data.oMi[i].translation for i in range(1, model.njoints)]
+    return places
 
 
 def _buried(plan: Solution, joints: np.ndarray, place: Surroundings) -> dict[str, float]:
@@ -158,9 +158,9 @@ def _disturbed(model: pin.Model, settings: SimulationSettings) -> pin.Model:
     """The robot as it is in a simulation: other masses, another centre of mass."""
     scaled, offset = pin.Model(model), np.array(settings.com_offset)
     for index in range(1, model.njoints):
-        own = model.inertias[index]
+        inertia = model.inertias[index]
         scale = settings.mass_scale
-        scaled.inertias[index] = pin.Inertia(scale * own.mass, own.lever, scale * own.inertia)
+        scaled.inertias[index] = pin.Inertia(scale * inertia.mass, inertia.lever, scale * inertia.inertia)
     if offset.any():
         kind = base_of(model)
         base = scaled.inertias[BASE_JOINT[kind]]
@@ -199,18 +199,18 @@ def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[
     """A site and balls at each contact frame; names of the balls."""
     names = []
     for number, frame in enumerate(plan.contact_frames):
-        own = bodies.model.frames[bodies.model.getFrameId(frame)]
-        body = bodies.spec.body(body_name(own.parentJoint))
+        contact_frame = bodies.model.frames[bodies.model.getFrameId(frame)]
+        body = bodies.spec.body(body_name(contact_frame.parentJoint))
         body.add_site(
             name=f"contact{number}",
-            pos=own.placement.translation,
-            quat=mujoco_quaternion(own.placement.rotation),
+            pos=contact_frame.placement.translation,
+            quat=mujoco_quaternion(contact_frame.placement.rotation),
         )
         corners = touching_places(plan, number)
         names.append([f"ball{number}.{i}" for i in range(len(corners))])
         for name, corner in zip(names[-1], corners, strict=True):
             size = [place.sizes[number], 0, 0]
-            add_geom(body, name, "sphere", pos=own.placement.act(corner), size=size)
+            add_geom(body, name, "sphere", pos=contact_frame.placement.act(corner), size=size)
     return names
 
 
@@ -228,8 +228,8 @@ def _add_links(
         shapes = () if scene is None else scene.shapes
         solid = [add_shape(bodies, shape, f"shape{i}") for i, shape in enumerate(shapes)]
         return _add_balls(bodies, plan, place, buried), solid, list(obstacles)
-    own = plan.description.body_scene(plan.model)
-    moving = () if own is None else own.moving
+    body_scene = plan.description.body_scene(plan.model)
+    moving = () if body_scene is None else body_scene.moving
     names = {shape.name: add_shape(bodies, shape, f"shape{i}") for i, shape in enumerate(moving)}
     sunk = _sunk(plan)
     links = [name for shape, name in names.items() if known.above_ground and shape not in sunk]
@@ -245,8 +245,8 @@ def _offsets_of_links(
     chains = [set(plan.model.supports[joint]) for joint in joints]
     for contact, chain in enumerate(chains):
         others = [other for number, other in enumerate(chains) if number != contact and other != chain]
-        own = chain.difference(range(BASE_JOINT[base_of(plan.model)] + 1), *others)
-        of_bodies.update({body_name(joint): float(place.offsets[contact]) for joint in own})
+        leg = chain.difference(range(BASE_JOINT[base_of(plan.model)] + 1), *others)
+        of_bodies.update({body_name(joint): float(place.offsets[contact]) for joint in leg})
     return {link: of_bodies[bodies.spec.geom(link).parent.name] for link in links}
 
 
@@ -267,7 +267,11 @@ def _sunk(plan: Solution) -> set[str]:
     deep = (
         trace.values.max(axis=0, initial=-np.inf) > -CLEAR if trace.values.size else np.zeros(0, dtype=bool)
     )
-    return {name.removesuffix(f" and {GROUND}") for name, own in zip(trace.names, deep, strict=True) if own}
+    return {
+        name.removesuffix(f" and {GROUND}")
+        for name, is_deep in zip(trace.names, deep, strict=True)
+        if is_deep
+    }
 
 
 def _add_grasps(
@@ -275,12 +279,12 @@ def _add_grasps(
 ) -> tuple[Grasp, ...]:
     """A constraint for each run of phases in which a contact is held on a bilateral surface."""
     mujoco, held = mujoco_package(), held_samples(plan)
-    found: list[Grasp] = []
+    grasps: list[Grasp] = []
     for contact in range(held.shape[1]):
         phases = [i for i, rows in enumerate(plan.phases) if held[rows.start, contact]]
         runs = np.split(np.array(phases, dtype=int), np.flatnonzero(np.diff(phases) > 1) + 1)
         for run in (run for run in runs if len(run)):
-            name, row = f"grasp{len(found)}", plan.phases[int(run[0])].start
+            name, row = f"grasp{len(grasps)}", plan.phases[int(run[0])].start
             bodies.spec.worldbody.add_site(
                 name=name,
                 pos=samples.position[row, contact],
@@ -296,8 +300,8 @@ def _add_grasps(
                 active=False,
                 **stiffness,
             )
-            found.append(Grasp(name=name, contact=contact, turns=sole, phases=tuple(int(i) for i in run)))
-    return tuple(found)
+            grasps.append(Grasp(name=name, contact=contact, turns=sole, phases=tuple(int(i) for i in run)))
+    return tuple(grasps)
 
 
 def _pairs(
@@ -313,13 +317,13 @@ def _pairs(
     friction = [np.zeros((len(ground.friction), 0))]
     for geom, (name, contacts) in enumerate(zip(ground.names, ground.touched_by, strict=True)):
         for contact in contacts:
-            own = settings.friction_scale * ground.friction[:, geom, contact]
+            mu = settings.friction_scale * ground.friction[:, geom, contact]
             for ball in feet[contact]:
-                _pair(spec, ball, name, float(own.max()), settings, units)
-                friction.append(own[:, None])
+                _pair(spec, ball, name, float(mu.max()), settings, units)
+                friction.append(mu[:, None])
                 names.append(f"{ball} {name}")
     for name, offset in zip(ground.names, ground.links, strict=True):
-        for link in (link for link, own in links.items() if own == offset):
+        for link in (link for link, height in links.items() if height == offset):
             _pair(spec, link, name, settings.friction_scale * LINK_FRICTION, settings, units)
     return names, np.hstack(friction)
 
