@@ -4,8 +4,6 @@ An entry is written to a temporary file and renamed, so that processes may share
 is not what was written (a full disk, a crash) does not count as an entry.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

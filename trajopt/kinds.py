@@ -1,7 +1,5 @@
 """Kinds of values that annotations stand for: what is accepted, how it is kept, how it is put in words."""
 
-from __future__ import annotations
-
 import collections.abc
 import math
 import types

@@ -1,7 +1,5 @@
 """Installed packages: the wheels that the extension was compiled against, and those that may be missing."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version

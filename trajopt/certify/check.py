@@ -1,7 +1,5 @@
 """The check of a solution: everything it claims, recomputed with numeric Pinocchio alone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

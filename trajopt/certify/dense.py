@@ -4,8 +4,6 @@ Between two neighbouring samples of the file lies one more; then every figure is
 parabola through its worst value and the neighbours has its vertex. All figures share all samples.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Free motion in phases without contact: the centre of mass follows a parabola, momentum is constant."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

@@ -1,7 +1,5 @@
 """Figures of a check about impacts: their law, momentum, energy, and jumps where there is no impact."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -11,8 +11,6 @@ with the eighth-order method of Dormand and Prince. Impacts follow the law of
 `contact.impact`, M (v+ - v-) = J^T Lambda, J v+ = 0.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The report of a check: figures with units, tolerances with reasons, a readable table."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any

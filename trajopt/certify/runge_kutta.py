@@ -5,8 +5,6 @@ of their code, steps chosen as in section II.4 and as by `scipy.integrate.DOP853
 than everything that a solve needs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sliding contacts in the check: their constrained motion, friction law and open-loop dynamics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

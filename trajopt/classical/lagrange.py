@@ -19,8 +19,6 @@ Every function is built once per model content, takes q (nq,), v and a (nv,) in 
 conventions and SI units, and raises `UnsupportedJointError` for a joint that `rigid_body` does not support.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

@@ -4,8 +4,6 @@ Eigenvalues of M mix kg, kg m and kg m^2 where joints translate and rotate, or w
 the bounds of ``v^T M v`` for a v measured in SI units.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

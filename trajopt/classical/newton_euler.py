@@ -18,8 +18,6 @@ where ``r' = r'' = 0``). Classical accelerations and forces, no spatial algebra:
 independently.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

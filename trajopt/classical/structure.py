@@ -14,8 +14,6 @@ and with the momentum h_G = A_G v, the base rows of M are ``J_b^T X A_G``: momen
 only to the diagonal of M.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

@@ -5,8 +5,6 @@ Dynamics Algorithms", 2008, section 2.12): joint torques do not appear. Frames a
 are those of `structure`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The command line: options in, one call, a report out."""
 
-from __future__ import annotations
-
 import sys
 
 from trajopt.cli.interruption import CANCELLED, INTERRUPTION

@@ -1,7 +1,5 @@
 """``trajopt bench``: many solves, timed and compared."""
 
-from __future__ import annotations
-
 import click
 
 from trajopt.cli.commands import LazyGroup

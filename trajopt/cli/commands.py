@@ -9,8 +9,6 @@ A command's module is imported when the command is looked up, and imports slow l
 ``--help`` loads neither CasADi, Pinocchio nor NumPy.
 """
 
-from __future__ import annotations
-
 import collections
 import importlib
 import sys

@@ -1,7 +1,5 @@
 """``trajopt export``: a solution at an even rate for robots and other tools, or its model for MuJoCo."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path

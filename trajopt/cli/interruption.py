@@ -1,7 +1,5 @@
 """Ctrl-C on the command line: ends a command, or stops a solver at its iterate; a second one ends at once."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

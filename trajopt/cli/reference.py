@@ -1,7 +1,5 @@
 """``trajopt reference``: a converged solution, to compare others with."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``trajopt replay``, ``render`` and ``plot``: solutions in Meshcat, as pictures and videos, and as plots."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import sys

@@ -1,7 +1,5 @@
 """Shapes as Coal has them: their signed distances and nearest points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any

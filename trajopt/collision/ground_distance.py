@@ -1,7 +1,5 @@
 """Signed distances of a link's shape from the ground, at many placements at once."""
 
-from __future__ import annotations
-
 import math
 from functools import cached_property
 

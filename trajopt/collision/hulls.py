@@ -1,7 +1,5 @@
 """Shapes of a robot's links from its description, of few points: hulls of meshes, prisms of cylinders."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import importlib.metadata

@@ -6,8 +6,6 @@ axis, its ends from how far each point reaches beyond the cap. The direction is 
 method from the three principal axes. No step is random.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Distances of links from the ground, from obstacles and from each other, and which pairs are near."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Balance: what a robot stands on at a tick, and how its centre of mass follows the plan there."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

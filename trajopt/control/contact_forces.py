@@ -1,7 +1,5 @@
 """Active contacts of a controller: what their forces may be, and how they may accelerate."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

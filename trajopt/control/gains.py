@@ -1,7 +1,5 @@
 """Gains and weights of a tracker, in natural units."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from trajopt.arguments import NonNegative, Positive, checked

@@ -17,8 +17,6 @@ in this order, and the result says so: limits of joint acceleration; contacts (p
 fails too, there is no torque, and the caller has to hold the joints.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Limits at a tick: torques of drives, and accelerations that keep joints in their ranges."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trajopt.dynamics.base_joint import UNLIMITED, position_limits

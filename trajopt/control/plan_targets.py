@@ -1,7 +1,5 @@
 """What a plan asks of contacts, centre of mass and base at every tick, in the world."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

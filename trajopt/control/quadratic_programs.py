@@ -9,8 +9,6 @@ al., CDC 2023) is an interior-point method for dense matrices. ProxQP (Bambade e
 alone, so that what it finds does not depend on the ticks before.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args

@@ -1,7 +1,5 @@
 """Tasks of a tick in which a robot recovers: centre of mass, base, feet in the air, joints and forces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

@@ -1,7 +1,5 @@
 """The plan on the grid of the controller: motion, torques and contacts, period by period."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What a controller needs of a robot at one state: inertia, nonlinear effects, frames, centre of mass."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

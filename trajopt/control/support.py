@@ -1,7 +1,5 @@
 """What a robot stands on: where its feet are, how wide they stand, and the pendulum over them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The level convex hull of what a robot stands on: how far a point is outside, and what of it is nearest."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

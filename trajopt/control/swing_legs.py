@@ -1,7 +1,5 @@
 """Legs that step in turn: which feet swing together, and how far each reaches from its hip."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -13,8 +13,6 @@ with one bandwidth w in 1/s: errors vanish in about 5 / w without overshoot. Tas
 what tasks of priority 1 leave free.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What happened in the ticks of a tracker."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from trajopt.control.inverse_dynamics import RELAXED

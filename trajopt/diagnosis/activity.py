@@ -1,7 +1,5 @@
 """Which limits are active, where, for how long, and how much the objective would gain without them."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 

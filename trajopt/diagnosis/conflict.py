@@ -10,8 +10,6 @@ weighted with y add up to a contradiction, so the rows and bounds with large one
 that give way. (Gill, Murray, Saunders, "SNOPT", SIAM Review 2005, elastic mode.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The wrenches of contacts whose rows depend on each other are not unique, whateve
 rank that changes along a phase is due to a posture: a straight leg, or an axis through two contacts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -13,8 +13,6 @@ absence only as far as Lanczos goes; small problems take a dense decomposition, 
 Wright, "Numerical Optimization", 2006, ch. 12.5 and 16; Parlett, "The Symmetric Eigenvalue Problem", ch. 13.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Diagnose a solution: rebuild its NLP, analyse it at the iterate, and report in words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

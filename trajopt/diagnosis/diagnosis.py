@@ -1,7 +1,5 @@
 """A diagnosis as data, and as lines for a terminal."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """Findings of a diagnosis about rank, curvature and the start, by names instead of indices."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

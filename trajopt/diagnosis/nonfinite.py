@@ -1,7 +1,5 @@
 """The first value or derivative that is not finite: the term, the place, and the inputs that cause it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

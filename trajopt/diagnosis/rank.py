@@ -12,8 +12,6 @@ then those of A^T U for the basis U found (Rayleigh-Ritz), accurate to rounding.
 singular value decomposition. (Golub, Van Loan, "Matrix Computations", ch. 8 and 10.)
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Every term at a place as a separate function, evaluated layer by layer, to find the one at fault."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import casadi as ca

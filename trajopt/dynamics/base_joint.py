@@ -4,8 +4,6 @@ A base is fixed, a free-flyer, planar, or virtual: six joints in series, three p
 three revolute about axes in one of ``ORDERS`` (see `virtual_base`).
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

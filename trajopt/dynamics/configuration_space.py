@@ -6,8 +6,6 @@ so that no branch makes a NaN. Formulas: Sola, Deray, Atchuthan, "A micro Lie th
 A, B and D.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Placements of all joints at many configurations at once, by numpy instead of a loop over Pinocchio."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

@@ -20,8 +20,6 @@ the world frame Pinocchio's body-frame twist and its rate are
     v = (R^T p', omega),          a = (R^T p'' - omega x R^T p', omega').
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A numeric model as plain numbers: the key of the cache and the input of the extension."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Callable
 from dataclasses import dataclass, field

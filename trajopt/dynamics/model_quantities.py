@@ -1,7 +1,5 @@
 """Numeric quantities of a Pinocchio model that several modules use: mass, weight, contact forces."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

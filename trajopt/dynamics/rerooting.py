@@ -10,8 +10,6 @@ and version 4.1 leaves a body's inertia at its joint where the body's frame lies
 (`docs/modelling/coordinates.md`), as it does behind every reversed joint.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

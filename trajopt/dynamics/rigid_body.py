@@ -10,8 +10,6 @@ name that the model does not have.
 origin), "local" (the frame's axes and origin) or "world" (spatial, at the world's origin).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal, get_args

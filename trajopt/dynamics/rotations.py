@@ -7,8 +7,6 @@ With ``R = R_k exp(theta)`` and ``Jr`` the right Jacobian of SO(3) the body rate
 (Sola, Deray, Atchuthan, "A micro Lie theory", 2018, eqs. 143-147).
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -11,8 +11,6 @@ J_w are 1 and sqrt(1 +- |sin b|). The least of them is the **gimbal margin**: ra
 its inverse times the angular velocity, and at zero, gimbal lock, the joint-space inertia is singular.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

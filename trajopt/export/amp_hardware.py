@@ -1,7 +1,5 @@
 """Motions of "AMP for hardware" and its followers, as their ``AMPLoader`` reads them: 61 numbers a frame."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

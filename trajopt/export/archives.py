@@ -1,7 +1,5 @@
 """Archives of arrays (.npz), and what is added for those who read more than the format has."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A motion as it is exported: at an even rate, cycle after cycle, joints and links by name."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 

@@ -6,8 +6,6 @@ given. It raises `InputError` for motions that the format cannot hold. A new for
 module; a new option is one entry here and one keyword of `export_motion`.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

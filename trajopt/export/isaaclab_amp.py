@@ -1,7 +1,5 @@
 """Motions of Isaac Lab for adversarial motion priors, as its ``MotionLoader`` reads them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Data sets of LeRobot, v3.0, as its ``LeRobotDataset`` reads them: motions are episodes."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Poses and velocities of a robot's links along a motion, by numeric Pinocchio."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

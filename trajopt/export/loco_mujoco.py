@@ -1,7 +1,5 @@
 """Trajectories of LocoMuJoCo, as its ``Trajectory.load`` reads them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Motions of mjlab and BeyondMimic (whole_body_tracking), as their ``MotionLoader`` reads them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A motion to play back in MuJoCo: the model with its ground, and torques and states along the motion."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The legs of a quadruped: four feet, each at the end of three joints that hang from a floating base."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bags of ROS 2 (rosbag2, sqlite3), by the package ``rosbags``: no ROS is needed."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

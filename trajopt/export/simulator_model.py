@@ -1,7 +1,5 @@
 """A MuJoCo model of the robot: its MJCF, and where each of its joints finds its values in a motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

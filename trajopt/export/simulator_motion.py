@@ -1,7 +1,5 @@
 """A motion in the coordinates, joints and bodies of a MuJoCo model, as MuJoCo's own kinematics gives them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

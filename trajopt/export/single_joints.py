@@ -1,7 +1,5 @@
 """The joints of a robot beside its moving base, each with one position and one velocity."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tree of a robot's frames: each link seen from the one that it hangs from, contact frames on links."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

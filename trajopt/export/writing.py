@@ -1,7 +1,5 @@
 """Exporting: one motion or several, in a format by name, completely or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The path of a base through given poses: smooth while feet stand, ballistic while none does."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

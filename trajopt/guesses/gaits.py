@@ -4,8 +4,6 @@ A foot stands where its hip is at mid-stance, so that it acts symmetrically befo
 "Legged robots that balance", 1986, ch. 2: the neutral point).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

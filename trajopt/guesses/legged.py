@@ -1,7 +1,5 @@
 """One guess for all legged motions: base on a path, feet on their footholds, legs by inverse kinematics."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ The base stays over the plane that fits the ground under the feet best, as high 
 reference, and leans as that plane does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

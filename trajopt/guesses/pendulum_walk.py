@@ -6,8 +6,6 @@ sample, with swings of the feet; and inverse dynamics (`trajopt.control`) the co
 that motion. What comes out is a plan like any other: a whole-body controller tracks it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 

@@ -1,7 +1,5 @@
 """Common faults of robot descriptions, each found by a computation and reported in one line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """A robot in figures: joints, limits, contacts, torques needed to stand, and likely mistakes."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

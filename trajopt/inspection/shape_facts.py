@@ -1,7 +1,5 @@
 """The collision shapes of a robot in figures: how many of which kind, and which pairs are not judged."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ push (f_z >= 0) and balance the unactuated rows, the one of least norm (in units
 times length) is taken; then tau = S (g(q) - J^T f).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

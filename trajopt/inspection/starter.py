@@ -1,7 +1,5 @@
 """From a URDF file to a first ``robot.py``: feet and a standing posture guessed from geometry."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Bodies that a plan carries: their wrenches by Newton and Euler, and the model that carries them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

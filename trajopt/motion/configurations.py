@@ -1,7 +1,5 @@
 """A solution as a motion at any time: on the polynomials of its intervals, or on geodesics."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Residuals of the dynamics and of contact motion at samples of a solution, and their figures in a check."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

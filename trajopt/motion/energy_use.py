@@ -1,7 +1,5 @@
 """Energy that the drives of a solution draw, and its cost of transport."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ relative to the start for rotations, joints as they are) collocation makes the a
 polynomial through its points, so that quadratures of matching order are exact up to rounding.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

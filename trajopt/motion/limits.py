@@ -1,7 +1,5 @@
 """Figures of a check about limits of torques, drives, velocities and positions."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trajopt.dynamics.base_joint import position_limits

@@ -1,7 +1,5 @@
 """The same motion with other samples: at fractions of its intervals, for figures and plots."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

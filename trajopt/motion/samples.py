@@ -1,7 +1,5 @@
 """Numeric Pinocchio at every sample of a solution: generalised forces and motion of the contacts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

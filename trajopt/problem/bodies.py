@@ -1,7 +1,5 @@
 """The bodies of a problem that must stay apart: its robot's links, obstacles and the ground."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Whether start, footholds and goals are possible, judged before solving with the tolerances of the check."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

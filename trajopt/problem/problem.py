@@ -1,7 +1,5 @@
 """A problem as data: robot, schedule, terrain, start, terms and a guess."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

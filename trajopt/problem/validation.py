@@ -1,7 +1,5 @@
 """Validation of problems: parts that do not fit, starts that are no state, terms that cannot act."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence

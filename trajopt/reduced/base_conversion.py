@@ -6,8 +6,6 @@ keep their meaning, the base's velocity in world axes and its angular velocity i
 of the angles: so both problems have the same optimum up to discretisation error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property

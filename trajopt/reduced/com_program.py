@@ -14,8 +14,6 @@ sum w = 1, which holds for points and segments (point feet) too. Where two conse
 the third state may jump.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

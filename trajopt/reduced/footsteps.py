@@ -1,7 +1,5 @@
 """Footsteps: where feet stand and for how long, the plan of a walk, and its schedule."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

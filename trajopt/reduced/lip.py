@@ -16,8 +16,6 @@ so that only xi can diverge (Kajita et al. 2001; Pratt et al. 2006; Englsberger,
 exactly; a motion is a sequence of such pieces. Horizontal vectors have 2 entries, metres.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -11,8 +11,6 @@ solution is the motion of the base and the forces, from which ``body_guess`` mak
 problem.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ A term of any kind is evaluated on a context in each phase, at points, nodes and
 result tell which frames, joints, torques and contacts it uses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -11,8 +11,6 @@ only. Stage two is `recover_torques`, numeric. Stage one ignores torque limits: 
 violations, or redistribute the wrenches (``wrench_distribution``).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

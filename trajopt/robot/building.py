@@ -1,7 +1,5 @@
 """From a numeric `pin.Model` to the arrays of a `Robot`: base, limits, reference."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -7,8 +7,6 @@ rectangular support areas", ICRA 2015). Forces and moments (3) are numbers, arra
 the normal.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import product

@@ -5,8 +5,6 @@ if one file is missing. Here Pinocchio places boxes where the file has meshes; t
 their points are needed.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as Tree
 from collections.abc import Sequence
 from dataclasses import dataclass

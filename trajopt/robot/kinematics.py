@@ -1,7 +1,5 @@
 """Numeric kinematics: frame poses, and inverse kinematics by damped Gauss-Newton."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Mapping

@@ -3,8 +3,6 @@
 Forward is the base's x axis and left its y axis, as in all descriptions that follow REP 103.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -10,8 +10,6 @@ the body is a wrench at the holding contact, by Newton and Euler in the axes of 
 the torques of the robot with its load.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

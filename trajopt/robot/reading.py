@@ -1,7 +1,5 @@
 """Description files as numeric `pin.Model`s: URDF, MJCF."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """The centre of pressure of a contact."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """Validation of robots: contacts that exist, limits that are not empty, a reference within them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From robot, schedule and goals to the smallest problem: costs, limits and a guess that fit most scenes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

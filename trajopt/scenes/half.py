@@ -6,8 +6,6 @@ mass, inertia and armature; the limb may leave the plane, as an abducted leg doe
 torque, its contacts twice the force. Joints on the plane that would leave it (yaw, roll) are locked first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The joints that a task needs, each with its reason; the others may be locked."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

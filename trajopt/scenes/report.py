@@ -1,7 +1,5 @@
 """What a scene models and leaves out, by decision: whether exact or a choice, and what it saves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass

@@ -9,8 +9,6 @@ Decisions are taken in this order, each on the result of the one before:
 - torques, if no term asks for them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -5,8 +5,6 @@ rectangle is equivalent to four unilateral corners; friction is that of `SoleCon
 friction pyramids along the rectangle's sides span (Caron, Pham, Nakamura, ICRA 2015).
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ kinds, are evaluated on the whole robot's motion (`whole_terms`). A user's term 
 method ``reduced(reduction) -> Term | None``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import singledispatch

@@ -11,8 +11,6 @@ singular vectors of the r largest singular values, r the number of directions th
 leave free (`HalfEnd`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar

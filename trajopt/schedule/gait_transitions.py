@@ -4,8 +4,6 @@ In a gait that starts from a stance each foot stands until its first swing. In o
 where it lands last.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Footholds: those of a posture, those of a schedule on terrain; whether contacts have ground under them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

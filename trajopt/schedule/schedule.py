@@ -1,7 +1,5 @@
 """Contact-mode schedules: which contacts are active, and for how long."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

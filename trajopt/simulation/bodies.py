@@ -5,8 +5,6 @@ without mass and inertias that no solid body has, both of which Pinocchio's recu
 compiled with a stand-in and their inertias written into the compiled model.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ so that with the orthogonal map T of velocities, v' = T v, forces are f' = T f a
 a' = T (a + w x v) in the linear rows. Arrays have one row a sample; along them angles go on without jumps.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

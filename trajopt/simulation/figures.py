@@ -1,7 +1,5 @@
 """Figures of a simulation: tracking, contacts, falls, by comparison of the record with the plan."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -11,8 +11,6 @@ if their stiffness is below m g l / n. Dampers that would be unstable in discret
 weaker, with their springs: where a foot is late, its joints are as free as in the swing.
 """
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass
 

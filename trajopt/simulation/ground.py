@@ -6,8 +6,6 @@ radius turns about its centre, as it does in the plan; or it is a ball of that r
 touch the ground where it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any

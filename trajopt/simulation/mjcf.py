@@ -5,8 +5,6 @@ of bodies and joints are replaced by the exact ones. Added are a motor for each 
 order, and keyframes ``start`` and ``end``. Shapes of links and ground are within the file.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree
 

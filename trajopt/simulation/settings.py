@@ -1,7 +1,5 @@
 """Settings of a simulation, and the scales from which everything else follows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields

@@ -1,7 +1,5 @@
 """From a plan to its simulation in MuJoCo, in one call."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, fields
 from functools import cached_property

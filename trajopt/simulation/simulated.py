@@ -6,8 +6,6 @@ file names the surfaces of a phase by its contacts. Accelerations, torques and f
 at the samples; an interval has one collocation point, in its middle.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

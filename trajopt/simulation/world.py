@@ -1,7 +1,5 @@
 """The whole MuJoCo model of a plan: robot, feet, ground, obstacles, grasps, and what touches what."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

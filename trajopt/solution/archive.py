@@ -1,7 +1,5 @@
 """Arrays of an ``.npz`` archive of unknown origin: sizes are tested before anything is decompressed."""
 
-from __future__ import annotations
-
 import io
 import math
 import struct

@@ -1,7 +1,5 @@
 """The arrays of a solution: their names and types, ranges of equal indices."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """Consistency of a solution: shapes, finite numbers, times in order, a description that fits the arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

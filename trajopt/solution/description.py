@@ -1,7 +1,5 @@
 """What a solution is of: contacts, limits, ground, goals, loads and shapes, as frozen records."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """The solution file of version 1: an ``.npz`` without pickles, written atomically and checked on reading."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

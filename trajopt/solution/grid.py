@@ -1,7 +1,5 @@
 """The mesh on which a solution was made, its schemes, and values between collocation points."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trajopt.solution.solution import Solution

@@ -1,7 +1,5 @@
 """Solutions as arguments: objects or files, one or several, and motions that can be shown."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -5,8 +5,6 @@ exponential coordinates of rotations, ``R = R_0 exp(theta)`` with ``omega = Jr(t
 they are. All arrays may have more axes in front, the same for all of a call or none for ``start``.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

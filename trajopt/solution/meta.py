@@ -1,7 +1,5 @@
 """The key ``meta`` of a solution file, JSON, read into records once, and written from them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields

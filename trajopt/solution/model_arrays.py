@@ -11,8 +11,6 @@ Loaded in a process of its own for the text of older files (see `model_text`): i
 - bodies: `pin.Model.nbodies`, a count.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ The reader of such a text trusts its counts and indices, so that a damaged one e
 hands back plain arrays, which are tested as any other input.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Names of the entries of q, v and tau of a model, in Pinocchio's order."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Output files: the path is checked before anything is computed; then written completely or not at all."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import stat

@@ -1,7 +1,5 @@
 """A motion at the times that a robot or a program asks for: one value a time, with names."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from dataclasses import dataclass, fields

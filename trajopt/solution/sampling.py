@@ -1,7 +1,5 @@
 """Where the samples of a motion are, and the conventions that they are given in."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
 

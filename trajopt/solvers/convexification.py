@@ -5,8 +5,6 @@ block's negative eigenvalues is removed. Replacing them by their magnitudes make
 bilinear terms, such as a force times its lever, have pairs of eigenvalues of both signs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

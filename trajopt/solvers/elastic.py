@@ -14,8 +14,6 @@ may also hold the variables back, what is found is solved again from there with 
 violation stays.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from typing import Any

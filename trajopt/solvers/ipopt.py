@@ -1,7 +1,5 @@
 """IPOPT, with defaults chosen by measurement (docs/measurements.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -6,8 +6,6 @@ solves that succeed stay below 3e3 as long as rows are violated, one below 1e5; 
 1e4 within 4 to 21 iterations, and 1e6 within 34.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 # Rows violated by less than this, scaled units, count as feasible.

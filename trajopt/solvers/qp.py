@@ -15,8 +15,6 @@ The elastic program may violate every row at a price of one per unit, with the o
     with   low <= J d + s_low - s_high <= high,   s >= 0,   x_low <= d <= x_high
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,8 +12,6 @@ without a penalty function", Mathematical Programming 91, 2002).
 direction along which the objective rises, or a short step.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

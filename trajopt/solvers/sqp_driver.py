@@ -1,7 +1,5 @@
 """The SQP as one of the solvers: its options, statuses and figures."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 

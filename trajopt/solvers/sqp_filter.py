@@ -7,8 +7,6 @@ filter line-search algorithm for large-scale nonlinear programming", Mathematica
 sections 2.3 and 2.4, with the objective in place of their barrier function.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 # Margins by which theta, and f by theta, must improve; Armijo's constant; and the powers of the switching

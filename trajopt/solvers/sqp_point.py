@@ -1,7 +1,5 @@
 """Iterates of the SQP: the NLP's functions there, their KKT errors, and their quadratic programs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a solver's stop means, and what to try."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 

@@ -1,7 +1,5 @@
 """Solve within a time: to the grade first, then finer, while another round is expected to fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Rows that contradict each other, in words: which have to give way, and which stand against them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

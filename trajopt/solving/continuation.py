@@ -1,7 +1,5 @@
 """A sequence of problems over a parameter, each started from the last solution (Allgower and Georg, 1990)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From solved variables to a Solution: samples of motion, torques and contact wrenches."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import asdict

@@ -4,8 +4,6 @@ The first mesh has two fifths of the problem's intervals, a quarter on a fixed b
 `refinement`.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Grid sequencing: solve on a coarse grid, resample the solution onto a finer one, solve again."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 The motion of an iterate is computed when it is first used.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

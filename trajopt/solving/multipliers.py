@@ -8,8 +8,6 @@ linearly in the fraction of their phase. Rows are matched by name, phase, place 
 match start at zero, as without a warm start.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ whole motion do. The first two are not compared: an error that vanishes at the n
 meshes.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace

@@ -6,8 +6,6 @@ torques do in it (`accuracy.measure`: open loop by numeric Pinocchio, from the p
 drift of its contacts where that is larger.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence

@@ -11,8 +11,6 @@ with fewest variables is taken; parts grow with e^(1 / (p + 1)), which spreads t
 "Good approximation by splines with variable knots", 1973).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

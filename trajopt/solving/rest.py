@@ -1,7 +1,5 @@
 """A robot at rest in its reference posture, as a problem: the first picture of a new robot."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trajopt.inspection.standing import standing_feet

@@ -1,7 +1,5 @@
 """Problem -> transcription -> compiled NLP -> solver -> Solution, in one call."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping

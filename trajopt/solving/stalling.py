@@ -6,8 +6,6 @@ point where the rows hold is where the solve starts anew; without either the sol
 again after twice as many iterations. So no solve that would succeed is ended by the test of progress alone.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace

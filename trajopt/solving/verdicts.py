@@ -1,7 +1,5 @@
 """Status of a solve: the solver's, checked against the violations, and failures of the motion itself."""
 
-from __future__ import annotations
-
 import math
 import time
 from typing import Any

@@ -9,8 +9,6 @@ Wrenches are those of the solution, impulses scale with the rates. A free durati
 within its bounds. The state at the start is the problem's own where that is fixed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

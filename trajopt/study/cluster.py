@@ -1,7 +1,5 @@
 """Where tasks run: processes on this machine, a given executor, or a running Dask cluster."""
 
-from __future__ import annotations
-
 import logging
 import re
 import time

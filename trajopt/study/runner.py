@@ -1,7 +1,5 @@
 """The loop of all studies: tasks go to an executor, and what became of them is yielded as they end."""
 
-from __future__ import annotations
-
 import functools
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """What the robot's links must stay clear of: obstacles, the ground, each other."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from trajopt.arguments import checked

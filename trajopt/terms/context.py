@@ -5,8 +5,6 @@ accelerations) are *symbols* here; their graph is joined, and differentiated, on
 `trajopt.transcription.stage_functions`. So a term stays a small expression.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType

@@ -4,8 +4,6 @@ Costs at nodes are linear in a quantity over its natural unit, negative for a qu
 weight of one, a rise by the robot's length is worth as much as torques of weight times length for sqrt(l/g).
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar

@@ -10,8 +10,6 @@ Windings heat by R i^2 (three phases in amplitudes: 3/2 R i^2). In terms of a dr
 torque k_t V / R and no-load speed V / k_e, this is tau_m^2 no_load_speed / stall_torque.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ friction is 1 / sqrt 2 of what it is at high speed (the regularisation of Anders
 Bjoerklund, Tribology International 40, 2007, without their static peak). A contact without slip speed sticks.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Constraints on frames at nodes: pose, velocity, height, and the direction of an axis."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Constraints at touchdown: where a contact lands, and that it does not move."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

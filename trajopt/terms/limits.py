@@ -1,7 +1,5 @@
 """Limits of joint torques, rates and positions at collocation points (and nodes)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

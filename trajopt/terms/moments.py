@@ -5,8 +5,6 @@ its bound: those are exchanged until it holds in between (Hettich and Kortanek, 
 SIAM Review 35, 1993). Which moments, `trajopt.solving.exchange` finds.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 

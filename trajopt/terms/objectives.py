@@ -13,8 +13,6 @@ distance, which have no curvature of their own: without it torques jump from lim
 without torque limits could jump to any height.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

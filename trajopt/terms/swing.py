@@ -9,8 +9,6 @@ so between any two nodes one of them holds at both ends: no interval cuts the ed
 linear in the foot's position. The terms for all swings of a schedule: `trajopt.terms.swing_planning`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar

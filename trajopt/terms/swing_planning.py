@@ -1,7 +1,5 @@
 """Swing terms of a whole schedule: which contacts swing when, and over what ground."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Constraints at the end of a motion, in the directions that active contacts leave free."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Tracking of a reference motion: the cost, and references from key frames."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

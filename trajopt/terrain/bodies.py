@@ -1,7 +1,5 @@
 """The ground as convex bodies: a half-space, or what lies below plane faces."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 

@@ -1,7 +1,5 @@
 """Analytic shapes of smooth ground: heights over (x, y) and their gradients, numeric and symbolic."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Profiles of a swing, and its guess over edges: up before the first, over the top, down behind the last."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace

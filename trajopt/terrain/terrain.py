@@ -1,7 +1,5 @@
 """What the ground of a problem can be, and how a solution file describes it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from trajopt.arguments import checked

@@ -1,7 +1,5 @@
 """The part linear in the variables: scales, gathers of points, ends and impacts, and additive defects."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -6,8 +6,6 @@ what made it, so that nothing stale is ever read. The graph does not depend on t
 number of intervals, so neither does the entry.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import time

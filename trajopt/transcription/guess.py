@@ -1,7 +1,5 @@
 """From a motion q(t) to a guess of all variables: rates by differences, forces that balance the motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

@@ -6,8 +6,6 @@ of the local coordinates and the wrenches of the phase's contacts; those of an i
 (nv) and the impulses; a change of coordinates has none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

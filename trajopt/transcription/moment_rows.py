@@ -1,7 +1,5 @@
 """Rows at moments of phases: in which interval each moment lies, and the groups of functions there."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Every variable and row of an NLP in words: owner, quantity, place, time and phase."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """From a transcription and compiled point functions to the engine's sparse NLP."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -5,8 +5,6 @@ velocities depend on each other wherever the contacts hold, so that their rows t
 LICQ). Forces keep all components; costs decide how redundant contacts share them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 

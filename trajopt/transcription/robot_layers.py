@@ -10,8 +10,6 @@ replace one graph over (q, v, a, w), and the rigid-body algorithm is differentia
       -> (tau, contact accelerations)                            Pinocchio, base at the identity
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """Rows of the NLP in order: names, places and bounds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 

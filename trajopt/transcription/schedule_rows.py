@@ -1,7 +1,5 @@
 """Linear rows over the whole schedule: closing of a periodic motion, bounds of the total duration."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

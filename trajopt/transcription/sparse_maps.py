@@ -4,8 +4,6 @@ The engine computes, for every stage, target_t = sum_e coefficient_e * nonzero[s
 entries e of t: from nonzeros of a point function's derivatives to nonzeros of the NLP's matrices.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

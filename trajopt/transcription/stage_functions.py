@@ -23,8 +23,6 @@ Expressions that occur several times are left as they are: CasADi takes four tim
 all the rest, the engine's tapes a few milliseconds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,8 +4,6 @@ A term is a small expression over the symbols of its context. For any term, the 
 subject: one joint's torque, one contact's force, the height of one frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

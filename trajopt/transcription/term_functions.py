@@ -1,7 +1,5 @@
 """The functions of a problem's points, nodes and transitions: terms written over contexts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial

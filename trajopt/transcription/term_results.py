@@ -1,7 +1,5 @@
 """What terms return, checked where it is used: errors in a term of the user's own name it, file and line."""
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable
 from pathlib import Path

@@ -9,8 +9,6 @@ runs at the time scale s = T / T_nominal, so that x' = s v and x'' = s^2 a, and 
 the variables; the time scale of every free phase is a constant entry of all nodes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum

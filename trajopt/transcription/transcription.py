@@ -5,8 +5,6 @@ x_(k+1); the rows of each collocation point, or of an impact; the rows at node k
 is measured in its natural unit, so that one tolerance means the same everywhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 

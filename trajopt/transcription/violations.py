@@ -1,7 +1,5 @@
 """Which rows are violated, by block, phase and node; and where a function is not finite."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

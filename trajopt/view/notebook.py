@@ -1,7 +1,5 @@
 """Replays and plots inside a notebook, as the value of a cell in Jupyter, VS Code and others."""
 
-from __future__ import annotations
-
 import html
 import tempfile
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 The violations are those of the check (`certify.dense`), in natural units.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

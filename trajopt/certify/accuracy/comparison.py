@@ -3,8 +3,6 @@
 Times are compared as fractions of each phase, so that motions of free durations are compared event by event.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ planned torques and e the error of the planned motion, fixed-point iteration giv
 Its first step is the quadrature of the residual, which vanishes at the scheme's own points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The accuracy of a solution, by independent means: numeric Pinocchio and the file's arrays alone."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

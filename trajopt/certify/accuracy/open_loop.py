@@ -4,8 +4,6 @@ All integrations are those of `certify.reintegration`: contact-constrained forwa
 Pinocchio, without stabilisation, under the torque polynomials of the file.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

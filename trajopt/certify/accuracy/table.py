@@ -1,7 +1,5 @@
 """Accuracy as a table to read: figures one a line, then the phases, then the comparison with a reference."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trajopt.certify.accuracy.measures import Accuracy, PhaseAccuracy

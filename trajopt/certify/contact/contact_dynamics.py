@@ -9,8 +9,6 @@ B^T y = const (Gauss's principle; Udwadia and Kalaba 1992). So a is unique even 
 contradict each other, it has the least contact acceleration. f then has minimum norm.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -10,8 +10,6 @@ The dynamically consistent projector ``N = I - M^-1 J^T (J M^-1 J^T)^+ J`` (Khat
 for accelerations: a = N M^-1 (S^T tau - h) - M^-1 J^T (J M^-1 J^T)^+ Jdot v.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

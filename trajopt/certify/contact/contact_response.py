@@ -6,8 +6,6 @@ of B are the square roots of the eigenvalues of D J M^-1 J^T D; they separate in
 with twice as many digits.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How far forces are inside Coulomb's law, written anew for the check: without the rows of the planner."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

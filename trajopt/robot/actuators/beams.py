@@ -8,8 +8,6 @@ and inertias of bodies in one frame add and subtract, so a hollow beam is the ou
 (Spong, Hutchinson, Vidyasagar, Robot Modeling and Control, 2006, sec. 7.2).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Drives on a robot: which joint has which, and the resulting model and limits."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -12,8 +12,6 @@ up to the base, and the other limbs; the contact needs neither rows nor forces. 
 All three are `casadi.Function` of SX; ``lifted``, ``dropped`` and ``ground_reaction`` take and give arrays.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated

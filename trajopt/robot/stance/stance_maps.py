@@ -5,8 +5,6 @@ joints of the floating model and keep their names and coordinates. So the maps c
 base from the ankle or the ankle from the base by kinematics.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin

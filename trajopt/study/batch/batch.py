@@ -1,7 +1,5 @@
 """Solve many cases on any executor."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from pathlib import Path

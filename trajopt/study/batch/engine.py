@@ -1,7 +1,5 @@
 """The loop of a batch: cases go to an executor as their starts are known, and their rows to the folder."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Executor

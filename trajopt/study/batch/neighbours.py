@@ -5,8 +5,6 @@ A case starts from the nearest of its ancestors that was solved. Ancestors depen
 solved before it, so that its result is the same on one worker and on many; it waits for about log2 n cases.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

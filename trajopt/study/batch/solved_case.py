@@ -1,7 +1,5 @@
 """One case of a batch: solved to the grade from a neighbour's solution, or from its default guess."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Values of parameters that vary over a batch: grids, random samples, and their combinations."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

@@ -1,7 +1,5 @@
 """The pairs of problem and robot, and the selection of some."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase

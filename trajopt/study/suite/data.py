@@ -12,8 +12,6 @@ bodies are laid anew until it changes by less, and meshes within the grade diffe
 legged robot): no later result may be worse.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import re

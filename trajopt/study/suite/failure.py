@@ -1,7 +1,5 @@
 """Why a solve failed, in one word: the optimality condition that was not met, or another reason."""
 
-from __future__ import annotations
-
 import math
 
 from trajopt.solution.statistics import SolveStatistics

@@ -10,8 +10,6 @@ images and motions that the costs do not determine. They have *one motion* if bo
 least as many motions as optima. Groups are connected by chains of such pairs.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Result of a solution in physics: the plan of a legged robot in MuJoCo (`trajopt.simulation`)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from trajopt.errors import TrajoptError

@@ -1,7 +1,5 @@
 """All pairs: a task for each solve and each simulation, whose results are recorded as they come."""
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from dataclasses import asdict

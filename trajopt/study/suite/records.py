@@ -1,7 +1,5 @@
 """Results on disk, one line of JSON per pair, appended as they come, so that a suite can be resumed."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Mapping
 from dataclasses import asdict

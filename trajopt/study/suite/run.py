@@ -1,7 +1,5 @@
 """The tasks of a pair: a solve to the grade from its default guess or a perturbed start, and a simulation."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

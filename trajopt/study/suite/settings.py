@@ -1,7 +1,5 @@
 """How every pair of a suite is solved: one set of settings for all."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Outcomes as one line each, as a table, as figures over all, and as JSON."""
 
-from __future__ import annotations
-
 import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence

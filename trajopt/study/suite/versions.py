@@ -1,7 +1,5 @@
 """Versions of libraries and solvers, on which a result depends besides the problem."""
 
-from __future__ import annotations
-
 import platform
 import re
 from pathlib import Path

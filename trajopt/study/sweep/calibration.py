@@ -4,8 +4,6 @@ It mixes the work of a solve: dense linear algebra in the cache, passes over mem
 time rises when another process shares the core, the caches, the memory or the clock of the processor.
 """
 
-from __future__ import annotations
-
 import statistics
 import time
 

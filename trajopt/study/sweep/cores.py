@@ -1,7 +1,5 @@
 """The processors to which timed processes are pinned: one physical core each, one left to the system."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

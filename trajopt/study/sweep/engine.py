@@ -4,8 +4,6 @@ Each round runs all settings once, so that a slow minute of the machine affects 
 repeated at the end of the queue, at most `RETRIES` times.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter, deque

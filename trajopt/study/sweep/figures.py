@@ -1,7 +1,5 @@
 """The accuracy of a solution as one flat row, by `trajopt.certify.accuracy`."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

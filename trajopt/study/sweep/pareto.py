@@ -1,7 +1,5 @@
 """Pareto fronts: the points than which nothing faster is as accurate. A point is a time and an error."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The settings of a sweep: a grid of schemes and intervals, one factor at a time, or a product."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Results of a sweep on disk: one line of JSON each, appended at once."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The result of one run, as one row of ``runs.csv``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from trajopt.study.runner import REFUSED

@@ -1,7 +1,5 @@
 """The tasks of a sweep: compile, run, solve the reference, time the fixed load."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path

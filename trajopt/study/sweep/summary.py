@@ -1,7 +1,5 @@
 """One row per setting: medians over its runs, the accuracy of the median run, and the dominating setting."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections.abc import Iterable, Sequence

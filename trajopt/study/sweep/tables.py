@@ -1,7 +1,5 @@
 """The tables of a sweep: one row per run, per setting, and per setting of the front."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence

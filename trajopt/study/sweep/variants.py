@@ -1,7 +1,5 @@
 """A problem with the other friction cone, and the kind of its own."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 from trajopt.errors import InputError

@@ -1,7 +1,5 @@
 """An executor whose tasks may crash, hang or run out of memory: each has a separate process."""
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Results on disk, to resume from: one line of JSON each, appended at once."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Mapping

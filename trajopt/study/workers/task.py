@@ -1,7 +1,5 @@
 """The process of a task: its time limit, and how it ends."""
 
-from __future__ import annotations
-
 import faulthandler
 import fcntl
 import gc

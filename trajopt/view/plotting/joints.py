@@ -1,7 +1,5 @@
 """Rows of v behind the base for plots: names, coordinates, limits and their use, and limbs."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Sequence

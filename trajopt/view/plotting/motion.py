@@ -1,7 +1,5 @@
 """Plotted quantities of a motion at its samples, by numeric Pinocchio: momentum, base, contact forces."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """The summary: one page with the essentials of each topic, and the list of all pages."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from trajopt.errors import InputError, not_among

@@ -1,7 +1,5 @@
 """Pages about the whole body: base, centre of mass, momentum, power, clearances."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

@@ -1,7 +1,5 @@
 """A solution prepared for plotting: sampled between its points, with its phases, name, check and accuracy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """A report of one or several solutions, as pictures, a document to print, or one HTML file."""
 
-from __future__ import annotations
-
 import io
 from base64 import b64encode
 from collections.abc import Sequence

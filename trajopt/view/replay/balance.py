@@ -13,8 +13,6 @@ virtual plane is used, level and through the mean of the contacts. Walls and han
 that stands on something else; their forces move the point.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

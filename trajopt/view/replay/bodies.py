@@ -1,7 +1,5 @@
 """Bodies of a replay besides the drawn robot: obstacles, payloads, the collision shapes of its links."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

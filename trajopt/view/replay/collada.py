@@ -6,8 +6,6 @@ textures are not read. Anything else raises `ColladaError`. Numbers are taken as
 turning the file's up axis, as Pinocchio takes them.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as Tree
 from functools import lru_cache
 from pathlib import Path

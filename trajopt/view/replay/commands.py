@@ -1,7 +1,5 @@
 """Messages to a Meshcat viewer: recorded commands, and animated properties in few key frames."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Contacts of a replay: arrows of forces and impulses, friction cones, and the contacts' paths as trails."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Goals of a replay: those of the problem, and what a whole-body controller asked for in a simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The ground of a replay: planes, solid blocks or a smooth surface below the drawn feet; light and sky."""
 
-from __future__ import annotations
-
 import uuid
 from dataclasses import dataclass, replace
 from typing import Any

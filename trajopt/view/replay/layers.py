@@ -1,7 +1,5 @@
 """What a page says of its scene: title, lines of the caption, and the layers that it can show and hide."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from typing import Any
 

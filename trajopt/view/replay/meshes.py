@@ -10,8 +10,6 @@ A position is wrong by at most half of 1 / `LEVELS` of the mesh's extent along e
 degree. Files without vertex normals (STL) get them in the page: smooth except at creases.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The motion of a replay: a solution at a constant frame rate, as placements in the world."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

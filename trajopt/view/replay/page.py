@@ -1,7 +1,5 @@
 """One HTML page with a complete replay: the viewer's code, the meshes and the animation."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import hashlib

@@ -1,7 +1,5 @@
 """A replay as a video, an animated GIF or a picture, taken from its own page off screen."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import math

@@ -1,7 +1,5 @@
 """The robot of a replay: its visual meshes hung on the joints, or a skeleton where there are none."""
 
-from __future__ import annotations
-
 import warnings
 from collections import defaultdict
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The solutions of one scene: each below its own scene tree node, tinted or moved aside; their ghosts."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

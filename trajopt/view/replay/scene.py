@@ -1,7 +1,5 @@
 """The scene of a replay as Meshcat commands: robots, ground, force arrows, trails, camera, animation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ once, and it ends when its standard input does, i.e. with the process that start
 Meshcat's own page stays where it was, at /static/.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import sys

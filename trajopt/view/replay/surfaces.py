@@ -1,7 +1,5 @@
 """Walls, boards, steps and handles of a replay: contact surfaces other than the terrain."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

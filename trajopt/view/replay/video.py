@@ -1,7 +1,5 @@
 """Videos, animated WebPs and GIFs by ffmpeg, from a stream of pictures that are not kept in memory."""
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 import tempfile

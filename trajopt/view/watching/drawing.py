@@ -1,7 +1,5 @@
 """Iterates as Meshcat commands and facts for the page: the scene once, then poses, paths, the animation."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, field
 from typing import Any
