@@ -1,7 +1,5 @@
 """Problems by name: modules of families, each with a ``FAMILY`` or several ``FAMILIES``."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from functools import lru_cache

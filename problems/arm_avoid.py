@@ -1,7 +1,5 @@
 """An arm moves its tool from one side to the other past a box and a post in its path."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from itertools import product

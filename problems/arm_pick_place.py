@@ -1,7 +1,5 @@
 """An arm picks up an object and places it elsewhere: waypoints above both places, a payload in between."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """An arm reaches: its tool moves to a pose, from rest to rest, with little torque."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An arm moves between two postures, from rest to rest, in least time or with least torque."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

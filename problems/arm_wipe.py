@@ -1,7 +1,5 @@
 """An arm wipes: its tool presses on a plane and slides along a line or a circle on it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

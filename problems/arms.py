@@ -1,7 +1,5 @@
 """Shared by the families for arms: the arm and its tool, poses relative to its reach, paths, limits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The push is an impulse on the base: velocities jump, except those of the standing feet.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gaits of bipeds as periodic orbits at a commanded speed: half a cycle, closed by its mirror image."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

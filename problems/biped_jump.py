@@ -5,8 +5,6 @@ would come from this swing instead of the legs. So the distance of the base from
 has a cost, with a tenth of the weight on torques.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """A biped squats: down on both feet and up again, from rest to rest."""
 
-from __future__ import annotations
-
 from trajopt.guesses import legged_guess
 from trajopt.problem import Family, Problem
 from trajopt.schedule import Phase, Schedule, middle_of

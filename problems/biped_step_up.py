@@ -1,7 +1,5 @@
 """A biped steps onto a box, or down: shift, one foot over the edge, double support, the other foot, rest."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trajopt.errors import InputError

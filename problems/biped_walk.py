@@ -4,8 +4,6 @@ The guess is the walk of the linear inverted pendulum over the same footsteps; i
 pendulum's zero-moment point cannot move while one point foot stands.
 """
 
-from __future__ import annotations
-
 import math
 
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """Shared by the problems of bipeds: the robot with its legs alone, poses of the base, two steps."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Shared by all families: parameters, limits, paths of guesses, schedules, and the problem itself."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

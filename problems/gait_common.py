@@ -1,7 +1,5 @@
 """Shared by the gaits: speeds and periods from the robot's size, costs, periodic problems, parameters."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

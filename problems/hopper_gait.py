@@ -1,7 +1,5 @@
 """Hopping on one leg as a periodic orbit at a commanded speed: from touchdown to touchdown."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trajopt.dynamics import gravity_of

@@ -3,8 +3,6 @@
 In minimal coordinates of each phase or as one floating-base system.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

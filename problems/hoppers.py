@@ -1,7 +1,5 @@
 """Shared by the hops: robots on one point foot, in the plane or in space, and the position of their base."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trajopt.errors import InputError

@@ -1,7 +1,5 @@
 """A transfer of the IRB 1600: rest to rest between two tool poses, with least effort or in least time."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

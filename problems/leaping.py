@@ -4,8 +4,6 @@ All of it follows from the robot: its length l, the time sqrt(l / g), and the re
 (`pushing`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How far legs extend and fold with the feet in place, and how fast they push a robot off the ground."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

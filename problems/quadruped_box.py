@@ -1,7 +1,5 @@
 """Quadrupeds leap onto a box, down from a box and over a gap: feet clear of its edges, all four at once."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Literal

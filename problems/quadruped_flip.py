@@ -4,8 +4,6 @@ Both leave the ground in two steps: one pair of feet lifts first, so that the bo
 turns about the other; it lands on the pair that lifted first.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property, partial

@@ -4,8 +4,6 @@ One cycle (or half of one, where the other half is its mirror image) from a touc
 the initial one moved by the commanded displacement. Feet land anywhere on the ground.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

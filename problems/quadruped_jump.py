@@ -1,7 +1,5 @@
 """Jumps of quadrupeds from level ground to level ground: up, forward, sideways and turning."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial

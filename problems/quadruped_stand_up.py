@@ -1,7 +1,5 @@
 """A quadruped stands up: from lying low on folded legs, feet in place, to its standing posture, at rest."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trajopt.errors import InputError

@@ -1,7 +1,5 @@
 """Quadrupeds walk over terrain from standing to standing: stairs, slopes, uneven steps, stones, waves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -5,8 +5,6 @@ commanded path at the commanded speed, feet where they are planned. The end of o
 the same gait's stop.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Half a backflip of Solo12: push, take-off, and a flight that ends with the nose beyond the vertical."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

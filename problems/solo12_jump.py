@@ -1,7 +1,5 @@
 """A jump of Solo12: stance, flight, landing on the footholds of the target pose, rest."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

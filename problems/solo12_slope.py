@@ -1,7 +1,5 @@
 """Solo12 hops uphill on a slope: every contact normal is tilted against gravity."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

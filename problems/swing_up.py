@@ -1,7 +1,5 @@
 """Swing-ups of pendulums: from hanging to upright at rest, with motors too weak to lift them at once."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Talos puts its left hand on a wall and pushes, or grasps a handle on it and pulls, and comes to rest."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

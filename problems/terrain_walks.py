@@ -1,7 +1,5 @@
 """Shared by the walks over terrain: distance and speed, schedules, terms, parameters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

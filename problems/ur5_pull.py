@@ -1,7 +1,5 @@
 """The UR5 reaches for a handle on a board, grasps it and pulls: a bilateral contact with six rows."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

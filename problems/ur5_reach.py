@@ -1,7 +1,5 @@
 """A reach of the UR5: rest to rest to a pose of its tool, with torques, accelerations or rates as inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

@@ -1,7 +1,5 @@
 """Robots by name: a file for each, with its ``KIND``, ``build() -> Robot`` and, for an arm, its ``TOOL``."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import pkgutil

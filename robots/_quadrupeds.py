@@ -1,7 +1,5 @@
 """Quadrupeds with the same construction: those of Unitree and ANYbotics in example-robot-data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

@@ -1,7 +1,5 @@
 """Unitree A1, a quadruped of 13.7 kg."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot
 
 from ._quadrupeds import unitree

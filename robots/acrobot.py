@@ -1,7 +1,5 @@
 """The acrobot: the links of the double pendulum with a motor at the second joint alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from trajopt.robot import Robot

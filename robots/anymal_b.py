@@ -1,7 +1,5 @@
 """ANYmal B of ANYbotics, a quadruped of 30 kg."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot
 
 from ._quadrupeds import anymal

@@ -1,7 +1,5 @@
 """ANYmal C of ANYbotics, a quadruped of 52 kg."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot
 
 from ._quadrupeds import anymal

@@ -1,7 +1,5 @@
 """Unitree B1, a quadruped of 56 kg."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot
 
 from ._quadrupeds import unitree

@@ -1,7 +1,5 @@
 """Bolt, the 1.3 kg biped of the Open Dynamic Robot Initiative: six joints, two point feet."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

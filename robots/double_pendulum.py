@@ -1,7 +1,5 @@
 """The double pendulum of example-robot-data: two links on parallel horizontal axes, a motor on each."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Unitree G1, the 33 kg humanoid, on two soles; its waist and arms are locked."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

@@ -1,7 +1,5 @@
 """Unitree Go1, a quadruped of 13.1 kg."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot
 
 from ._quadrupeds import unitree

@@ -1,7 +1,5 @@
 """Unitree Go2, a quadruped of 16 kg."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot
 
 from ._quadrupeds import unitree

@@ -1,7 +1,5 @@
 """The planar hopper of the lecture: a torso, a thigh and a shank in a vertical plane, on a point foot."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The hopper in space: torso and leg of the planar hopper on a free base, its hip with a second axis."""
 
-from __future__ import annotations
-
 import pinocchio as pin
 
 from trajopt.robot import Robot

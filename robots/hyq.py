@@ -1,7 +1,5 @@
 """HyQ, the hydraulic quadruped of the Istituto Italiano di Tecnologia, 87 kg."""
 
-from __future__ import annotations
-
 from trajopt.robot import Contact, Robot, robot_file
 
 KIND = "quadruped"

@@ -1,7 +1,5 @@
 """ABB IRB 1600-8/1.45, a six-joint arm for 8 kg, its links hollow metal beams, its motors behind gears."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Jaco 2 of Kinova (j2s6s200: six joints, spherical wrist, two fingers, which the URDF fixes)."""
 
-from __future__ import annotations
-
 import math
 
 from trajopt.robot import Robot, robot_file

@@ -1,7 +1,5 @@
 """Unitree Laikago, a quadruped of 25 kg."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot
 
 from ._quadrupeds import unitree

@@ -1,7 +1,5 @@
 """Panda of Franka Emika, the seven-joint arm with its hand; the fingers are locked."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot, robot_file
 
 KIND = "arm"

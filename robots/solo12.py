@@ -1,7 +1,5 @@
 """Solo12, the 2.5 kg quadruped of the Open Dynamic Robot Initiative (twelve joints, four point feet)."""
 
-from __future__ import annotations
-
 import math
 
 from trajopt.robot import Contact, Drive, Robot, robot_file

@@ -1,7 +1,5 @@
 """Talos, the 90 kg humanoid of PAL Robotics: two soles, and the left hand as a point contact."""
 
-from __future__ import annotations
-
 from trajopt.robot import Contact, Robot, robot_file
 
 KIND = "biped"

@@ -1,7 +1,5 @@
 """UR5, the six-joint arm of Universal Robots, bolted to the ground; its tool frame is ``tool0``."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot, robot_file
 
 KIND = "arm"

@@ -1,7 +1,5 @@
 """xArm 7 of UFACTORY, a seven-joint arm."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot, robot_file
 
 KIND = "arm"

@@ -1,7 +1,5 @@
 """Z1 of Unitree, a light six-joint arm with a gripper, whose jaw is locked."""
 
-from __future__ import annotations
-
 from trajopt.robot import Robot, robot_file
 
 KIND = "arm"

@@ -20,8 +20,6 @@ environment, as a process that answers requests (`scripts/peers/serve.py`). One 
 on one thread unless said. A time is that of the solver: problems are built, and functions compiled, before.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

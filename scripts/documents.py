@@ -1,7 +1,5 @@
 """Sections of documents that scripts write. Only the standard library is needed."""
 
-from __future__ import annotations
-
 import re
 
 

@@ -3,8 +3,6 @@
 uv run python -m scripts.figures -o docs/figures
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -6,8 +6,6 @@ uv run python -m scripts.gallery --solutions out -o gallery --pages      # and i
 uv run python -m scripts.gallery --solutions out -o docs/gallery --tracked   # only videos of simulations
 """
 
-from __future__ import annotations
-
 import argparse
 import html
 import io

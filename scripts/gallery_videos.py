@@ -1,7 +1,5 @@
 """Videos of the gallery: plans in MuJoCo with whole-body control, the plan translucent over it."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What every test shares: assertions of helpers say what they found, and which tests are quick."""
 
-from __future__ import annotations
-
 import os
 
 # Before OpenMP is loaded: rounding depends on the number of threads, `trajopt suite` measures with one.

@@ -1,7 +1,5 @@
 """The tests' own house: test files stand alone, and every room of the library has its tests."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

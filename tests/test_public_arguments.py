@@ -1,7 +1,5 @@
 """Wrong arguments of public constructors are refused in one line that names the field."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import inspect

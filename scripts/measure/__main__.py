@@ -4,8 +4,6 @@ uv run python -m scripts.measure --help
 OMP_NUM_THREADS=1 uv run python -m scripts.measure models --only hopper
 """
 
-from __future__ import annotations
-
 import click
 
 from scripts.measure import (

@@ -1,7 +1,5 @@
 """What a batch costs beside its solves, for the plan of large ones (docs/batch.md)."""
 
-from __future__ import annotations
-
 import resource
 import tempfile
 import time

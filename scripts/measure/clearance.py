@@ -1,7 +1,5 @@
 """What rows that keep bodies apart cost: only where pairs come near, and for all pairs at all points."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

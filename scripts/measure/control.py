@@ -1,7 +1,5 @@
 """Ticks of the whole-body controller, and where its plans end (docs/control.md)."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import click

@@ -1,7 +1,5 @@
 """Draft, default grade and a fine accuracy of four motions: solver time, and errors of what is planned."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import click

@@ -1,7 +1,5 @@
 """Iterations of full problems from guesses with and without reduced models."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Settings that cannot be done: how soon that is known, beside the same problem at a feasible parameter."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import click

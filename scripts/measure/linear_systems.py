@@ -1,7 +1,5 @@
 """IPOPT with MUMPS and with the factorisation stage by stage: time of an iteration, in turns."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import click

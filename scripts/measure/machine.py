@@ -1,7 +1,5 @@
 """What tapes cost and gain, and how much timed processes on separate cores disturb each other."""
 
-from __future__ import annotations
-
 import os
 import statistics
 import tempfile

@@ -1,7 +1,5 @@
 """Models, bases and goals of one problem against each other, and the range of the jump."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence

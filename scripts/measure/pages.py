@@ -3,8 +3,6 @@
 The library is imported late: its imports are part of the measurement.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json

@@ -6,8 +6,6 @@ factorisations, OSQP, and HPIPM from CasADi's wheel, which takes no rows that jo
 stage.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from functools import partial

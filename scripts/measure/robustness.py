@@ -1,7 +1,5 @@
 """Quadrupeds in MuJoCo under disturbances that plan and controller do not know of (docs/control.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, get_args

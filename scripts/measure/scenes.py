@@ -1,7 +1,5 @@
 """Full problems against the smallest ones: sizes, iterations, times and optima."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

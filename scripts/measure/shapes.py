@@ -1,7 +1,5 @@
 """Times of robots' shapes, and of their distances along a motion."""
 
-from __future__ import annotations
-
 import time
 
 import click

@@ -1,7 +1,5 @@
 """What the measurements share: timed solves, Markdown tables."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Sequence

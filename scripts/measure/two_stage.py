@@ -1,7 +1,5 @@
 """Two-stage locomotion against the full problem: size, iterations, time, cost and torques beyond limits."""
 
-from __future__ import annotations
-
 import time
 
 import click

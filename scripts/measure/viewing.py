@@ -1,7 +1,5 @@
 """Cost of pictures of a replay, and of watching a solve."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time

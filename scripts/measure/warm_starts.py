@@ -4,8 +4,6 @@ Ladders from the default guess and sequences over a parameter are `trajopt solve
 `trajopt continue --vary ... --compare`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -3,8 +3,6 @@
 Runs where Crocoddyl is installed, see `scripts/compare_crocoddyl.py`.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from functools import cache

@@ -4,8 +4,6 @@ Weights are those of `SimpleQuadrupedalGaitProblem.createSwingFootModel`: each i
 units. Its penalties on friction and on the path of swinging feet are constraints of ours instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

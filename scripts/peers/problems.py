@@ -3,8 +3,6 @@
 Friction, limits of joints and torques, footholds, swing heights and landing without impact are constraints.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@
 Functions are compiled, and problems transcribed, before the first solve that needs them: no time counts that.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from functools import cache

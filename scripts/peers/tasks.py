@@ -5,8 +5,6 @@ Only the standard library is needed.
 Numbers of the first five are those of `crocoddyl.examples.quadrupedal_gaits_fwddyn`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 # Time of a knot in Crocoddyl's examples, s.

@@ -1,7 +1,5 @@
 """The gallery's motions as pages that play, solved when the site is built."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import re

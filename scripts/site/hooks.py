@@ -1,7 +1,5 @@
 """Hooks of MkDocs: pages that are generated, and links out of `docs/`."""
 
-from __future__ import annotations
-
 import posixpath
 import re
 import sys

@@ -1,7 +1,5 @@
 """Notebooks as pages: executed, pictures and replays as files beside the page."""
 
-from __future__ import annotations
-
 import html
 import os
 import re

@@ -1,7 +1,5 @@
 """Pages of reference, from the code alone: one for each module with public names, one for each command."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

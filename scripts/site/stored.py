@@ -1,7 +1,5 @@
 """What takes long to make, kept in `build/` until a source file of the library changes."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from functools import cache

@@ -1,7 +1,5 @@
 """Motions whose truth is known, for the checks to judge."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.support.synthetic_motions import arm_motion, pushing_off, sampled, standing, tumbling_flight

@@ -1,7 +1,5 @@
 """Accuracy of motions whose errors are known: closed forms, orders, errors put in by hand."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Between collocation points: the interpolated motion, constraints broken; and how motions compare."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

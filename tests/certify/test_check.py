@@ -1,7 +1,5 @@
 """The check: truth is accepted to rounding, and one corruption is found by its own figure."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

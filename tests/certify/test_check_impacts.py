@@ -1,7 +1,5 @@
 """The check of impacts, of jumps that are none, and of velocity sources."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The check of surface contacts: six rows, margins of the sole, turning."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The check of contacts on surfaces that are not the terrain: slopes, ceilings, grasps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Forward and inverse dynamics in contact against Pinocchio's own, finite differences and formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """Projected dynamics against the KKT system, and torques against least squares."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contacts whose rows depend on each other: unique motion, least wrenches, and a report of the rows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

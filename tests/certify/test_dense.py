@@ -1,7 +1,5 @@
 """Figures between samples: their worst value is found, and local errors are those of an integration."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """Rigid impacts against Pinocchio's own, formulas, and the laws of momentum and energy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """Open-loop re-integration: forward dynamics under contacts, and errors that mean something."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

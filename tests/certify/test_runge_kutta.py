@@ -1,7 +1,5 @@
 """The integrator of the check against closed forms and `scipy.integrate.DOP853`."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lagrange's equations of the links' energies against Newton-Euler, closed forms and the energy balance."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """Bounds of the mass matrix over sampled postures and before any posture is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

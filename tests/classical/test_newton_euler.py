@@ -1,7 +1,5 @@
 """The recursive Newton-Euler method: joint forces, constraint forces, contacts, the lecture's formulas."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """Structure of the dynamics: blocks of M, momentum, Coriolis matrix, energy, gravity."""
 
-from __future__ import annotations
-
 from dataclasses import FrozenInstanceError
 
 import numpy as np

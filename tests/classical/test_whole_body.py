@@ -1,7 +1,5 @@
 """The robot as one body: Newton and Euler, facts 1, 2 and 6 of the lecture, passivity along motions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``trajopt batch`` on the command line: output, exit status, Ctrl-C, a killed client, a full disk."""
 
-from __future__ import annotations
-
 import json
 import resource
 import signal

@@ -1,7 +1,5 @@
 """The command line: exit status, one JSON object, one line for bad input, files."""
 
-from __future__ import annotations
-
 import json
 import math
 import signal

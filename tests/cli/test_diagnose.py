@@ -1,7 +1,5 @@
 """``trajopt diagnose``, ``trajopt solve --diagnose``, and the line that points to them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``trajopt export``: what it writes, and what it refuses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Names of files tell the settings; files of the user are not written over; bad paths are one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """Ctrl-C on the command line, in real processes on a real terminal."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

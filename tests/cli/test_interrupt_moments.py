@@ -1,7 +1,5 @@
 """Ctrl-C at many moments of the commands that run long: each ends, says so, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import json
 import sys
 import uuid

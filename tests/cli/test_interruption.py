@@ -1,7 +1,5 @@
 """A press of Ctrl-C has its effect whatever the program does when it comes."""
 
-from __future__ import annotations
-
 import signal
 
 import pytest

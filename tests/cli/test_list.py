@@ -1,7 +1,5 @@
 """`trajopt list` finds motions by name and by robot."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """``trajopt plot``: files, pages, labels, and bad input in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What is seen of a solve in a terminal and in a log, and how a solve that does not return ends."""
 
-from __future__ import annotations
-
 import csv
 import math
 import sys

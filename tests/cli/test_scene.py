@@ -1,7 +1,5 @@
 """What the command line says about a scene, and what it writes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

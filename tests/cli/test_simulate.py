@@ -1,7 +1,5 @@
 """The command ``trajopt simulate``: exit status, JSON, files, one line for bad input."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``trajopt suite`` on the command line: output, exit status, files, Ctrl-C, processes left behind."""
 
-from __future__ import annotations
-
 import json
 import signal
 from collections.abc import Iterator

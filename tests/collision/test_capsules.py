@@ -1,7 +1,5 @@
 """Capsules around links: every vertex is inside, little else is."""
 
-from __future__ import annotations
-
 import coal
 import numpy as np
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """Scenes of capsules and obstacles: their distances by Coal, and what is refused."""
 
-from __future__ import annotations
-
 import coal
 import numpy as np
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """Distances of links' shapes from the ground, from obstacles and from each other; witnesses; hulls."""
 
-from __future__ import annotations
-
 import coal
 import numpy as np
 import pinocchio as pin

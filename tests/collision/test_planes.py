@@ -1,7 +1,5 @@
 """Separating planes: their least row is Coal's signed distance less the margin, with its gradient."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Shapes of every robot: they enclose the description's geometry, and no judged pair overlaps at rest."""
 
-from __future__ import annotations
-
 import inspect
 import shutil
 from pathlib import Path

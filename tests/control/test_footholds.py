@@ -1,7 +1,5 @@
 """Supports and footholds against closed forms of the linear inverted pendulum."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """Programs of one tick against closed forms: statics, inverse dynamics, limits, priorities, cones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

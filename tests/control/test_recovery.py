@@ -1,7 +1,5 @@
 """Recovery steps: supports, the falling mass and legs against closed forms, and a robot that is pushed."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rows of tasks against finite differences of what they speak of, and their feedback."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """What the tracker says that a tick asked for: forces of its program, goals of its tasks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tracker on an integrator that is not MuJoCo: numeric Pinocchio, contacts by their KKT conditions."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A diagnosis calls clean problems clean, and names what is wrong with the others."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 

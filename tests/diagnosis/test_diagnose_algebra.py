@@ -1,7 +1,5 @@
 """Ranks, dependent rows and reduced curvature of sparse matrices, against dense decompositions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import linalg, sparse

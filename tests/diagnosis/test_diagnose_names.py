@@ -1,7 +1,5 @@
 """Names of unknowns and rows in a diagnosis say what they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

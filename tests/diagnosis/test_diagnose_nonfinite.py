@@ -1,7 +1,5 @@
 """The first value or slope that is not finite is found with its term, its place and its input."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """The built site in a browser, opened as files: search, formulas and replays work without a network."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

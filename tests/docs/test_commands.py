@@ -1,7 +1,5 @@
 """The commands of the documents exist: names, options, problems, parameters."""
 
-from __future__ import annotations
-
 import importlib.util
 import itertools
 import re

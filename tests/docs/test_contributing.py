@@ -1,7 +1,5 @@
 """The worked examples of CONTRIBUTING.md: a robot, a term and a problem, as files that are used."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The Python of the documents runs, and what it solves is solved and passes the check."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import pkgutil

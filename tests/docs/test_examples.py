@@ -1,7 +1,5 @@
 """The examples of problems of one's own: short, shown whole in the documents, and solved as they say."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The gallery: pictures of solutions that show them, small, and the page that lists them."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Videos of the gallery: simulated motions that are tracked, small, and their part of the page."""
 
-from __future__ import annotations
-
 import io
 import re
 from dataclasses import replace

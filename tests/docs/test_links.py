@@ -1,7 +1,5 @@
 """Links between documents: files exist, and so do headings; the site's own links are tested by its build."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

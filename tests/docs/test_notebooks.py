@@ -1,7 +1,5 @@
 """The notebooks run from beginning to end; replays and plots are what a notebook shows of a value."""
 
-from __future__ import annotations
-
 import html
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Generated pages of the site forget no public name, command or option; nothing comes from a network."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from types import ModuleType

@@ -1,7 +1,5 @@
 """The tutorial, followed literally: every block of it is run in order, and prints what it shows."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

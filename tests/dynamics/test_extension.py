@@ -1,7 +1,5 @@
 """What the extension of Pinocchio is handed is checked before it is an index."""
 
-from __future__ import annotations
-
 import pytest
 
 from trajopt import _pinocchio

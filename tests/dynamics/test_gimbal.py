@@ -1,7 +1,5 @@
 """Gimbal lock of virtual joints is measured, found between samples, and reported; a quaternion has none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

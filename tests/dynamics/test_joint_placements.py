@@ -1,7 +1,5 @@
 """Placements of many configurations at once are Pinocchio's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """Coordinates of every joint against numeric Pinocchio: rotations, rates, nodes."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """Every symbolic function against numeric Pinocchio."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """Virtual joints are the same floating robot as the free-flyer in other coordinates."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import meshcat

@@ -1,7 +1,5 @@
 """Motions of AMP for hardware, read as its AMPLoader does: 61 numbers a frame, legs in Isaac Gym's order."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

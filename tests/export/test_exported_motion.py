@@ -1,7 +1,5 @@
 """A motion at an even rate: the plan's own polynomials, cycle after cycle, links where Pinocchio has them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

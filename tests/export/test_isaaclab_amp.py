@@ -1,7 +1,5 @@
 """Isaac Lab's motions, read as its MotionLoader does: names, order of quaternions, frames of velocities."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

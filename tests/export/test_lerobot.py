@@ -1,7 +1,5 @@
 """LeRobot's data sets, read as its LeRobotDataset does: schema by info.json, episodes by their metadata."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

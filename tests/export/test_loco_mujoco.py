@@ -1,7 +1,5 @@
 """LocoMuJoCo's trajectories, read as its Trajectory.load does: it refuses any key that it does not know."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco

@@ -1,7 +1,5 @@
 """mjlab's motions, read as its MotionLoader does: the order of the simulator, without its free joint."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree
 

@@ -1,7 +1,5 @@
 """Motions to play back in MuJoCo: the model begins where the plan does, its torques are the plan's."""
 
-from __future__ import annotations
-
 import csv
 import sys
 from pathlib import Path

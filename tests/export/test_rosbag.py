@@ -1,7 +1,5 @@
 """ROS 2 bags, read back by rosbags: transforms, joints, odometry and wrenches are those of Pinocchio."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections import defaultdict

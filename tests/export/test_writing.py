@@ -1,7 +1,5 @@
 """Exports by name: what is known, what is refused, and that a file or folder is complete or as it was."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Robots at extremes: the same robot of another mass, size or gravity, or with other masses of some links."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Motions of any robot whose outcome is known beforehand: standing, standing pushed, floating."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Motions between given configurations, for cells about postures, contacts, limits and goals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

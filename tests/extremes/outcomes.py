@@ -10,8 +10,6 @@ that is killed after a hard limit, so that a cell that hangs or crashes fails li
 `assert_outcome` returns the solution (None where it was refused), for what a test has to say beyond it.
 """
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import re

@@ -1,7 +1,5 @@
 """Contacts that switch at once, swings to nowhere, single intervals, contacts that repeat each other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

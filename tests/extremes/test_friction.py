@@ -1,7 +1,5 @@
 """Friction of 0, 0.01, 5 and 100: what holds without it, what does not, and what more of it changes."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

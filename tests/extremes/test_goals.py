@@ -1,7 +1,5 @@
 """Goals at the start or out of reach, far places."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Gravity of 0, of a small body, of the Moon and of 20 m/s^2."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

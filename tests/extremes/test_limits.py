@@ -1,7 +1,5 @@
 """Starts on and beyond limits of positions, rates and torques."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

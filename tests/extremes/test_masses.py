@@ -1,7 +1,5 @@
 """Robots a thousand times lighter and heavier, mass ratios of 1e4 and more, links without inertia."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache, partial
 

@@ -1,7 +1,5 @@
 """Numbers that are none, wherever a problem takes one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Turns: through all orientations, several whole ones, signs of quaternions, half turns, gimbal lock."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Singular postures at start, goal and guess: straight and folded legs, stretched arms, wrists in line."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

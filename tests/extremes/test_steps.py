@@ -1,7 +1,5 @@
 """Steps from 1e-4 to 0.2 s, horizons from 0.05 to 60 s, 5 to 2,000 intervals, every scheme and degree."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from itertools import product

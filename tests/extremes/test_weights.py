@@ -1,7 +1,5 @@
 """Weights of 1e-9 and 1e9: of all costs, which changes nothing, and of one among the others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache, partial
 

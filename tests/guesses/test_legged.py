@@ -1,7 +1,5 @@
 """The guess of legged motions: the base is smooth and ballistic, feet are where the schedule has them."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Walks without optimisation: footsteps, the pendulum over them, postures, torques."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`trajopt robot`: what standing takes, what looks wrong, and a first file from a URDF."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The package beside a user's own files of the same names: here, and as a wheel in a new environment."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """What the package says of itself: Python versions, platforms, citation, and no advice to install another."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 

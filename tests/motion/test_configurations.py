@@ -1,7 +1,5 @@
 """A solution as a motion at any time, and the local coordinates it is read in."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

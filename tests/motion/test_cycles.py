@@ -1,7 +1,5 @@
 """Images of a periodic plan's samples: together they are the image that closes the plan."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

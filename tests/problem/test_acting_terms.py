@@ -1,7 +1,5 @@
 """A term that could not act is refused when the problem is built, in one line that says what may be meant."""
 
-from __future__ import annotations
-
 import inspect
 from dataclasses import dataclass, fields, replace
 

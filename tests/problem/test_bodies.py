@@ -1,7 +1,5 @@
 """Which bodies of a problem must stay apart, by how much, and which starts are refused."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

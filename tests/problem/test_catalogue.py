@@ -1,7 +1,5 @@
 """Problem families are found in whatever packages are installed."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Contacts with a radius: their centres keep it from the ground, their footholds are points of the ground."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

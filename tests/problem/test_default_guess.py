@@ -1,7 +1,5 @@
 """The guess of problems that give none: goals at their moments, feet where they stand, free falls."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a problem need not say: ground, start, and where the directions of rest are taken."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Periodic motions: the closing rows, free starts, and a real robot's trot as a whole and as a half cycle."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Starts, footholds and goals that no motion can have are refused when the problem is built, in one line."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

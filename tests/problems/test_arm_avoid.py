@@ -1,7 +1,5 @@
 """arm-avoid: the straight joint path collides, the guess does not, and the solution passes the check."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

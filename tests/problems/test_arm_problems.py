@@ -1,7 +1,5 @@
 """Families for any arm: goals reached, limits that bind, a tool that slides with Coulomb's friction."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Talos' legs walk from the pendulum's guess: solved soon, checked, at rest on the planned footholds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

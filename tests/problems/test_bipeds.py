@@ -1,7 +1,5 @@
 """Bipeds: robots on their legs, pushes, swings of soles, postures at joint limits, and two motions solved."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin

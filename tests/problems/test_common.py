@@ -1,7 +1,5 @@
 """What families share: paths of guesses meet their ends at their rates, a hop lands where it is told."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Real robots on walls, slopes and handles: solved from their own guesses and checked on their surfaces."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -3,8 +3,6 @@
 The subset is chosen by a rule (`representatives`); ``trajopt suite --compare tests/data/suite.csv`` runs all.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path

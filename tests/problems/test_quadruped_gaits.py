@@ -1,7 +1,5 @@
 """Gaits of quadrupeds: what is commanded, planned and guessed, and what is solved."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Leaps of quadrupeds: as large as joints allow, solved and checked, and what a turn in the air claims."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from itertools import pairwise

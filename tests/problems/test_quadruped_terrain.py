@@ -1,7 +1,5 @@
 """Quadrupeds over terrain: where feet are planned, how the base follows the ground, what is solved."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

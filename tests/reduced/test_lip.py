@@ -1,7 +1,5 @@
 """The linear inverted pendulum against closed forms, integration, and its own guarantees."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

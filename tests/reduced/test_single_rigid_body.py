@@ -1,7 +1,5 @@
 """One rigid body on footholds against sums over links, numeric Pinocchio and free motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

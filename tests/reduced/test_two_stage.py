@@ -1,7 +1,5 @@
 """Two stages of locomotion against numeric Pinocchio, linear programs and the full problem."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The planar hopper is the machine that its figures describe."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """The stance mode in minimal coordinates is the floating robot with its foot held still."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pinocchio as pin

@@ -1,7 +1,5 @@
 """Phases in minimal coordinates against one floating base with contact rows: the same motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """A carried body: dynamics of the loaded robot, and what its file tells of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Real quadrupeds in the sagittal plane: a hop solves, passes its check, and is a motion in space."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

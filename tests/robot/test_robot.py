@@ -1,7 +1,5 @@
 """The robot: descriptions read, limits normalised, postures placed, bad input refused in one line."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

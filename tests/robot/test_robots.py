@@ -1,7 +1,5 @@
 """The robots of the package: they stand, their limits and masses make sense, their meshes are found."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 import coal

@@ -1,7 +1,5 @@
 """Models of a stance: joints, limits, units, pictures, and what has no stance mode."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """Pruned problems against full ones: joints, contacts, rows and torques that nothing needs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Pruned problems from robot, schedule and goals; corners that become soles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The half of a symmetric robot against the whole: the same optimum, or the reason why not."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import casadi as ca

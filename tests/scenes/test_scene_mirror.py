@@ -1,7 +1,5 @@
 """Mirror symmetry from geometry; the half of a robot against Pinocchio's dynamics of the whole."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gaits as data and as schedules, which foot is which, and swings over several phases."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

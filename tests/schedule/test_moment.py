@@ -1,7 +1,5 @@
 """Moments of a motion in words."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Free durations, impacts and sources of velocity: stages and nodes beyond plain intervals."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

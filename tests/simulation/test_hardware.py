@@ -1,7 +1,5 @@
 """Disturbances of a simulation: sensors, drives, centre of mass, and ground, against closed forms."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The MJCF of a plan opens in MuJoCo alone, and is the robot: names, mass matrix, gravity, ground."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

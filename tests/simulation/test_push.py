@@ -1,7 +1,5 @@
 """Largest pushes: search, directions, units, robots in a plane, bad input, the plot and the command."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Simulated motions: closed forms, what contacts hold, what feedback does, jumps and gaits tracked."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

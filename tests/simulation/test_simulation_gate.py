@@ -1,7 +1,5 @@
 """The acceptance gate of physics: what a suite makes of plans in MuJoCo."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

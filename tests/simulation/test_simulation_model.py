@@ -1,7 +1,5 @@
 """The MuJoCo model of a robot is the robot: mass matrix, bias and kinematics as by Pinocchio."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pinocchio as pin

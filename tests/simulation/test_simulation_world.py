@@ -1,7 +1,5 @@
 """What a simulated robot touches: ground of every kind, boards, obstacles; drives and sources."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco

@@ -1,7 +1,5 @@
 """Plans in MuJoCo with the whole-body controller: pushes, balance on a point, arms, and what is reported."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

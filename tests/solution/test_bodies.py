@@ -1,7 +1,5 @@
 """The shapes of links in a solution's file: written, read, refused, measured by the check and drawn."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

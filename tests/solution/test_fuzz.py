@@ -1,7 +1,5 @@
 """Some hundred damaged files: each is checked or refused in one line; none ends or holds up its process."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Folders are written completely or not at all, and what is no such folder stays."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Samples of a motion as a table and as files: nothing is lost, names and conventions are in the file."""
 
-from __future__ import annotations
-
 import csv
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Samples of a motion at any times: its own polynomials, one value a time, in the conventions asked for."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import FrozenInstanceError, replace
 

@@ -1,7 +1,5 @@
 """The solution file: exact round trips, and one clear line for everything that is wrong with a file."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What functions that show or run solutions take."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Files of strangers: sizes before bytes, arrays before Pinocchio, names looked up and never run."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """The elastic problem: feasible points where there are some, certificates where there are none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The engine in adversity: threads that cannot start, exceptions, two threads on one NLP, wrong sizes."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The engine's solvers: solutions, options, callbacks and refusals of IPOPT."""
 
-from __future__ import annotations
-
 import ctypes
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Hessians to choose from: Gauss-Newton against finite differences, no second order for limited memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

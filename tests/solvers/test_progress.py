@@ -1,7 +1,5 @@
 """The test of progress, a function of the figures of a solve's iterations."""
 
-from __future__ import annotations
-
 import pytest
 
 from trajopt.solvers.progress import FACTOR, LARGE, LAST, LEAST, VIOLATED, WITHIN, is_stalled

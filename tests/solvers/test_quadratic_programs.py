@@ -1,7 +1,5 @@
 """The quadratic programs of the SQP against another solver, and its filter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Solvers on transcribed problems: IPOPT, the SQP and CasADi's own IPOPT agree; stops, options, threads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import casadi as ca

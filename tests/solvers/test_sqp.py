@@ -1,7 +1,5 @@
 """Whole solves by the SQP: optima, starts, stops, options, and what it reports."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

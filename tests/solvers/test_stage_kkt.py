@@ -1,7 +1,5 @@
 """KKT systems stage by stage: random ones have the solutions and inertia of a dense solver; whole solves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A time of the solver: the grade first, then finer meshes while another round is expected to fit."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.support.problems import hop, reach

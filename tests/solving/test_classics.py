@@ -1,7 +1,5 @@
 """Swing-ups, hops and periodic hopping: solved from their own guesses, and what they claim is so."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

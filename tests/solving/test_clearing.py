@@ -1,7 +1,5 @@
 """Motions are solved again until their bodies are clear, on the side that the guess takes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import coal

@@ -1,7 +1,5 @@
 """Sequences over a parameter and ladders of grids: what starts from what, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

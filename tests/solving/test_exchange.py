@@ -1,7 +1,5 @@
 """The exchange of rows: none where a motion is clear, and only for what is near, where it is near."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """From unknowns to samples: layout, interpolation, and the rows that hold at the points."""
 
-from __future__ import annotations
-
 import sys
 from functools import lru_cache
 

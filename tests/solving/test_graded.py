@@ -1,7 +1,5 @@
 """Solves to a grade: the mesh is refined until the motion holds at any time; the verdict says where not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

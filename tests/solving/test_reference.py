@@ -1,7 +1,5 @@
 """Converged references: when two meshes agree, what is said when they do not, and the commands."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Solving in one call: one known optimum for all transcriptions, statuses, settings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

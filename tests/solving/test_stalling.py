@@ -1,7 +1,5 @@
 """Solves that get nowhere: certified with the rows in conflict, or started anew; limits and Ctrl-C hold."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.support.problems import REACH, REACH_TIME, inertia, limited_reach

@@ -1,7 +1,5 @@
 """Solutions as starts: resampled onto grids, schemes, durations; what they give a solver; what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Batches on this machine: executors, lost cases, what is resumed, what is refused."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator

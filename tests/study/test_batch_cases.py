@@ -1,7 +1,5 @@
 """Cases of a batch: grids, samples, what is refused; the tree that says which case starts from which."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Batches on a Dask cluster: the results of this machine, and what is lost when its parts are killed."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

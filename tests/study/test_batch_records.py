@@ -1,7 +1,5 @@
 """The folder of a batch: its journal and index; regions and the plot of what is in it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Our half of the comparison with Crocoddyl, which is not installed here."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Statistics over perturbed starts: optima told apart by objective and motion, and runs that go on."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace

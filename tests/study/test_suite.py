@@ -1,7 +1,5 @@
 """The suite: pairs, failure modes, lost processes, statistics, results on disk, bands."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What a suite makes of its outcomes: figures, results on disk, bands, settings."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Sweeps without solving: summaries, tables, the plot, records."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Fronts, settings and plans of sweeps."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Sweeps that solve: what is measured, lost processes, resuming, the command line."""
 
-from __future__ import annotations
-
 import csv
 import json
 import signal

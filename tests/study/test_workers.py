@@ -1,7 +1,5 @@
 """Tasks in processes of their own: results, losses, limits, cores, what they tell; records and display."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

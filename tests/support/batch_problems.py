@@ -4,8 +4,6 @@ The second takes the folder in which its runs are noted as its robot, which a fa
 that reaches processes on any worker, where variables of the environment may not.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time

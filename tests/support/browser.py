@@ -1,7 +1,5 @@
 """A Chromium for tests, motions of any robot that need no solve, and where a page's scene has its parts."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

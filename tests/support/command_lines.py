@@ -1,7 +1,5 @@
 """The command line in this process, and what every command does with bad input."""
 
-from __future__ import annotations
-
 from click.testing import CliRunner, Result
 
 from trajopt.cli.commands import main

@@ -1,7 +1,5 @@
 """Models in contact whose dynamics other code, or a formula, knows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

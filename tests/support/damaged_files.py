@@ -1,7 +1,5 @@
 """Solution files that are damaged in seeded ways, by kind, and a process that reads and checks them."""
 
-from __future__ import annotations
-
 import io
 import json
 import sys

@@ -1,7 +1,5 @@
 """Derivatives of an NLP as sparse matrices, and their comparison with differences."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small problems with their solutions, and what a diagnosis sees of them."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import trajopt

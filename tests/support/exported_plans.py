@@ -1,7 +1,5 @@
 """Plans to export, each solved once: a gait that turns, one that is mirrored, an arm, an impact."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path

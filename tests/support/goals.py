@@ -1,7 +1,5 @@
 """What tests of goals share: the objective at a guess, samples of a guess, a motion that moves everything."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

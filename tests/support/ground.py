@@ -1,7 +1,5 @@
 """Ground for tests: stairs, and hills of every shape."""
 
-from __future__ import annotations
-
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.shapes import Bump, Incline, Ramp, Wave
 from trajopt.terrain.smooth import SmoothTerrain

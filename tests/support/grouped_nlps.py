@@ -1,7 +1,5 @@
 """Small optimal control problems in the engine's grouped form, and the same as one casadi expression."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import casadi as ca

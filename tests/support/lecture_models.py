@@ -1,7 +1,5 @@
 """Models of the lectures' examples: arms of three joints, the planar hopper, a robot on virtual joints."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

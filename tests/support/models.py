@@ -1,7 +1,5 @@
 """Numeric models for tests: robots of example-robot-data and models of every kind of joint."""
 
-from __future__ import annotations
-
 import importlib.metadata
 from functools import lru_cache
 from pathlib import Path

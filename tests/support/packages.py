@@ -1,7 +1,5 @@
 """Packages of problem families as pip installs them, for tests that bring their own families."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

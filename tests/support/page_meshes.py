@@ -1,7 +1,5 @@
 """Meshes of a page, undone by another way than the page's own, into what Meshcat would have been told."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Solutions to plot, and the figures of their pages."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

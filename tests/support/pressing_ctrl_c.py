@@ -7,8 +7,6 @@ call of Python counts, and one that does not come is pressed when the command wa
 lines of JSON.
 """
 
-from __future__ import annotations
-
 import atexit
 import importlib
 import json

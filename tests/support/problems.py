@@ -1,7 +1,5 @@
 """Small robots and problems: every mechanism of a real one, graphs that compile in a second."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Robots whose contact rows depend on each other: parallel legs, a foot of four corners."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

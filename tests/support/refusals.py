@@ -1,7 +1,5 @@
 """Bad input in Python: an `InputError` of one line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

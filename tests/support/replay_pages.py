@@ -1,7 +1,5 @@
 """A short hop to replay, and what the page of a replay holds, decoded."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import re

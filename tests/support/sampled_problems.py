@@ -1,7 +1,5 @@
 """Solutions of every kind that the library makes, for what is done with solutions."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import trajopt

@@ -1,7 +1,5 @@
 """A plugin of pytest that takes the engine from the file that TRAJOPT_ENGINE names, see .ci/sanitize."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import sys

@@ -1,7 +1,5 @@
 """Optima of pruned and full problems, and how well two of them agree."""
 
-from __future__ import annotations
-
 import trajopt
 from trajopt import Problem, Solution
 

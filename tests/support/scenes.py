@@ -1,7 +1,5 @@
 """Small robots with two sides for tests of scenes: legs, arms, a waist; exactly symmetric or not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

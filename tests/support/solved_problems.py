@@ -1,7 +1,5 @@
 """Solutions with the unknowns that a solver found, and the transcription that they belong to."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Robots on one foot in minimal coordinates."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

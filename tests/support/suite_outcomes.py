@@ -1,7 +1,5 @@
 """An outcome of a suite, changed as a test needs it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A package of families for the suite's tests, each with its own way to end."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

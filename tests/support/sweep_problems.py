@@ -1,7 +1,5 @@
 """A package of families for the tests of sweeps: small ones, and one that is lost on some grids."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """An arm of three rods that swings past obstacles: seconds to solve, its least distances known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

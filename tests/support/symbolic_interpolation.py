@@ -1,7 +1,5 @@
 """The interpolation of a solution made anew by other means: the symbolic coordinates of the transcription."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Motions whose truth is known without the toolkit's solver, sampled as a solution."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

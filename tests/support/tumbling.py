@@ -1,7 +1,5 @@
 """A tumbling robot driven by given joint torques, propagated by a scheme alone: its order at the nodes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

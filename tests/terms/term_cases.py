@@ -1,7 +1,5 @@
 """Every public cost and constraint with the formula of its docstring, in NumPy."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """Terms at random points: their expressions as a transcription evaluates them, and numeric Pinocchio."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property

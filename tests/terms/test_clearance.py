@@ -1,7 +1,5 @@
 """Obstacles of a problem's `Clearance` in its solution: in the file, in the check, replayed, plotted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

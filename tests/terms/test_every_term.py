@@ -1,7 +1,5 @@
 """Every public cost and constraint: its value, derivatives, units and bounds, and what is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import math

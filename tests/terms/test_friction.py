@@ -1,7 +1,5 @@
 """The row of the smooth friction cone near zero force: its set, its violation, its derivatives."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import casadi as ca

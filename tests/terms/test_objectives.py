@@ -1,7 +1,5 @@
 """Goals of motions: costs at nodes and the named goals, against numpy and closed forms."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Power, energy and cost of transport, against numpy and closed forms."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Sliding contacts: rows, refusals, and a block on a plane that Coulomb's friction brings to rest."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tracking of references: the cost, its parameters, and references themselves."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The ground as convex bodies: their union is the terrain, and only risers have sides."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Ground as geometry: heights and normals of piecewise and smooth terrain."""
 
-from __future__ import annotations
-
 import json
 
 import casadi as ca

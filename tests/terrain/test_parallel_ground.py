@@ -1,7 +1,5 @@
 """Ground at a distance: the surfaces on which centres of contacts with a radius lie."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

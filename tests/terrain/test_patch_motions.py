@@ -1,7 +1,5 @@
 """Motions that land on patches, their check, and a quadruped that steps up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

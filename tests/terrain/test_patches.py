@@ -1,7 +1,5 @@
 """Patches: bounded faces on which contacts land anywhere, and the rows of a landing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Surfaces of contacts: frames, friction, soles and landings on planes that are not level."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

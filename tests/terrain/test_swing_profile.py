@@ -1,7 +1,5 @@
 """The height that swings are asked for: one in the middle, flat at the ends, with a limit on finer meshes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What lies under a swing: edges, rows over them, guesses."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

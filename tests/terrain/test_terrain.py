@@ -1,7 +1,5 @@
 """Terrain in schedules, problems, the check, the replay, and a motion; bad input."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

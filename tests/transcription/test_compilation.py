@@ -1,7 +1,5 @@
 """The cache of compiled point functions: what names an entry, and what may go wrong with it."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Order of every scheme at the nodes, on a tumbling robot driven by given joint torques."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """The engine against casadi: values and derivatives of grouped problems, and input it refuses."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The guess of all unknowns from a motion q(t), and its perturbation."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rows at moments of phases: values of the interpolated motion, derivatives, and what they hold."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contact rows that others say already are left out, and nothing else is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

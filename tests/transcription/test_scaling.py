@@ -1,7 +1,5 @@
 """What a finer mesh costs: sizes, evaluations and iterations, all counted."""
 
-from __future__ import annotations
-
 import statistics
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Points, weights and interpolants of every scheme."""
 
-from __future__ import annotations
-
 from math import factorial
 
 import numpy as np

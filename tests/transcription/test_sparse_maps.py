@@ -1,7 +1,5 @@
 """Maps of derivatives through z = G xi against dense matrix products."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """Derivatives of point functions by the chain rule, and their values against numeric Pinocchio."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import casadi as ca

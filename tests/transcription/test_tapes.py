@@ -1,7 +1,5 @@
 """Tapes against CasADi's virtual machine: every operation, any number of points, files that are no tapes."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

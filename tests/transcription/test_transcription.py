@@ -1,7 +1,5 @@
 """The sparse NLP of a problem: derivatives, rows, unknowns, scales, bounds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """A browser, and the hop that most tests of replays show."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """COLLADA meshes: the same shape as Pinocchio has, all colours of the file, clear refusals."""
 
-from __future__ import annotations
-
 import coal
 import numpy as np
 import pytest

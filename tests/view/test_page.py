@@ -1,7 +1,5 @@
 """The page of a replay as text: its policy, its facts, its size, and what is refused."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The player in Chromium: mouse, keys, cameras, layers, small windows; no complaint of the browser."""
 
-from __future__ import annotations
-
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import replace
 

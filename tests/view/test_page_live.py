@@ -1,7 +1,5 @@
 """The live replay: a server that answers with the player's page, and ends with us."""
 
-from __future__ import annotations
-
 import os
 import socket
 import sys

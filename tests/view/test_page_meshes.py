@@ -1,7 +1,5 @@
 """Meshes in few bytes are the meshes they were made of, within the stated error."""
 
-from __future__ import annotations
-
 import struct
 
 import meshcat.geometry as shapes

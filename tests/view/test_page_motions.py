@@ -1,7 +1,5 @@
 """Pages in Chromium at three times: parts against numeric Pinocchio, pixels, clock; playing; no network."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

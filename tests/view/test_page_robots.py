@@ -1,7 +1,5 @@
 """Pages of all robots have all parts; in Chromium those of each kind are where they belong."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

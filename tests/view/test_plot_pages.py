@@ -1,7 +1,5 @@
 """Plots as pages: which there are, texts and colours that are told apart, files, bad input."""
 
-from __future__ import annotations
-
 import importlib.metadata
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Plots: what is drawn equals independent computations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

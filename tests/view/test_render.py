@@ -1,7 +1,5 @@
 """Videos, GIFs, pictures: exact frames and durations, as the page shows them; bad input; all or nothing."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

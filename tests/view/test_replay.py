@@ -1,7 +1,5 @@
 """The replay: a page that holds all it needs, the right pictures at the right times, the real server."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

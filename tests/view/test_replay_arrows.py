@@ -1,7 +1,5 @@
 """Arrows of a replay: where forces start, and the flash of an impulse."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Centre of mass, zero-moment point and support of a replay against numeric Pinocchio and closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

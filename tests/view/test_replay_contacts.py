@@ -1,7 +1,5 @@
 """Friction cones of a replay: places, friction and normals of the contacts, and colours of their use."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

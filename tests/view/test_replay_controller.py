@@ -1,7 +1,5 @@
 """The layer of a whole-body controller in a replay: forces asked for, goals, and when it is shown."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Several solutions in one scene, poses at changes of phase, goals and carried bodies."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Robots without meshes are replayed as skeletons, their base as the box of its inertia."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

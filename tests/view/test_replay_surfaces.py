@@ -1,7 +1,5 @@
 """The ground, walls, steps and handles of a replay lie where the robot touches them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import meshcat

@@ -1,7 +1,5 @@
 """Tracks keep what the viewer's interpolation needs to stay within the stated errors, and little else."""
 
-from __future__ import annotations
-
 import meshcat
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Iterates while a problem is solved: their motion, their picture, and that nothing is disturbed."""
 
-from __future__ import annotations
-
 import asyncio
 import warnings
 from collections.abc import Callable

@@ -18,7 +18,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TypeGuard
+from typing import TypeGuard, get_type_hints
 
 from trajopt.errors import InputError
 from trajopt.solution.output import replacing
@@ -167,11 +167,10 @@ def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
 
 
 def _entry(path: Path, number: int, row: Mapping[str, str]) -> PairBands:
-    kinds = {"int": int, "float": float, "str": str}
     try:
         row = {"physics": "", **row}
         columns = fields(PairBands)
-        entry = PairBands(**{one.name: kinds[str(one.type)](row[one.name]) for one in columns})
+        entry = PairBands(**{one.name: get_type_hints(PairBands)[one.name](row[one.name]) for one in columns})
         if entry.physics not in ("", *WORDS):
             raise ValueError(entry.physics)
     except (KeyError, TypeError, ValueError):
