@@ -167,7 +167,7 @@ def test_a_lost_process_loses_no_other_pair():
     errors = {
         "t-refused": "bad input: the goal is on the moon; allowed: on earth",
         "t-broken": "bad input: problem 't-broken' cannot be built: "
-        "suite_problems.py, line 55: RuntimeError: first line",
+        "suite_problems.py, line 53: RuntimeError: first line",
         "t-segmentation-fault": "crash: SIGSEGV",
         "t-killed": "crash: SIGKILL (out of memory?)",
         "t-without-memory": "crash: out of memory",

@@ -33,12 +33,12 @@ class Quantity(click.ParamType):
         text = str(value).strip()
         unit = max((unit for unit in self.units if text.endswith(unit)), key=len, default="")
         try:
-            value = float(text.removesuffix(unit)) * self.units.get(unit, 1.0)
+            quantity = float(text.removesuffix(unit)) * self.units.get(unit, 1.0)
         except ValueError:
-            value = None
-        if value is None or not 0 < value < math.inf:
+            quantity = None
+        if quantity is None or not 0 < quantity < math.inf:
             self.fail(f"'{value}' is not a {self.name} above 0, allowed: such as {self.such}", param, ctx)
-        return value
+        return quantity
 
 
 LENGTH = Quantity("length", {"mm": 1e-3, "cm": 1e-2, "m": 1.0}, "1e-3, 1mm or 0.1cm")
