@@ -70,11 +70,11 @@ class VisualSource:
         return {"urdf": _portable(self.urdf), "package_dirs": [_portable(path) for path in self.package_dirs]}
 
     @classmethod
-    def from_meta(cls, meta: dict[str, Any]) -> VisualSource:
+    def from_meta(cls, visual: dict[str, Any]) -> VisualSource:
         """Read the form of `to_meta`; relative paths are found in the installed robot data package."""
         try:
-            directories = tuple(_located(path) for path in meta.get("package_dirs", ()))
-            return cls(urdf=_located(meta["urdf"]), package_dirs=directories)
+            directories = tuple(_located(path) for path in visual.get("package_dirs", ()))
+            return cls(urdf=_located(visual["urdf"]), package_dirs=directories)
         except (KeyError, TypeError, AttributeError):
             raise InputError(
                 "key 'visual' is malformed", "an object with 'urdf' and 'package_dirs'"
