@@ -8,8 +8,9 @@ import pinocchio as pin
 
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.motion.samples import sample_quantities, state_distance
-from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
+from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.samples import contact_places, state_distance
+from trajopt.motion.touched import TouchedSurfaces
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.world import World, touching_places
 from trajopt.solution.arrays import rows_of
@@ -78,8 +79,7 @@ def loaded_contacts(record: SimulationRecord, world: World) -> np.ndarray:
 
 def phase_surfaces(plan: Solution) -> TouchedSurfaces:
     """What contacts touch, at the first sample of each phase of the file."""
-    surfaces = touched_surfaces(plan, sample_quantities(plan).position)
-    return rows_of(surfaces, [phase.start for phase in plan.phases])
+    return rows_of(MotionQuantities(plan).surfaces, [phase.start for phase in plan.phases])
 
 
 def simulated_stances(
@@ -216,7 +216,7 @@ def _bases(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 def _height_over_feet(plan: Solution, up: np.ndarray) -> float:
     """Mean height of the base over the contacts that stand, m; zero where none does."""
-    position = sample_quantities(plan).position
+    position = contact_places(plan).position
     base = _bases(plan.model, plan.q)[:, :, 3]
     over = (base[:, None, :] - position) @ up
     return max(float(over[plan.active].mean()), 0.0) if plan.active.any() else 0.0

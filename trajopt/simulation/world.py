@@ -11,7 +11,7 @@ from trajopt.collision.near import GROUND
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.motion.body_distances import FileBodies
 from trajopt.motion.carried import carrying_model
-from trajopt.motion.samples import SampleQuantities, sample_quantities
+from trajopt.motion.samples import ContactPlaces, contact_places
 from trajopt.motion.touched import held_samples
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation.bodies import (
@@ -96,15 +96,15 @@ class World:
 
 def build_world(plan: Solution, settings: SimulationSettings) -> World:
     """Model of a plan for these settings. Raises `InputError` for what MuJoCo cannot express."""
-    units, samples = NaturalUnits.of(plan.model), sample_quantities(plan)
+    units, touching = NaturalUnits.of(plan.model), contact_places(plan)
     bodies = build_bodies(plan.model)
     joints = joint_places(plan)
-    place = surroundings_of(plan, samples.position, joints, units.length, settings)
+    place = surroundings_of(plan, touching.position, joints, units.length, settings)
     buried = _buried(plan, joints, place)
     ground = add_ground(bodies.spec, plan, place)
     feet = _add_feet(bodies, plan, place)
     links, capsules, obstacles = _add_links(bodies, plan, place, buried)
-    grasps = _add_grasps(bodies, plan, samples, _stiffness(settings, units))
+    grasps = _add_grasps(bodies, plan, touching, _stiffness(settings, units))
     _options(bodies.spec, settings.step(units.time))
     offsets = _offsets_of_links(bodies, links, plan, place)
     pairs, friction = _pairs(bodies.spec, ground, feet, offsets, settings, units)
@@ -273,7 +273,7 @@ def _sunk(plan: Solution) -> set[str]:
 
 
 def _add_grasps(
-    bodies: Bodies, plan: Solution, samples: SampleQuantities, stiffness: Mapping[str, list[float]]
+    bodies: Bodies, plan: Solution, touching: ContactPlaces, stiffness: Mapping[str, list[float]]
 ) -> tuple[Grasp, ...]:
     """A constraint for each run of phases in which a contact is held on a bilateral surface."""
     mujoco, held = mujoco_package(), held_samples(plan)
@@ -285,8 +285,8 @@ def _add_grasps(
             name, row = f"grasp{len(grasps)}", plan.phases[int(run[0])].start
             bodies.spec.worldbody.add_site(
                 name=name,
-                pos=samples.position[row, contact],
-                quat=mujoco_quaternion(samples.rotation[row, contact]),
+                pos=touching.position[row, contact],
+                quat=mujoco_quaternion(touching.rotation[row, contact]),
             )
             sole = plan.description.contacts[contact].is_sole
             bodies.spec.add_equality(

@@ -162,15 +162,15 @@ def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
             f"{path} has no table of bands: column {lacking[0]} is missing",
             "allowed: a file that --update wrote",
         )
-    entries = [_entry(path, number, row) for number, row in enumerate(rows, 1)]
+    kinds = get_type_hints(PairBands)
+    entries = [_entry(path, number, row, kinds) for number, row in enumerate(rows, 1)]
     return {entry.name: entry for entry in entries}, versions
 
 
-def _entry(path: Path, number: int, row: Mapping[str, str]) -> PairBands:
+def _entry(path: Path, number: int, row: Mapping[str, str], kinds: Mapping[str, type]) -> PairBands:
     try:
         row = {"physics": "", **row}
-        columns = fields(PairBands)
-        entry = PairBands(**{one.name: get_type_hints(PairBands)[one.name](row[one.name]) for one in columns})
+        entry = PairBands(**{name: kind(row[name]) for name, kind in kinds.items()})
         if entry.physics not in ("", *WORDS):
             raise ValueError(entry.physics)
     except (KeyError, TypeError, ValueError):
