@@ -134,7 +134,7 @@ def integrate_interval(
 
     def dynamic(fraction: float, state: np.ndarray) -> np.ndarray:
         delta, velocity = state[:nv], state[nv:]
-        force[plan.n_unactuated :] = fraction**powers @ coefficients
+        force[plan.actuated_rows] = fraction**powers @ coefficients
         acceleration = dynamics.acceleration(pin.integrate(model, q, delta), velocity, force)
         return (end - start) * np.concatenate([coordinate_rate(delta, velocity), acceleration])
 

@@ -75,7 +75,7 @@ class TaskSpaceInverseDynamics:
 
     Args:
         state: of the robot.
-        n_unactuated: rows of v without an actuator, which come first.
+        actuated_rows: (nu,) rows of v with an actuator.
         acceleration_unit: (nv,), m/s^2 and rad/s^2, which scales unknowns and rows.
         force_units: of forces and moments, N and N m.
         torque_unit: (nv,) of the rows of the dynamics.
@@ -84,7 +84,7 @@ class TaskSpaceInverseDynamics:
     """
 
     state: RobotState
-    n_unactuated: int
+    actuated_rows: np.ndarray
     acceleration_unit: np.ndarray
     force_units: tuple[float, float]
     torque_unit: np.ndarray
@@ -163,32 +163,39 @@ class _Program:
     def rows(self, relaxed: int) -> QpRows:
         """Rows on the scaled unknowns; see `RELAXED`."""
         owner, limits, n, nv = self.owner, self.limits, self.n, self.nv
-        u, h, scale = owner.n_unactuated, owner.state.nonlinear, owner.torque_unit
+        driven, h, scale = owner.actuated_rows, owner.state.nonlinear, owner.torque_unit
+        free = np.setdiff1d(np.arange(nv), driven)
         scaled = self.dynamics * (self.unit / scale[:, None])
-        equal, value = scaled[:u], -h[:u] / scale[:u]
+        equal, value = scaled[free], -h[free] / scale[free]
         if relaxed < 2 and len(self.still):
             equal, value = np.vstack([equal, self.motion]), np.append(value, self.still)
-        bias = h[u:] + limits.friction
+        bias = h[driven] + limits.friction
         forces = [contact.force_rows(owner.state) for contact in self.contacts]
-        between = np.zeros((nv - u + sum(len(low) for _, low, _ in forces), n))
-        between[: nv - u] = scaled[u:]
-        row = nv - u
+        row = len(driven)
+        between = np.zeros((row + sum(len(low) for _, low, _ in forces), n))
+        between[:row] = scaled[driven]
         for contact, first, (own_rows, low, _) in zip(self.contacts, self.first, forces, strict=False):
             columns = slice(first, first + contact.dimension)
             between[row : row + len(low), columns] = own_rows * (self.unit[columns] / owner.force_units[0])
             row += len(low)
-        lows = [(limits.torque[0] - bias) / scale[u:], *(low / owner.force_units[0] for _, low, _ in forces)]
-        highs = [(limits.torque[1] - bias) / scale[u:], *(high / owner.force_units[0] for *_, high in forces)]
-        units, (least, most) = owner.acceleration_unit[u:], limits.acceleration
+        lows = [
+            (limits.torque[0] - bias) / scale[driven],
+            *(low / owner.force_units[0] for _, low, _ in forces),
+        ]
+        highs = [
+            (limits.torque[1] - bias) / scale[driven],
+            *(high / owner.force_units[0] for *_, high in forces),
+        ]
+        units, (least, most) = owner.acceleration_unit[driven], limits.acceleration
         return QpRows(
             equal=equal,
             value=value,
             between=between,
             low=np.concatenate(lows),
             high=np.concatenate(highs),
-            bounded=np.arange(u, nv),
-            least=np.full(nv - u, -UNBOUNDED) if relaxed else least / units,
-            most=np.full(nv - u, UNBOUNDED) if relaxed else most / units,
+            bounded=driven,
+            least=np.full(len(driven), -UNBOUNDED) if relaxed else least / units,
+            most=np.full(len(driven), UNBOUNDED) if relaxed else most / units,
         )
 
     def objective(self, tasks: Sequence[Task]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -214,11 +221,11 @@ class _Program:
 
     def result(self, scaled: np.ndarray, relaxed: int, iterations: int) -> TickResult:
         """Torques, accelerations and forces of scaled unknowns."""
-        x, u, state = scaled * self.unit, self.owner.n_unactuated, self.owner.state
+        x, rows, state = scaled * self.unit, self.owner.actuated_rows, self.owner.state
         forces = np.zeros((len(self.contacts), 6))
         for row, (contact, first) in enumerate(zip(self.contacts, self.first, strict=False)):
             forces[row, : contact.dimension] = x[first : first + contact.dimension]
-        torque = self.dynamics[u:] @ x + state.nonlinear[u:] + self.limits.friction
+        torque = self.dynamics[rows] @ x + state.nonlinear[rows] + self.limits.friction
         if relaxed == 3:
             torque = np.zeros_like(torque)
         return TickResult(
@@ -234,7 +241,7 @@ class _Program:
         """Largest violation of the rows that are relaxed by scaled unknowns (n,), over their units."""
         if relaxed not in (1, 2):
             return 0.0
-        joints = slice(self.owner.n_unactuated, self.nv)
+        joints = self.owner.actuated_rows
         low, high = self.limits.acceleration
         unit, accelerations = self.owner.acceleration_unit[joints], scaled[joints]
         beyond = np.maximum(low / unit - accelerations, accelerations - high / unit)

@@ -36,20 +36,20 @@ class JointRange:
     """
 
     def __init__(self, plan: Solution, horizon: float) -> None:
-        model, first = plan.model, plan.n_unactuated
-        self.horizon, size = horizon, plan.model.nv - first
+        model, actuated = plan.model, plan.actuated_rows
+        self.horizon, size = horizon, len(actuated)
         self.index = np.full(size, -1)
         self.low, self.high = np.full(size, -np.inf), np.full(size, np.inf)
         lower, upper = position_limits(model)
         for joint in list(model.joints)[1:]:
-            if joint.nq == joint.nv == 1 and joint.idx_v >= first:
-                row = joint.idx_v - first
+            if joint.nq == joint.nv == 1 and joint.idx_v in actuated:
+                row = np.searchsorted(actuated, joint.idx_v)
                 self.index[row] = joint.idx_q
                 self.low[row] = lower[joint.idx_q]
                 self.high[row] = upper[joint.idx_q]
         given = plan.description.velocity_limit
         whole = np.full(model.nv, np.inf) if given is None else _numbers(given)
-        self.fastest = whole[first:]
+        self.fastest = whole[actuated]
 
     def bounds(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest acceleration (nu,) at positions (nq,) and rates (nu,)."""

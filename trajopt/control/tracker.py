@@ -148,7 +148,7 @@ class Tracker:
         if phase not in self._programs:
             self._programs[phase] = TaskSpaceInverseDynamics(
                 state=RobotState(tracking_model(self.plan, phase)),
-                n_unactuated=self.plan.n_unactuated,
+                actuated_rows=self.plan.actuated_rows,
                 acceleration_unit=self.units.acceleration(self.plan.model),
                 force_units=(self.units.weight, self.units.weight * self.units.length),
                 torque_unit=self.units.generalized_force(self.plan.model),
@@ -158,7 +158,7 @@ class Tracker:
         return self._programs[phase]
 
     def _limits(self, q: np.ndarray, v: np.ndarray) -> TickLimits:
-        rate, drives = v[self.plan.n_unactuated :], self.plan.drives
+        rate, drives = v[self.plan.actuated_rows], self.plan.drives
         low, high, friction = self._low, self._high, np.zeros(len(rate))
         if any(drive is not None for drive in drives):
             low, high = limits_with_drives(drives, rate, low, high)
@@ -170,10 +170,10 @@ class Tracker:
 
     def _held(self, k: int, state: RobotState) -> np.ndarray:
         """Planned torques with feedback of single joints: where no program has a solution."""
-        first, w = self.plan.n_unactuated, self.gains.joint / self.units.time
-        inertia = np.diagonal(state.mass)[first:]
-        error = pin.difference(state.model, state.q, self.reference.q[k])[first:]
-        rate = (self.reference.v[k] - state.v)[first:]
+        rows, w = self.plan.actuated_rows, self.gains.joint / self.units.time
+        inertia = np.diagonal(state.mass)[rows]
+        error = pin.difference(state.model, state.q, self.reference.q[k])[rows]
+        rate = (self.reference.v[k] - state.v)[rows]
         wanted = self.reference.torque[k] + inertia * (w**2 * error + 2 * w * rate)
         return np.asarray(np.clip(wanted, self._low, self._high))
 

@@ -143,7 +143,7 @@ def _named_motion(
     phase: np.ndarray,
 ) -> ExportedMotion:
     torque = np.zeros_like(arrays["v"])
-    torque[:, plan.n_unactuated :] = arrays["drive_torque"]
+    torque[:, plan.actuated_rows] = arrays["drive_torque"]
     return ExportedMotion(
         plan=plan,
         rate=float(rate),

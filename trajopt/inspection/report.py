@@ -122,17 +122,17 @@ def robot_report(robot: Robot) -> RobotReport:
 
 
 def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
-    facts, first = [], robot.n_unactuated
+    facts = []
     effort = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
     for joint in list(robot.model.joints)[1:]:
         if joint.idx_v < BASE_ROWS[robot.base]:
             continue
         kind = joint.shortname().removeprefix("JointModel")
-        single, actuated = joint.nv == 1, joint.idx_v >= first
+        single, actuated = joint.nv == 1, joint.idx_v in robot.actuated_rows
         q = robot.reference[joint.idx_q : joint.idx_q + joint.nq]
         angle = float(q[0]) if joint.nq == 1 else float(np.arctan2(q[1], q[0])) if joint.nq == 2 else np.nan
         bounded = joint.nq == joint.nv == 1
-        row = joint.idx_v - first
+        row = np.searchsorted(robot.actuated_rows, joint.idx_v)
         facts.append(
             JointFacts(
                 name=robot.model.names[joint.id],

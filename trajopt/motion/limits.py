@@ -10,6 +10,7 @@ from trajopt.solution.solution import Solution
 def limit_traces(plan: Solution) -> Traces:
     """Torques and velocities over their limits minus one, positions beyond theirs over the range."""
     rows = names_of_rows(plan)
+    driven = [rows[row] for row in plan.actuated_rows]
     # Rates that are control inputs have values at collocation points only, others everywhere.
     moving = plan.collocation[:, None] if plan.description.velocity_input else True
     lower, upper = position_limits(plan.model)
@@ -18,7 +19,7 @@ def limit_traces(plan: Solution) -> Traces:
     span = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
     places = [name for joint, name in joints_of(plan) for _ in range(joint.nq)]
     return {
-        "effort_excess": _beyond(plan.tau, plan.description.effort_limit, rows[plan.n_unactuated :]),
+        "effort_excess": _beyond(plan.tau, plan.description.effort_limit, driven),
         "velocity_excess": _beyond(plan.v, plan.description.velocity_limit, rows, moving),
         "position_excess": Trace.of(beyond / span, limited, places),
     }
@@ -36,8 +37,8 @@ def _beyond(
 
 def drive_traces(plan: Solution) -> Traces:
     """Motor torque and voltage over their limits, minus one, from ``tau``, ``v`` and the drives."""
-    rates, torque = plan.v[:, plan.n_unactuated :], plan.drive_torque
-    names = names_of_rows(plan)[plan.n_unactuated :]
+    rates, torque = plan.v[:, plan.actuated_rows], plan.drive_torque
+    names = [names_of_rows(plan)[row] for row in plan.actuated_rows]
     current, voltage = np.zeros(torque.shape), np.zeros(torque.shape)
     limited, wound = np.zeros(torque.shape[1], dtype=bool), np.zeros(torque.shape[1], dtype=bool)
     for i, drive in enumerate(plan.drives):

@@ -80,14 +80,15 @@ def standing_share(robot: Robot) -> float:
     """
     if not robot.contacts or not robot.nu:
         return 0.0
-    units, n, still = Units(robot), robot.n_unactuated, np.zeros(robot.nv)
+    units, still = Units(robot), np.zeros(robot.nv)
+    free, actuated = robot.unactuated_rows, robot.actuated_rows
     sizes = [6 if contact.kind == "surface" else 3 for contact in robot.contacts]
     places = [(contact.frame, size) for contact, size in zip(robot.contacts, sizes, strict=True)]
     unit = np.concatenate([units.wrench[:size] for size in sizes])
     jacobian = contact_jacobian(robot.model, robot.reference, places)
     weight = pin.rnea(robot.model, robot.model.createData(), robot.reference, still, still)
-    wrench = np.linalg.lstsq(jacobian[:, :n].T * unit, weight[:n], rcond=None)[0]
-    torque = (weight - jacobian.T @ (unit * wrench))[n:] / units.torque
+    wrench = np.linalg.lstsq(jacobian[:, free].T * unit, weight[free], rcond=None)[0]
+    torque = (weight - jacobian.T @ (unit * wrench))[actuated] / units.torque
     return float(np.mean(torque**2) / np.mean(wrench**2))
 
 
@@ -119,7 +120,7 @@ def torque_bounds(problem: Problem, v: np.ndarray) -> TorqueBounds:
     voltage at the joint's rate, and their friction, which the drive has to overcome.
     """
     robot, effort = problem.robot, problem_torque_limit(problem)
-    rates = v[:, robot.n_unactuated :]
+    rates = v[:, robot.actuated_rows]
     upper = np.tile(effort, (len(v), 1))
     lower, scale = -upper, effort.copy()
     if robot.drives is not None:
@@ -207,11 +208,11 @@ def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, T
             f"allowed: {robot.nv} and {robot.nu}, those of '{robot.name}', which has joints",
         )
     forces = sample_quantities(solution).generalized_force
-    torque = forces[:, robot.n_unactuated :]
-    base = np.abs(forces[solution.collocation, : robot.n_unactuated])
+    torque = forces[:, robot.actuated_rows]
+    base = np.abs(forces[solution.collocation][:, robot.unactuated_rows])
     bounds = torque_bounds(problem, solution.v)
     excess = np.maximum(torque - bounds.upper, bounds.lower - torque) / bounds.scale
-    moved = [joint for joint in list(robot.model.joints)[1:] if joint.idx_v >= robot.n_unactuated]
+    moved = [joint for joint in list(robot.model.joints)[1:] if joint.idx_v in robot.actuated_rows]
     names = [robot.model.names[joint.id] for joint in moved for _ in range(joint.nv)]
     joints = tuple(_joint(solution, names[row], torque[:, row], excess[:, row]) for row in range(robot.nu))
     between = excess[~solution.collocation]

@@ -110,24 +110,20 @@ def velocity_limit_of(model: pin.Model, base: Base) -> np.ndarray:
     return limit
 
 
-def count_unactuated_rows(model: pin.Model, base: Base, passive: Sequence[str]) -> int:
-    """Return the number of rows of the base and the ``passive`` joints, which must come first in v."""
-    rows, names = BASE_ROWS[base], list(model.names)
-    leading = [joint for joint in list(model.joints)[1:] if joint.idx_v >= rows]
+def unactuated_rows(model: pin.Model, base: Base, passive: Sequence[str]) -> np.ndarray:
+    """Return the rows of v of the base and of the ``passive`` joints; raises `InputError`."""
+    behind = [model.names[joint.id] for joint in list(model.joints)[1:] if joint.idx_v >= BASE_ROWS[base]]
     for name in passive:
-        if name not in names[1:]:
-            raise InputError(f"passive joint '{name}' is unknown", "one of " + ", ".join(names[1:]))
-    first = [names[joint.id] for joint in leading[: len(passive)]]
-    if set(first) != set(passive) or len(set(passive)) != len(passive):
-        raise InputError(
-            f"passive joints {', '.join(passive)} do not come first", f"the first are {', '.join(first)}"
-        )
-    return rows + sum(joint.nv for joint in leading[: len(passive)])
+        if name not in behind:
+            raise InputError(f"passive joint '{name}' is unknown", "one of " + ", ".join(behind))
+        if list(passive).count(name) > 1:
+            raise InputError(f"passive joint '{name}' is named twice", "each joint once")
+    return np.sort(np.concatenate([np.arange(BASE_ROWS[base]), joint_entries(model, passive)[1]]))
 
 
-def torque_limit_of(model: pin.Model, unactuated: int) -> np.ndarray | None:
+def torque_limit_of(model: pin.Model, base: Base, passive: Sequence[str]) -> np.ndarray | None:
     """Return the torque limit (nu,) on the joint side, or None if no actuated row has one."""
-    effort = model.upperEffortLimit[unactuated:]
+    effort = np.delete(model.upperEffortLimit, unactuated_rows(model, base, passive))
     limit = np.where(np.abs(effort) > UNLIMITED, np.inf, np.abs(effort))
     return limit if np.isfinite(limit).any() else None
 

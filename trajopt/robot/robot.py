@@ -35,7 +35,7 @@ class Robot:
     Args:
         name: word for tables and files.
         model: numeric Pinocchio model; joint damping and friction in it are not part of the dynamics.
-        base: kind of the root joint. The base rows come first in v and are unactuated.
+        base: kind of the root joint. Its rows come first in v and are unactuated.
         reference: posture (nq,), m and rad in Pinocchio's convention, within the limits.
         velocity_limit: (nv,), rad/s or m/s, inf where there is none.
         position_lower: least positions (nq,), rad or m, -inf where there is no limit.
@@ -43,8 +43,7 @@ class Robot:
         torque_limit: torque or force on the joint side (nu,), N m or N; None without any limit.
         contacts: where it may touch its surroundings.
         visual: where the meshes are, for a replay.
-        passive: joints without actuator (an ankle that is a contact, the shoulder of an acrobot), behind
-            the base rows and before every other joint.
+        passive: joints without actuator, at any place: an ankle that is a contact, the pole on a cart.
         given_length: characteristic length in m; None takes the one that `length` measures.
         drives: a `Drive` or None for each actuated row (nu), or None; set with `with_drives`.
 
@@ -74,7 +73,6 @@ class Robot:
                 f"robot '{self.name}' has a {kind} root joint but base={self.base!r}", f"{kind!r}"
             )
         object.__setattr__(self, "contacts", building.within_plane(self.model, self.contacts))
-        building.count_unactuated_rows(self.model, self.base, self.passive)
         shapes = {
             "reference": self.nq,
             "velocity_limit": self.nv,
@@ -95,7 +93,7 @@ class Robot:
         require_limits(self.name, self.given_length, position, others)
         require_reference(self.name, self.model, self.reference, position)
         if self.drives is not None:
-            require_drives(self.name, self.model, self.nu, self.drives)
+            require_drives(self.name, self.model, self.actuated_rows, self.drives)
 
     @property
     def nq(self) -> int:
@@ -108,9 +106,19 @@ class Robot:
         return int(self.model.nv)
 
     @cached_property
+    def unactuated_rows(self) -> np.ndarray:
+        """Rows of v without actuator: the base's, which come first, and those of passive joints."""
+        return building.unactuated_rows(self.model, self.base, self.passive)
+
+    @cached_property
+    def actuated_rows(self) -> np.ndarray:
+        """Rows (nu,) of v with an actuator, in the order of torques."""
+        return np.setdiff1d(np.arange(self.nv), self.unactuated_rows)
+
+    @property
     def n_unactuated(self) -> int:
-        """Number of rows without actuator, which come first: the base's 6, 3 or 0, then passive joints."""
-        return building.count_unactuated_rows(self.model, self.base, self.passive)
+        """Number of rows without actuator."""
+        return len(self.unactuated_rows)
 
     @cached_property
     def scalar_joints(self) -> tuple[np.ndarray, np.ndarray]:
@@ -150,7 +158,7 @@ class Robot:
 
     def actuated_row_limit(self, effort: np.ndarray | None) -> np.ndarray | None:
         """Return the bound (nu,) on the actuated rows, N m, of an torque limit (nu,) of the drives."""
-        return actuated_row_limit(self.drives, effort, self.velocity_limit[self.n_unactuated :])
+        return actuated_row_limit(self.drives, effort, self.velocity_limit[self.actuated_rows])
 
     def limited_model(self) -> pin.Model:
         """Return a copy of the model that carries this robot's limits, as a solution file stores it."""
@@ -186,7 +194,7 @@ class Robot:
 
     def actuators_of(self, rows: np.ndarray) -> dict[str, Any]:
         """Return torque limits and drives of the actuated ones of ``rows`` of v, as fields of a robot."""
-        actuators = rows[rows >= self.n_unactuated] - self.n_unactuated
+        actuators = np.searchsorted(self.actuated_rows, rows[np.isin(rows, self.actuated_rows)])
         return {
             "torque_limit": None if self.torque_limit is None else self.torque_limit[actuators],
             "drives": None if self.drives is None else tuple(self.drives[int(row)] for row in actuators),
@@ -204,8 +212,9 @@ class Robot:
         Raises `InputError` for a joint that is unknown or not actuated, `UnsupportedJointError` for one
         of several degrees of freedom.
         """
-        chosen = drives_by_row(self.name, self.model, self.drives or (None,) * self.nu, drives)
-        return replace(self, **drive_fields(self.model, self.torque_limit, self.velocity_limit, chosen))
+        rows = self.actuated_rows
+        chosen = drives_by_row(self.name, self.model, rows, self.drives or (None,) * self.nu, drives)
+        return replace(self, **drive_fields(self.model, rows, self.torque_limit, self.velocity_limit, chosen))
 
     def with_virtual_base(self, order: str = DEFAULT_ORDER) -> Robot:
         """Return this free-flyer robot with six virtual joints as its base: x, y, z, then three angles.
@@ -255,7 +264,7 @@ class Robot:
             locked: names of joints to weld at the reference.
             name: of the robot; default the one in the file.
             package_dirs: where ``package://`` paths of meshes start; default the folders above the file.
-            passive: names of joints without actuator, which must come first.
+            passive: names of joints without actuator.
 
         Raises:
             InputError: for a missing or malformed file, and as `Robot`.
@@ -320,9 +329,7 @@ class Robot:
             base=kind,
             contacts=named,
             reference=building.reference_posture(model, kind, named, reference),
-            torque_limit=building.torque_limit_of(
-                model, building.count_unactuated_rows(model, kind, passive)
-            ),
+            torque_limit=building.torque_limit_of(model, kind, passive),
             velocity_limit=building.velocity_limit_of(model, kind),
             position_lower=lower,
             position_upper=upper,

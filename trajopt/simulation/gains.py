@@ -47,7 +47,7 @@ def gains_of(
 ) -> Gains:
     """Gains for every period of a reference."""
     picked = np.arange(0, len(reference.t), EVERY)
-    rows = world.coordinates.rows[plan.n_unactuated :]
+    rows = world.coordinates.rows[plan.actuated_rows]
     matrices = _inertias(plan, world, reference, picked)
     inertia = np.diagonal(matrices, axis1=1, axis2=2)[:, rows]
     rate = 1.0 / (FEEDBACK_TIME * world.units.time)
@@ -85,11 +85,11 @@ def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
     if base_of(plan.model) == "fixed":
         return holding
     standing = np.maximum(active.sum(axis=1), 1)
-    units, first = world.units, plan.n_unactuated
-    force = units.generalized_force(plan.model)[first:]
+    units, actuated = world.units, plan.actuated_rows
+    force = units.generalized_force(plan.model)[actuated]
     stiffness = STIFFER * np.where(force == units.weight, force / units.length, force)  # N/m, or N m
     for contact, frame in enumerate(plan.contact_frames):
-        moved = sorted(row - first for row in moving_rows(plan.model, frame) if row >= first)
+        moved = np.flatnonzero(np.isin(actuated, list(moving_rows(plan.model, frame))))
         held = np.where(active[:, contact, None], stiffness[moved] / standing[:, None], 0.0)
         holding[:, moved] = np.maximum(holding[:, moved], held)
     return holding

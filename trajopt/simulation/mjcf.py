@@ -171,7 +171,7 @@ def _add_motors(root: ElementTree.Element, plan: Solution) -> None:
     actuator = ElementTree.SubElement(root, "actuator")
     low, high = torque_limits(plan)
     for row, name in enumerate(plan.torque_names):
-        place = plan.n_unactuated + row
+        place = int(plan.actuated_rows[row])
         index = next(i for i, joint in enumerate(plan.model.joints) if i and place < joint.idx_v + joint.nv)
         number = place - plan.model.joints[index].idx_v
         kind = plan.model.joints[index].shortname()

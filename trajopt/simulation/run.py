@@ -62,7 +62,7 @@ class SimulationRun:
             steps = f"{self.substeps * len(reference.t):.3g}"
             raise InputError(f"a simulation of {steps} steps", f"allowed: {MOST_STEPS}; a longer --timestep")
         self.model.opt.timestep = reference.period / self.substeps
-        self.rows = world.coordinates.rows[plan.n_unactuated :]
+        self.rows = world.coordinates.rows[plan.actuated_rows]
         self.gains = gains_of(plan, world, reference, settings)
         self.drives = plan.drives
         self.low, self.high = torque_limits(plan)
@@ -89,7 +89,7 @@ class SimulationRun:
         self.qpos = coordinates.to_mujoco(reference.q)
         self.qvel = coordinates.rates_to_mujoco(self.qpos, reference.v)
         whole = np.zeros_like(reference.v)
-        whole[:, self.plan.n_unactuated :] = reference.torque
+        whole[:, self.plan.actuated_rows] = reference.torque
         self.torque = coordinates.rates_to_mujoco(self.qpos, whole)[:, self.rows]
 
     def record(self) -> SimulationRecord:
@@ -242,7 +242,7 @@ class SimulationRun:
         q = coordinates.from_mujoco(qpos)[0]
         v = coordinates.rates_from_mujoco(qpos, measured.qvel[None])[0]
         whole = np.zeros((1, self.plan.model.nv))
-        whole[0, self.plan.n_unactuated :] = self.tracker.torque(
+        whole[0, self.plan.actuated_rows] = self.tracker.torque(
             k * self.reference.period, q, v, measured.touching
         )
         return np.asarray(coordinates.rates_to_mujoco(qpos, whole)[0, self.rows])

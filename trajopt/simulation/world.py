@@ -350,7 +350,7 @@ def _stiffness(settings: SimulationSettings, units: NaturalUnits) -> dict[str, l
 
 
 def _friction_of_drives(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
-    rows = coordinates.rows[plan.n_unactuated :]
+    rows = coordinates.rows[plan.actuated_rows]
     for row, drive in zip(rows, plan.drives, strict=True):
         if drive is not None:
             compiled.dof_damping[row] = drive.viscous_friction

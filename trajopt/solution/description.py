@@ -115,6 +115,7 @@ class PlanDescription:
         gravity: (3,) m/s^2.
         effort_limit: (nu,) N m or N, infinite where there is none; None without any.
         velocity_limit: (nv,) rad/s or m/s, likewise.
+        actuated_rows: (nu,) rows of v that have a torque; None where they are the last.
         terrain: None where it is not known.
         surfaces, patches: for each phase what active contacts touch or stand on, by contact frames; empty
             where all touch the terrain.
@@ -138,6 +139,7 @@ class PlanDescription:
     gravity: tuple[float, ...] | None = None
     effort_limit: np.ndarray | None = None
     velocity_limit: np.ndarray | None = None
+    actuated_rows: np.ndarray | None = None
     terrain: Terrain | None = None
     surfaces: tuple[Mapping[str, Surface], ...] = ()
     patches: tuple[Mapping[str, Patch], ...] = ()

@@ -98,7 +98,8 @@ class SampledMotion:
     @property
     def joint_velocity(self) -> np.ndarray:
         """Velocities (n, nu) of the joints with a torque, rad/s or m/s, in the order of ``torque_names``."""
-        return self.v[:, self.v.shape[1] - self.tau.shape[1] :]
+        names = list(self.velocity_names)
+        return self.v[:, [names.index(name) for name in self.torque_names]]
 
     @property
     def columns(self) -> dict[str, np.ndarray]:

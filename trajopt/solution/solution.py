@@ -137,7 +137,7 @@ class Solution:
     @property
     def torque_names(self) -> tuple[str, ...]:
         """Entries (nu,) of ``tau``."""
-        return self.velocity_names[self.n_unactuated :]
+        return tuple(self.velocity_names[row] for row in self.actuated_rows)
 
     @property
     def phase_names(self) -> tuple[str, ...]:
@@ -169,10 +169,22 @@ class Solution:
         """Number of intervals I."""
         return len(self.interval_t)
 
+    @cached_property
+    def actuated_rows(self) -> np.ndarray:
+        """Rows (nu,) of v that have a torque, in the order of ``tau``."""
+        rows = self.description.actuated_rows
+        nv, nu = self.v.shape[1], self.tau.shape[1]
+        return np.arange(nv - nu, nv) if rows is None else rows
+
+    @cached_property
+    def unactuated_rows(self) -> np.ndarray:
+        """Rows of v without torque: those of a moving base, which come first, and of passive joints."""
+        return np.setdiff1d(np.arange(self.v.shape[1]), self.actuated_rows)
+
     @property
     def n_unactuated(self) -> int:
-        """Number of base rows, which come first in v and have no torque."""
-        return self.v.shape[1] - self.tau.shape[1]
+        """Number of rows without torque."""
+        return len(self.unactuated_rows)
 
     @property
     def drives(self) -> tuple[Drive | None, ...]:
@@ -193,7 +205,7 @@ class Solution:
     @property
     def drive_torque(self) -> np.ndarray:
         """Torques (K, nu) that the drives deliver, joint side: ``tau`` and the joints' friction."""
-        return drive_torque_values(self.drives, self.tau, self.v[:, self.n_unactuated :])
+        return drive_torque_values(self.drives, self.tau, self.v[:, self.actuated_rows])
 
     @cached_property
     def intervals(self) -> tuple[range, ...]:
@@ -270,7 +282,7 @@ class Solution:
             success=self.success,
             t=t,
             **vars(motion),
-            drive_torque=drive_torque_values(self.drives, state.tau, state.v[:, self.n_unactuated :]),
+            drive_torque=drive_torque_values(self.drives, state.tau, state.v[:, self.actuated_rows]),
             angle=angle,
             active=self.active[first],
             phase=self.phase[first],

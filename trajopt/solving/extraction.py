@@ -200,7 +200,7 @@ def _torques(robot: Robot, motion: list[np.ndarray], f: np.ndarray) -> np.ndarra
         generalized_force(model, data, (q, v, a), frames, wrench)
         for q, v, a, wrench in zip(*motion, f, strict=True)
     ]
-    return np.array(forces)[:, robot.n_unactuated :]
+    return np.array(forces)[:, robot.actuated_rows]
 
 
 def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray) -> np.ndarray:
@@ -237,8 +237,10 @@ def described_robot(problem: Problem) -> dict[str, Any]:
         index, sign = periodicity.images(robot)
         origin = problem.initial_q[:3].copy()
         image = PeriodicImage(index=index, sign=sign, origin=origin, **asdict(periodicity))
+    last = np.array_equal(robot.actuated_rows, np.arange(robot.n_unactuated, robot.nv))
     return {
         "robot": robot.name,
+        "actuated_rows": None if last else robot.actuated_rows,
         "contacts": tuple(_contact(contact, problem.terrain.friction) for contact in robot.contacts),
         "surfaces": _surfaces(problem),
         "patches": _patches(problem),

@@ -227,7 +227,7 @@ class Context(Parameters):
 
     @property
     def generalized_forces(self) -> ca.SX:
-        """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joint torques.
+        """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joints.
 
         For a velocity source RNEA(q, 0, 0) - J^T w, statics; at an impact M (v+ - v-) - J^T impulses.
         """
@@ -238,7 +238,7 @@ class Context(Parameters):
     @property
     def base_rows(self) -> ca.SX:
         """Unactuated rows of the generalised forces; the dynamics hold where they vanish."""
-        return self.generalized_forces[: self.robot.n_unactuated]
+        return self.generalized_forces[self.robot.unactuated_rows.tolist()]
 
     @property
     def torque(self) -> ca.SX:
@@ -248,8 +248,8 @@ class Context(Parameters):
                 f"a term asks for torques, which a source of {self.actuation} does not have",
                 "allowed: actuation 'torque', or terms about motion and contact forces",
             )
-        unactuated = self.robot.n_unactuated
-        return drive_torque(self.robot.drives, self.generalized_forces[unactuated:], self.dxi[unactuated:])
+        rows = self.robot.actuated_rows.tolist()
+        return drive_torque(self.robot.drives, self.generalized_forces[rows], self.dxi[rows])
 
     def frame(self, name: str) -> FrameSymbols:
         """Symbols of the frame ``name`` of the model."""

@@ -29,7 +29,7 @@ from trajopt.terrain.surface import Surface
 
 @dataclass(frozen=True, kw_only=True)
 class BaseDynamics(PointConstraint):
-    """The unactuated rows of the dynamics vanish: the Newton-Euler equations of the whole robot.
+    """The unactuated rows of the dynamics vanish: the base's Newton-Euler equations, and passive joints'.
 
         [M(q) v' + h(q, v) - sum_c J_c^T f_c]_unactuated = 0
 
@@ -38,10 +38,8 @@ class BaseDynamics(PointConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        n = context.robot.n_unactuated
-        if n == 0:
-            return None
-        return Rows.create(context.base_rows, 0, 0, units.generalized_force[:n])
+        rows = context.robot.unactuated_rows
+        return Rows.create(context.base_rows, 0, 0, units.generalized_force[rows]) if len(rows) else None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import checked
+from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.kinds import ArrayShape
@@ -82,7 +83,7 @@ class VelocityLimits(PointConstraint):
         limit = np.where(
             robot.velocity_limit < Units(robot).unreachable_velocity, robot.velocity_limit, np.inf
         )
-        limit[: robot.n_unactuated] = np.inf
+        limit[: BASE_ROWS[robot.base]] = np.inf
         return limit
 
     @override
@@ -110,7 +111,7 @@ class PositionLimits(PointConstraint):
     def _limits(self, robot: Robot, context: Context) -> tuple[np.ndarray, np.ndarray]:
         lower, upper = np.full(robot.nv, -np.inf), np.full(robot.nv, np.inf)
         for joint in context.coordinates.joints:
-            if joint.kind != "plain" or joint.v.start < robot.n_unactuated:
+            if joint.kind != "plain" or joint.v.start < BASE_ROWS[robot.base]:
                 continue
             near_lower = robot.position_lower[joint.q] > robot.reference[joint.q] - 2 * math.pi
             near_upper = robot.position_upper[joint.q] < robot.reference[joint.q] + 2 * math.pi

@@ -155,12 +155,12 @@ def node_phase(layout: Layout, k: int) -> int:
 def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Least wrenches at active contacts that balance the base rows of the motion (zero for a fixed base)."""
     robot, contacts = layout.form_of(phase).robot, layout.contacts[phase]
-    n = robot.n_unactuated
-    if n == 0 or not contacts:
+    rows = robot.unactuated_rows
+    if not len(rows) or not contacts:
         return np.zeros(layout.n_wrench(phase))
-    needed = pin.rnea(robot.model, robot.model.createData(), q, v, a)[:n]
+    needed = pin.rnea(robot.model, robot.model.createData(), q, v, a)[rows]
     places = [(contact.frame, contact.rows) for contact in contacts]
-    jacobian = contact_jacobian(robot.model, q, places)[:, :n]
+    jacobian = contact_jacobian(robot.model, q, places)[:, rows]
     return np.linalg.lstsq(jacobian.T, needed, rcond=None)[0]
 
 

@@ -62,7 +62,7 @@ def _collocated(
     fractions, once, twice = _gauss(count)
     sample = motion.polynomials.at(np.repeat(numbers, count), np.tile(fractions, len(numbers)))
     force = np.zeros(sample.v.shape)
-    force[:, plan.n_unactuated :] = sample.tau
+    force[:, plan.actuated_rows] = sample.tau
     step = np.diff(plan.interval_t[numbers.start : numbers.stop], axis=1)[:, None]
     q, v = sample.q, sample.v
     ends = np.full((len(numbers), plan.model.nv), np.inf)

@@ -52,7 +52,7 @@ class PlottedMotion(MotionQuantities):
     @property
     def rates(self) -> np.ndarray:
         """Rates (K, nu) of the actuated rows."""
-        return self.solution.v[:, self.solution.n_unactuated :]
+        return self.solution.v[:, self.solution.actuated_rows]
 
     @cached_property
     def power(self) -> np.ndarray:
