@@ -10,7 +10,7 @@ from types import ModuleType
 from trajopt.errors import InputError, TrajoptError, failure, line_in, placed
 from trajopt.robot import Robot, feet_in_base
 
-KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum")
+KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum", "multirotor")
 # Robots with a free base by the number of feet that they stand on.
 KIND_OF_FEET = {1: "hopper", 2: "biped", 4: "quadruped"}
 

@@ -13,7 +13,10 @@ def torque_limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
     given = plan.description.effort_limit
     if given is not None and plan.description.actuation == "torque":
         limit = _numbers(given)
-    return -limit, limit
+    least = -limit
+    for row, thruster in enumerate(plan.description.thrusters, len(plan.actuated_rows)):
+        least[row] = thruster.least
+    return least, limit
 
 
 def limits_with_drives(

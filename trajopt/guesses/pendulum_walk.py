@@ -191,7 +191,7 @@ class _Samples:
         self.unit = units.acceleration(self.robot.model)
         self.dynamics = TaskSpaceInverseDynamics(
             state=RobotState(self.robot.model),
-            actuated_rows=self.robot.actuated_rows,
+            actuation=self.robot.actuation,
             acceleration_unit=self.unit,
             force_units=(units.weight, units.weight * units.length),
             torque_unit=units.generalized_force(self.robot.model),

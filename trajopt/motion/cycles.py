@@ -74,8 +74,10 @@ class CycleImage:
 
     def of_torques(self, torque: np.ndarray) -> np.ndarray:
         """Images of torques (n, nu)."""
+        image, joints = torque.copy(), len(self.actuated)
         columns = np.searchsorted(self.actuated, self.index[self.actuated])
-        return np.asarray(self.sign[self.actuated] * torque[:, columns])
+        image[:, :joints] = self.sign[self.actuated] * torque[:, columns]
+        return image
 
     def of_contact_forces(self, f: np.ndarray) -> np.ndarray:
         """Images of contact forces and moments (n, nc, 6)."""

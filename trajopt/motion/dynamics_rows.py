@@ -26,7 +26,7 @@ class DynamicsRows:
 
 def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> DynamicsRows:
     """Residuals at every sample; base rows of velocity sources are statics, RNEA(q, 0, 0) - sum J^T f."""
-    free, force = plan.unactuated_rows, samples.generalized_force
+    free, force = plan.unactuated_rows, samples.generalized_force - plan.actuation.force(plan.tau)
     balance, held = force[:, free], samples.acceleration
     if plan.description.velocity_input:  # rows of statics and of velocities, not of motion
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
@@ -35,7 +35,7 @@ def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
     contact = np.concatenate([held_part(held[..., :3], surfaces), held[..., 3:]], axis=-1)
     contact[~plan.active] = 0.0
     contact[:, ~plan.description.soles, 3:] = 0.0
-    return DynamicsRows(base=balance, actuated=force[:, plan.actuated_rows] - plan.tau, contact=contact)
+    return DynamicsRows(base=balance, actuated=force[:, plan.actuated_rows], contact=contact)
 
 
 def dynamics_traces(plan: Solution, rows: DynamicsRows) -> Traces:

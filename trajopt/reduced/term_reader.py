@@ -71,7 +71,7 @@ class TermInstance:
     @property
     def uses_torques(self) -> bool:
         """Whether it uses generalised forces of actuated joints."""
-        rows = self.context.robot.actuated_rows.tolist()
+        rows = np.flatnonzero(self.context.robot.actuation.matrix.any(axis=1)).tolist()
         return self.uses_dynamics and self.uses(self.context.generalized_forces[rows])
 
     def function(self) -> ca.Function:

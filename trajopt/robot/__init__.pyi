@@ -1,3 +1,4 @@
+from .actuators.actuation import Thruster as Thruster
 from .actuators.beams import Beam as Beam
 from .actuators.drive import Drive as Drive
 from .building import sagittal as sagittal

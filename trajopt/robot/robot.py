@@ -19,12 +19,20 @@ from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtua
 from trajopt.errors import InputError, expanded
 from trajopt.kinds import ArrayShape
 from trajopt.robot import building
+from trajopt.robot.actuators.actuation import Actuation, Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
 from trajopt.robot.contact import Contact, require_frame
 from trajopt.robot.data import VisualSource, package_directories
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.reading import read_mjcf, read_urdf
-from trajopt.robot.validation import require_contacts, require_inertias, require_limits, require_reference
+from trajopt.robot.validation import (
+    require_contacts,
+    require_inertias,
+    require_limits,
+    require_reference,
+    require_thrusters,
+)
 
 
 @checked
@@ -40,12 +48,14 @@ class Robot:
         velocity_limit: (nv,), rad/s or m/s, inf where there is none.
         position_lower: least positions (nq,), rad or m, -inf where there is no limit.
         position_upper: largest positions (nq,), rad or m, inf where there is no limit.
-        torque_limit: torque or force on the joint side (nu,), N m or N; None without any limit.
+        torque_limit: torque or force on the joint side (nu,), N m or N; None without any limit. Of a thruster
+            the largest force.
         contacts: where it may touch its surroundings.
         visual: where the meshes are, for a replay.
         passive: joints without actuator, at any place: an ankle that is a contact, the pole on a cart.
         given_length: characteristic length in m; None takes the one that `length` measures.
-        drives: a `Drive` or None for each actuated row (nu), or None; set with `with_drives`.
+        drives: a `Drive` or None for each input (nu), or None; set with `with_drives`.
+        thrusters: on the base, whose forces are the last inputs; set with `with_thrusters`.
 
     Raises:
         InputError: for an unknown frame, a wrong shape, a number that is not finite, a reference outside the
@@ -65,6 +75,7 @@ class Robot:
     passive: tuple[str, ...] = ()
     given_length: float | None = None
     drives: tuple[Drive | None, ...] | None = None
+    thrusters: tuple[Thruster, ...] = ()
 
     def __post_init__(self) -> None:
         kind = base_of(self.model)
@@ -89,11 +100,12 @@ class Robot:
         position = self.position_lower, self.position_upper
         others = {"velocity_limit": self.velocity_limit, "torque_limit": self.torque_limit}
         require_contacts(self.name, self.model, self.contacts)
+        require_thrusters(self.name, self.model, self.thrusters)
         require_inertias(self.name, self.model)
         require_limits(self.name, self.given_length, position, others)
         require_reference(self.name, self.model, self.reference, position)
         if self.drives is not None:
-            require_drives(self.name, self.model, self.actuated_rows, self.drives)
+            require_drives(self.name, self.model, self._rows_of_inputs, self.drives)
 
     @property
     def nq(self) -> int:
@@ -112,8 +124,19 @@ class Robot:
 
     @cached_property
     def actuated_rows(self) -> np.ndarray:
-        """Rows (nu,) of v with an actuator, in the order of torques."""
+        """Rows of v with an actuator, in the order of torques."""
         return np.setdiff1d(np.arange(self.nv), self.unactuated_rows)
+
+    @cached_property
+    def actuation(self) -> Actuation:
+        """The map from inputs (nu,), motors of joints and then thrusters, to generalised forces."""
+        unit = NaturalUnits.of(self.model).generalized_force(self.model)
+        return Actuation.of(self.model, self.actuated_rows, self.thrusters, unit)
+
+    @property
+    def _rows_of_inputs(self) -> np.ndarray:
+        """Row of v of every input (nu,), -1 of a thruster."""
+        return np.append(self.actuated_rows, np.full(len(self.thrusters), -1))
 
     @property
     def n_unactuated(self) -> int:
@@ -129,8 +152,8 @@ class Robot:
 
     @property
     def nu(self) -> int:
-        """Number of actuated rows."""
-        return self.nv - self.n_unactuated
+        """Number of inputs: joints with an actuator, and thrusters."""
+        return len(self.actuated_rows) + len(self.thrusters)
 
     @cached_property
     def mass(self) -> float:
@@ -195,6 +218,7 @@ class Robot:
     def actuators_of(self, rows: np.ndarray) -> dict[str, Any]:
         """Return torque limits and drives of the actuated ones of ``rows`` of v, as fields of a robot."""
         actuators = np.searchsorted(self.actuated_rows, rows[np.isin(rows, self.actuated_rows)])
+        actuators = np.append(actuators, np.arange(len(self.actuated_rows), self.nu))
         return {
             "torque_limit": None if self.torque_limit is None else self.torque_limit[actuators],
             "drives": None if self.drives is None else tuple(self.drives[int(row)] for row in actuators),
@@ -212,9 +236,32 @@ class Robot:
         Raises `InputError` for a joint that is unknown or not actuated, `UnsupportedJointError` for one
         of several degrees of freedom.
         """
-        rows = self.actuated_rows
+        rows = self._rows_of_inputs
         chosen = drives_by_row(self.name, self.model, rows, self.drives or (None,) * self.nu, drives)
         return replace(self, **drive_fields(self.model, rows, self.torque_limit, self.velocity_limit, chosen))
+
+    @checked
+    def with_thrusters(self, thrusters: Sequence[Thruster]) -> Robot:
+        """Return this robot with thrusters on its base, in place of those it has.
+
+        Raises `InputError` for a frame that is unknown or not on the base, a base that is not "freeflyer" or
+        "planar", or two thrusters of the same name.
+        """
+        joints = len(self.actuated_rows)
+        limit = np.full(joints, np.inf) if self.torque_limit is None else self.torque_limit[:joints]
+        limit = np.append(limit, [thruster.most for thruster in thrusters])
+        return replace(
+            self,
+            thrusters=tuple(thrusters),
+            torque_limit=limit if np.isfinite(limit).any() else None,
+            drives=None if self.drives is None else (*self.drives[:joints], *[None] * len(thrusters)),
+        )
+
+    def least_torque(self, limit: np.ndarray) -> np.ndarray:
+        """Least inputs (nu,) that go with the largest ones ``limit``: of joints their negative."""
+        least = -limit
+        least[len(self.actuated_rows) :] = [thruster.least for thruster in self.thrusters]
+        return least
 
     def with_virtual_base(self, order: str = DEFAULT_ORDER) -> Robot:
         """Return this free-flyer robot with six virtual joints as its base: x, y, z, then three angles.

@@ -8,6 +8,7 @@ import pinocchio as pin
 from trajopt.dynamics.model_quantities import mass_of
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.errors import InputError, require_positive
+from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.contact import Contact, require_frame
 
 # A reference posture may touch its limit: rounding of degrees in description files, rad or m.
@@ -26,6 +27,15 @@ def require_contacts(robot: str, model: pin.Model, contacts: Sequence[Contact]) 
             raise InputError(f"robot '{robot}' has two contacts named '{name}'", "different names")
     for contact in contacts:
         require_frame(model, contact.frame, f"contact '{contact.name}'")
+
+
+def require_thrusters(robot: str, model: pin.Model, thrusters: Sequence[Thruster]) -> None:
+    """Raise `InputError` for thrusters that are not on the base, or are named like another input."""
+    names = [*model.names, *(thruster.name for thruster in thrusters)]
+    for thruster in thrusters:
+        thruster.column(model)
+        if names.count(thruster.name) > 1:
+            raise InputError(f"robot '{robot}' has two inputs named '{thruster.name}'", "different names")
 
 
 def require_inertias(robot: str, model: pin.Model) -> None:

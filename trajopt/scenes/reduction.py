@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg import block_diag
 
 from trajopt.dynamics.base_joint import BASE_COORDINATES, BASE_ROWS
 from trajopt.dynamics.model_quantities import contact_jacobian, generalized_force
@@ -125,7 +126,8 @@ class Reduction:
         """
         matrix = self.rates[np.ix_(self.whole.actuated_rows, self.small.actuated_rows)]
         members = np.abs(matrix).sum(axis=0)
-        return np.asarray(matrix / np.where(members > 0, members, 1.0))
+        thrusters = np.eye(len(self.whole.thrusters))
+        return np.asarray(block_diag(matrix / np.where(members > 0, members, 1.0), thrusters))
 
     def lift_q(self, q: np.ndarray) -> np.ndarray:
         """Configuration (nq,) of the whole robot."""
@@ -302,4 +304,4 @@ def _torques(solution: Solution, robot: Robot, motion: _Trajectory, f: np.ndarra
     for k in np.flatnonzero(solution.collocation):
         state = (motion[0][k], motion[1][k], motion[2][k])
         forces[k] = generalized_force(model, data, state, frames, f[k])
-    return interpolated(solution, forces)[:, robot.actuated_rows]
+    return robot.actuation.inputs(interpolated(solution, forces))

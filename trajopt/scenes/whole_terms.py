@@ -103,8 +103,9 @@ class WholeView(Context):
         forces, small = self.small.generalized_forces, self.reduction.small
         free = ca.DM(self.reduction.rates[:, small.unactuated_rows])
         whole = ca.mtimes(free, forces[small.unactuated_rows.tolist()])
-        shares = ca.mtimes(ca.DM(self.reduction.shares), forces[small.actuated_rows.tolist()])
-        whole[self.robot.actuated_rows.tolist()] = shares
+        rows, joints = small.actuated_rows, self.robot.actuated_rows
+        shares = self.reduction.shares[: len(joints), : len(rows)]
+        whole[joints.tolist()] = ca.mtimes(ca.DM(shares), forces[rows.tolist()])
         return whole
 
     @cached_property

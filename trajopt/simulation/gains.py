@@ -81,7 +81,7 @@ def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, pick
 
 def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
     """Stiffness (n, nu) that legs need to hold the body, for active contacts (n, nc); zero elsewhere."""
-    holding = np.zeros((len(active), plan.tau.shape[1]))
+    holding = np.zeros((len(active), len(plan.actuated_rows)))
     if base_of(plan.model) == "fixed":
         return holding
     standing = np.maximum(active.sum(axis=1), 1)

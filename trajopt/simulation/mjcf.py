@@ -171,6 +171,15 @@ def _add_motors(root: ElementTree.Element, plan: Solution) -> None:
     actuator = ElementTree.SubElement(root, "actuator")
     low, high = torque_limits(plan)
     for row, name in enumerate(plan.torque_names):
+        motor = ElementTree.SubElement(actuator, "motor", name=name.replace("/", "_"))
+        if np.isfinite(high[row]):
+            motor.set("ctrlrange", _numbers([low[row], high[row]]))
+        if row >= len(plan.actuated_rows):
+            thruster = plan.description.thrusters[row - len(plan.actuated_rows)]
+            axis = np.array(thruster.axis) / np.linalg.norm(thruster.axis)
+            motor.set("site", thruster.name)
+            motor.set("gear", _numbers([*axis, *(thruster.drag * axis)]))
+            continue
         place = int(plan.actuated_rows[row])
         index = next(i for i, joint in enumerate(plan.model.joints) if i and place < joint.idx_v + joint.nv)
         number = place - plan.model.joints[index].idx_v
@@ -181,12 +190,9 @@ def _add_motors(root: ElementTree.Element, plan: Solution) -> None:
                 "allowed in MJCF: on hinges, slides and balls",
             )
         turns = kind == "JointModelSpherical"
-        motor = ElementTree.SubElement(actuator, "motor", name=name.replace("/", "_"))
         motor.set("joint", part_name(index, 0 if turns else number))
         if turns:
             motor.set("gear", _numbers([*np.eye(3)[number], 0.0, 0.0, 0.0]))
-        if np.isfinite(high[row]):
-            motor.set("ctrlrange", _numbers([low[row], high[row]]))
 
 
 def _add_keyframes(root: ElementTree.Element, plan: Solution, world: World) -> None:

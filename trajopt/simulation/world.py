@@ -196,6 +196,13 @@ def _extent(plan: Solution, contact: int) -> float:
 def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[str]]:
     """A site and balls at each contact frame; names of the balls."""
     names = []
+    for thruster in plan.description.thrusters:
+        placed = bodies.model.frames[bodies.model.getFrameId(thruster.frame)]
+        bodies.spec.body(body_name(placed.parentJoint)).add_site(
+            name=thruster.name,
+            pos=placed.placement.translation,
+            quat=mujoco_quaternion(placed.placement.rotation),
+        )
     for number, frame in enumerate(plan.contact_frames):
         contact_frame = bodies.model.frames[bodies.model.getFrameId(frame)]
         body = bodies.spec.body(body_name(contact_frame.parentJoint))
@@ -351,7 +358,7 @@ def _stiffness(settings: SimulationSettings, units: NaturalUnits) -> dict[str, l
 
 def _friction_of_drives(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
     rows = coordinates.rows[plan.actuated_rows]
-    for row, drive in zip(rows, plan.drives, strict=True):
+    for row, drive in zip(rows, plan.drives, strict=False):  # thrusters, which come last, have none
         if drive is not None:
             compiled.dof_damping[row] = drive.viscous_friction
             compiled.dof_frictionloss[row] = drive.coulomb_friction

@@ -81,12 +81,18 @@ def _wrong_shape(
     for name, shape in expected.items():
         if arrays[name].shape != shape:
             return f"'{name}' has shape {arrays[name].shape}, expected {shape}"
-    if actuated > model.nv:
-        return f"'tau' has {actuated} columns, more than nv = {model.nv}"
+    most = model.nv + len(plan.thrusters)
+    if not len(plan.thrusters) <= actuated <= most:
+        return f"'tau' has {actuated} columns, not {len(plan.thrusters)} to {most}"
+    for thruster in plan.thrusters:
+        try:
+            thruster.column(model)
+        except InputError as error:
+            return str(error)
     for key, limit, size in (
         ("effort_limit", plan.effort_limit, actuated),
         ("velocity_limit", plan.velocity_limit, model.nv),
-        ("actuated_rows", plan.actuated_rows, actuated),
+        ("actuated_rows", plan.actuated_rows, actuated - len(plan.thrusters)),
         ("drives", plan.drives or None, actuated),
         ("index of periodicity", None if plan.periodicity is None else plan.periodicity.index, model.nv),
     ):

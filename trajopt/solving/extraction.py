@@ -200,7 +200,7 @@ def _torques(robot: Robot, motion: list[np.ndarray], f: np.ndarray) -> np.ndarra
         generalized_force(model, data, (q, v, a), frames, wrench)
         for q, v, a, wrench in zip(*motion, f, strict=True)
     ]
-    return np.array(forces)[:, robot.actuated_rows]
+    return robot.actuation.inputs(np.array(forces))
 
 
 def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray) -> np.ndarray:
@@ -241,6 +241,7 @@ def described_robot(problem: Problem) -> dict[str, Any]:
     return {
         "robot": robot.name,
         "actuated_rows": None if last else robot.actuated_rows,
+        "thrusters": robot.thrusters,
         "contacts": tuple(_contact(contact, problem.terrain.friction) for contact in robot.contacts),
         "surfaces": _surfaces(problem),
         "patches": _patches(problem),

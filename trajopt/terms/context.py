@@ -237,8 +237,19 @@ class Context(Parameters):
 
     @property
     def base_rows(self) -> ca.SX:
-        """Unactuated rows of the generalised forces; the dynamics hold where they vanish."""
-        return self.generalized_forces[self.robot.unactuated_rows.tolist()]
+        """What no input makes of the generalised forces; the dynamics hold where it vanishes."""
+        actuation = self.robot.actuation
+        if actuation.is_selection:
+            return self.generalized_forces[actuation.free.tolist()]
+        return ca.mtimes(ca.DM(actuation.balance), self.generalized_forces)
+
+    @property
+    def input_rates(self) -> ca.SX:
+        """Rates (nu,) of what the inputs push: of joints, and of thrusters along their axes, rad/s or m/s."""
+        rows = self.robot.actuated_rows.tolist()
+        if self.robot.actuation.is_selection:
+            return self.dxi[rows]
+        return ca.vertcat(self.dxi[rows], ca.mtimes(ca.DM(self.robot.actuation.thrust.T), self.v))
 
     @property
     def torque(self) -> ca.SX:
@@ -248,8 +259,12 @@ class Context(Parameters):
                 f"a term asks for torques, which a source of {self.actuation} does not have",
                 "allowed: actuation 'torque', or terms about motion and contact forces",
             )
-        rows = self.robot.actuated_rows.tolist()
-        return drive_torque(self.robot.drives, self.generalized_forces[rows], self.dxi[rows])
+        actuation, forces = self.robot.actuation, self.generalized_forces
+        if actuation.is_selection:
+            inputs = forces[actuation.rows.tolist()]
+        else:
+            inputs = ca.mtimes(ca.DM(actuation.inverse), forces)
+        return drive_torque(self.robot.drives, inputs, self.input_rates)
 
     def frame(self, name: str) -> FrameSymbols:
         """Symbols of the frame ``name`` of the model."""

@@ -33,13 +33,17 @@ class BaseDynamics(PointConstraint):
 
         [M(q) v' + h(q, v) - sum_c J_c^T f_c]_unactuated = 0
 
-    with the wrenches f_c of the active contacts in world axes. Rows are over m g or m g l.
+    with the wrenches f_c of the active contacts in world axes. Rows are over m g or m g l. With thrusters
+    they are the combinations of rows that no input reaches.
     """
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        rows = context.robot.unactuated_rows
-        return Rows.create(context.base_rows, 0, 0, units.generalized_force[rows]) if len(rows) else None
+        actuation = context.robot.actuation
+        if not len(actuation.balance):
+            return None
+        scale = actuation.balance_unit(units.generalized_force)
+        return Rows.create(context.base_rows, 0, 0, scale)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ def _rows_within(
 class TorqueLimits(PointConstraint):
     """Joint torques within limits.
 
-        |tau_j| <= limit_j
+        |tau_j| <= limit_j,      least_j <= u_j <= limit_j of a thruster
 
     with tau (nu,) the torques that the drives deliver, joint side. Rows are over m g l. Limits of 30 m g l or
     more cannot bind and have no row; the check verifies them.
@@ -61,7 +61,8 @@ class TorqueLimits(PointConstraint):
         if limit is None:
             return None
         upper = np.where(limit < units.unreachable_torque, limit, np.inf)
-        return _rows_within(lambda: context.torque, -upper, upper, np.full(len(upper), units.torque))
+        lower = context.robot.least_torque(upper)
+        return _rows_within(lambda: context.torque, lower, upper, np.full(len(upper), units.torque))
 
     @override
     def limits(self, robot: Robot) -> dict[str, np.ndarray]:

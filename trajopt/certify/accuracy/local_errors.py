@@ -61,8 +61,7 @@ def _collocated(
     count = int(plan.collocation[first.start : first.stop].sum()) + MORE_POINTS
     fractions, once, twice = _gauss(count)
     sample = motion.polynomials.at(np.repeat(numbers, count), np.tile(fractions, len(numbers)))
-    force = np.zeros(sample.v.shape)
-    force[:, plan.actuated_rows] = sample.tau
+    force = plan.actuation.force(sample.tau)
     step = np.diff(plan.interval_t[numbers.start : numbers.stop], axis=1)[:, None]
     q, v = sample.q, sample.v
     ends = np.full((len(numbers), plan.model.nv), np.inf)

@@ -20,7 +20,7 @@ def drive_fields(
 
     Args:
         model: of the robot without them; not changed.
-        rows: of v with an actuator (nu,).
+        rows: of v of each input (nu,), -1 of a thruster.
         effort: limits (nu,), N m or N, or None.
         velocity: limits (nv,), rad/s or m/s.
         drives: one or None for each actuated row (nu), see `Robot.with_drives`.
@@ -58,7 +58,7 @@ def drives_by_row(
 ) -> Drives:
     """Return a drive or None for each actuated row (nu): a mapping changes joints, a sequence states all.
 
-    ``robot`` is its name, ``actuated`` (nu,) are its rows of v with an actuator, ``present`` (nu) the drives
+    ``robot`` is its name, ``actuated`` (nu,) are the rows of v of its inputs, ``present`` (nu) the drives
     it has. Raises `InputError`.
     """
     chosen: Drives = tuple(present)
@@ -81,7 +81,7 @@ def _row(robot: str, model: pin.Model, actuated: np.ndarray, name: str) -> int:
     joint = model.joints[model.getJointId(name)]
     if joint.nv != 1:
         raise UnsupportedJointError(name, joint.shortname(), "drives on joints of one degree of freedom")
-    return int(np.searchsorted(actuated, joint.idx_v))
+    return int(np.flatnonzero(actuated == joint.idx_v)[0])
 
 
 def require_drives(robot: str, model: pin.Model, actuated: np.ndarray, drives: Drives) -> None:
