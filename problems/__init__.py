@@ -5,8 +5,8 @@ import pkgutil
 from functools import lru_cache
 
 from trajopt.problem import Family, Problem, choose
+from trajopt.problem.published import PublishedOptimum
 from trajopt.robot import Robot
-from trajopt.study.published import PublishedOptimum
 from trajopt_library import robots
 
 

@@ -8,10 +8,10 @@ import pinocchio as pin
 
 from trajopt.motion.energy_use import integral
 from trajopt.problem import Problem
+from trajopt.problem.published import PublishedOptimum
 from trajopt.robot import Drive, Robot
 from trajopt.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
-from trajopt.study.published import PublishedOptimum
 from trajopt.terms import (
     MotorTorqueCost,
     PositionLimits,

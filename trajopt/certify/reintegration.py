@@ -133,8 +133,9 @@ def integrate_interval(
 
     def dynamic(fraction: float, state: np.ndarray) -> np.ndarray:
         delta, velocity = state[:nv], state[nv:]
-        force = plan.actuation.force(fraction**powers @ coefficients)
-        acceleration = dynamics.acceleration(pin.integrate(model, q, delta), velocity, force)
+        moved = pin.integrate(model, q, delta)
+        force = plan.actuation.force(fraction**powers @ coefficients) + plan.joint_force(moved, velocity)
+        acceleration = dynamics.acceleration(moved, velocity, force)
         return (end - start) * np.concatenate([coordinate_rate(delta, velocity), acceleration])
 
     if motion.moved_by_rates:

@@ -147,7 +147,7 @@ class Tracker:
     def _program(self, phase: int) -> TaskSpaceInverseDynamics:
         if phase not in self._programs:
             self._programs[phase] = TaskSpaceInverseDynamics(
-                state=RobotState(tracking_model(self.plan, phase)),
+                state=RobotState(tracking_model(self.plan, phase), self.plan.description.joint_forces),
                 actuation=self.plan.actuation,
                 acceleration_unit=self.units.acceleration(self.plan.model),
                 force_units=(self.units.weight, self.units.weight * self.units.length),

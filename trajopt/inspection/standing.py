@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
 from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.legs import LIFTED
@@ -63,6 +64,7 @@ def standing_posture(robot: Robot) -> StandingPosture:
     feet = standing_feet(robot)
     zero = np.zeros(robot.nv)
     weight_force = pin.rnea(robot.model, robot.model.createData(), robot.reference, zero, zero)
+    weight_force = weight_force - joint_force(robot.model, robot.joint_forces, robot.reference, zero)
     rows = [(contact.frame, contact.rows) for contact in feet]
     jacobian = contact_jacobian(robot.model, robot.reference, rows)
     free = robot.unactuated_rows

@@ -18,7 +18,7 @@ from trajopt.robot.catalogue import GROUP
 if TYPE_CHECKING:
     from trajopt.problem.family import Family
     from trajopt.problem.problem import Problem
-    from trajopt.study.published import PublishedOptimum
+    from trajopt.problem.published import PublishedOptimum
 
 
 @checked

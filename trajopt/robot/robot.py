@@ -21,6 +21,7 @@ from trajopt.kinds import ArrayShape
 from trajopt.robot import building
 from trajopt.robot.actuators.actuation import Actuation, Thruster
 from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.joint_force import SPRING, JointForce, described_forces, with_spring_joints
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
 from trajopt.robot.contact import Contact, require_frame
 from trajopt.robot.data import VisualSource, package_directories
@@ -42,7 +43,7 @@ class Robot:
 
     Args:
         name: word for tables and files.
-        model: numeric Pinocchio model; joint damping and friction in it are not part of the dynamics.
+        model: numeric Pinocchio model; damping and friction in it count with `with_joint_forces` alone.
         base: kind of the root joint. Its rows come first in v and are unactuated.
         reference: posture (nq,), m and rad in Pinocchio's convention, within the limits.
         velocity_limit: (nv,), rad/s or m/s, inf where there is none.
@@ -56,6 +57,7 @@ class Robot:
         given_length: characteristic length in m; None takes the one that `length` measures.
         drives: a `Drive` or None for each input (nu), or None; set with `with_drives`.
         thrusters: on the base, whose forces are the last inputs; set with `with_thrusters`.
+        joint_forces: springs, damping and dry friction of joints; set with `with_joint_forces`.
 
     Raises:
         InputError: for an unknown frame, a wrong shape, a number that is not finite, a reference outside the
@@ -76,6 +78,7 @@ class Robot:
     given_length: float | None = None
     drives: tuple[Drive | None, ...] | None = None
     thrusters: tuple[Thruster, ...] = ()
+    joint_forces: tuple[JointForce, ...] = ()
 
     def __post_init__(self) -> None:
         kind = base_of(self.model)
@@ -101,6 +104,8 @@ class Robot:
         others = {"velocity_limit": self.velocity_limit, "torque_limit": self.torque_limit}
         require_contacts(self.name, self.model, self.contacts)
         require_thrusters(self.name, self.model, self.thrusters)
+        for force in self.joint_forces:
+            force.entries(self.model)
         require_inertias(self.name, self.model)
         require_limits(self.name, self.given_length, position, others)
         require_reference(self.name, self.model, self.reference, position)
@@ -212,6 +217,7 @@ class Robot:
             position_lower=self.position_lower[q],
             position_upper=self.position_upper[q],
             passive=tuple(name for name in self.passive if name not in joints),
+            joint_forces=tuple(force for force in self.joint_forces if force.joint not in joints),
             **self.actuators_of(v),
         )
 
@@ -255,6 +261,56 @@ class Robot:
             thrusters=tuple(thrusters),
             torque_limit=limit if np.isfinite(limit).any() else None,
             drives=None if self.drives is None else (*self.drives[:joints], *[None] * len(thrusters)),
+        )
+
+    @checked
+    def with_joint_forces(self, forces: Sequence[JointForce] | None = None) -> Robot:
+        """Return this robot with springs, damping and dry friction at joints, in place of those it has.
+
+        Args:
+            forces: of joints; default the damping and dry friction of its description.
+
+        Raises:
+            InputError: for an unknown joint, or one of several degrees of freedom.
+        """
+        given = described_forces(self.model) if forces is None else forces
+        return replace(self, joint_forces=tuple(given))
+
+    @checked
+    def with_series_springs(self, stiffness: Mapping[str, float]) -> Robot:
+        """Return this robot with springs between gear and link of joints, series elastic actuators.
+
+        Behind each joint comes a passive one, ``JOINT_spring``, which carries the link: its position is the
+        deflection. The joint itself is the gear's side, with the armature as its inertia, its motor and its
+        limits.
+
+        Args:
+            stiffness: N m/rad or N/m, by the joint's name.
+
+        Raises:
+            InputError: for a joint that is unknown, has no armature or several degrees of freedom.
+        """
+        known = list(self.model.names)[1:]
+        for name in stiffness:
+            if name not in known:
+                raise InputError(
+                    f"joint '{name}' of a series spring is unknown", "one of " + ", ".join(known)
+                )
+        model = with_spring_joints(self.model, list(stiffness))
+        q, v = building.joint_entries(model, known)
+        changed = {"reference": pin.neutral(model), "velocity_limit": np.full(model.nv, np.inf)}
+        changed["position_lower"], changed["position_upper"] = position_limits(model)
+        for name, entries in (("velocity_limit", v), ("reference", q), ("position_lower", q)):
+            changed[name][entries] = getattr(self, name)
+        changed["position_upper"][q] = self.position_upper
+        springs = [JointForce(joint=name + SPRING, stiffness=k) for name, k in stiffness.items()]
+        return replace(
+            self,
+            model=model,
+            passive=(*self.passive, *(spring.joint for spring in springs)),
+            joint_forces=(*self.joint_forces, *springs),
+            given_length=self.length,
+            **changed,
         )
 
     def least_torque(self, limit: np.ndarray) -> np.ndarray:

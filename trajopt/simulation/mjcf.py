@@ -121,7 +121,11 @@ def _complete_body(root: ElementTree.Element, model: pin.Model, index: int) -> N
 def _complete_joint(joint: ElementTree.Element, world: World) -> None:
     """Write rotor inertia and friction of a joint; raises `InputError` where its rows have different ones."""
     compiled, name = world.compiled, str(joint.get("name"))
-    rows = compiled.dof_jntid == compiled.joint(name).id
+    number = compiled.joint(name).id
+    if compiled.jnt_stiffness[number]:
+        joint.set("stiffness", _numbers(compiled.jnt_stiffness[number]))
+        joint.set("springref", _numbers(compiled.qpos_spring[compiled.jnt_qposadr[number]]))
+    rows = compiled.dof_jntid == number
     for attribute, array in DRIVE_ATTRIBUTES.items():
         values = getattr(compiled, array)[rows]
         if np.ptp(values) > 0:

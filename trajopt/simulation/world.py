@@ -112,7 +112,7 @@ def build_world(plan: Solution, settings: SimulationSettings) -> World:
         for obstacle in obstacles:
             _pair(bodies.spec, capsule, obstacle, settings.friction_scale * LINK_FRICTION, settings, units)
     compiled, coordinates = compile_bodies(bodies)
-    _friction_of_drives(compiled, coordinates, plan)
+    _friction_of_joints(compiled, coordinates, plan)
     named = {geom: contact for contact, geoms in enumerate(feet) for geom in geoms}
     geoms = [compiled.geom(i).name for i in range(compiled.ngeom)]
     return World(
@@ -356,9 +356,18 @@ def _stiffness(settings: SimulationSettings, units: NaturalUnits) -> dict[str, l
     }
 
 
-def _friction_of_drives(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
+def _friction_of_joints(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
+    """Friction of drives, and springs, damping and dry friction of joints."""
+    for force in plan.description.joint_forces:
+        _, v = force.entries(plan.model)
+        row = coordinates.rows[v]
+        joint = compiled.dof_jntid[row]
+        compiled.jnt_stiffness[joint] += force.stiffness
+        compiled.qpos_spring[compiled.jnt_qposadr[joint]] = force.rest
+        compiled.dof_damping[row] += force.damping
+        compiled.dof_frictionloss[row] += force.dry_friction
     rows = coordinates.rows[plan.actuated_rows]
     for row, drive in zip(rows, plan.drives, strict=False):  # thrusters, which come last, have none
         if drive is not None:
-            compiled.dof_damping[row] = drive.viscous_friction
-            compiled.dof_frictionloss[row] = drive.coulomb_friction
+            compiled.dof_damping[row] += drive.viscous_friction
+            compiled.dof_frictionloss[row] += drive.coulomb_friction

@@ -84,11 +84,13 @@ def _wrong_shape(
     most = model.nv + len(plan.thrusters)
     if not len(plan.thrusters) <= actuated <= most:
         return f"'tau' has {actuated} columns, not {len(plan.thrusters)} to {most}"
-    for thruster in plan.thrusters:
-        try:
+    try:
+        for thruster in plan.thrusters:
             thruster.column(model)
-        except InputError as error:
-            return str(error)
+        for force in plan.joint_forces:
+            force.entries(model)
+    except InputError as error:
+        return str(error)
     for key, limit, size in (
         ("effort_limit", plan.effort_limit, actuated),
         ("velocity_limit", plan.velocity_limit, model.nv),

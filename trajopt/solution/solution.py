@@ -15,6 +15,7 @@ from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded
 from trajopt.robot.actuators.actuation import Actuation
 from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution import file
@@ -190,6 +191,10 @@ class Solution:
         """The map from ``tau`` to generalised forces."""
         unit = NaturalUnits.of(self.model).generalized_force(self.model)
         return Actuation.of(self.model, self.actuated_rows, self.description.thrusters, unit)
+
+    def joint_force(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Forces (..., nv) of springs, damping and dry friction at states (..., nq), (..., nv)."""
+        return joint_force(self.model, self.description.joint_forces, q, v)
 
     @property
     def n_unactuated(self) -> int:

@@ -1,36 +1,18 @@
 """Problems with published optima, solved and compared."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from rich.table import Table
 
-from trajopt.problem.problem import Problem
-from trajopt.solution.solution import Solution
+from trajopt.problem.published import PublishedOptimum
 from trajopt.solving.solving import solve
 from trajopt.study.workers.display import figure_table
 
 # Of a scheme that is exact for polynomials of these problems; switches of the input fall on its nodes or are
 # resolved by as many intervals.
 TRANSCRIPTION, INTERVALS = "legendre:3", 60
-
-
-@dataclass(frozen=True)
-class PublishedOptimum:
-    """A problem with a published optimum.
-
-    name: for tables. build: of the problem. value: what was published, of a solution. quantity: what that is.
-    published: its value. tolerance: relative. source: of the value.
-    """
-
-    name: str
-    build: Callable[[], Problem]
-    value: Callable[[Solution], float]
-    quantity: str
-    published: float
-    tolerance: float
-    source: str
 
 
 @dataclass(frozen=True, kw_only=True)

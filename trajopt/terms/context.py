@@ -240,8 +240,19 @@ class Context(Parameters):
         """What no input makes of the generalised forces; the dynamics hold where it vanishes."""
         actuation = self.robot.actuation
         if actuation.is_selection:
-            return self.generalized_forces[actuation.free.tolist()]
-        return ca.mtimes(ca.DM(actuation.balance), self.generalized_forces)
+            return self._made_by_inputs[actuation.free.tolist()]
+        return ca.mtimes(ca.DM(actuation.balance), self._made_by_inputs)
+
+    @property
+    def _made_by_inputs(self) -> ca.SX:
+        """Generalised forces (nv,) without those of springs and friction at joints."""
+        if not self.robot.joint_forces or self.place is Place.IMPACT:
+            return self.generalized_forces
+        forces = ca.SX(self.generalized_forces)
+        for force in self.robot.joint_forces:
+            _, row = force.entries(self.robot.model)
+            forces[row] -= force.symbol(self.xi[row], self.dxi[row] if self.moving else None)
+        return forces
 
     @property
     def input_rates(self) -> ca.SX:
@@ -259,7 +270,7 @@ class Context(Parameters):
                 f"a term asks for torques, which a source of {self.actuation} does not have",
                 "allowed: actuation 'torque', or terms about motion and contact forces",
             )
-        actuation, forces = self.robot.actuation, self.generalized_forces
+        actuation, forces = self.robot.actuation, self._made_by_inputs
         if actuation.is_selection:
             inputs = forces[actuation.rows.tolist()]
         else:

@@ -67,7 +67,9 @@ def _collocated(
     ends = np.full((len(numbers), plan.model.nv), np.inf)
     with np.errstate(all="ignore"):
         for _ in range(MOST_SWEEPS):
-            apart = (dynamics.accelerations(q, v, force) - sample.a).reshape(len(numbers), count, -1)
+            apart = (dynamics.accelerations(q, v, force + plan.joint_force(q, v)) - sample.a).reshape(
+                len(numbers), count, -1
+            )
             faster, moved = step * (once @ apart), step**2 * (twice @ apart)
             changed, ends = np.abs(faster[:, -1] - ends).max(), faster[:, -1]
             if not changed > SETTLED * np.abs(ends).max():
