@@ -4,8 +4,7 @@ import importlib
 import pkgutil
 from functools import lru_cache
 
-from trajopt.problem import Family, Problem, choose
-from trajopt.problem.published import PublishedOptimum
+from trajopt.problem import Family, Problem, PublishedOptimum, choose
 from trajopt.robot import Robot
 from trajopt_library import robots
 

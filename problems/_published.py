@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from trajopt.motion.energy_use import integral
-from trajopt.problem import Problem
-from trajopt.problem.published import PublishedOptimum
+from trajopt.motion import integral
+from trajopt.problem import Problem, PublishedOptimum
 from trajopt.robot import Drive, Robot
 from trajopt.schedule import Phase, Schedule
-from trajopt.solution.solution import Solution
+from trajopt.solution import Solution
 from trajopt.terms import (
     MotorTorqueCost,
     PositionLimits,

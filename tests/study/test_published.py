@@ -55,6 +55,10 @@ def test_the_command_prints_every_optimum_and_its_json():
 def test_terminal_rows_of_wrong_shape_are_refused(position, velocity, value, message):
 
     problem = OPTIMA["rest to rest"].build()
+
+    def ends_on(**row):
+        term = TerminalLinear(**{name: np.array(values) for name, values in row.items()})
+        trajopt.solve(replace(problem, terms=(*problem.terms[:2], term)))
+
     with pytest.raises(InputError, match=message):
-        row = TerminalLinear(position=np.array(position), velocity=np.array(velocity), value=np.array(value))
-        trajopt.solve(replace(problem, terms=(*problem.terms[:2], row)))
+        ends_on(position=position, velocity=velocity, value=value)
