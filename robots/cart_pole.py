@@ -13,6 +13,7 @@ KIND = "pendulum"
 
 CART_MASS, POLE_MASS = 1.0, 0.3  # kg
 POLE_LENGTH = 0.5  # m, to the pole's point mass
+CART_SIDES = (0.3, 0.1, 0.1)  # m, which no motion depends on
 FORCE, TRACK = 20.0, 2.0  # N, and m to either side
 
 
@@ -29,7 +30,7 @@ def build() -> Robot:
         0, pin.JointModelPX(), pin.SE3.Identity(), "slide", np.array([FORCE]), unlimited, -track, track
     )
     model.addJointFrame(cart)
-    model.appendBodyToJoint(cart, pin.Inertia(CART_MASS, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    model.appendBodyToJoint(cart, pin.Inertia.FromBox(CART_MASS, *CART_SIDES), pin.SE3.Identity())
     model.addBodyFrame("cart", cart, pin.SE3.Identity(), -1)
     # A turn about -y moves what hangs towards positive x.
     axis = pin.JointModelRevoluteUnaligned(0.0, -1.0, 0.0)

@@ -37,7 +37,7 @@ def frame_positions(robot: Robot, frames: tuple[str, ...], q: np.ndarray) -> np.
 def test_every_registered_robot_builds_under_its_name(name):
     robot = robots.load(name)
     assert robot.name == name
-    assert robot.nu + robot.n_unactuated == robot.nv
+    assert robot.nu - len(robot.thrusters) + robot.n_unactuated == robot.nv
     assert robot.length > 0.1
 
 

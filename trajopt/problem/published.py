@@ -4,9 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from trajopt.arguments import checked
 from trajopt.problem.problem import Problem
 
 
+@checked
 @dataclass(frozen=True)
 class PublishedOptimum:
     """A problem with a published optimum.

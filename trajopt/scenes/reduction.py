@@ -18,7 +18,6 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import block_diag
 
 from trajopt.dynamics.base_joint import BASE_COORDINATES, BASE_ROWS
 from trajopt.dynamics.model_quantities import contact_jacobian, generalized_force
@@ -126,8 +125,10 @@ class Reduction:
         """
         matrix = self.rates[np.ix_(self.whole.actuated_rows, self.small.actuated_rows)]
         members = np.abs(matrix).sum(axis=0)
-        thrusters = np.eye(len(self.whole.thrusters))
-        return np.asarray(block_diag(matrix / np.where(members > 0, members, 1.0), thrusters))
+        count = len(self.whole.thrusters)
+        shares = np.pad(matrix / np.where(members > 0, members, 1.0), (0, count))
+        shares[len(matrix) :, matrix.shape[1] :] = np.eye(count)
+        return shares
 
     def lift_q(self, q: np.ndarray) -> np.ndarray:
         """Configuration (nq,) of the whole robot."""

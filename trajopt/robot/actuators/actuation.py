@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import null_space
 
 from trajopt.arguments import NonNegative, UnboundedPositive, checked
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
+
+# Singular values of the map below this fraction of the largest count as zero.
+RANK = 1e-9
 
 
 @checked
@@ -133,7 +135,9 @@ class Actuation:
         """Rows (nv - rank, nv) of what no input reaches; dimensionless, or rows of the identity."""
         if self.is_selection:
             return np.eye(len(self.unit))[self.free]
-        return np.asarray(null_space((self.matrix / self.unit[:, None]).T).T / self.unit)
+        left, singular, _ = np.linalg.svd(self.matrix / self.unit[:, None])
+        rank = int(np.sum(singular > RANK * singular[0]))
+        return np.asarray(left[:, rank:].T / self.unit)
 
     def force(self, inputs: np.ndarray) -> np.ndarray:
         """S^T tau (..., nv) of inputs (..., nu)."""
