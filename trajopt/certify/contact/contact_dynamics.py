@@ -81,6 +81,7 @@ def forward_dynamics(
     )
 
 
+@checked
 def inverse_dynamics(
     model: pin.Model,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
@@ -113,6 +114,7 @@ def rows_with_actuator(model: pin.Model, given: np.ndarray | None = None) -> np.
     return np.asarray(given, dtype=int)
 
 
+@checked
 def actuated_force(
     model: pin.Model, torque: np.ndarray, actuated_rows: np.ndarray | None = None
 ) -> np.ndarray:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import checked
 from trajopt.certify.contact.contact_dynamics import require_arrays, rows_with_actuator
 from trajopt.certify.contact.contact_response import contact_response, mass_factor, numeric_rank
 from trajopt.certify.contact.contact_set import ContactKinematics, ContactSet, contact_kinematics
@@ -41,6 +42,7 @@ class ContactTorques:
     fully_actuated: bool
 
 
+@checked
 def null_space_projector(jacobian: np.ndarray, unit: float = 0.0) -> np.ndarray:
     """Return ``P = I - J^+ J`` (nv, nv): symmetric, P P = P, J P = 0; rank-deficient J (n, nv) allowed.
 
@@ -51,6 +53,7 @@ def null_space_projector(jacobian: np.ndarray, unit: float = 0.0) -> np.ndarray:
     return allowed.T @ allowed
 
 
+@checked
 def consistent_projector(mass: np.ndarray, contacts: ContactSet, jacobian: np.ndarray) -> np.ndarray:
     """Return ``N = I - M^-1 J^T (J M^-1 J^T)^+ J`` (nv, nv): N N = N, J N = 0, M N symmetric.
 
@@ -61,6 +64,7 @@ def consistent_projector(mass: np.ndarray, contacts: ContactSet, jacobian: np.nd
     return np.linalg.solve(response.lower.T, allowed @ response.lower.T)
 
 
+@checked
 def projected_forward_dynamics(
     model: pin.Model, q: np.ndarray, v: np.ndarray, tau: np.ndarray, contacts: ContactSet
 ) -> np.ndarray:
@@ -81,6 +85,7 @@ def projected_forward_dynamics(
     return np.linalg.solve(projector @ mass + size * (np.eye(model.nv) - projector), allowed + size * held)
 
 
+@checked
 def projected_inverse_dynamics(
     model: pin.Model, motion: _Motion, contacts: ContactSet, *, actuated_rows: np.ndarray | None = None
 ) -> ContactTorques:
@@ -100,6 +105,7 @@ def projected_inverse_dynamics(
     return _torques(contacts, rows, motion[2], computed, scaled, actuated)
 
 
+@checked
 def least_norm_inverse_dynamics(
     model: pin.Model,
     motion: _Motion,
