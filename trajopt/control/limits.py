@@ -1,6 +1,7 @@
 """Limits at a tick: torques of drives, and accelerations that keep joints in their ranges."""
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.dynamics.base_joint import UNLIMITED, position_limits
 from trajopt.robot.actuators.drive import Drive
@@ -35,12 +36,21 @@ class JointRange:
     """Bounds on accelerations (nu,) that keep positions and rates of joints in range for ``horizon`` s.
 
     With constant acceleration a, q + v T + a T^2 / 2 and v + a T are in their ranges. A joint that cannot
-    return within T is braked as hard as its rate allows.
+    return within T is braked as hard as its rate allows. ``critical``: it approaches the end of its range as
+    a critically damped spring would instead, a <= (q_max - q) / T^2 - 2 v / T, without going beyond.
     """
 
-    def __init__(self, plan: Solution, horizon: float) -> None:
-        model, actuated = plan.model, plan.actuated_rows
+    def __init__(
+        self,
+        model: pin.Model,
+        actuated: np.ndarray,
+        fastest: np.ndarray | None,
+        horizon: float,
+        *,
+        critical: bool = False,
+    ) -> None:
         self.horizon, size = horizon, len(actuated)
+        self.stiff, self.damped = (1.0, 2.0) if critical else (2.0, 1.0)
         self.index = np.full(size, -1)
         self.low, self.high = np.full(size, -np.inf), np.full(size, np.inf)
         lower, upper = position_limits(model)
@@ -50,18 +60,17 @@ class JointRange:
                 self.index[row] = joint.idx_q
                 self.low[row] = lower[joint.idx_q]
                 self.high[row] = upper[joint.idx_q]
-        given = plan.description.velocity_limit
-        whole = np.full(model.nv, np.inf) if given is None else _numbers(given)
+        whole = np.full(model.nv, np.inf) if fastest is None else _numbers(fastest)
         self.fastest = whole[actuated]
 
     def bounds(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest acceleration (nu,) at positions (nq,) and rates (nu,)."""
         time, known = self.horizon, self.index >= 0
         low, high = (-self.fastest - v) / time, (self.fastest - v) / time
-        ahead = np.where(known, q[np.maximum(self.index, 0)], 0.0) + v * time
-        low = np.where(known, np.maximum(low, 2 * (self.low - ahead) / time**2), low)
-        high = np.where(known, np.minimum(high, 2 * (self.high - ahead) / time**2), high)
-        brake = np.abs(v) / time
+        ahead = np.where(known, q[np.maximum(self.index, 0)], 0.0) + self.damped * v * time
+        low = np.where(known, np.maximum(low, self.stiff * (self.low - ahead) / time**2), low)
+        high = np.where(known, np.minimum(high, self.stiff * (self.high - ahead) / time**2), high)
+        brake = self.damped * np.abs(v) / time
         high = np.maximum(high, -brake)
         return np.minimum(np.minimum(low, brake), high), high
 

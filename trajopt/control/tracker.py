@@ -83,7 +83,8 @@ class Tracker:
         self.request = TickRequest.none(len(plan.contact_frames))
         self._programs: dict[int, TaskSpaceInverseDynamics] = {}
         self._low, self._high = torque_limits(plan)
-        self._range = JointRange(plan, HORIZON * self.reference.period)
+        fastest, horizon = plan.description.velocity_limit, HORIZON * self.reference.period
+        self._range = JointRange(plan.model, plan.actuated_rows, fastest, horizon)
         tracked = plan, self.reference, self.targets
         self._contacts = MeasuredContacts(*tracked)
         self._tasks = PlanTasks(*tracked, gains)
