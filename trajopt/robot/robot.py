@@ -22,8 +22,10 @@ from trajopt.robot import building
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
 from trajopt.robot.contact import Contact, require_frame
+from trajopt.robot.coupling import mjcf_couplings, require_independent, urdf_couplings
 from trajopt.robot.data import VisualSource, package_directories
-from trajopt.robot.reading import read_mjcf, read_urdf
+from trajopt.robot.mjcf import compile_mjcf, read_mjcf
+from trajopt.robot.reading import read_urdf
 from trajopt.robot.validation import require_contacts, require_inertias, require_limits, require_reference
 
 
@@ -92,7 +94,7 @@ class Robot:
         others = {"velocity_limit": self.velocity_limit, "torque_limit": self.torque_limit}
         require_contacts(self.name, self.model, self.contacts)
         require_inertias(self.name, self.model)
-        require_limits(self.name, self.given_length, position, others)
+        require_limits(self.name, self.model, self.given_length, position, others)
         require_reference(self.name, self.model, self.reference, position)
         if self.drives is not None:
             require_drives(self.name, self.model, self.nu, self.drives)
@@ -258,9 +260,11 @@ class Robot:
             passive: names of joints without actuator, which must come first.
 
         Raises:
-            InputError: for a missing or malformed file, and as `Robot`.
+            InputError: for a missing or malformed file, a joint that mimics another and is not locked, and
+                as `Robot`.
         """
         model = read_urdf(path, base)
+        require_independent(path, urdf_couplings(path), locked)
         source = expanded(path).absolute()
         given = None if package_dirs is None else tuple(Path(entry).absolute() for entry in package_dirs)
         directories = package_directories(source) if given is None else given
@@ -277,22 +281,51 @@ class Robot:
 
     @classmethod
     @checked
-    def from_mjcf(cls, path: str | Path, *, base: Base | None = None, **options: Any) -> Robot:
-        """Build a robot from an MJCF file, as far as Pinocchio reads it; options as in `from_model`.
-
-        MJCF actuator limits are not read by Pinocchio: the torque limit comes from the joints alone.
+    def from_mjcf(
+        cls,
+        path: str | Path,
+        *,
+        base: Base | None = None,
+        contacts: Sequence[str | Contact] = (),
+        reference: ArrayLike | Mapping[str, float] | None = None,
+        locked: Sequence[str] = (),
+        name: str | None = None,
+        passive: Sequence[str] | None = None,
+    ) -> Robot:
+        """Build a robot from an MJCF file as MuJoCo compiles it; other arguments as in `from_urdf`.
 
         Args:
             path: of the file.
             base: kind of the root joint; default that of the file.
-            options: further arguments of `from_model`.
+            contacts: frame names, or `Contact` objects: bodies, sites and colliding balls are frames.
+            reference: default the keyframe "home", or else the first, if one is within the limits; with its
+                base at the height at which the lowest contact touches the ground.
+            locked: names of joints to weld, such as those that an equality constraint couples.
+            name: of the robot; default the one in the file.
+            passive: joints without actuator; default those that the file gives none, if it has actuators.
 
         Raises:
-            InputError: for a missing or malformed file, and a base that contradicts it.
+            InputError: for a missing or malformed file, a base that contradicts it, joints that are not
+                independent, several free joints, and where MuJoCo is not installed.
         """
-        model = read_mjcf(path, base)
-        source = VisualSource(urdf=expanded(path).absolute())
-        return cls.from_model(model, **{"base": base, "visual": source, **options})
+        compiled = compile_mjcf(path)
+        require_independent(path, mjcf_couplings(compiled), locked)
+        read = read_mjcf(path, compiled, base)
+        free = tuple(joint for joint in read.passive if joint not in locked)
+        robot = cls.from_model(
+            read.model,
+            base=base,
+            contacts=contacts,
+            reference=read.home if reference is None else reference,
+            locked=locked,
+            name=name,
+            visual=VisualSource(urdf=expanded(path).absolute()),
+            passive=free if passive is None else passive,
+        )
+        if reference is not None or read.home is None:
+            return robot
+        standing = building.put_on_ground(robot.model, robot.base, robot.contacts, robot.reference)
+        return replace(robot, reference=standing)
 
     @classmethod
     @checked

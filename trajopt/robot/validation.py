@@ -12,10 +12,13 @@ from trajopt.robot.contact import Contact, require_frame
 
 # A reference posture may touch its limit: rounding of degrees in description files, rad or m.
 LIMIT_SLACK = 1e-6
-# Eigenvalues of an inertia may be negative by this part of the largest: rounding of description files.
-INERTIA_SLACK = 1e-6
+# Eigenvalues of an inertia may be negative by the first part of its largest, rounding of description files,
+# or by the second of the robot's largest: bodies that are welded together are added in other axes.
+INERTIA_SLACK, WELDED_SLACK = 1e-6, 1e-15
 # A unit quaternion or (cos, sin) pair of a reference is given with this many digits at least.
 UNIT_SLACK = 1e-6
+# Joints whose coordinate is a length.
+STRAIGHT = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismatic", "JointModelTranslation")
 
 
 def require_contacts(robot: str, model: pin.Model, contacts: Sequence[Contact]) -> None:
@@ -33,6 +36,8 @@ def require_inertias(robot: str, model: pin.Model) -> None:
 
     One link without mass or inertia is allowed: inverse dynamics needs no inverse of the mass matrix.
     """
+    moments = [np.abs(inertia.inertia).max() for inertia in list(model.inertias)[1:]]
+    rounding = WELDED_SLACK * np.nan_to_num(moments, posinf=0.0).max(initial=0.0)
     for joint in range(1, model.njoints):
         inertia, where = model.inertias[joint], f"moved by joint '{model.names[joint]}' of '{robot}'"
         if not (np.isfinite(inertia.mass) and inertia.mass >= 0 and np.isfinite(inertia.lever).all()):
@@ -42,7 +47,7 @@ def require_inertias(robot: str, model: pin.Model) -> None:
         if not np.isfinite(inertia.inertia).all():
             raise InputError(f"the inertia of the body {where} is not finite", "allowed: finite, kg m^2")
         principal = np.linalg.eigvalsh(inertia.inertia)
-        if principal[0] < -INERTIA_SLACK * np.abs(principal).max():
+        if principal[0] < -max(INERTIA_SLACK * np.abs(principal).max(), rounding):
             raise InputError(
                 f"the least principal inertia of the body {where} is {principal[0]:g} kg m^2", "allowed: >= 0"
             )
@@ -58,24 +63,32 @@ def require_inertias(robot: str, model: pin.Model) -> None:
 
 def require_limits(
     robot: str,
+    model: pin.Model,
     length: float | None,
     position: tuple[np.ndarray, np.ndarray],
     others: Mapping[str, np.ndarray | None],
 ) -> None:
     """Raise `InputError` for limits that are empty, negative or NaN, or a length that is not positive."""
-    lower, upper = position
     if length is not None:
         require_positive(f"given_length of robot '{robot}'", length, "m")
-    if np.isnan(lower).any() or np.isnan(upper).any():
-        raise InputError(f"position limits of robot '{robot}' hold NaN", "numbers, or -inf and inf")
-    for index in np.flatnonzero(lower > upper):
-        raise InputError(
-            f"position limits of robot '{robot}' are empty at index {index}: {lower[index]} > {upper[index]}",
-            "lower <= upper",
-        )
-    for field, limit in others.items():
-        if limit is not None and not (limit >= 0).all():
-            raise InputError(f"{field} of robot '{robot}' is negative or NaN", "numbers >= 0, or inf")
+    for joint in list(model.joints)[1:]:
+        of = f"of joint '{model.names[joint.id]}' of '{robot}'"
+        for low, high in zip(
+            *(bound[joint.idx_q : joint.idx_q + joint.nq] for bound in position), strict=True
+        ):
+            if np.isnan([low, high]).any():
+                raise InputError(f"position limits {of} hold NaN", "numbers, or -inf and inf")
+            if low > high:
+                unit = "m" if joint.shortname().startswith(STRAIGHT) else "rad"
+                raise InputError(
+                    f"position limits {of} are empty: {low:g} > {high:g} {unit}", "lower <= upper"
+                )
+        for field, limit in others.items():
+            # Rows of actuators are the last of v.
+            first = joint.idx_v - (0 if limit is None else model.nv - len(limit))
+            rows = np.zeros(0) if limit is None else limit[max(first, 0) : max(first + joint.nv, 0)]
+            if not (rows >= 0).all():
+                raise InputError(f"{field} {of} is negative or NaN: {rows.min():g}", "numbers >= 0, or inf")
 
 
 def require_reference(
