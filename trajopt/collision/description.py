@@ -181,7 +181,10 @@ def _disabled(robot: Robot) -> dict[frozenset[str], str]:
     """Pairs of links that the SRDF of a URDF disables because they touch, or an MJCF file, with reasons."""
     source = robot.visual
     if source is not None and source.is_mjcf:
-        return dict.fromkeys(excluded_bodies(source.urdf), "excluded by the MJCF file")
+        try:
+            return dict.fromkeys(excluded_bodies(source.urdf), "excluded by the MJCF file")
+        except InputError:  # the shapes are missing too, which is said
+            return {}
     file = None if source is None else _srdf_of(source.urdf)
     if file is None:
         return {}

@@ -5,13 +5,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.robot.mjcf import joint_names
+from trajopt.robot.data import VisualSource
+from trajopt.robot.mjcf import compile_mjcf, joint_names
 from trajopt.robot.mujoco_package import mujoco_package
+from trajopt.robot.reading import existing_file, require_xml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,10 +36,15 @@ def require_independent(path: str | Path, couplings: Sequence[Coupling], locked:
         raise InputError(f"joints of {path} are not independent: {what}", f"lock them: locked={joints}")
 
 
+def couplings_of(source: VisualSource) -> tuple[Coupling, ...]:
+    """Couplings of the joints of a description. Raises `InputError` for MJCF that cannot be read."""
+    return mjcf_couplings(compile_mjcf(source.urdf)) if source.is_mjcf else urdf_couplings(source.urdf)
+
+
 def urdf_couplings(path: str | Path) -> tuple[Coupling, ...]:
-    """Joints of a URDF file that move and mimic another."""
+    """Joints of a URDF file that move and mimic another. Raises `InputError` for one that is no URDF."""
     found = []
-    for joint in ElementTree.parse(path).getroot().findall("joint"):
+    for joint in require_xml(existing_file(path, "URDF")).findall("joint"):
         mimic, name = joint.find("mimic"), joint.get("name", "")
         if mimic is not None and joint.get("type") != "fixed":
             other = mimic.get("joint", "")

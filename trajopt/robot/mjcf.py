@@ -109,7 +109,8 @@ def mjcf_model(path: str | Path, compiled: Any, root: Any = None) -> pin.Model:
     build.bodies[0] = rooted = _Body(0, pin.SE3.Identity(), 0)
     moving = set(robot_bodies(compiled))
     if root is not None:
-        joint = model.addJoint(0, root, pin.SE3.Identity(), "root_joint")
+        own = unique("root_joint", build.taken | set(joint_names(compiled)))
+        joint = model.addJoint(0, root, pin.SE3.Identity(), own)
         rooted = _Body(joint, pin.SE3.Identity(), model.addJointFrame(joint, 0))
     first = {int(compiled.body_rootid[body]) for body in free}
     order = sorted(range(1, compiled.nbody), key=lambda body: int(compiled.body_rootid[body]) not in first)

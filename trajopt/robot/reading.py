@@ -63,8 +63,8 @@ def _captured_stderr(lines: list[str]) -> Iterator[None]:
                 sys.stderr.write(text)
 
 
-def require_xml(source: Path) -> None:
-    """Raise `InputError`, with line and column, for a file that is not XML, or one still to be expanded."""
+def require_xml(source: Path) -> ElementTree.Element:
+    """The root of a URDF. Raises `InputError` for a file that is not XML, with the place, or is for xacro."""
     try:
         root = ElementTree.parse(source).getroot()
     except (ElementTree.ParseError, ValueError) as error:  # the second: an unknown encoding
@@ -74,6 +74,7 @@ def require_xml(source: Path) -> None:
         target = source.with_suffix("").stem if source.suffix == XACRO else f"{source.stem}_expanded"
         command = f"xacro {source.name} > {target}.urdf"
         raise InputError(f"{source} is a Xacro file, not yet a URDF", f"expand it: {command}")
+    return root
 
 
 def existing_file(path: str | Path, kind: str) -> Path:
