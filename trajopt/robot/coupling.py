@@ -43,12 +43,14 @@ def couplings_of(source: VisualSource) -> tuple[Coupling, ...]:
 
 def urdf_couplings(path: str | Path) -> tuple[Coupling, ...]:
     """Joints of a URDF file that move and mimic another. Raises `InputError` for one that is no URDF."""
-    found = []
-    for joint in require_xml(existing_file(path, "URDF")).findall("joint"):
+    found, joints = [], require_xml(existing_file(path, "URDF")).findall("joint")
+    moving = [joint.get("name", "") for joint in joints if joint.get("type") != "fixed"]
+    for joint in joints:
         mimic, name = joint.find("mimic"), joint.get("name", "")
-        if mimic is not None and joint.get("type") != "fixed":
+        if mimic is not None and name in moving:
             other = mimic.get("joint", "")
-            found.append(Coupling(what=f"'{name}' mimics '{other}'", joints=(other, name), needed=(name,)))
+            pair = tuple(each for each in (other, name) if each in moving)
+            found.append(Coupling(what=f"'{name}' mimics '{other}'", joints=pair, needed=(name,)))
     return tuple(found)
 
 

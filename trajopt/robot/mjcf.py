@@ -235,7 +235,7 @@ def _home(compiled: Any, model: pin.Model) -> np.ndarray | None:
         return None
     q = configuration(compiled, model, compiled.key_qpos[named.index(HOME) if HOME in named else 0])
     lower, upper = position_limits(model)
-    return q if np.isfinite(q).all() and (np.clip(q, lower, upper) - q < LIMIT_SLACK).all() else None
+    return q if np.isfinite(q).all() and (np.abs(np.clip(q, lower, upper) - q) < LIMIT_SLACK).all() else None
 
 
 def configuration(compiled: Any, model: pin.Model, qpos: np.ndarray) -> np.ndarray:
