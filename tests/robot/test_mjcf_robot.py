@@ -13,7 +13,7 @@ from trajopt.errors import InputError
 from trajopt.inspection.report import robot_report
 from trajopt.inspection.starter import guessed, starter
 from trajopt.robot.mjcf import compile_mjcf
-from trajopt.robot.mjcf_actuators import effort_limits
+from trajopt.robot.mjcf_actuators import actuation_of
 from trajopt.robot.robot import Robot
 
 ROUNDING = 1e-12
@@ -43,7 +43,7 @@ def written(folder: Path, text: str, name: str = "robot.xml") -> Path:
 )
 def test_torque_limit_is_what_the_actuators_of_a_joint_can_do(actuators: str, limit: float, tmp_path: Path):
     path = written(tmp_path, arm(after=f"<actuator>{actuators}</actuator>"))
-    found = effort_limits(compile_mjcf(path))
+    found = actuation_of(compile_mjcf(path))
     np.testing.assert_allclose(found.effort, [limit, np.inf])
     np.testing.assert_array_equal(found.driven, [True, False])
 

@@ -2,9 +2,8 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,13 +13,12 @@ from trajopt.robot.mjcf import compile_mjcf, joint_names
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.robot.reading import existing_file, require_xml
 
+# Of MuJoCo's mjtWrap.
+WRAP_JOINT, WRAP_SITE, WRAP_GEOMS = 1, 3, (4, 5)
 
-@dataclass(frozen=True, kw_only=True)
-class Coupling:
-    """A constraint between joints: ``what`` it is, and the ``joints`` that take part in it.
 
-    needed: those of them that must be locked for the rest to be independent.
-    """
+class Coupling(NamedTuple):
+    """A constraint: ``what`` it is, its ``joints``, and those ``needed`` to be locked to free the others."""
 
     what: str
     joints: tuple[str, ...]
@@ -37,7 +35,7 @@ def require_independent(path: str | Path, couplings: Sequence[Coupling], locked:
 
 
 def couplings_of(source: VisualSource) -> tuple[Coupling, ...]:
-    """Couplings of the joints of a description. Raises `InputError` for MJCF that cannot be read."""
+    """Couplings of the joints of a description. Raises `InputError` for one that cannot be read."""
     return mjcf_couplings(compile_mjcf(source.urdf)) if source.is_mjcf else urdf_couplings(source.urdf)
 
 
@@ -50,60 +48,52 @@ def urdf_couplings(path: str | Path) -> tuple[Coupling, ...]:
         if mimic is not None and name in moving:
             other = mimic.get("joint", "")
             pair = tuple(each for each in (other, name) if each in moving)
-            found.append(Coupling(what=f"'{name}' mimics '{other}'", joints=pair, needed=(name,)))
+            found.append(Coupling(f"'{name}' mimics '{other}'", pair, (name,)))
     return tuple(found)
 
 
 def mjcf_couplings(compiled: Any) -> tuple[Coupling, ...]:
     """Active equality constraints of a compiled MJCF file between joints that move."""
-    mujoco, found = mujoco_package(), []
+    found, names = [], joint_names(compiled)
     for index in np.flatnonzero(compiled.eq_active0).tolist():
-        kind = mujoco.mjtEq(int(compiled.eq_type[index])).name.removeprefix("mjEQ_").lower()
-        name = mujoco.mj_id2name(compiled, mujoco.mjtObj.mjOBJ_EQUALITY, index)
+        kind = mujoco_package().mjtEq(int(compiled.eq_type[index])).name.removeprefix("mjEQ_").lower()
         objects = [int(compiled.eq_obj1id[index]), int(compiled.eq_obj2id[index])]
-        joints = tuple(joint_names(compiled)[joint] for joint in _joints_of(compiled, kind, index, objects))
+        sites = compiled.eq_objtype[index] == mujoco_package().mjtObj.mjOBJ_SITE
+        joints = tuple(names[joint] for joint in _joints_of(compiled, kind, objects, bool(sites)))
         if joints:
-            what = f"equality {kind} '{name}'" if name else f"equality {kind}"
-            found.append(Coupling(what=f"{what} of {', '.join(joints)}", joints=joints, needed=joints))
+            name = f" '{compiled.equality(index).name}'" if compiled.equality(index).name else ""
+            found.append(Coupling(f"equality {kind}{name} of {', '.join(joints)}", joints, joints))
     return tuple(found)
 
 
-def _joints_of(compiled: Any, kind: str, index: int, objects: list[int]) -> list[int]:
-    mujoco = mujoco_package()
+def _joints_of(compiled: Any, kind: str, objects: list[int], sites: bool) -> list[int]:
+    given = [each for each in objects if each >= 0]
     if kind == "joint":
-        return [joint for joint in objects if joint >= 0]
+        return given
     if kind == "tendon":
-        return sorted({joint for tendon in objects if tendon >= 0 for joint in _of_tendon(compiled, tendon)})
-    if kind not in ("connect", "weld"):
-        return []
-    if compiled.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE:
-        objects = [int(compiled.site_bodyid[site]) for site in objects]
-    return _between(compiled, objects)
+        return sorted({joint for tendon in given for joint in _of_tendon(compiled, tendon)})
+    if kind in ("connect", "weld"):
+        return _between(compiled, [int(compiled.site_bodyid[each]) for each in given] if sites else objects)
+    return []
 
 
 def _of_tendon(compiled: Any, tendon: int) -> list[int]:
     """Joints that change a tendon's length."""
-    kinds, start = mujoco_package().mjtWrap, int(compiled.tendon_adr[tendon])
-    joints, bodies = [], []
+    start, joints, bodies = int(compiled.tendon_adr[tendon]), [], []
     for wrap in range(start, start + int(compiled.tendon_num[tendon])):
         kind, what = compiled.wrap_type[wrap], int(compiled.wrap_objid[wrap])
-        if kind == kinds.mjWRAP_JOINT:
+        if kind == WRAP_JOINT:
             joints.append(what)
-        elif kind == kinds.mjWRAP_SITE:
-            bodies.append(int(compiled.site_bodyid[what]))
-        elif kind in (kinds.mjWRAP_SPHERE, kinds.mjWRAP_CYLINDER):
-            bodies.append(int(compiled.geom_bodyid[what]))
+        elif kind in (WRAP_SITE, *WRAP_GEOMS):
+            bodies.append(int((compiled.site_bodyid if kind == WRAP_SITE else compiled.geom_bodyid)[what]))
     return joints + _between(compiled, bodies)
 
 
 def _between(compiled: Any, bodies: Sequence[int]) -> list[int]:
-    """Joints on the paths between bodies."""
-    paths: list[set[int]] = []
+    """Joints on the paths between bodies: above some of them, but not above all."""
+    above = Counter[int]()
     for body in bodies:
-        path = set[int]()
         while body > 0:
-            path.add(body)
+            above[body] += 1
             body = int(compiled.body_parentid[body])
-        paths.append(path)
-    counts = Counter(body for path in paths for body in path)
-    return [joint for joint, body in enumerate(compiled.jnt_bodyid) if 0 < counts[int(body)] < len(paths)]
+    return [joint for joint, body in enumerate(compiled.jnt_bodyid) if 0 < above[int(body)] < len(bodies)]

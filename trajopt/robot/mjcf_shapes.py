@@ -9,65 +9,57 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.robot.mjcf import body_names, compile_mjcf, placement, robot_bodies, unique
-from trajopt.robot.mujoco_package import mujoco_package
 
 # Groups that MuJoCo draws unless asked for others; by custom, geoms that only collide are in the others.
 DRAWN_GROUPS = 3
+# Of MuJoCo's mjtGeom; planes, height fields and distance fields are not a robot's.
+MESH = 7
+KINDS = {
+    2: lambda x, y, z: coal.Sphere(x),
+    3: lambda x, y, z: coal.Capsule(x, 2 * y),
+    4: lambda x, y, z: coal.Ellipsoid(x, y, z),
+    5: lambda x, y, z: coal.Cylinder(x, 2 * y),
+    6: lambda x, y, z: coal.Box(2 * x, 2 * y, 2 * z),
+}
 
 
 def mjcf_geometry(path: Path, model: pin.Model, kind: pin.GeometryType) -> pin.GeometryModel:
     """Geoms of the robot that touch, or that are drawn, on the frames of their bodies. Raises InputError."""
     compiled = compile_mjcf(path)
-    wanted = np.isin(compiled.geom_bodyid, robot_bodies(compiled))
+    own = np.isin(compiled.geom_bodyid, robot_bodies(compiled))
+    own &= np.isin(compiled.geom_type, [*KINDS, MESH])
     chosen = (compiled.geom_contype | compiled.geom_conaffinity) != 0
     if kind == pin.GeometryType.VISUAL:
         chosen = compiled.geom_group < DRAWN_GROUPS
-        chosen = chosen if (chosen & wanted).any() else np.ones_like(wanted)
+        chosen |= not (chosen & own).any()
     geometry, names = pin.GeometryModel(), body_names(compiled)
     taken, counts = set[str](), Counter[str]()
-    for index in np.flatnonzero(wanted & chosen).tolist():
-        body, shape = names[compiled.geom_bodyid[index]], _shape(compiled, index)
-        if shape is None or not model.existFrame(body, pin.FrameType.BODY):
+    for index in np.flatnonzero(own & chosen).tolist():
+        geom = compiled.geom(index)
+        body, material = names[geom.bodyid[0]], int(geom.matid[0])
+        if not model.existFrame(body, pin.FrameType.BODY):
             continue
         frame = model.getFrameId(body, pin.FrameType.BODY)
-        on = model.frames[frame]
-        place = on.placement * placement(compiled.geom_pos[index], compiled.geom_quat[index])
-        given = mujoco_package().mj_id2name(compiled, mujoco_package().mjtObj.mjOBJ_GEOM, index)
-        name = unique(given or f"{body}_{counts[body]}", taken)
+        on, name = model.frames[frame], unique(geom.name or f"{body}_{counts[body]}", taken)
         counts[body] += 1
-        material = int(compiled.geom_matid[index])
-        colour = compiled.geom_rgba[index] if material < 0 else compiled.mat_rgba[material]
-        entry = pin.GeometryObject(
-            name, on.parentJoint, frame, place, shape, "", np.ones(3), True, colour.astype(float)
+        shape = (
+            _mesh(compiled, int(geom.dataid[0])) if geom.type[0] == MESH else KINDS[geom.type[0]](*geom.size)
         )
-        geometry.addGeometryObject(entry)
+        place = on.placement * placement(geom.pos, geom.quat)
+        colour = np.array(geom.rgba if material < 0 else compiled.mat_rgba[material], dtype=float)
+        entry = (name, on.parentJoint, frame, place, shape, "", np.ones(3), True, colour)
+        geometry.addGeometryObject(pin.GeometryObject(*entry))
     return geometry
 
 
-def _shape(compiled: Any, index: int) -> Any:
-    """Coal's shape of a geom; None for a plane, a height field or a signed distance field."""
-    kinds, kind = mujoco_package().mjtGeom, compiled.geom_type[index]
-    x, y, z = (float(size) for size in compiled.geom_size[index])
-    if kind == kinds.mjGEOM_MESH:
-        return _mesh(compiled, int(compiled.geom_dataid[index]))
-    made = {
-        kinds.mjGEOM_SPHERE: lambda: coal.Sphere(x),
-        kinds.mjGEOM_CAPSULE: lambda: coal.Capsule(x, 2 * y),
-        kinds.mjGEOM_CYLINDER: lambda: coal.Cylinder(x, 2 * y),
-        kinds.mjGEOM_BOX: lambda: coal.Box(2 * x, 2 * y, 2 * z),
-        kinds.mjGEOM_ELLIPSOID: lambda: coal.Ellipsoid(x, y, z),
-    }
-    return next((make() for each, make in made.items() if int(each) == kind), None)
-
-
 def _mesh(compiled: Any, mesh: int) -> Any:
-    corner, face = int(compiled.mesh_vertadr[mesh]), int(compiled.mesh_faceadr[mesh])
-    corners = compiled.mesh_vert[corner : corner + int(compiled.mesh_vertnum[mesh])].astype(float)
-    faces = compiled.mesh_face[face : face + int(compiled.mesh_facenum[mesh])]
+    corner, face = compiled.mesh_vertadr[mesh], compiled.mesh_faceadr[mesh]
+    corners = compiled.mesh_vert[corner : corner + compiled.mesh_vertnum[mesh]].astype(float)
+    faces = compiled.mesh_face[face : face + compiled.mesh_facenum[mesh]].astype(np.int64)
     shape = coal.BVHModelOBBRSS()
     shape.beginModel(len(faces), len(corners))
     shape.addVertices(corners)
-    shape.addTriangles(faces.astype(np.int64))
+    shape.addTriangles(faces)
     shape.endModel()
     return shape
 

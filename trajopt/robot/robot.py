@@ -286,23 +286,23 @@ class Robot:
         path: str | Path,
         *,
         base: Base | None = None,
-        contacts: Sequence[str | Contact] = (),
         reference: ArrayLike | Mapping[str, float] | None = None,
         locked: Sequence[str] = (),
-        name: str | None = None,
         passive: Sequence[str] | None = None,
+        **options: Any,
     ) -> Robot:
         """Build a robot from an MJCF file as MuJoCo compiles it; other arguments as in `from_urdf`.
+
+        Bodies, sites and colliding balls are frames, which contacts name.
 
         Args:
             path: of the file.
             base: kind of the root joint; default that of the file.
-            contacts: frame names, or `Contact` objects: bodies, sites and colliding balls are frames.
-            reference: default the keyframe "home", or else the first, if one is within the limits; with its
+            reference: default the keyframe "home", or else the first, if it is within the limits; with its
                 base at the height at which the lowest contact touches the ground.
             locked: names of joints to weld, such as those that an equality constraint couples.
-            name: of the robot; default the one in the file.
             passive: joints without actuator; default those that the file gives none, if it has actuators.
+            options: contacts and name, as in `from_urdf`.
 
         Raises:
             InputError: for a missing or malformed file, a base that contradicts it, joints that are not
@@ -310,19 +310,14 @@ class Robot:
         """
         compiled = compile_mjcf(path)
         require_independent(path, mjcf_couplings(compiled), locked)
-        read = read_mjcf(path, compiled, base)
-        free = tuple(joint for joint in read.passive if joint not in locked)
-        robot = cls.from_model(
-            read.model,
-            base=base,
-            contacts=contacts,
-            reference=read.home if reference is None else reference,
-            locked=locked,
-            name=name,
-            visual=VisualSource(urdf=expanded(path).absolute()),
-            passive=free if passive is None else passive,
-        )
-        if reference is not None or read.home is None:
+        model, idle, home = read_mjcf(path, compiled, base)
+        chosen = {
+            "reference": home if reference is None else reference,
+            "passive": [joint for joint in idle if joint not in locked] if passive is None else passive,
+            "visual": VisualSource(urdf=expanded(path).absolute()),
+        }
+        robot = cls.from_model(model, base=base, locked=locked, **{**chosen, **options})
+        if reference is not None or home is None:
             return robot
         standing = building.put_on_ground(robot.model, robot.base, robot.contacts, robot.reference)
         return replace(robot, reference=standing)
