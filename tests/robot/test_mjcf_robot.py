@@ -76,7 +76,8 @@ def test_keyframe_is_the_reference_and_stands_on_its_contacts(tmp_path: Path):
         pin.framesForwardKinematics(robot.model, data, robot.reference)
         heights = [data.oMf[robot.model.getFrameId(foot)].translation[2] for foot in FEET]
         np.testing.assert_allclose(heights, 0, atol=ROUNDING)
-    assert Robot.from_mjcf(path, reference={"FL_calf": -1.0}).reference[9] == -1.0
+    named = Robot.from_mjcf(path, reference={"FL_calf": -1.0})
+    np.testing.assert_array_equal(named.reference[7:], [0, 0.8, -1.0, *[0, 0.8, -1.6] * 3])
 
 
 def test_keyframe_turns_quaternions_and_goes_before_others_if_it_is_called_home(tmp_path: Path):

@@ -221,7 +221,7 @@ def test_arrays_of_a_robot_are_read_only():
         ),
         (
             {"torque_limit": np.full(6, -1.0)},
-            "torque_limit of joint 'shoulder_pan_joint' of 'ur5' is negative or NaN: -1",
+            "torque_limit of joint 'shoulder_pan_joint' of 'ur5' is -1: negative or NaN",
         ),
         ({"velocity_limit": "fast"}, "velocity_limit of Robot 'ur5' is 'fast'; allowed: an array of numbers"),
         (

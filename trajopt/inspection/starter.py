@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import Base, base_of
+from trajopt.dynamics.base_joint import Base
 from trajopt.errors import InputError
 from trajopt.inspection.faults import shapes_of
 from trajopt.robot.building import locked_model, reference_posture
@@ -17,7 +17,6 @@ from trajopt.robot.coupling import couplings_of
 from trajopt.robot.data import VisualSource
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.legs import LIFTED
-from trajopt.robot.mjcf import compile_mjcf, read_mjcf
 from trajopt.robot.reading import read_urdf
 from trajopt.robot.robot import Robot
 
@@ -71,8 +70,8 @@ def guessed(path: Path, base: Base | None = None) -> Robot:
     source = VisualSource(urdf=path)
     locked = tuple(dict.fromkeys(joint for each in couplings_of(source) for joint in each.joints))
     build = partial(Robot.from_mjcf if source.is_mjcf else Robot.from_urdf, path, locked=locked)
-    kind = base or _base(source, locked)
-    bare = build(base=kind)
+    bare = build(base=base or (None if source.is_mjcf else _urdf_base(path, locked)))
+    kind = bare.base
     if kind == "fixed":
         return bare
     tips = build(base=kind, contacts=_lowest_tips(bare.model, bare.reference))
@@ -80,10 +79,8 @@ def guessed(path: Path, base: Base | None = None) -> Robot:
     return _bent(build(base=kind, contacts=contacts))
 
 
-def _base(source: VisualSource, locked: tuple[str, ...]) -> Base:
-    if source.is_mjcf:
-        return base_of(read_mjcf(source.urdf, compile_mjcf(source.urdf), None).model)
-    model = read_urdf(source.urdf, "fixed")
+def _urdf_base(path: Path, locked: tuple[str, ...]) -> Base:
+    model = read_urdf(path, "fixed")
     return "fixed" if len(_tips(locked_model(model, locked, pin.neutral(model)))) < 2 else "freeflyer"
 
 
@@ -131,7 +128,7 @@ def starter(robot: Robot, target: Path) -> str:
         base=robot.base,
         contacts=f"[{contacts}]",
         imported="Contact, Robot" if any(c.radius for c in robot.contacts) else "Robot",
-        reference="\n".join([*_entries(robot), *_locked_entries(robot.visual, locked)]),
+        reference="\n".join(_entries(robot)),
     )
 
 
@@ -147,17 +144,6 @@ def _entries(robot: Robot) -> list[str]:
         limits = f"{lower:.4g} to {upper:.4g}" if joint.nq == 1 and np.isfinite(lower) else "without limits"
         entries.append(f'    "{robot.model.names[joint.id]}": {_within(value, lower, upper)},  # {limits}')
     return entries
-
-
-def _locked_entries(source: VisualSource, locked: list[str]) -> list[str]:
-    """Values of the keyframe, by which an MJCF file's joints were locked."""
-    if not source.is_mjcf or not locked:
-        return []
-    read = read_mjcf(source.urdf, compile_mjcf(source.urdf), None)
-    if read.home is None:
-        return []
-    joints = {name: read.model.joints[read.model.getJointId(name)] for name in locked}
-    return [f'    "{name}": {read.home[joint.idx_q]:g},' for name, joint in joints.items() if joint.nq == 1]
 
 
 def _within(value: float, lower: float, upper: float) -> str:

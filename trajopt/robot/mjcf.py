@@ -16,7 +16,7 @@ from trajopt.dynamics.rerooting import Body
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
 from trajopt.errors import InputError
 from trajopt.robot.building import sagittal
-from trajopt.robot.mjcf_actuators import BALL, FREE, SLIDE, actuation_of
+from trajopt.robot.mjcf_actuators import BALL, FREE, HINGE, SLIDE, actuation_of
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.robot.reading import existing_file
 
@@ -31,12 +31,14 @@ SPHERE = 2  # of MuJoCo's mjtGeom
 class MjcfRobot(NamedTuple):
     """What a file says of a robot: the ``model`` on its base, ``passive`` joints if others have actuators.
 
-    home: its keyframe as a reference for `Robot.from_model`; None without one within the limits.
+    home: its keyframe as a reference for `Robot.from_model`; None without one within the limits. joints: the
+    same by name, for hinges and slides.
     """
 
     model: pin.Model
     passive: tuple[str, ...]
     home: np.ndarray | None
+    joints: dict[str, float]
 
 
 def compile_mjcf(path: str | Path) -> Any:
@@ -61,7 +63,8 @@ def read_mjcf(path: str | Path, compiled: Any, base: Base | None) -> MjcfRobot:
         others = ", ".join(f"'{names[body]}'" for body in free[1:])
         raise InputError(f"{path} has free bodies besides '{names[free[0]]}': {others}", "one free joint")
     model = plain = mjcf_model(compiled)
-    kind, home = base_of(plain), _home(compiled, plain)
+    kind, qpos = base_of(plain), _keyframe(compiled, plain)
+    home = None if qpos is None else configuration(compiled, plain, qpos)
     if base not in (None, kind, "virtual" if kind == "freeflyer" else kind):
         if kind != "fixed":
             what = f"{path} has a {kind} root joint of its own, base={base!r} contradicts it"
@@ -75,7 +78,10 @@ def read_mjcf(path: str | Path, compiled: Any, base: Base | None) -> MjcfRobot:
             home = from_free_flyer(DEFAULT_ORDER, home, still, still)[0]
     driven = actuation_of(compiled).driven
     idle = ~driven & driven.any() & (compiled.jnt_type != FREE)
-    return MjcfRobot(model, tuple(np.array(joint_names(compiled))[idle].tolist()), home)
+    named, values = zip(joint_names(compiled), compiled.jnt_type, compiled.jnt_qposadr, strict=True), {}
+    if qpos is not None:
+        values = {name: float(qpos[entry]) for name, kind, entry in named if kind in (SLIDE, HINGE)}
+    return MjcfRobot(model, tuple(np.array(joint_names(compiled))[idle].tolist()), home, values)
 
 
 def mjcf_model(compiled: Any, root: Any = None) -> pin.Model:
@@ -170,13 +176,14 @@ def _add_points(compiled: Any, model: pin.Model, bodies: dict[int, Body]) -> Non
         model.addFrame(pin.Frame(name, bodies[body].joint, 0, place, pin.FrameType.OP_FRAME))
 
 
-def _home(compiled: Any, model: pin.Model) -> np.ndarray | None:
-    """The keyframe "home", or else the first, if it is within the limits."""
+def _keyframe(compiled: Any, model: pin.Model) -> np.ndarray | None:
+    """Coordinates of the keyframe "home", or else the first, if it is within the limits."""
     names = [compiled.key(index).name for index in range(compiled.nkey)]
     if not names:
         return None
-    q = configuration(compiled, model, compiled.key_qpos[names.index(HOME) if HOME in names else 0])
-    return q if (np.abs(np.clip(q, *position_limits(model)) - q) <= LIMIT_SLACK).all() else None
+    qpos = compiled.key_qpos[names.index(HOME) if HOME in names else 0]
+    q = configuration(compiled, model, qpos)
+    return qpos if (np.abs(np.clip(q, *position_limits(model)) - q) <= LIMIT_SLACK).all() else None
 
 
 def configuration(compiled: Any, model: pin.Model, qpos: np.ndarray) -> np.ndarray:

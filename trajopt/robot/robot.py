@@ -91,7 +91,10 @@ class Robot:
                     f"{field} of robot '{self.name}' has {len(array)} numbers", f"allowed: {size}"
                 )
         position = self.position_lower, self.position_upper
-        others = {"velocity_limit": self.velocity_limit, "torque_limit": self.torque_limit}
+        others = {
+            "velocity_limit": (range(self.nv), self.velocity_limit),
+            "torque_limit": (range(self.n_unactuated, self.nv), self.torque_limit),
+        }
         require_contacts(self.name, self.model, self.contacts)
         require_inertias(self.name, self.model)
         require_limits(self.name, self.model, self.given_length, position, others)
@@ -299,7 +302,8 @@ class Robot:
             path: of the file.
             base: kind of the root joint; default that of the file.
             reference: default the keyframe "home", or else the first, if it is within the limits; with its
-                base at the height at which the lowest contact touches the ground.
+                base at the height at which the lowest contact touches the ground. Joints that a mapping does
+                not name are those of the keyframe.
             locked: names of joints to weld, such as those that an equality constraint couples.
             passive: joints without actuator; default those that the file gives none, if it has actuators.
             options: contacts and name, as in `from_urdf`.
@@ -310,14 +314,17 @@ class Robot:
         """
         compiled = compile_mjcf(path)
         require_independent(path, mjcf_couplings(compiled), locked)
-        model, idle, home = read_mjcf(path, compiled, base)
+        read = read_mjcf(path, compiled, base)
+        posture = {**read.joints, **reference} if isinstance(reference, Mapping) else reference
         chosen = {
-            "reference": home if reference is None else reference,
-            "passive": [joint for joint in idle if joint not in locked] if passive is None else passive,
+            "reference": read.home if posture is None else posture,
+            "passive": [joint for joint in read.passive if joint not in locked]
+            if passive is None
+            else passive,
             "visual": VisualSource(urdf=expanded(path).absolute()),
         }
-        robot = cls.from_model(model, base=base, locked=locked, **{**chosen, **options})
-        if reference is not None or home is None:
+        robot = cls.from_model(read.model, base=base, locked=locked, **{**chosen, **options})
+        if reference is not None or read.home is None:
             return robot
         standing = building.put_on_ground(robot.model, robot.base, robot.contacts, robot.reference)
         return replace(robot, reference=standing)

@@ -66,29 +66,28 @@ def require_limits(
     model: pin.Model,
     length: float | None,
     position: tuple[np.ndarray, np.ndarray],
-    others: Mapping[str, np.ndarray | None],
+    others: Mapping[str, tuple[Sequence[int] | np.ndarray, np.ndarray | None]],
 ) -> None:
-    """Raise `InputError` for limits that are empty, negative or NaN, or a length that is not positive."""
+    """Raise `InputError` for limits that are empty, negative or NaN, or a length that is not positive.
+
+    others: limits by what they are, and the row of v that each of their numbers is for.
+    """
     if length is not None:
         require_positive(f"given_length of robot '{robot}'", length, "m")
-    for joint in list(model.joints)[1:]:
-        of = f"of joint '{model.names[joint.id]}' of '{robot}'"
-        for low, high in zip(
-            *(bound[joint.idx_q : joint.idx_q + joint.nq] for bound in position), strict=True
-        ):
-            if np.isnan([low, high]).any():
-                raise InputError(f"position limits {of} hold NaN", "numbers, or -inf and inf")
-            if low > high:
-                unit = "m" if joint.shortname().startswith(STRAIGHT) else "rad"
-                raise InputError(
-                    f"position limits {of} are empty: {low:g} > {high:g} {unit}", "lower <= upper"
-                )
-        for field, limit in others.items():
-            # Rows of actuators are the last of v.
-            first = joint.idx_v - (0 if limit is None else model.nv - len(limit))
-            rows = np.zeros(0) if limit is None else limit[max(first, 0) : max(first + joint.nv, 0)]
-            if not (rows >= 0).all():
-                raise InputError(f"{field} {of} is negative or NaN: {rows.min():g}", "numbers >= 0, or inf")
+    joints = list(model.joints)[1:]
+    entries = [joint for joint in joints for _ in range(joint.nq)]
+    for joint, lower, upper in zip(entries, *position, strict=True):
+        if not lower <= upper:
+            fault = "empty" if lower > upper else "not numbers"
+            unit = "m" if joint.shortname().startswith(STRAIGHT) else "rad"
+            what = f"position limits of joint '{model.names[joint.id]}' of '{robot}' are {fault}"
+            raise InputError(f"{what}: {lower:g} > {upper:g} {unit}", "lower <= upper, or -inf and inf")
+    owners = [model.names[joint.id] for joint in joints for _ in range(joint.nv)]
+    for field, (rows, limits) in others.items():
+        for row, limit in zip(rows, [] if limits is None else limits, strict=limits is not None):
+            if not limit >= 0:
+                what = f"{field} of joint '{owners[row]}' of '{robot}' is {limit:g}"
+                raise InputError(f"{what}: negative or NaN", "numbers >= 0, or inf")
 
 
 def require_reference(
