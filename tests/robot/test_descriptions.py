@@ -12,7 +12,8 @@ from trajopt.robot.robot import Robot
 GRIPPER = """<robot name="gripper"><link name="palm">{body}</link>{fingers}</robot>"""
 BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 FINGER = """<link name="{name}">{body}</link><joint name="{name}_joint" type="prismatic"><parent link="palm"/>
-<child link="{name}"/><axis xyz="0 1 0"/><limit lower="{lower}" upper="0.04" effort="9" velocity="1"/>{more}</joint>"""
+<child link="{name}"/><axis xyz="0 1 0"/>
+<limit lower="{lower}" upper="0.04" effort="9" velocity="1"/>{more}</joint>"""
 
 
 def gripper(
@@ -77,6 +78,6 @@ def test_a_first_file_locks_joints_that_mimic_others(tmp_path):
     assert scope["build"]().model == found.model
 
 
-ARM = """<transmission name="t"/><link name="hand">{body}</link><joint name="hand_joint" type="revolute">
-<parent link="palm"/><child link="hand"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="1"/>
-</joint></robot>""".format(body=BODY)
+ARM = f"""<transmission name="t"/><link name="hand">{BODY}</link><joint name="hand_joint" type="revolute">
+<parent link="palm"/><child link="hand"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="9" velocity="1"/></joint></robot>"""
