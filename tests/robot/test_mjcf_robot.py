@@ -17,7 +17,8 @@ from trajopt.robot.mjcf_actuators import actuation_of
 from trajopt.robot.robot import Robot
 
 ROUNDING = 1e-12
-TENDON = '<tendon><fixed name="t"><joint joint="ja" coef="1"/><joint joint="jb" coef="2"/></fixed></tendon>'
+TENDON = '<tendon><fixed name="t"><joint joint="ja" coef="1"/><joint joint="jb" coef="2"/></fixed>'
+TENDON += '<spatial name="s"><site site="foot"/><site site="tip"/></spatial></tendon>'
 
 
 def written(folder: Path, text: str, name: str = "robot.xml") -> Path:
@@ -103,6 +104,7 @@ def test_keyframe_beyond_the_limits_leaves_neutral(tmp_path: Path):
         ('<weld body1="b" body2="a"/>', "equality weld of jb", ["jb"]),
         ('<weld site1="tip" site2="foot"/>', "equality weld of ja, jb", ["ja", "jb"]),
         ('<tendon tendon1="t"/>', "equality tendon of ja, jb", ["ja", "jb"]),
+        ('<tendon name="e" tendon1="s"/>', "equality tendon 'e' of ja, jb", ["ja", "jb"]),
     ],
 )
 def test_joints_that_an_equality_couples_are_refused_unless_locked(equality, what, needed, tmp_path: Path):
@@ -172,12 +174,13 @@ def test_excluded_pairs_are_not_judged(tmp_path: Path):
 def test_report_names_what_the_model_does_not_use(tmp_path: Path):
     spring = '<joint name="ja" axis="0 1 0" stiffness="3"/>'
     after = f'{TENDON}<actuator><motor joint="jb"/><motor name="pull" tendon="t"/></actuator>'
-    text = arm(first=spring, after=after, options='<option density="1.2"/>').replace(
+    foot = '<site name="foot"/>'
+    text = arm(first=spring, scene=foot, after=after, options='<option density="1.2"/>').replace(
         'name="a"', 'name="a" gravcomp="1"'
     )
     notes = robot_report(Robot.from_mjcf(written(tmp_path, text))).notes
     for what in (
-        "tendons: t",
+        "tendons: t, s",
         "actuators other than of hinges and slides: pull",
         "springs of joints: ja",
         "gravity compensation of bodies: a",

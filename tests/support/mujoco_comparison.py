@@ -25,8 +25,8 @@ def random_qpos(compiled: Any, random: np.random.Generator) -> np.ndarray:
 
 def without_other_forces(compiled: Any) -> None:
     """Take out of MuJoCo's inverse dynamics all that is not the tree of bodies, armature and gravity."""
-    bits = mujoco.mjtDisableBit
-    compiled.opt.disableflags |= int(bits.mjDSBL_CONSTRAINT | bits.mjDSBL_SPRING | bits.mjDSBL_DAMPER)
+    for name in ("CONSTRAINT", "SPRING", "DAMPER", "PASSIVE"):  # the last is MuJoCo 3's for the two before
+        compiled.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0))
     compiled.opt.density = compiled.opt.viscosity = 0.0
     compiled.opt.wind[:] = 0.0
     compiled.body_gravcomp[:] = 0.0
