@@ -294,36 +294,29 @@ class Robot:
         passive: Sequence[str] | None = None,
         **options: Any,
     ) -> Robot:
-        """Build a robot from an MJCF file as MuJoCo compiles it; other arguments as in `from_urdf`.
+        """Build a robot from an MJCF file as MuJoCo compiles it; arguments and ``options`` as in `from_urdf`.
 
-        Bodies, sites and colliding balls are frames, which contacts name.
+        The default base is the file's, the default reference its keyframe "home", or else the first, if it is
+        within the limits; contacts put its base on the ground, and joints that a mapping does not name are
+        those of it. By default joints without actuator are passive, if others have one. Contacts name bodies,
+        sites and colliding balls.
 
-        Args:
-            path: of the file.
-            base: kind of the root joint; default that of the file.
-            reference: default the keyframe "home", or else the first, if it is within the limits; with its
-                base at the height at which the lowest contact touches the ground. Joints that a mapping does
-                not name are those of the keyframe.
-            locked: names of joints to weld, such as those that an equality constraint couples.
-            passive: joints without actuator; default those that the file gives none, if it has actuators.
-            options: contacts and name, as in `from_urdf`.
-
-        Raises:
-            InputError: for a missing or malformed file, a base that contradicts it, joints that are not
-                independent, several free joints, and where MuJoCo is not installed.
+        Raises `InputError` for a missing or malformed file, a base that contradicts it, joints that are not
+        independent and not locked, several free joints, and where MuJoCo is not installed.
         """
         compiled = compile_mjcf(path)
         require_independent(path, mjcf_couplings(compiled), locked)
         read = read_mjcf(path, compiled, base)
         posture = {**read.joints, **reference} if isinstance(reference, Mapping) else reference
-        chosen = {
-            "reference": read.home if posture is None else posture,
-            "passive": [joint for joint in read.passive if joint not in locked]
-            if passive is None
-            else passive,
-            "visual": VisualSource(urdf=expanded(path).absolute()),
-        }
-        robot = cls.from_model(read.model, base=base, locked=locked, **{**chosen, **options})
+        idle = read.passive if passive is None else passive
+        robot = cls.from_model(
+            read.model,
+            base=base,
+            reference=read.home if posture is None else posture,
+            locked=locked,
+            passive=[joint for joint in idle if joint not in locked],
+            **{"visual": VisualSource(urdf=expanded(path).absolute()), **options},
+        )
         if reference is not None or read.home is None:
             return robot
         standing = building.put_on_ground(robot.model, robot.base, robot.contacts, robot.reference)
