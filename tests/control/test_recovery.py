@@ -14,8 +14,8 @@ from trajopt.control.falling import FallingMass
 from trajopt.control.recovery import DEEPEST, LIFT, SWING, Recovery, swing_height
 from trajopt.control.support_polygon import SupportPolygon
 from trajopt.control.swing_legs import diagonal_pairs, swing_leg
+from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.push import PushTrials
 from trajopt_library import robots
 

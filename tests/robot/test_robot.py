@@ -219,9 +219,15 @@ def test_arrays_of_a_robot_are_read_only():
             {"base": "floating"},
             "base of Robot .* is .floating.; allowed: freeflyer, virtual, planar, fixed",
         ),
-        ({"torque_limit": np.full(6, -1.0)}, "torque_limit .* negative"),
+        (
+            {"torque_limit": np.full(6, -1.0)},
+            "torque_limit of joint 'shoulder_pan_joint' of 'ur5' is -1: negative or NaN",
+        ),
         ({"velocity_limit": "fast"}, "velocity_limit of Robot 'ur5' is 'fast'; allowed: an array of numbers"),
-        ({"position_lower": np.full(6, 9.0)}, "empty at index 0"),
+        (
+            {"position_lower": np.full(6, 9.0)},
+            "position limits of joint 'shoulder_pan_joint' of 'ur5' are empty: 9 > 6.28319 rad",
+        ),
     ],
 )
 def test_inconsistent_robot_is_refused(change, message):

@@ -10,6 +10,7 @@ from trajopt.errors import InputError
 from trajopt.inspection.faults import find_faults, listed, shapes_of
 from trajopt.inspection.shape_facts import ShapeFacts, shape_facts
 from trajopt.inspection.standing import StandingPosture, standing_posture
+from trajopt.inspection.unused import unused_parts
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
@@ -163,6 +164,11 @@ def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:
         names = list(dict.fromkeys(owners[row] for row in np.flatnonzero(values)))
         if names:
             notes.append(f"{what} of the file is not part of the dynamics: {listed(names)}")
+    try:
+        unused = unused_parts(robot)
+    except InputError:  # said below, of shapes
+        unused = {}
+    notes += [f"not part of the dynamics: {what}: {listed(names)}" for what, names in unused.items() if names]
     if robot.visual is None:
         notes.append("no description with meshes: a replay draws a skeleton")
         return tuple(notes)

@@ -1,15 +1,20 @@
-"""From a URDF file to a first ``robot.py``: feet and a standing posture guessed from geometry."""
+"""From a URDF or MJCF file to a first ``robot.py``: feet and a standing posture guessed from geometry."""
 
+import json
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import Base, position_limits
+from trajopt.dynamics.base_joint import Base
 from trajopt.errors import InputError
 from trajopt.inspection.faults import shapes_of
+from trajopt.robot.building import locked_model, reference_posture
+from trajopt.robot.coupling import couplings_of
+from trajopt.robot.data import VisualSource
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.legs import LIFTED
 from trajopt.robot.reading import read_urdf
@@ -25,6 +30,8 @@ SAME_PLACE = 1e-6
 CENTRINGS = 4
 # A description this many folders up is given by its absolute path.
 FAR = ("..", "..", "..")
+# Frames that feet may be: links, and of MJCF files balls and sites.
+TIPS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 TEMPLATE = '''"""Robot "{name}" of {source}. Feet and posture are guesses from geometry: edit them."""
 
@@ -32,7 +39,7 @@ from pathlib import Path
 
 from trajopt import {imported}
 
-URDF = Path(__file__).parent / "{file}"
+{kind} = Path(__file__).parent / "{file}"
 {tool}# The standing posture by joint, rad (m where a joint slides); the limits beside it.
 REFERENCE = {{
 {reference}
@@ -41,29 +48,40 @@ REFERENCE = {{
 
 def build() -> Robot:
     """Return the robot in its reference posture."""
-    return Robot.from_urdf(
-        URDF,
+    return Robot.from_{reader}(
+        {kind},
         name="{name}",
         base="{base}",
         contacts={contacts},
-        reference=REFERENCE,
+        reference=REFERENCE,{locked}
     )
 '''
 
 
-def guessed(urdf: Path, base: Base | None = None) -> Robot:
-    """Return the robot of a URDF file with guessed base, feet and posture.
+def guessed(path: Path, base: Base | None = None) -> Robot:
+    """Return the robot of a URDF or MJCF file with guessed base, feet and posture.
 
-    base: by default fixed for a chain (one tip), free for a tree. Feet are the tips at the bottom with all
-    joints at zero, or as near as limits allow; the posture bends the legs, with the feet's middle under the
-    centre of mass, where inverse kinematics finds a way. Raises `InputError` for a file that is not a URDF.
+    base: by default that of an MJCF file; of a URDF file, fixed for a chain (one tip), free for a tree. Feet
+    are the tips at the bottom with joints at zero, or as near as limits allow; the posture bends the legs,
+    with the feet's middle under the centre of mass, where inverse kinematics finds a way. The keyframe of an
+    MJCF file goes before both. Joints that follow others are locked, and those they follow. Raises
+    `InputError` for a file that is neither.
     """
-    kind: Base = base or ("fixed" if len(_tips(read_urdf(urdf, "fixed"))) < 2 else "freeflyer")
+    source = VisualSource(urdf=path)
+    locked = tuple(dict.fromkeys(joint for each in couplings_of(source) for joint in each.joints))
+    build = partial(Robot.from_mjcf if source.is_mjcf else Robot.from_urdf, path, locked=locked)
+    bare = build(base=base or (None if source.is_mjcf else _urdf_base(path, locked)))
+    kind = bare.base
     if kind == "fixed":
-        return Robot.from_urdf(urdf, base=kind)
-    tips = Robot.from_urdf(urdf, base=kind, contacts=_lowest_tips(read_urdf(urdf, kind)))
+        return bare
+    tips = build(base=kind, contacts=_lowest_tips(bare.model, bare.reference))
     contacts = [replace(contact, radius=_ball_at(tips, contact.frame)) for contact in tips.contacts]
-    return _bent(urdf, Robot.from_urdf(urdf, base=kind, contacts=contacts))
+    return _bent(build(base=kind, contacts=contacts))
+
+
+def _urdf_base(path: Path, locked: tuple[str, ...]) -> Base:
+    model = read_urdf(path, "fixed")
+    return "fixed" if len(_tips(locked_model(model, locked, pin.neutral(model)))) < 2 else "freeflyer"
 
 
 def _ball_at(robot: Robot, name: str) -> float:
@@ -83,10 +101,12 @@ def _ball_at(robot: Robot, name: str) -> float:
 
 
 def starter(robot: Robot, target: Path) -> str:
-    """Return the text of a Python file, to be written at ``target``, that builds ``robot`` of a URDF file."""
+    """Return the text of a Python file, to be written at ``target``, that builds a described ``robot``."""
     if robot.visual is None:
-        raise InputError(f"robot '{robot.name}' was not read from a URDF file", "a robot of Robot.from_urdf")
-    urdf = robot.visual.urdf
+        raise InputError(f"robot '{robot.name}' was not read from a file", "a robot of Robot.from_urdf")
+    urdf, reader = robot.visual.urdf, "mjcf" if robot.visual.is_mjcf else "urdf"
+    coupled = [joint for each in couplings_of(robot.visual) for joint in each.joints]
+    locked = [joint for joint in dict.fromkeys(coupled) if not robot.model.existJointName(joint)]
     near = Path(os.path.relpath(urdf, target.absolute().parent))
     file = (urdf if near.parts[: len(FAR)] == FAR else near).as_posix()
     tool = ""
@@ -99,6 +119,9 @@ def starter(robot: Robot, target: Path) -> str:
     )
     return TEMPLATE.format(
         name=robot.name,
+        kind=reader.upper(),
+        reader=reader,
+        locked=f"\n        locked={json.dumps(locked)}," if locked else "",
         file=file,
         source=urdf.name,
         tool=tool,
@@ -130,12 +153,12 @@ def _within(value: float, lower: float, upper: float) -> str:
 
 
 def _tips(model: pin.Model) -> dict[int, str]:
-    """The farthest body frame of every joint without children: joint -> frame."""
+    """The farthest body, ball or site of every joint without children: joint -> frame."""
     parents = {int(parent) for parent in list(model.parents)[1:]}
     tips: dict[int, tuple[float, str]] = {}
     for frame in model.frames:
         joint = int(frame.parentJoint)
-        if joint == 0 or joint in parents or frame.type != pin.FrameType.BODY:
+        if joint == 0 or joint in parents or frame.type not in TIPS:
             continue
         distance = float(np.linalg.norm(frame.placement.translation))
         if joint not in tips or distance > tips[joint][0]:
@@ -143,9 +166,9 @@ def _tips(model: pin.Model) -> dict[int, str]:
     return {joint: name for joint, (_, name) in tips.items()}
 
 
-def _lowest_tips(model: pin.Model) -> list[str]:
+def _lowest_tips(model: pin.Model, q: np.ndarray) -> list[str]:
     data = model.createData()
-    pin.framesForwardKinematics(model, data, np.clip(pin.neutral(model), *position_limits(model)))
+    pin.framesForwardKinematics(model, data, q)
     heights = {name: data.oMf[model.getFrameId(name)].translation[2] for name in _tips(model).values()}
     lowest = min(heights.values(), default=0.0)
     # A root may lie on the ground, as base_footprint does: the height is that of all frames.
@@ -153,11 +176,13 @@ def _lowest_tips(model: pin.Model) -> list[str]:
     return [name for name, height in heights.items() if height - lowest <= within]
 
 
-def _bent(urdf: Path, straight: Robot) -> Robot:
+def _bent(straight: Robot) -> Robot:
     """The robot with its base lowered over feet below the centre of mass, where such a posture exists."""
     if straight.base != "freeflyer" or not straight.contacts:
         return straight
     model, data = straight.model, straight.model.createData()
+    if not np.allclose(straight.reference, reference_posture(model, straight.base, straight.contacts, None)):
+        return straight  # a keyframe
     places = contact_positions(straight, straight.reference)
     middle = np.mean(list(places.values()), axis=0)
     q = straight.reference.copy()
@@ -170,4 +195,4 @@ def _bent(urdf: Path, straight: Robot) -> Robot:
         if result.error > REACHED * straight.length:
             return straight
         q = result.q
-    return Robot.from_urdf(urdf, base=straight.base, contacts=straight.contacts, reference=q)
+    return replace(straight, reference=q)

@@ -18,6 +18,7 @@ from trajopt.dynamics.base_joint import (
     base_of,
     position_limits,
 )
+from trajopt.dynamics.rerooting import Body, copy_bodies
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.robot.contact import Contact
 
@@ -100,7 +101,22 @@ def locked_model(model: pin.Model, joints: Sequence[str], reference: np.ndarray)
     for name in joints:
         if name not in known:
             raise InputError(f"joint '{name}' to lock is unknown", "one of " + ", ".join(known))
-    return pin.buildReducedModel(model, [model.getJointId(name) for name in joints], reference)
+    if all(model.existFrame(name, pin.FrameType.JOINT) for name in known):
+        return pin.buildReducedModel(model, [model.getJointId(name) for name in joints], reference)
+    # It takes a frame for each joint; of an MJCF file a body has the name instead.
+    new, bodies = pin.Model(), {0: Body(0, pin.SE3.Identity())}
+    new.name, new.gravity = model.name, model.gravity
+    for index, name in enumerate(known, start=1):
+        joint, on = model.joints[index], bodies[int(model.parents[index])]
+        place = on.placement * model.jointPlacements[index]
+        if name in joints:
+            data = joint.createData()
+            joint.calc(data, reference)
+            bodies[index] = Body(on.joint, place * data.M)
+        else:
+            bodies[index] = Body(new.addJoint(on.joint, joint, place, name), pin.SE3.Identity())
+    copy_bodies(model, new, bodies)
+    return new
 
 
 def velocity_limit_of(model: pin.Model, base: Base) -> np.ndarray:

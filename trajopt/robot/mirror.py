@@ -147,6 +147,8 @@ def find_mirror(robot: Robot) -> Mirror:
             f"robot '{robot.name}' has no mirror image: {match.worst} differ", "a symmetric robot"
         )
     every = range(1, model.njoints)
+    if len(match.images) < len(every):
+        raise InputError(f"robot '{robot.name}' has joints apart from its base", "one tree of joints")
     partner = (0, *(match.images[j][0] for j in every))
     lonely = [model.names[j] for j in every if partner[partner[j]] != j]
     if lonely:

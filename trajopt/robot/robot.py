@@ -24,9 +24,11 @@ from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import SPRING, JointForce, described_forces, with_spring_joints
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
 from trajopt.robot.contact import Contact, require_frame
+from trajopt.robot.coupling import mjcf_couplings, require_independent, urdf_couplings
 from trajopt.robot.data import VisualSource, package_directories
+from trajopt.robot.mjcf import compile_mjcf, read_mjcf
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.robot.reading import read_mjcf, read_urdf
+from trajopt.robot.reading import read_urdf
 from trajopt.robot.validation import (
     require_contacts,
     require_inertias,
@@ -101,13 +103,16 @@ class Robot:
                     f"{field} of robot '{self.name}' has {len(array)} numbers", f"allowed: {size}"
                 )
         position = self.position_lower, self.position_upper
-        others = {"velocity_limit": self.velocity_limit, "torque_limit": self.torque_limit}
+        others = {
+            "velocity_limit": (np.arange(self.nv), self.velocity_limit),
+            "torque_limit": (self._rows_of_inputs, self.torque_limit),
+        }
         require_contacts(self.name, self.model, self.contacts)
         require_thrusters(self.name, self.model, self.thrusters)
         for force in self.joint_forces:
             force.entries(self.model)
         require_inertias(self.name, self.model)
-        require_limits(self.name, self.given_length, position, others)
+        require_limits(self.name, self.model, self.given_length, position, others)
         require_reference(self.name, self.model, self.reference, position)
         if self.drives is not None:
             require_drives(self.name, self.model, self._rows_of_inputs, self.drives)
@@ -370,9 +375,11 @@ class Robot:
             passive: names of joints without actuator.
 
         Raises:
-            InputError: for a missing or malformed file, and as `Robot`.
+            InputError: for a missing or malformed file, a joint that mimics another and is not locked, and
+                as `Robot`.
         """
         model = read_urdf(path, base)
+        require_independent(path, urdf_couplings(path), locked)
         source = expanded(path).absolute()
         given = None if package_dirs is None else tuple(Path(entry).absolute() for entry in package_dirs)
         directories = package_directories(source) if given is None else given
@@ -389,22 +396,43 @@ class Robot:
 
     @classmethod
     @checked
-    def from_mjcf(cls, path: str | Path, *, base: Base | None = None, **options: Any) -> Robot:
-        """Build a robot from an MJCF file, as far as Pinocchio reads it; options as in `from_model`.
+    def from_mjcf(
+        cls,
+        path: str | Path,
+        *,
+        base: Base | None = None,
+        reference: ArrayLike | Mapping[str, float] | None = None,
+        locked: Sequence[str] = (),
+        passive: Sequence[str] | None = None,
+        **options: Any,
+    ) -> Robot:
+        """Build a robot from an MJCF file as MuJoCo compiles it; arguments and ``options`` as in `from_urdf`.
 
-        MJCF actuator limits are not read by Pinocchio: the torque limit comes from the joints alone.
+        The default base is the file's, the default reference its keyframe "home", or else the first, if it is
+        within the limits; contacts put its base on the ground, and joints that a mapping does not name are
+        those of it. By default joints without actuator are passive, if others have one. Contacts name bodies,
+        sites and colliding balls.
 
-        Args:
-            path: of the file.
-            base: kind of the root joint; default that of the file.
-            options: further arguments of `from_model`.
-
-        Raises:
-            InputError: for a missing or malformed file, and a base that contradicts it.
+        Raises `InputError` for a missing or malformed file, a base that contradicts it, joints that are not
+        independent and not locked, several free joints, and where MuJoCo is not installed.
         """
-        model = read_mjcf(path, base)
-        source = VisualSource(urdf=expanded(path).absolute())
-        return cls.from_model(model, **{"base": base, "visual": source, **options})
+        compiled = compile_mjcf(path)
+        require_independent(path, mjcf_couplings(compiled), locked)
+        read = read_mjcf(path, compiled, base)
+        posture = {**read.joints, **reference} if isinstance(reference, Mapping) else reference
+        idle = read.passive if passive is None else passive
+        robot = cls.from_model(
+            read.model,
+            base=base,
+            reference=read.home if posture is None else posture,
+            locked=locked,
+            passive=[joint for joint in idle if joint not in locked],
+            **{"visual": VisualSource(urdf=expanded(path).absolute()), **options},
+        )
+        if reference is not None or read.home is None:
+            return robot
+        standing = building.put_on_ground(robot.model, robot.base, robot.contacts, robot.reference)
+        return replace(robot, reference=standing)
 
     @classmethod
     @checked

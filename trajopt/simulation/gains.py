@@ -20,7 +20,8 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import base_of
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.cycles import moving_rows
-from trajopt.simulation.bodies import mujoco_package, write_inertias
+from trajopt.robot.mujoco_package import mujoco_package
+from trajopt.simulation.bodies import write_inertias
 from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
 from trajopt.simulation.world import World
 from trajopt.solution.solution import Solution

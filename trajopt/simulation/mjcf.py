@@ -14,14 +14,8 @@ from numpy.typing import ArrayLike
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded, first_line
-from trajopt.simulation.bodies import (
-    body_name,
-    joint_axis,
-    mujoco_package,
-    mujoco_quaternion,
-    muted_mujoco,
-    part_name,
-)
+from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
+from trajopt.simulation.bodies import body_name, joint_axis, mujoco_quaternion, part_name
 from trajopt.simulation.run import torque_limits
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.world import World, build_world

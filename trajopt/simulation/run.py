@@ -18,7 +18,8 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.tracker import Tracker
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
-from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
+from trajopt.robot.mujoco_package import mujoco_package
+from trajopt.simulation.bodies import body_name, write_inertias
 from trajopt.simulation.gains import gains_of
 from trajopt.simulation.hardware import Hardware, Measurement
 from trajopt.simulation.record import RequestRecord, SimulationRecord

@@ -13,7 +13,7 @@ import numpy as np
 
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.motion.touched import held_samples
-from trajopt.simulation.bodies import mujoco_package
+from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.figures import loaded_contacts
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import SimulationReport

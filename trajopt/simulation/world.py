@@ -13,6 +13,7 @@ from trajopt.motion.body_distances import FileBodies
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.samples import ContactPlaces, contact_places
 from trajopt.motion.touched import held_samples
+from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation.bodies import (
     Bodies,
@@ -20,7 +21,6 @@ from trajopt.simulation.bodies import (
     body_name,
     build_bodies,
     compile_bodies,
-    mujoco_package,
     mujoco_quaternion,
 )
 from trajopt.simulation.coordinates import CoordinateMap
