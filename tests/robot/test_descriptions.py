@@ -3,10 +3,12 @@
 from pathlib import Path
 
 import pytest
+from numpy.testing import assert_allclose
 
 from trajopt.errors import InputError
 from trajopt.inspection.report import robot_report
 from trajopt.inspection.starter import guessed, starter
+from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.robot import Robot
 
 GRIPPER = """<robot name="gripper"><link name="palm">{body}</link>{fingers}</robot>"""
@@ -25,13 +27,26 @@ def gripper(
     return path
 
 
-def test_a_joint_that_mimics_another_is_refused_unless_it_is_locked(tmp_path):
-    path = gripper(tmp_path / "gripper.urdf")
-    message = r"'right_joint' mimics 'left_joint'; lock them: locked=\['left_joint', 'right_joint'\]"
-    with pytest.raises(InputError, match=message):
-        Robot.from_urdf(path, base="fixed")
+def test_a_joint_that_mimics_another_follows_it_unless_it_is_locked(tmp_path):
+    path = gripper(tmp_path / "gripper.urdf", '<mimic joint="left_joint" multiplier="-2" offset="0.04"/>')
+    robot = Robot.from_urdf(path, base="fixed")
+    assert robot.mimics == (MimicJoint(joint="right_joint", mimics="left_joint", ratio=-2.0, offset=0.04),)
+    assert (robot.nu, robot.passive) == (1, ("right_joint",))
+    assert_allclose(robot.reference, [0.0, 0.04])
+    assert_allclose([robot.position_lower[0], robot.position_upper[0]], [0.0, 0.02])
+    assert robot.velocity_limit[0] == 0.5
     assert Robot.from_urdf(path, base="fixed", locked=["right_joint"]).nu == 1
+    both = Robot.from_urdf(path, base="freeflyer", locked=["left_joint"], reference={"left_joint": 0.01})
+    assert list(both.model.names)[1:] == ["root_joint"]
     assert Robot.from_urdf(gripper(path, more=""), base="fixed").nu == 2
+
+
+def test_a_joint_that_mimics_a_fixed_or_missing_one_is_refused_unless_it_is_locked(tmp_path):
+    path = gripper(tmp_path / "gripper.urdf", '<mimic joint="thumb"/>')
+    with pytest.raises(
+        InputError, match=r"'right_joint' mimics 'thumb'; lock them: locked=\['right_joint'\]"
+    ):
+        Robot.from_urdf(path, base="fixed")
 
 
 def test_a_xacro_file_is_refused_with_the_command_that_expands_it(tmp_path):

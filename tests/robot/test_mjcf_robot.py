@@ -98,7 +98,11 @@ def test_keyframe_beyond_the_limits_leaves_neutral(tmp_path: Path):
 @pytest.mark.parametrize(
     ("equality", "what", "needed"),
     [
-        ('<joint name="e" joint1="jb" joint2="ja"/>', "equality joint 'e' of jb, ja", ["jb", "ja"]),
+        (
+            '<joint name="e" joint1="jb" joint2="ja" polycoef="0 1 2 0 0"/>',
+            "equality joint 'e' of jb, ja",
+            ["jb", "ja"],
+        ),
         ('<joint joint1="jb"/>', "equality joint of jb", ["jb"]),
         ('<connect body1="b" anchor="0 0 0"/>', "equality connect of ja, jb", ["ja", "jb"]),
         ('<weld body1="b" body2="a"/>', "equality weld of jb", ["jb"]),

@@ -191,7 +191,8 @@ def phase_dynamics(motion: MotionQuantities, row: int) -> PhaseDynamics:
         for index, frame in enumerate(held.names)
         if frame in surfaces and surfaces[frame].slip_speed is not None
     }
-    return SlidingDynamics(model, held, sliding) if sliding else ContactDynamics(model, held)
+    follow = motion.solution.actuation.independent if motion.solution.description.mimics else None
+    return SlidingDynamics(model, held, sliding) if sliding else ContactDynamics(model, held, follow)
 
 
 def active_contacts(motion: MotionQuantities, row: int) -> ContactSet:

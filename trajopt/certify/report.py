@@ -154,6 +154,7 @@ class CheckReport:
     drive_voltage_excess: largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
     position_excess: largest excess over a limit, over the joint's range; negative is reserve. ``..._between``
         of all of these: at any time, see `dense`; so are penetration, drift, turn, tilt and patch_margin.
+    following_error: largest distance of a joint from where it follows another, m or rad, at any time.
     local_position: largest sum over a phase's intervals of what the planned torques, integrated from each
         interval's own planned start, miss at its end, |dp| + T |dp'| of the farthest-off named point over the
         reach; local_joints: the same of rotations, rad. See `accuracy.local_errors`.
@@ -219,6 +220,7 @@ class CheckReport:
     position_excess_between: float | None = _figure(
         "position beyond its limit between samples", "range", "between"
     )
+    following_error: float | None = _figure("joints from where they follow others", "m, rad", "residual")
     penetration: float | None = _figure("depth below the terrain", "m", "penetration")
     link_depth: float | None = _figure("depth of links in the ground", "m", "bodies")
     obstacle_distance: float | None = _figure("least distance from obstacles", "m", "bodies", margin=True)

@@ -168,6 +168,10 @@ class _Program:
         driven, scaled = actuation.rows, (self.dynamics * self.unit).T
         unit, scale = (of(owner.torque_unit) for of in (actuation.balance_unit, actuation.input_unit))
         equal, value = actuation.balanced(scaled).T / unit[:, None], -actuation.balanced(h) / unit
+        if actuation.leading.size < owner.state.model.nv:
+            follow = actuation.coupling * self.unit[: self.nv]
+            rows = np.hstack([follow, np.zeros((len(follow), n - self.nv))])
+            equal, value = np.vstack([equal, rows]), np.append(value, np.zeros(len(follow)))
         if relaxed < 2 and len(self.still):
             equal, value = np.vstack([equal, self.motion]), np.append(value, self.still)
         bias = actuation.inputs(h) + limits.friction

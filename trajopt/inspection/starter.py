@@ -64,11 +64,12 @@ def guessed(path: Path, base: Base | None = None) -> Robot:
     base: by default that of an MJCF file; of a URDF file, fixed for a chain (one tip), free for a tree. Feet
     are the tips at the bottom with joints at zero, or as near as limits allow; the posture bends the legs,
     with the feet's middle under the centre of mass, where inverse kinematics finds a way. The keyframe of an
-    MJCF file goes before both. Joints that follow others are locked, and those they follow. Raises
-    `InputError` for a file that is neither.
+    MJCF file goes before both. Joints that follow others without a motor of their own are locked, and those
+    they follow. Raises `InputError` for a file that is neither.
     """
     source = VisualSource(urdf=path)
-    locked = tuple(dict.fromkeys(joint for each in couplings_of(source) for joint in each.joints))
+    grasping = [each for each in couplings_of(source) if not each.driven]
+    locked = tuple(dict.fromkeys(joint for each in grasping for joint in each.joints))
     build = partial(Robot.from_mjcf if source.is_mjcf else Robot.from_urdf, path, locked=locked)
     bare = build(base=base or (None if source.is_mjcf else _urdf_base(path, locked)))
     kind = bare.base

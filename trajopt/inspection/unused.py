@@ -17,7 +17,7 @@ def unused_parts(robot: Robot) -> dict[str, list[str]]:
     if source is None or not source.urdf.is_file():
         return {}
     for coupling in couplings_of(source):
-        locked = "" if moving.intersection(coupling.needed) else ", which are locked"
+        locked = ", which are followed" if moving.intersection(coupling.needed) else ", which are locked"
         found.setdefault(f"couplings of joints{locked}", []).append(coupling.what)
     if source.is_mjcf:
         return found | _of_mjcf(compile_mjcf(source.urdf))

@@ -26,7 +26,7 @@ class DynamicsRows:
 
 def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> DynamicsRows:
     """Residuals at every sample; base rows of velocity sources are statics, RNEA(q, 0, 0) - sum J^T f."""
-    free, force = plan.unactuated_rows, samples.generalized_force - plan.actuation.force(plan.tau)
+    free, force = plan.unactuated_rows, plan.actuation.unmade(samples.generalized_force, plan.tau)
     balance, held = force[:, free], samples.acceleration
     if plan.description.velocity_input:  # rows of statics and of velocities, not of motion
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))

@@ -20,10 +20,15 @@ def limit_traces(plan: Solution) -> Traces:
     limited = np.isfinite(lower) | np.isfinite(upper)
     span = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
     places = [name for joint, name in joints_of(plan) for _ in range(joint.nq)]
+    mimics = plan.description.mimics
+    apart = np.zeros((plan.n_samples, len(mimics)))
+    for column, mimic in enumerate(mimics):
+        apart[:, column] = np.abs(mimic.apart(plan.model, plan.q))
     return {
         "effort_excess": _beyond(plan.tau, plan.description.effort_limit, driven, least=least),
         "velocity_excess": _beyond(plan.v, plan.description.velocity_limit, rows, moving),
         "position_excess": Trace.of(beyond / span, limited, places),
+        "following_error": Trace.of(apart, True, [mimic.joint for mimic in mimics]),
     }
 
 

@@ -17,6 +17,7 @@ from trajopt.problem.validation import (
     checked_vector,
     require_acting,
     require_actuation,
+    require_following,
     require_modes,
     require_no_impacts,
     require_payloads,
@@ -38,6 +39,7 @@ from trajopt.terms.dynamics import (
     BaseDynamics,
     ContactAcceleration,
     ContactVelocity,
+    FollowingJoints,
     SlidingFriction,
     require_sliding,
     sliding_surfaces,
@@ -116,6 +118,8 @@ class Problem:
         require_terms(self.name, self.terms)
         require_actuation(robot, schedule, self.actuation, self.initial_v)
         require_phases(self.name, robot, schedule)
+        if robot.mimics:
+            require_following(self.name, robot, schedule, self.initial_q, self.initial_v)
         start = self.initial_q, self.initial_v
         require_modes(self.name, robot, schedule, self.modes, start, self.contact_place)
         if not self.holds_contacts:
@@ -218,7 +222,8 @@ class Problem:
             return self.dynamics
         still = ContactVelocity() if self.actuation == "velocity" else ContactAcceleration()
         slides = any(sliding_surfaces(phase) for phase in self.schedule.phases)
-        return (BaseDynamics(), still, *([SlidingFriction()] if slides else []))
+        follow = (FollowingJoints(),) if self.robot.mimics else ()
+        return (BaseDynamics(), still, *follow, *([SlidingFriction()] if slides else []))
 
     def surfaces_of(self, phase: int) -> dict[str, Ground]:
         """Surfaces on which the frames of a phase's contacts lie, by the contact's name.

@@ -13,6 +13,7 @@ from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.errors import InputError, not_among
+from trajopt.robot.actuators.mimic import followed
 from trajopt.robot.payload import Payload
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
@@ -99,6 +100,22 @@ def require_actuation(robot: Robot, schedule: Schedule, actuation: str, initial_
                 f"phase '{phase.name}' {what}, which a velocity source cannot model",
                 "allowed: phases in static balance, or actuation 'torque' or 'acceleration'",
             )
+
+
+def require_following(problem: str, robot: Robot, schedule: Schedule, q: np.ndarray, v: np.ndarray) -> None:
+    """Raise `InputError` for a start at which joints do not follow others, or an impact of such a robot."""
+    apart = np.abs(q - followed(robot.model, robot.mimics, q))
+    if (
+        apart.max(initial=0.0) > LIMIT_SLACK
+        or np.abs(robot.actuation.coupling @ v).max(initial=0.0) > LIMIT_SLACK
+    ):
+        pairs = ", ".join(f"'{mimic.joint}' after '{mimic.mimics}'" for mimic in robot.mimics)
+        raise InputError(f"the start of problem '{problem}' has joints apart that follow others", pairs)
+    if robot.mimics and any(phase.impact for phase in schedule.phases):
+        raise InputError(
+            f"robot '{robot.name}' has joints that follow others, and a phase begins with an impact",
+            "allowed: landings at zero velocity",
+        )
 
 
 def require_modes(

@@ -2,14 +2,17 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.data import VisualSource
 from trajopt.robot.mjcf import compile_mjcf, joint_names
+from trajopt.robot.mjcf_actuators import actuation_of
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.robot.reading import existing_file, require_xml
 
@@ -18,20 +21,40 @@ WRAP_JOINT, WRAP_SITE, WRAP_GEOMS = 1, 3, (4, 5)
 
 
 class Coupling(NamedTuple):
-    """A constraint: ``what`` it is, its ``joints``, and those ``needed`` to be locked to free the others."""
+    """A constraint: ``what`` it is, its ``joints``, and those ``needed`` to be locked to free the others.
+
+    mimic: by which one of two joints follows the other; None of other constraints. driven: both have motors.
+    """
 
     what: str
     joints: tuple[str, ...]
     needed: tuple[str, ...]
+    mimic: MimicJoint | None = None
+    driven: bool = False
 
 
-def require_independent(path: str | Path, couplings: Sequence[Coupling], locked: Sequence[str]) -> None:
-    """Raise `InputError` for joints of a file that others drive, unless they are among those ``locked``."""
-    broken = [each for each in couplings if not set(each.needed) <= set(locked)]
+def following(
+    path: str | Path, couplings: Sequence[Coupling], locked: Sequence[str]
+) -> dict[MimicJoint, bool]:
+    """Joints of a file that follow others and are not ``locked``, and whether they have motors of their own.
+
+    After a joint that follows comes the one that this follows. Raises `InputError` for joints that depend on
+    others in another way and are not locked.
+    """
+    mimics = {each.mimic.joint: each.mimic for each in couplings if each.mimic}
+    for name in mimics:
+        for _ in mimics:
+            mimic, leader = mimics[name], mimics.get(mimics[name].mimics)
+            if leader is not None:
+                ratio, offset = mimic.ratio * leader.ratio, mimic.ratio * leader.offset + mimic.offset
+                mimics[name] = replace(mimic, mimics=leader.mimics, ratio=ratio, offset=offset)
+    broken = [each for each in couplings if each.mimic is None and not set(each.needed) <= set(locked)]
     if broken:
         joints = list(dict.fromkeys(joint for each in broken for joint in each.joints))
         what = "; ".join(each.what for each in broken)
         raise InputError(f"joints of {path} are not independent: {what}", f"lock them: locked={joints}")
+    driven = {each.mimic.joint: each.driven for each in couplings if each.mimic}
+    return {mimic: driven[name] for name, mimic in mimics.items() if name not in locked}
 
 
 def couplings_of(source: VisualSource) -> tuple[Coupling, ...]:
@@ -48,7 +71,13 @@ def urdf_couplings(path: str | Path) -> tuple[Coupling, ...]:
         if mimic is not None and name in moving:
             other = mimic.get("joint", "")
             pair = tuple(each for each in (other, name) if each in moving)
-            found.append(Coupling(f"'{name}' mimics '{other}'", pair, (name,)))
+            numbers = (float(mimic.get(key, usual)) for key, usual in (("multiplier", 1.0), ("offset", 0.0)))
+            rule = None
+            if len(pair) == 2 and joint.get("type") != "continuous":
+                rule = MimicJoint(
+                    joint=name, mimics=other, **dict(zip(("ratio", "offset"), numbers, strict=True))
+                )
+            found.append(Coupling(f"'{name}' mimics '{other}'", pair, (name,), rule))
     return tuple(found)
 
 
@@ -62,8 +91,21 @@ def mjcf_couplings(compiled: Any) -> tuple[Coupling, ...]:
         joints = tuple(names[joint] for joint in _joints_of(compiled, kind, objects, bool(sites)))
         if joints:
             name = f" '{compiled.equality(index).name}'" if compiled.equality(index).name else ""
-            found.append(Coupling(f"equality {kind}{name} of {', '.join(joints)}", joints, joints))
+            what = f"equality {kind}{name} of {', '.join(joints)}"
+            rule = _mimic(compiled, index, joints) if kind == "joint" and len(joints) == 2 else None
+            driven = rule is not None and bool(actuation_of(compiled).driven[objects].all())
+            found.append(Coupling(what, joints, joints, rule, driven))
     return tuple(found)
+
+
+def _mimic(compiled: Any, index: int, joints: tuple[str, ...]) -> MimicJoint | None:
+    """How the first joint of an equality follows the second; None if it is not linear."""
+    constant, ratio, *others = compiled.eq_data[index][:5].tolist()
+    if any(others):
+        return None
+    one, two = (compiled.qpos0[compiled.jnt_qposadr[compiled.joint(name).id]] for name in joints)
+    offset = float(one + constant - ratio * two)
+    return MimicJoint(joint=joints[0], mimics=joints[1], ratio=float(ratio), offset=offset)
 
 
 def _joints_of(compiled: Any, kind: str, objects: list[int], sites: bool) -> list[int]:

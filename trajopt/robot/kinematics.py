@@ -11,6 +11,7 @@ import pinocchio as pin
 from trajopt.arguments import checked
 from trajopt.dynamics.model_content import frame_content
 from trajopt.errors import InputError
+from trajopt.robot.actuators.mimic import followed
 from trajopt.robot.robot import Robot
 
 # A pose, or a position (3,) in m, for each frame by name.
@@ -96,17 +97,21 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
     _require_size(robot, q)
     _require_targets(robot, targets)
     model, data = robot.model, robot.model.createData()
-    movable = np.arange(robot.nv) if move_base else robot.actuated_rows
+    movable = robot.actuation.leading if move_base else robot.actuated_rows
+    independent = robot.actuation.independent
     damping, error = FIRST_DAMPING, _errors(model, data, q, targets)
     for _ in range(MOST_ITERATIONS):
         if np.linalg.norm(error) < TOLERANCE or damping > 1 / FIRST_DAMPING:
             break
         whole = _jacobian(model, data, q, targets)
+        if robot.mimics:
+            whole = whole @ independent @ independent.T
         moving = movable[~_held_by_limits(robot, q, whole.T @ error)[movable]]
         jacobian, step = whole[:, moving], np.zeros(robot.nv)
         normal = jacobian.T @ jacobian + damping * np.eye(len(moving))
         step[moving] = -np.linalg.solve(normal, jacobian.T @ error)
         trial = np.clip(pin.integrate(model, q, step), robot.position_lower, robot.position_upper)
+        trial = followed(model, robot.mimics, trial)
         trial_error = _errors(model, data, trial, targets)
         if np.linalg.norm(trial_error) < np.linalg.norm(error):
             q, error, damping = trial, trial_error, max(damping / DAMPING_GROWTH, LEAST_DAMPING)

@@ -22,9 +22,10 @@ from trajopt.robot import building
 from trajopt.robot.actuators.actuation import Actuation, Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import SPRING, JointForce, described_forces, with_spring_joints
+from trajopt.robot.actuators.mimic import MimicJoint, followed, require_mimics
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
 from trajopt.robot.contact import Contact, require_frame
-from trajopt.robot.coupling import mjcf_couplings, require_independent, urdf_couplings
+from trajopt.robot.coupling import following, mjcf_couplings, urdf_couplings
 from trajopt.robot.data import VisualSource, package_directories
 from trajopt.robot.mjcf import compile_mjcf, read_mjcf
 from trajopt.robot.natural_units import NaturalUnits
@@ -60,6 +61,7 @@ class Robot:
         drives: a `Drive` or None for each input (nu), or None; set with `with_drives`.
         thrusters: on the base, whose forces are the last inputs; set with `with_thrusters`.
         joint_forces: springs, damping and dry friction of joints; set with `with_joint_forces`.
+        mimics: joints that follow others; set with `with_mimics`.
 
     Raises:
         InputError: for an unknown frame, a wrong shape, a number that is not finite, a reference outside the
@@ -81,6 +83,7 @@ class Robot:
     drives: tuple[Drive | None, ...] | None = None
     thrusters: tuple[Thruster, ...] = ()
     joint_forces: tuple[JointForce, ...] = ()
+    mimics: tuple[MimicJoint, ...] = ()
 
     def __post_init__(self) -> None:
         kind = base_of(self.model)
@@ -89,6 +92,7 @@ class Robot:
                 f"robot '{self.name}' has a {kind} root joint but base={self.base!r}", f"{kind!r}"
             )
         object.__setattr__(self, "contacts", building.within_plane(self.model, self.contacts))
+        require_mimics(self.name, self.model, self.mimics)
         shapes = {
             "reference": self.nq,
             "velocity_limit": self.nv,
@@ -141,7 +145,7 @@ class Robot:
     def actuation(self) -> Actuation:
         """The map from inputs (nu,), motors of joints and then thrusters, to generalised forces."""
         unit = NaturalUnits.of(self.model).generalized_force(self.model)
-        return Actuation.of(self.model, self.actuated_rows, self.thrusters, unit)
+        return Actuation.of(self.model, self.actuated_rows, self.thrusters, self.mimics, unit)
 
     @property
     def _rows_of_inputs(self) -> np.ndarray:
@@ -212,6 +216,7 @@ class Robot:
         """Return this robot with ``joints`` welded at their value in ``reference`` (nq,), default its own."""
         at = self.reference if reference is None else np.asarray(reference, dtype=float)
         replace(self, reference=at)  # rejects a reference of wrong shape or outside the limits
+        joints = self.locked_with(joints)
         model = building.locked_model(self.model, joints, at)
         q, v = building.joint_entries(self.model, list(model.names)[1:])
         return replace(
@@ -223,8 +228,14 @@ class Robot:
             position_upper=self.position_upper[q],
             passive=tuple(name for name in self.passive if name not in joints),
             joint_forces=tuple(force for force in self.joint_forces if force.joint not in joints),
+            mimics=tuple(mimic for mimic in self.mimics if mimic.joint not in joints),
             **self.actuators_of(v),
         )
+
+    def locked_with(self, joints: Sequence[str]) -> list[str]:
+        """These joints, and those that follow one of them."""
+        led = [mimic.joint for mimic in self.mimics if mimic.mimics in joints]
+        return list(dict.fromkeys((*joints, *led)))
 
     def actuators_of(self, rows: np.ndarray) -> dict[str, Any]:
         """Return torque limits and drives of the actuated ones of ``rows`` of v, as fields of a robot."""
@@ -318,6 +329,46 @@ class Robot:
             **changed,
         )
 
+    @checked
+    def with_mimics(self, mimics: Sequence[MimicJoint], driven: Sequence[str] = ()) -> Robot:
+        """Return this robot with joints that follow others, in place of those it has.
+
+        They are where they have to be in the reference, and limits of one of a pair hold for both.
+
+        Args:
+            mimics: which follow which.
+            driven: of those that follow, the ones with a motor of their own; others have none.
+
+        Raises:
+            InputError: for joints that are unknown, have several coordinates, or follow one that follows.
+        """
+        require_mimics(self.name, self.model, mimics)
+        idle = [mimic.joint for mimic in mimics if mimic.joint not in driven]
+        passive = tuple(dict.fromkeys((*self.passive, *idle)))
+        lost = building.joint_entries(self.model, passive)[1]
+        kept = np.flatnonzero(~np.isin(self._rows_of_inputs, lost))
+        lower, upper, fastest = (
+            a.copy() for a in (self.position_lower, self.position_upper, self.velocity_limit)
+        )
+        for mimic in mimics:  # limits of one are limits of the other
+            (one, two), ratio = mimic.joints(self.model), mimic.ratio
+            ends = (np.array([lower[one.idx_q], upper[one.idx_q]]) - mimic.offset) / (ratio or np.nan)
+            lower[two.idx_q] = np.nanmax([lower[two.idx_q], np.min(ends)])
+            upper[two.idx_q] = np.nanmin([upper[two.idx_q], np.max(ends)])
+            fastest[two.idx_v] = np.nanmin([fastest[two.idx_v], fastest[one.idx_v] / (abs(ratio) or np.nan)])
+        at = followed(self.model, mimics, np.clip(self.reference, lower, upper))
+        return replace(
+            self,
+            mimics=tuple(mimics),
+            passive=passive,
+            reference=at,
+            position_lower=lower,
+            position_upper=upper,
+            velocity_limit=fastest,
+            torque_limit=None if self.torque_limit is None else self.torque_limit[kept],
+            drives=None if self.drives is None else tuple(self.drives[int(row)] for row in kept),
+        )
+
     def least_torque(self, limit: np.ndarray) -> np.ndarray:
         """Least inputs (nu,) that go with the largest ones ``limit``: of joints their negative."""
         least = -limit
@@ -379,20 +430,21 @@ class Robot:
                 as `Robot`.
         """
         model = read_urdf(path, base)
-        require_independent(path, urdf_couplings(path), locked)
+        mimics = following(path, urdf_couplings(path), locked)
         source = expanded(path).absolute()
         given = None if package_dirs is None else tuple(Path(entry).absolute() for entry in package_dirs)
         directories = package_directories(source) if given is None else given
-        return cls.from_model(
+        robot = cls.from_model(
             model,
             base=base,
             contacts=contacts,
             reference=reference,
-            locked=locked,
+            locked=() if mimics else locked,
             name=name or model.name,
             visual=VisualSource(urdf=source, package_dirs=directories),
             passive=passive,
         )
+        return robot.with_mimics(list(mimics)).with_locked(locked) if mimics else robot
 
     @classmethod
     @checked
@@ -413,11 +465,12 @@ class Robot:
         those of it. By default joints without actuator are passive, if others have one. Contacts name bodies,
         sites and colliding balls.
 
-        Raises `InputError` for a missing or malformed file, a base that contradicts it, joints that are not
-        independent and not locked, several free joints, and where MuJoCo is not installed.
+        Raises `InputError` for a missing or malformed file, a base that contradicts it, joints that depend on
+        others nonlinearly or in loops and are not locked, several free joints, and where MuJoCo is not
+        installed.
         """
         compiled = compile_mjcf(path)
-        require_independent(path, mjcf_couplings(compiled), locked)
+        mimics = following(path, mjcf_couplings(compiled), locked)
         read = read_mjcf(path, compiled, base)
         posture = {**read.joints, **reference} if isinstance(reference, Mapping) else reference
         idle = read.passive if passive is None else passive
@@ -425,10 +478,13 @@ class Robot:
             read.model,
             base=base,
             reference=read.home if posture is None else posture,
-            locked=locked,
-            passive=[joint for joint in idle if joint not in locked],
+            locked=() if mimics else locked,
+            passive=[joint for joint in idle if mimics or joint not in locked],
             **{"visual": VisualSource(urdf=expanded(path).absolute()), **options},
         )
+        if mimics:
+            driven = [mimic.joint for mimic, has_motor in mimics.items() if has_motor]
+            robot = robot.with_mimics(list(mimics), driven).with_locked(locked)
         if reference is not None or read.home is None:
             return robot
         standing = building.put_on_ground(robot.model, robot.base, robot.contacts, robot.reference)

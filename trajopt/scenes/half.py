@@ -143,8 +143,11 @@ def _with_limits(
             lower[new_q] = np.maximum(lower[new_q], low)
             upper[new_q] = np.minimum(upper[new_q], high)
     reference = np.clip(pin.neutral(model), lower, upper)
-    if robot.thrusters or robot.joint_forces:
-        raise InputError(f"'{robot.name}' has thrusters, or forces at joints", "allowed in a half: none")
+    if robot.thrusters or robot.joint_forces or robot.mimics:
+        raise InputError(
+            f"'{robot.name}' has thrusters, forces at joints, or joints that follow",
+            "allowed in a half: none",
+        )
     return Robot(
         name=f"{robot.name} (half)",
         model=model,

@@ -63,6 +63,10 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
                 needs.setdefault(name, f"{term.name} wants it elsewhere")
     for name in keep:
         needs.setdefault(name, KEPT_AS_ASKED)
+    for mimic in robot.mimics:
+        if mimic.joint in needs or mimic.mimics in needs:
+            needs.setdefault(mimic.joint, f"follows '{mimic.mimics}'")
+            needs.setdefault(mimic.mimics, f"leads '{mimic.joint}'")
     return needs
 
 

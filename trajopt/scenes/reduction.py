@@ -224,6 +224,7 @@ def lock_joints(
     refer.
     """
     kept = tuple(c for c in robot.contacts if contacts is None or c.name in contacts)
+    names = robot.locked_with(names)
     fewer = replace(robot, contacts=kept)
     made = Reduction(
         whole=robot,

@@ -22,6 +22,7 @@ from trajopt.simulation.bodies import (
     build_bodies,
     compile_bodies,
     mujoco_quaternion,
+    part_name,
 )
 from trajopt.simulation.coordinates import CoordinateMap
 from trajopt.simulation.ground import (
@@ -103,6 +104,7 @@ def build_world(plan: Solution, settings: SimulationSettings) -> World:
     buried = _buried(plan, joints, place)
     ground = add_ground(bodies.spec, plan, place)
     feet = _add_feet(bodies, plan, place)
+    _add_mimics(bodies, plan)
     links, capsules, obstacles = _add_links(bodies, plan, place, buried)
     grasps = _add_grasps(bodies, plan, touching, _stiffness(settings, units))
     _options(bodies.spec, settings.step(units.time))
@@ -191,6 +193,19 @@ def touching_places(plan: Solution, contact: int) -> np.ndarray:
 
 def _extent(plan: Solution, contact: int) -> float:
     return float(np.linalg.norm(touching_places(plan, contact), axis=1).max())
+
+
+def _add_mimics(bodies: Bodies, plan: Solution) -> None:
+    """Equalities between the positions of joints, of which one follows the other."""
+    mujoco = mujoco_package()
+    for mimic in plan.description.mimics:
+        names = (part_name(bodies.model.getJointId(name), 0) for name in (mimic.joint, mimic.mimics))
+        bodies.spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            data=np.pad([mimic.offset, mimic.ratio], (0, int(mujoco.mjNEQDATA) - 2)),
+            **dict(zip(("name1", "name2"), names, strict=True)),
+        )
 
 
 def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[str]]:

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
+from trajopt.robot.actuators.mimic import require_mimics
 from trajopt.solution.arrays import OTHERS, REQUESTS, SAMPLED, runs
 from trajopt.solution.description import PlanDescription
 from trajopt.solution.statistics import SolveStatistics
@@ -89,6 +90,7 @@ def _wrong_shape(
             thruster.column(model)
         for force in plan.joint_forces:
             force.entries(model)
+        require_mimics(plan.robot, model, plan.mimics)
     except InputError as error:
         return str(error)
     for key, limit, size in (

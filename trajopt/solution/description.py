@@ -13,6 +13,7 @@ from trajopt.collision.shapes import LinkShape, Obstacle
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
+from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.data import VisualSource
 from trajopt.schedule.moment import Target
 from trajopt.terrain.flat import FlatGround
@@ -120,6 +121,7 @@ class PlanDescription:
         actuated_rows: rows of v that have a torque; None where they are the last.
         thrusters: whose forces are the last columns of torques.
         joint_forces: springs, damping and dry friction at joints, part of the dynamics.
+        mimics: joints that follow others.
         terrain: None where it is not known.
         surfaces, patches: for each phase what active contacts touch or stand on, by contact frames; empty
             where all touch the terrain.
@@ -146,6 +148,7 @@ class PlanDescription:
     actuated_rows: np.ndarray | None = None
     thrusters: tuple[Thruster, ...] = ()
     joint_forces: tuple[JointForce, ...] = ()
+    mimics: tuple[MimicJoint, ...] = ()
     terrain: Terrain | None = None
     surfaces: tuple[Mapping[str, Surface], ...] = ()
     patches: tuple[Mapping[str, Patch], ...] = ()

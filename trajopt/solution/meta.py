@@ -13,6 +13,7 @@ from trajopt.errors import InputError, SolutionFileError, is_number
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
+from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.data import VisualSource
 from trajopt.schedule.moment import Target
 from trajopt.solution.description import (
@@ -40,7 +41,7 @@ REQUIRED = (
 # Keys of descriptions, and keys that follow from arrays: all others are of statistics.
 DESCRIBED = (
     *("problem", "parameters", "robot", "actuation", "gravity", "effort_limit", "velocity_limit"),
-    *("actuated_rows", "thrusters", "joint_forces"),
+    *("actuated_rows", "thrusters", "joint_forces", "mimics"),
     *("contact_frames", "contact_names", "contact_kinds", "contact_sizes", "contact_radius", "friction"),
     *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
     *("visual", "phase_names"),
@@ -74,6 +75,7 @@ def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
         actuated_rows=_optional(meta, "actuated_rows", _rows),
         thrusters=tuple(_each(meta, "thrusters", Thruster.from_meta)),
         joint_forces=tuple(_each(meta, "joint_forces", JointForce.from_meta)),
+        mimics=tuple(_each(meta, "mimics", MimicJoint.from_meta)),
         terrain=_optional(meta, "terrain", terrain_from_description),
         surfaces=_by_phase(meta, "surfaces", "surface", Surface.from_description),
         patches=_by_phase(meta, "patches", "patch", Patch.from_description),
@@ -176,10 +178,9 @@ def _described_options(plan: PlanDescription) -> _Json:
     options: _Json = {}
     if plan.actuated_rows is not None:
         options["actuated_rows"] = plan.actuated_rows
-    if plan.thrusters:
-        options["thrusters"] = [thruster.to_meta() for thruster in plan.thrusters]
-    if plan.joint_forces:
-        options["joint_forces"] = [force.to_meta() for force in plan.joint_forces]
+    for name in ("thrusters", "joint_forces", "mimics"):
+        if getattr(plan, name):
+            options[name] = [entry.to_meta() for entry in getattr(plan, name)]
     if plan.payloads:
         options["payloads"] = [vars(body) for body in plan.payloads]
     if plan.periodicity is not None:

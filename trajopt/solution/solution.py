@@ -190,7 +190,9 @@ class Solution:
     def actuation(self) -> Actuation:
         """The map from ``tau`` to generalised forces."""
         unit = NaturalUnits.of(self.model).generalized_force(self.model)
-        return Actuation.of(self.model, self.actuated_rows, self.description.thrusters, unit)
+        return Actuation.of(
+            self.model, self.actuated_rows, self.description.thrusters, self.description.mimics, unit
+        )
 
     def joint_force(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Forces (..., nv) of springs, damping and dry friction at states (..., nq), (..., nv)."""

@@ -245,6 +245,7 @@ def described_robot(problem: Problem) -> dict[str, Any]:
         "actuated_rows": None if last else robot.actuated_rows,
         "thrusters": robot.thrusters,
         "joint_forces": robot.joint_forces,
+        "mimics": robot.mimics,
         "contacts": tuple(_contact(contact, problem.terrain.friction) for contact in robot.contacts),
         "surfaces": _surfaces(problem),
         "patches": _patches(problem),

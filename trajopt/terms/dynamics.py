@@ -47,6 +47,26 @@ class BaseDynamics(PointConstraint):
 
 
 @dataclass(frozen=True, kw_only=True)
+class FollowingJoints(PointConstraint):
+    """Joints follow others, as `MimicJoint` has it.
+
+        xi_j'' - r xi_i'' = 0        of a velocity source  xi_j' - r xi_i' = 0
+
+    Rows are over g or g / l, and sqrt(g l) or sqrt(g / l). With a start that is so, positions follow, too.
+    """
+
+    @override
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        robot, slow = context.robot, context.actuation == "velocity"
+        if not robot.mimics:
+            return None
+        coupling = robot.actuation.coupling
+        rows = ca.mtimes(context.parameter(coupling), context.dxi if slow else context.ddxi)
+        unit = units.velocity if slow else units.acceleration
+        return Rows.create(rows, 0, 0, (np.abs(coupling) * unit).max(axis=1))
+
+
+@dataclass(frozen=True, kw_only=True)
 class ContactAcceleration(PointConstraint):
     """Active contacts do not accelerate.
 

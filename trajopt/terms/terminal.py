@@ -47,7 +47,7 @@ def free_directions(
             are held along the normal alone.
     """
     if not contacts:
-        return np.eye(robot.nv)
+        return robot.actuation.independent if robot.mimics else np.eye(robot.nv)
     coordinates = Coordinates(robot.model)
     nodes = np.tile(coordinates.node_from_pinocchio(q, np.zeros(robot.nv)), (robot.nv, 1))
     nodes[:, -robot.nv :] = np.eye(robot.nv)
@@ -56,6 +56,7 @@ def free_directions(
     for contact in map(robot.contact, contacts):
         rows = contact_jacobian(robot.model, q, [(contact.frame, contact.rows)])
         held.append(normals[contact.name][None] @ rows if contact.name in normals else rows)
+    held.append(robot.actuation.coupling)
     jacobian = np.vstack(held) @ to_pinocchio
     _, singular, vt = np.linalg.svd(jacobian)
     rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))

@@ -151,13 +151,15 @@ class ContactDynamics:
 
     The same equations as `forward_dynamics`, without its report. Points are held by Pinocchio's proximal
     algorithm. By a projection are soles, of which it would hold the spatial, not the classical acceleration,
-    and where it does not converge, as with rows that contradict each other. NaN where the mass matrix is not
+    and where it does not converge, as with rows that contradict each other, or with joints that follow others
+    (``independent``, E (nv, ny) of v = E y). NaN where the mass matrix is not
     positive definite.
     """
 
-    def __init__(self, model: pin.Model, contacts: ContactSet) -> None:
+    def __init__(self, model: pin.Model, contacts: ContactSet, independent: np.ndarray | None = None) -> None:
         self.model = model
         self.contacts = contacts
+        self.independent = independent
         self._data = model.createData()
         self._constraints, self._states = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
         for frame in contacts.frames:
@@ -172,7 +174,7 @@ class ContactDynamics:
     def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""
         model, data = self.model, self._data
-        if set(self.contacts.dimensions) != {3}:
+        if set(self.contacts.dimensions) != {3} or self.independent is not None:
             return self._projected(q, v, generalized_force)
         settings = pin.ProximalSettings(PROXIMAL, SOFTNESS, MOST_PROXIMAL)
         solved: np.ndarray = pin.constraintDynamics(
@@ -189,12 +191,17 @@ class ContactDynamics:
 
     def _projected(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         model, data, contacts = self.model, self._data, self.contacts
-        lower, failed = dpotrf(pin.crba(model, data, q).T, lower=1)
+        # Rates y of v = E y; without joints that follow others these are v.
+        e = np.eye(model.nv) if self.independent is None else self.independent
+        mass = pin.crba(model, data, q)
+        mass = np.triu(mass) + np.triu(mass, 1).T if self.independent is not None else mass.T
+        lower, failed = dpotrf(mass if self.independent is None else e.T @ mass @ e, lower=1)
         if failed:
             return np.full(model.nv, np.nan)
-        free = dpotrs(lower, generalized_force - pin.nle(model, data, q, v), lower=1)[0]
+        free = dpotrs(lower, e.T @ (generalized_force - pin.nle(model, data, q, v)), lower=1)[0]
         if not contacts.n_rows:
-            return free
+            return np.asarray(e @ free)
         rows = contact_kinematics(model, data, q, v, contacts)
-        wanted = -contacts.scale * (rows.drift + rows.jacobian @ free)
-        return free + contact_response(lower, contacts, rows.jacobian).least_change(wanted)
+        jacobian = rows.jacobian @ e
+        wanted = -contacts.scale * (rows.drift + jacobian @ free)
+        return np.asarray(e @ (free + contact_response(lower, contacts, jacobian).least_change(wanted)))

@@ -20,6 +20,7 @@ import pinocchio as pin
 from trajopt.arguments import NonNegative, UnboundedPositive, checked
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
+from trajopt.robot.actuators.mimic import MimicJoint, independent_rates
 
 # Singular values of the map below this fraction of the largest count as zero.
 RANK = 1e-9
@@ -95,20 +96,31 @@ class Actuation:
     """The map S^T (nv, nu) of a robot; arrays of forces, inputs and rates have them along their last axis.
 
     rows: of v that have a motor. thrust: (nv, n) columns of thrusters, whose inputs come last. unit: (nv,) N
-    and N m, by which rows of the balance are scaled where there are thrusters.
+    and N m, by which rows of the balance are scaled where there are thrusters. leading: rows (ny,) of joints
+    that follow no other, independent: E (nv, ny) of those that do, see `trajopt.robot.actuators.mimic`.
     """
 
     rows: np.ndarray
     thrust: np.ndarray
     unit: np.ndarray
+    leading: np.ndarray
+    independent: np.ndarray
 
     @classmethod
     def of(
-        cls, model: pin.Model, rows: np.ndarray, thrusters: Sequence[Thruster], unit: np.ndarray
+        cls,
+        model: pin.Model,
+        rows: np.ndarray,
+        thrusters: Sequence[Thruster],
+        mimics: Sequence[MimicJoint],
+        unit: np.ndarray,
     ) -> "Actuation":
         """The map of a model's joints with a motor and its thrusters. Raises `InputError`."""
         columns = [thruster.column(model) for thruster in thrusters]
-        return cls(rows, np.array(columns).reshape(-1, model.nv).T, unit)
+        thrust = np.array(columns).reshape(-1, model.nv).T
+        followers = [mimic.joints(model)[0].idx_v for mimic in mimics]
+        leading = np.setdiff1d(np.arange(model.nv), followers)
+        return cls(rows, thrust, unit, leading, independent_rates(model, mimics))
 
     @cached_property
     def free(self) -> np.ndarray:
@@ -117,8 +129,8 @@ class Actuation:
 
     @property
     def is_selection(self) -> bool:
-        """Whether inputs are rows of v alone, without thrusters."""
-        return self.thrust.shape[1] == 0
+        """Whether inputs are rows of v alone, without thrusters and joints that follow."""
+        return self.thrust.shape[1] == 0 and len(self.leading) == len(self.unit)
 
     @cached_property
     def matrix(self) -> np.ndarray:
@@ -127,17 +139,33 @@ class Actuation:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """Pseudo-inverse of S^T (nu, nv), in the scale of the unit."""
-        return np.asarray(np.linalg.pinv(self.matrix / self.unit[:, None]) / self.unit)
+        """Pseudo-inverse of E^T S^T times E^T (nu, nv), in the scale of the unit."""
+        unit = self._unit
+        moved = self.independent.T @ self.matrix / unit[:, None]
+        return np.asarray((np.linalg.pinv(moved) / unit) @ self.independent.T)
+
+    @property
+    def _unit(self) -> np.ndarray:
+        """Units (ny,) of the rows that follow no other."""
+        return self.unit[self.leading]
 
     @cached_property
     def balance(self) -> np.ndarray:
         """Rows (nv - rank, nv) of what no input reaches; dimensionless, or rows of the identity."""
         if self.is_selection:
             return np.eye(len(self.unit))[self.free]
-        left, singular, _ = np.linalg.svd(self.matrix / self.unit[:, None])
-        rank = int(np.sum(singular > RANK * singular[0]))
-        return np.asarray(left[:, rank:].T / self.unit)
+        unit = self._unit
+        left, singular, _ = np.linalg.svd(self.independent.T @ self.matrix / unit[:, None])
+        rank = int(np.sum(singular > RANK * singular.max(initial=0.0)))
+        return np.asarray((left[:, rank:].T / unit) @ self.independent.T)
+
+    @cached_property
+    def coupling(self) -> np.ndarray:
+        """C (nv - ny, nv) of C v = 0, a row for each joint that follows another."""
+        followers = np.setdiff1d(np.arange(len(self.unit)), self.leading)
+        rows = np.eye(len(self.unit))[followers]
+        rows[:, self.leading] -= self.independent[followers]
+        return rows
 
     def force(self, inputs: np.ndarray) -> np.ndarray:
         """S^T tau (..., nv) of inputs (..., nu)."""
@@ -152,6 +180,12 @@ class Actuation:
     def balanced(self, force: np.ndarray) -> np.ndarray:
         """What no input makes of a generalised force (..., nv), see `balance`."""
         return np.asarray(force[..., self.free] if self.is_selection else force @ self.balance.T)
+
+    def unmade(self, force: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+        """What is left (..., nv) of a generalised force that inputs should make; zero where joints follow."""
+        left = np.zeros(force.shape)
+        left[..., self.leading] = (force - self.force(inputs)) @ self.independent
+        return left
 
     def rates(self, v: np.ndarray) -> np.ndarray:
         """Rates (..., nu) of what the inputs push: of joints, and of thrusters along their axes."""

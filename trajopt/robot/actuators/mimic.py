@@ -1,0 +1,94 @@
+"""Joints that follow others: a gripper's second finger, coupled axes.
+
+    q_j = r q_i + c,      v = E y with the independent rates y,      E^T (M a + h - S^T tau - J^T f) = 0
+
+The force that couples the joints does no work (Featherstone, Rigid Body Dynamics Algorithms, 2008, sec. 3.2).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.arguments import checked
+from trajopt.errors import InputError, UnsupportedJointError
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class MimicJoint:
+    """A joint that follows another; both have one coordinate.
+
+    Args:
+        joint: name of the one that follows.
+        mimics: name of the one it follows, which is independent.
+        ratio: r, of their positions and rates.
+        offset: c, rad or m.
+    """
+
+    joint: str
+    mimics: str
+    ratio: float = 1.0
+    offset: float = 0.0
+
+    @classmethod
+    def from_meta(cls, meta: Any) -> "MimicJoint":
+        """The one of a solution file's description; raises `InputError` where it is not one."""
+        names = {field.name for field in fields(cls)}
+        if not isinstance(meta, Mapping) or set(meta) != names:
+            raise InputError("a mimic joint in meta is not an object of its fields", ", ".join(sorted(names)))
+        return cls(**meta)
+
+    def to_meta(self) -> dict[str, Any]:
+        """Fields for JSON."""
+        return asdict(self)
+
+    def joints(self, model: pin.Model) -> tuple[Any, Any]:
+        """The joint that follows and the one it follows. Raises `InputError`."""
+        for name in (self.joint, self.mimics):
+            if not model.existJointName(name):
+                known = ", ".join(list(model.names)[1:])
+                raise InputError(f"joint '{name}' of a mimic joint is unknown", f"one of {known}")
+            joint = model.joints[model.getJointId(name)]
+            if joint.nq != 1 or joint.nv != 1:
+                raise UnsupportedJointError(name, joint.shortname(), "mimic joints of one coordinate")
+        return tuple(model.joints[model.getJointId(name)] for name in (self.joint, self.mimics))
+
+    def apart(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
+        """How far (...,) the joint is from where it has to be at configurations (..., nq), rad or m."""
+        joint, leader = self.joints(model)
+        return np.asarray(q[..., joint.idx_q] - self.ratio * q[..., leader.idx_q] - self.offset)
+
+
+def require_mimics(robot: str, model: pin.Model, mimics: Sequence[MimicJoint]) -> None:
+    """Raise `InputError` for joints that follow two others, themselves, or one that follows."""
+    followers = [mimic.joint for mimic in mimics]
+    for mimic in mimics:
+        mimic.joints(model)
+        if followers.count(mimic.joint) > 1 or mimic.mimics in followers:
+            raise InputError(
+                f"'{mimic.joint}' of robot '{robot}' mimics '{mimic.mimics}'",
+                "allowed: each joint once, after one that follows no other",
+            )
+
+
+def followed(model: pin.Model, mimics: Sequence[MimicJoint], q: np.ndarray) -> np.ndarray:
+    """A configuration (nq,) with the joints that follow where they have to be."""
+    q = np.array(q, dtype=float)
+    for mimic in mimics:
+        joint, leader = mimic.joints(model)
+        q[joint.idx_q] = mimic.ratio * q[leader.idx_q] + mimic.offset
+    return q
+
+
+def independent_rates(model: pin.Model, mimics: Sequence[MimicJoint]) -> np.ndarray:
+    """E (nv, ny) of v = E y, whose columns are those of the rows that follow no other."""
+    whole = np.eye(model.nv)
+    rows = []
+    for mimic in mimics:
+        joint, leader = mimic.joints(model)
+        whole[joint.idx_v, leader.idx_v] = mimic.ratio
+        rows.append(joint.idx_v)
+    return np.delete(whole, rows, axis=1)
