@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -187,7 +188,11 @@ def _along(model: pin.Model, postures: Sequence[np.ndarray], duration: float) ->
 
     start = postures[0]
     spline = CubicSpline(np.linspace(0.0, 1.0, KNOTS), [pin.difference(model, start, q) for q in postures])
-    return lambda t: np.asarray(pin.integrate(model, start, spline(smooth_step(t / duration))))
+    return partial(_moved, model, start, spline, duration)
+
+
+def _moved(model: pin.Model, start: np.ndarray, way: Motion, duration: float, t: float) -> np.ndarray:
+    return np.asarray(pin.integrate(model, start, way(smooth_step(t / duration))))
 
 
 def _normal(arm: arms.Arm, tilt: float | None, out: float) -> np.ndarray:

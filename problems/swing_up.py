@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -55,6 +56,12 @@ def _pendulum(robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
     )
 
 
+def _turning(pendulum: Robot, turn: np.ndarray, duration: float, t: float) -> np.ndarray:
+    """Guess: the first joint at ``t`` s of its smooth turn."""
+    turned = smooth_step(t / duration) * turn
+    return np.asarray(pin.integrate(pendulum.model, pendulum.reference, turned))
+
+
 def build(*, robot: str, goal: str, duration: float | None, torque_share: float) -> Problem:
     """Build the swing-up; see ``FAMILIES`` for the parameters. Raises InputError."""
     pendulum = robots.load(robot)
@@ -63,15 +70,11 @@ def build(*, robot: str, goal: str, duration: float | None, torque_share: float)
     schedule = Schedule((Phase(name="swing", duration=nominal),))
     schedule = common.freed(schedule, FREE) if goal == "time" else schedule
 
-    def turning(t: float) -> np.ndarray:
-        turned = smooth_step(t / nominal) * turn
-        return np.asarray(pin.integrate(pendulum.model, pendulum.reference, turned))
-
     return common.problem(
         "acrobot" if pendulum.passive else "double-pendulum",
         pendulum,
         schedule,
-        turning,
+        partial(_turning, pendulum, turn, nominal),
         costs=goal_terms(goal, pendulum, schedule, effort=EFFORT),
         torque_share=torque_share,
         end=upright,

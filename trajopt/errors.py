@@ -20,6 +20,10 @@ MANY, LISTED = 60, 8
 class TrajoptError(Exception):
     """Base of every error the toolkit raises for its user's input or environment."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as it is, whatever its class takes: a pool raises the errors of its processes."""
+        return _as_raised, (type(self), self.args), vars(self)
+
 
 class InputError(TrajoptError):
     """A value given by the user is not allowed.
@@ -46,6 +50,10 @@ def not_among(known: Iterable[str], name: str, what: str) -> InputError:
     hint = f"did you mean {close[0]}? " if close else ""
     listed = names if len(names) <= MANY else [*(close or names[:LISTED]), "..."]
     return InputError(what, f"{hint}allowed: {', '.join(listed) or 'none'}")
+
+
+def _as_raised(kind: type[TrajoptError], args: tuple[Any, ...]) -> TrajoptError:
+    return kind.__new__(kind, *args)
 
 
 class UnsupportedJointError(InputError):

@@ -13,6 +13,7 @@ import numpy as np
 from trajopt.arguments import Positive, checked
 from trajopt.errors import InputError, finite_array, numbers_of, require_not_negative, require_positive
 from trajopt.kinds import ArrayShape
+from trajopt.pickling import picklable
 from trajopt.terrain.surface import FARTHEST, MOST_CORNERS
 
 # Tolerance of a rotation matrix: rounding of numbers written as decimals.
@@ -24,6 +25,7 @@ ShapeKind = Literal["sphere", "capsule", "box", "hull"]
 KINDS: tuple[ShapeKind, ...] = ("sphere", "capsule", "box", "hull")
 
 
+@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkShape:
     """All points within ``radius`` m of the convex hull of ``points``, moving with a frame of the robot.
