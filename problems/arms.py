@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.problem import Parameter, Problem
-from trajopt.robot import Posture, Robot, frame_pose, inverse_kinematics
+from trajopt.robot import Posture, Robot, frame_pose, inverse_kinematics, require_moving
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import DriveLimits, FramePose, Term, TerminalRest, TorqueLimits
 from trajopt_library import robots
@@ -124,9 +124,10 @@ class Arm:
 
 
 def load(name: str) -> Arm:
-    """Return the arm of that name. Raises InputError if it is not an arm."""
-    tool = robots.tool_frame(name)
-    return Arm(robot=robots.load(name), tool=tool)
+    """Return the arm of that name. Raises InputError if it is not an arm, or has joints that cannot move."""
+    arm = Arm(robot=robots.load(name), tool=robots.tool_frame(name))
+    require_moving(arm.robot)
+    return arm
 
 
 def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool = True) -> float:

@@ -11,6 +11,7 @@ from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.inspection.standing import StandingPosture
 from trajopt.robot.building import reach
+from trajopt.robot.joint_checks import joints_without_inertia
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.legs import biped_legs, quadruped_legs
 from trajopt.robot.mirror import find_mirror
@@ -77,6 +78,9 @@ def _bodies(robot: Robot) -> _Lines:
             large.append(name)
     if light:
         yield f"no mass is moved by {listed(light)}: is <inertial> missing?"
+    still = [name for name in joints_without_inertia(robot) if name not in light]
+    if still:
+        yield f"no inertia is moved by {listed(still)}: lock them, or give their links moments of inertia"
     if points:
         yield f"mass without moments of inertia is moved by {listed(points)}: a body is not a point"
     if unreal:

@@ -76,7 +76,7 @@ class RememberedMotion:
     """A motion ``t -> q`` that keeps the postures of times that were asked for; they are not pickled."""
 
     def __init__(self, motion: Motion) -> None:
-        self._motion, self._at = motion, lru_cache(maxsize=CACHED_POSTURES)(motion)
+        self.motion, self._at = motion, lru_cache(maxsize=CACHED_POSTURES)(motion)
 
     def __call__(self, t: float) -> np.ndarray:
         """Configuration (nq,) at time ``t`` in s."""
@@ -84,7 +84,7 @@ class RememberedMotion:
 
     def __reduce__(self) -> tuple[type[RememberedMotion], tuple[Motion]]:
         """Pickled without the postures."""
-        return RememberedMotion, (self._motion,)
+        return RememberedMotion, (self.motion,)
 
 
 def _goals(schedule: Schedule, ends: Sequence[float], terms: Sequence[Term]) -> dict[float, list[Target]]:

@@ -18,6 +18,7 @@ from trajopt.problem.validation import (
     require_acting,
     require_actuation,
     require_modes,
+    require_movable,
     require_no_impacts,
     require_payloads,
     require_phases,
@@ -115,6 +116,7 @@ class Problem:
         object.__setattr__(self, "terms", tuple(self.terms))
         require_terms(self.name, self.terms)
         require_actuation(robot, schedule, self.actuation, self.initial_v)
+        require_movable(robot, self.terms, self.actuation)
         require_phases(self.name, robot, schedule)
         start = self.initial_q, self.initial_v
         require_modes(self.name, robot, schedule, self.modes, start, self.contact_place)

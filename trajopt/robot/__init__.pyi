@@ -3,6 +3,7 @@ from .actuators.drive import Drive as Drive
 from .building import sagittal as sagittal
 from .contact import Contact as Contact
 from .data import robot_file as robot_file
+from .joint_checks import require_moving as require_moving
 from .kinematics import Posture as Posture
 from .kinematics import contact_poses as contact_poses
 from .kinematics import contact_positions as contact_positions

@@ -1,0 +1,93 @@
+"""Joints that no motion can be found for: limits of 0, and joints that move no inertia."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS
+from trajopt.errors import InputError
+from trajopt.robot.building import reach
+
+if TYPE_CHECKING:
+    from trajopt.robot.robot import Robot
+
+Limit = Literal["velocity", "torque"]
+
+# Inertia about a joint's axis below this part of (mass that it moves) x (reach of the robot)^2 is none: a
+# million times less than that of a finger on a humanoid, and above rounding.
+NO_INERTIA = 1e-12
+# A mass may lie on a joint's axis in one posture: rad or m from there to the other.
+BESIDE = 0.3
+REMEDIES = {
+    "velocity": "the actuator's in <limit velocity=...>, or lock the joint",
+    "torque": "the actuator's in <limit effort=...>, lock the joint, or state it as passive",
+}
+
+
+def require_moving(robot: Robot, *limits: Limit) -> None:
+    """Require that actuated joints can move.
+
+    Args:
+        robot: the robot.
+        limits: those to check, "velocity" or "torque", default both.
+
+    Raises:
+        InputError: that names joints whose limit is 0.
+    """
+    first = robot.n_unactuated
+    for limit in limits or ("velocity", "torque"):
+        values = robot.velocity_limit[first:] if limit == "velocity" else robot.torque_limit
+        joints = [] if values is None else _owners(robot, first + np.flatnonzero(values == 0))
+        if joints:
+            raise InputError(
+                f"the {limit} limit of {_named(joints, robot)} is 0", f"allowed: {REMEDIES[limit]}"
+            )
+
+
+def joints_without_inertia(robot: Robot) -> list[str]:
+    """Joints beyond the base that move no inertia, in the reference posture and in one beside it."""
+    beside = np.full(robot.nv, BESIDE)
+    beside[: BASE_ROWS[robot.base]] = 0.0
+    postures = robot.reference, pin.integrate(robot.model, robot.reference, beside)
+    here, there = (_without_inertia(robot, np.asarray(q)) for q in postures)
+    return [name for name in here if name in there]
+
+
+def _without_inertia(robot: Robot, q: np.ndarray) -> list[str]:
+    model, data = robot.model, robot.model.createData()
+    upper = np.triu(pin.crba(model, data, q))
+    matrix = upper + np.triu(upper, 1).T
+    pin.computeSubtreeMasses(model, data)
+    found, square = [], (reach(model) or 1.0) ** 2
+    for joint in list(model.joints)[BASE_JOINT[robot.base] + 1 :]:
+        rows = slice(joint.idx_v, joint.idx_v + joint.nv)
+        if (
+            joint.nv
+            and np.linalg.eigvalsh(matrix[rows, rows])[0] <= NO_INERTIA * data.mass[joint.id] * square
+        ):
+            found.append(str(model.names[joint.id]))
+    return found
+
+
+def require_inertia(robot: Robot) -> None:
+    """Raise `InputError` that names joints without inertia: no torque determines how they accelerate."""
+    joints = joints_without_inertia(robot)
+    if joints:
+        raise InputError(
+            f"no inertia is moved by {_named(joints, robot)}, so that torques do not determine how it moves",
+            "allowed: lock it (locked=), give its link an <inertial>, or the joint an armature",
+        )
+
+
+def _owners(robot: Robot, rows: np.ndarray) -> list[str]:
+    names = robot.model.names
+    joints = [names[joint.id] for joint in list(robot.model.joints)[1:] for _ in range(joint.nv)]
+    return list(dict.fromkeys(str(joints[row]) for row in rows))
+
+
+def _named(joints: list[str], robot: Robot) -> str:
+    more = f" and {len(joints) - 1} more" if len(joints) > 1 else ""
+    return f"joint '{joints[0]}'{more} of '{robot.name}'"
