@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 # A message lists all allowed names up to this many, and of more this many.
 MANY, LISTED = 60, 8
+COAL_MESSAGE = "\nmessage: "
 
 
 class TrajoptError(Exception):
@@ -74,8 +75,12 @@ class VersionMismatchError(TrajoptError):
 
 
 def first_line(error: Exception) -> str:
-    """The first line of a library's exception, or its type if it has no text."""
-    return next(iter(str(error).strip().splitlines()), type(error).__name__)
+    """The first line of a library's exception, or its type if it has no text; of Coal's its message."""
+    text = str(error).strip()
+    if COAL_MESSAGE in text:  # after lines on Coal's own source, before a hint
+        said = text.partition(COAL_MESSAGE)[2].splitlines()
+        return ": ".join(line for line in said if not line.startswith("Hint: "))
+    return next(iter(text.splitlines()), type(error).__name__)
 
 
 def line_in(path: Path, error: BaseException) -> int | None:

@@ -55,6 +55,11 @@ class LinkShape:
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "radius", float(self.radius))
 
+    @property
+    def extent(self) -> float:
+        """Diagonal of the box around it, m."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)) + 2 * self.radius)
+
     @classmethod
     def sphere(cls, name: str, frame: str, centre: Any, radius: float) -> LinkShape:
         """A ball around ``centre`` (3,) m."""

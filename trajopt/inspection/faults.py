@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
+from trajopt.collision.description import robot_shapes
 from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
@@ -45,7 +46,8 @@ _Lines = Iterator[str]
 def find_faults(robot: Robot, standing: StandingPosture) -> tuple[str, ...]:
     """One line for each fault, the worst first: bodies, limits, reference posture, feet, left and right."""
     legged = robot.base != "fixed"
-    faults = [*_bodies(robot), *_limits(robot), *_reference(robot, standing)]
+    doubts = robot_shapes(robot).doubts(robot.model)
+    faults = [*_bodies(robot), *_limits(robot), *_reference(robot, standing), *doubts]
     if legged:
         faults += [*_feet(robot, standing), *_legs(robot, standing), *_sides(robot)]
     else:
