@@ -94,7 +94,7 @@ class Arm:
         return turn, out / self.robot.length, (there[2] - here[2]) / self.robot.length
 
     def follow(self, poses: Iterable[pin.SE3 | np.ndarray]) -> Posture:
-        """Posture with the tool at the last pose or place (3,) m, from the reference, or as near as possible."""
+        """Posture with the tool at the last pose or place (3,) m, from the reference, or near it."""
         posture = Posture(self.robot.reference, 0.0)
         for pose in poses:
             posture = inverse_kinematics(self.robot, posture.q, {self.tool: pose})
