@@ -10,6 +10,7 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import Base, position_limits
 from trajopt.errors import InputError
 from trajopt.inspection.faults import shapes_of
+from trajopt.inspection.limbs import find_limbs, tool_joint
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.legs import LIFTED
 from trajopt.robot.reading import read_urdf
@@ -45,7 +46,7 @@ def build() -> Robot:
         URDF,
         name="{name}",
         base="{base}",
-        contacts={contacts},
+        contacts={contacts},{locked}
         reference=REFERENCE,
     )
 '''
@@ -54,16 +55,17 @@ def build() -> Robot:
 def guessed(urdf: Path, base: Base | None = None) -> Robot:
     """Return the robot of a URDF file with guessed base, feet and posture.
 
-    base: by default fixed for a chain (one tip), free for a tree. Feet are the tips at the bottom with all
+    base: by default fixed for an arm, a chain with a light hand or none, and on wheels; else free. Wheels,
+    and joints of hands without drive, are locked (`find_limbs`). Feet are the tips at the bottom with all
     joints at zero, or as near as limits allow; the posture bends the legs, with the feet's middle under the
     centre of mass, where inverse kinematics finds a way. Raises `InputError` for a file that is not a URDF.
     """
-    kind: Base = base or ("fixed" if len(_tips(read_urdf(urdf, "fixed"))) < 2 else "freeflyer")
-    if kind == "fixed":
-        return Robot.from_urdf(urdf, base=kind)
-    tips = Robot.from_urdf(urdf, base=kind, contacts=_lowest_tips(read_urdf(urdf, kind)))
-    contacts = [replace(contact, radius=_ball_at(tips, contact.frame)) for contact in tips.contacts]
-    return _bent(urdf, Robot.from_urdf(urdf, base=kind, contacts=contacts))
+    limbs = find_limbs(read_urdf(urdf, "fixed"))
+    kind: Base = base or ("fixed" if limbs.is_fixed else "freeflyer")
+    feet = [] if kind == "fixed" or limbs.wheels else _lowest_tips(read_urdf(urdf, kind))
+    made = Robot.from_urdf(urdf, base=kind, contacts=feet, locked=limbs.locked)
+    contacts = [replace(contact, radius=_ball_at(made, contact.frame)) for contact in made.contacts]
+    return _bent(Robot.from_urdf(urdf, base=kind, contacts=contacts, locked=limbs.locked))
 
 
 def _ball_at(robot: Robot, name: str) -> float:
@@ -89,9 +91,12 @@ def starter(robot: Robot, target: Path) -> str:
     urdf = robot.visual.urdf
     near = Path(os.path.relpath(urdf, target.absolute().parent))
     file = (urdf if near.parts[: len(FAR)] == FAR else near).as_posix()
+    known = set(robot.model.names)
+    locked = [name for name in read_urdf(urdf, robot.base).names if name not in known]
     tool = ""
     if robot.base == "fixed":
-        last = [f.name for f in robot.model.frames if f.parentJoint == robot.model.njoints - 1]
+        end = tool_joint(robot.model)
+        last = [f.name for f in robot.model.frames if f.parentJoint == end > 0]
         tool = f'KIND, TOOL = "arm", "{last[-1]}"\n' if last else ""
     contacts = ", ".join(
         f'Contact(frame="{c.frame}", radius={c.radius:g})' if c.radius else f'"{c.frame}"'
@@ -104,6 +109,7 @@ def starter(robot: Robot, target: Path) -> str:
         tool=tool,
         base=robot.base,
         contacts=f"[{contacts}]",
+        locked=f"\n        locked={locked}," if locked else "",
         imported="Contact, Robot" if any(c.radius for c in robot.contacts) else "Robot",
         reference="\n".join(_entries(robot)),
     )
@@ -153,7 +159,7 @@ def _lowest_tips(model: pin.Model) -> list[str]:
     return [name for name, height in heights.items() if height - lowest <= within]
 
 
-def _bent(urdf: Path, straight: Robot) -> Robot:
+def _bent(straight: Robot) -> Robot:
     """The robot with its base lowered over feet below the centre of mass, where such a posture exists."""
     if straight.base != "freeflyer" or not straight.contacts:
         return straight
@@ -170,4 +176,4 @@ def _bent(urdf: Path, straight: Robot) -> Robot:
         if result.error > REACHED * straight.length:
             return straight
         q = result.q
-    return Robot.from_urdf(urdf, base=straight.base, contacts=straight.contacts, reference=q)
+    return replace(straight, reference=q)
