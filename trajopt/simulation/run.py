@@ -19,6 +19,7 @@ from trajopt.control.tracker import Tracker
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
+from trajopt.simulation.controllers import TorqueController, controller_of, copied, torque_of
 from trajopt.simulation.gains import gains_of
 from trajopt.simulation.hardware import Hardware, Measurement
 from trajopt.simulation.record import RequestRecord, SimulationRecord
@@ -66,11 +67,8 @@ class SimulationRun:
         self.gains = gains_of(plan, world, reference, settings)
         self.drives = plan.drives
         self.low, self.high = torque_limits(plan)
-        self.tracker = None
-        if settings.controller == "whole-body":
-            self.tracker = Tracker(
-                plan, rate=settings.control_rate, cycles=settings.cycles, solver=settings.qp_solver
-            )
+        self.controller = controller_of(plan, reference, settings)
+        self.tracker = self.controller if isinstance(self.controller, Tracker) else None
         self.touching = reference.active[0]
         self.impulse, self._force = settings.impulse, np.zeros(3)
         self._plan_in_mujoco()
@@ -125,7 +123,8 @@ class SimulationRun:
         """A run of its own that goes on from here; of its models one run at a time may advance."""
         branched = copy.copy(self)
         branched.data, branched.hardware = copy.copy(self.data), self.hardware.copy()
-        branched.tracker = None if self.tracker is None else self.tracker.copy()
+        branched.controller = None if self.controller is None else copied(self.controller)
+        branched.tracker = branched.controller if isinstance(branched.controller, Tracker) else None
         return branched
 
     def advance(self, record: SimulationRecord, begin: int, end: int) -> int:
@@ -215,7 +214,8 @@ class SimulationRun:
     def _drive(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Apply the torques of period ``k``; returns them, and where they were cut off."""
         measured = self.hardware.measure(self.data.qpos, self.data.qvel, self.touching)
-        wanted = self._fed_back(k, measured) if self.tracker is None else self._tracked(k, measured)
+        controller = self.controller
+        wanted = self._fed_back(k, measured) if controller is None else self._asked(controller, k, measured)
         wanted = self.hardware.command(wanted)
         low, high = self.low, self.high
         if any(drive is not None for drive in self.drives):
@@ -235,16 +235,14 @@ class SimulationRun:
             + self.gains.kd[k] * (self.qvel[k][self.rows] - measured.qvel[self.rows])
         )
 
-    def _tracked(self, k: int, measured: Measurement) -> np.ndarray:
-        """Torques (nu,) of the whole-body controller in MuJoCo's coordinates."""
-        assert self.tracker is not None
+    def _asked(self, controller: TorqueController, k: int, measured: Measurement) -> np.ndarray:
+        """Torques (nu,) of a controller in MuJoCo's coordinates."""
         coordinates, qpos = self.world.coordinates, measured.qpos[None]
         q = coordinates.from_mujoco(qpos)[0]
         v = coordinates.rates_from_mujoco(qpos, measured.qvel[None])[0]
         whole = np.zeros((1, self.plan.model.nv))
-        whole[0, self.plan.n_unactuated :] = self.tracker.torque(
-            k * self.reference.period, q, v, measured.touching
-        )
+        t, first = k * self.reference.period, self.plan.n_unactuated
+        whole[0, first:] = torque_of(controller, t, (q, v), measured.touching, self.plan.tau.shape[1])
         return np.asarray(coordinates.rates_to_mujoco(qpos, whole)[0, self.rows])
 
     def _friction(self) -> np.ndarray:
