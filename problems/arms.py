@@ -137,7 +137,7 @@ class Arm:
         return there, TerminalRest(q=q)
 
 
-def load(name: str) -> Arm:
+def load(name: str | Robot) -> Arm:
     """Return the arm of that name. Raises InputError if it is not an arm, or has joints that cannot move."""
     arm = Arm(robot=robots.load(name), tool=robots.tool_frame(name))
     require_moving(arm.robot)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 # A message lists all allowed names up to this many, and of more this many.
 MANY, LISTED = 60, 8
+# Characters of a value in a message, and how many collections within each other it shows.
+SHOWN, MOST_DEPTH = 60, 3
 COAL_MESSAGE = "\nmessage: "
 
 
@@ -72,6 +74,38 @@ class SolutionFileError(InputError):
 
 class VersionMismatchError(TrajoptError):
     """The installed wheels are not the ones the extension was built against."""
+
+
+def shown(value: Any) -> str:
+    """A value of a message in one line, cut where it is long; an object by its kind, never by its repr."""
+    text = _text(value)
+    return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
+
+
+def _text(value: Any, depth: int = 0) -> str:
+    kind, deeper = type(value), depth + 1
+    if kind in (str, bytes, int, float, complex, bool, type(None)):
+        return " ".join(repr(value).split())
+    if depth > MOST_DEPTH:
+        return "..."
+    if hasattr(value, "tolist") and kind.__module__ == "numpy":
+        few = 0 < value.size <= LISTED
+        return _text(value.tolist(), deeper) if few else f"an array of shape {value.shape}"
+    if kind in (list, tuple):
+        items = [*(_text(each, deeper) for each in value[:LISTED]), *["..."][: len(value) > LISTED]]
+        text = ", ".join(items)
+        return f"[{text}]" if kind is list else f"({text},)" if len(items) == 1 else f"({text})"
+    if kind is dict:
+        pairs = list(value.items())[:LISTED]
+        return f"{{{', '.join(f'{_text(key, deeper)}: {_text(each, deeper)}' for key, each in pairs)}}}"
+    if isinstance(value, Path):
+        return f"'{value}'"
+    return f"the class {value.__name__}" if isinstance(value, type) else with_article(kind)
+
+
+def with_article(kind: type) -> str:
+    """The name of a class in a sentence."""
+    return f"{'an' if kind.__name__[0] in 'aeiouAEIOU' else 'a'} {kind.__name__}"
 
 
 def first_line(error: Exception) -> str:
@@ -148,8 +182,8 @@ def _is_real(value: Any) -> bool:
 
 def _require(right: bool, what: str, value: Any, unit: str, allowed: str) -> None:
     if not right:
-        shown = f"{value:g}" if _is_real(value) else repr(value)
-        raise InputError(f"{what} is {shown} {unit}".rstrip(), f"allowed: {allowed}")
+        text = f"{value:g}" if _is_real(value) else shown(value)
+        raise InputError(f"{what} is {text} {unit}".rstrip(), f"allowed: {allowed}")
 
 
 def numbers_of(value: Any) -> np.ndarray:
@@ -170,7 +204,7 @@ def finite_array(what: str, value: Any, shape: tuple[int, ...] = (3,), unit: str
     if array.shape != shape or not np.isfinite(array).all():
         size = str(shape[0]) if len(shape) == 1 else f"{shape}"
         allowed = f"allowed: {size} finite numbers" + (f", {unit}" if unit else "")
-        raise InputError(f"{what} is {value!r}", allowed)
+        raise InputError(f"{what} is {shown(value)}", allowed)
     array.setflags(write=False)
     return array
 
@@ -181,5 +215,5 @@ def unit_vector(what: str, value: Any) -> np.ndarray:
 
     vector = numbers_of(value)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise InputError(f"{what} is {value!r}", "allowed: 3 finite numbers, not all 0")
+        raise InputError(f"{what} is {shown(value)}", "allowed: 3 finite numbers, not all 0")
     return np.asarray(vector / np.linalg.norm(vector))

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from trajopt.arguments import Positive, checked
-from trajopt.errors import InputError, finite_array, numbers_of, require_not_negative, require_positive
+from trajopt.errors import InputError, finite_array, numbers_of, require_not_negative, require_positive, shown
 from trajopt.kinds import ArrayShape
 from trajopt.pickling import picklable
 from trajopt.terrain.surface import FARTHEST, MOST_CORNERS
@@ -257,7 +257,7 @@ def obstacle_from_description(described: Any) -> Obstacle:
     """The obstacle that ``describe`` wrote. Raises InputError."""
     kind = str(described.get("kind")) if isinstance(described, dict) else ""
     if kind not in _KINDS:
-        raise InputError(f"an obstacle is described by {described!r}", f"kinds: {', '.join(_KINDS)}")
+        raise InputError(f"an obstacle is described by {shown(described)}", f"kinds: {', '.join(_KINDS)}")
     fields = {name: value for name, value in described.items() if name != "kind"}
     _require_keys(fields, tuple(_KINDS[kind].__dataclass_fields__), "obstacle")
     made: Obstacle = _KINDS[kind](**fields)
@@ -284,4 +284,4 @@ def _described(shape: Any, names: Sequence[str] | None = None) -> dict[str, Any]
 
 def _require_keys(described: Any, keys: Sequence[str], what: str) -> None:
     if not isinstance(described, dict) or set(described) != set(keys):
-        raise InputError(f"a {what} is described by {described!r}", f"keys: {', '.join(keys)}")
+        raise InputError(f"a {what} is described by {shown(described)}", f"keys: {', '.join(keys)}")

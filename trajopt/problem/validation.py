@@ -11,7 +11,7 @@ import numpy as np
 from trajopt.arguments import check_fields
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
-from trajopt.errors import InputError, not_among
+from trajopt.errors import InputError, not_among, shown
 from trajopt.robot.joint_checks import require_inertia, require_moving
 from trajopt.robot.payload import Payload
 from trajopt.robot.robot import Robot
@@ -60,7 +60,9 @@ def require_terms(problem: str, terms: Sequence[Term]) -> None:
     """Raise `InputError` for terms that are neither costs nor constraints."""
     for term in terms:
         if not isinstance(term, Term):
-            raise InputError(f"a term of problem '{problem}' is {term!r}", "allowed: costs and constraints")
+            raise InputError(
+                f"a term of problem '{problem}' is {shown(term)}", "allowed: costs and constraints"
+            )
         check_fields(term)
 
 
@@ -278,7 +280,7 @@ def _require_names(term: Term, known: Mapping[str, tuple[str, ...]], schedule: S
     """Names in the fields of a term are among those ``known`` of their kind."""
     during = getattr(term, "during", None)
     if during is not None and not during:
-        what = f"during of {term.name}: {during!r}"
+        what = f"during of {term.name}: {shown(during)}"
         raise InputError(what, "allowed: the name of a phase, names of several, or None for all")
     for field in fields(term):
         kind = NAMES.get(field.name, "")
@@ -317,7 +319,7 @@ def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
     object.__setattr__(anywhere, "during", None)
     places = (*_places(schedule), *_places(schedule, name=NO_PHASE))
     if all(term.acts_at(place) == anywhere.acts_at(place) for place in places):
-        what = f"during of {term.name}: {term.during!r}, which this term does not use"
+        what = f"during of {term.name}: {shown(term.during)}, which this term does not use"
         raise InputError(what, "allowed: leave it out")
     for name in term.phases:
         if not any(term.acts_at(place) for place in _places(schedule) if place.phase.name == name):

@@ -245,6 +245,11 @@ class CubicMotion:
     states: np.ndarray
     jerk: np.ndarray
 
+    @property
+    def duration(self) -> float:
+        """Duration of the motion, s."""
+        return float(self.times[-1])
+
     def _state(self, t: float) -> np.ndarray:
         time = float(np.clip(t, self.times[0], self.times[-1]))
         k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.jerk) - 1))

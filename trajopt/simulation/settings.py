@@ -10,8 +10,7 @@ import numpy as np
 from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.control.gains import TrackerGains
 from trajopt.control.quadratic_programs import QpSolverName
-from trajopt.errors import InputError, not_among, require_finite
-from trajopt.kinds import shown
+from trajopt.errors import InputError, not_among, require_finite, shown
 from trajopt.simulation.controllers import TorqueController, name_of
 
 # Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
@@ -114,7 +113,7 @@ class SimulationSettings:
 
     def __post_init__(self) -> None:
         if not isinstance(self.rolling, bool):
-            raise InputError(f"rolling of a simulation is {self.rolling!r}", "allowed: True or False")
+            raise InputError(f"rolling of a simulation is {shown(self.rolling)}", "allowed: True or False")
         words = get_args(Controller)
         if isinstance(self.controller, str) and self.controller not in words:
             raise not_among(words, self.controller, f"controller of a simulation is '{self.controller}'")
@@ -131,10 +130,12 @@ class SimulationSettings:
             raise not_among(
                 get_args(QpSolverName),
                 str(self.qp_solver),
-                f"qp_solver of a simulation is {self.qp_solver!r}",
+                f"qp_solver of a simulation is {shown(self.qp_solver)}",
             )
         if not isinstance(self.impulse, Impulse | None):
-            raise InputError(f"impulse of a simulation is {self.impulse!r}", "allowed: an Impulse or None")
+            raise InputError(
+                f"impulse of a simulation is {shown(self.impulse)}", "allowed: an Impulse or None"
+            )
         object.__setattr__(self, "com_offset", _com_offset(self.com_offset))
         object.__setattr__(self, "ground_offsets", _ground_offsets(self.ground_offsets))
         for name in (setting.name for setting in fields(self) if setting.name not in CHECKED_APART):
@@ -149,7 +150,7 @@ class SimulationSettings:
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise InputError(
-                    f"{name} of a simulation is {value!r}", f"allowed: a whole number >= {least}"
+                    f"{name} of a simulation is {shown(value)}", f"allowed: a whole number >= {least}"
                 )
 
         self._require_effect()
@@ -174,7 +175,7 @@ class SimulationSettings:
 def _com_offset(value: Any) -> tuple[float, float, float]:
     """Three finite numbers. Raises `InputError`."""
     if isinstance(value, str) or not isinstance(value, list | tuple | np.ndarray) or len(value) != 3:
-        raise InputError(f"com_offset of a simulation is {value!r}", "allowed: three numbers, m")
+        raise InputError(f"com_offset of a simulation is {shown(value)}", "allowed: three numbers, m")
     for axis, number in zip("xyz", value, strict=True):
         _require_length(f"{axis} of com_offset of a simulation", number)
     x, y, z = (float(number) for number in value)
@@ -184,7 +185,7 @@ def _com_offset(value: Any) -> tuple[float, float, float]:
 def _ground_offsets(value: Any) -> dict[str, float]:
     """Finite numbers by name, a copy. Raises `InputError`."""
     if not isinstance(value, Mapping):
-        raise InputError(f"ground_offsets of a simulation is {value!r}", "allowed: m by contact frame")
+        raise InputError(f"ground_offsets of a simulation is {shown(value)}", "allowed: m by contact frame")
     for name, number in value.items():
         _require_length(f"ground_offsets of a simulation for '{name}'", number)
     return {str(name): float(number) for name, number in value.items()}

@@ -9,7 +9,7 @@ import numpy as np
 
 from trajopt.collision.description import RobotShapes
 from trajopt.collision.shapes import LinkShape, obstacle_from_description
-from trajopt.errors import InputError, SolutionFileError, is_number
+from trajopt.errors import InputError, SolutionFileError, is_number, shown
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.data import VisualSource
 from trajopt.schedule.moment import Target
@@ -269,7 +269,7 @@ def _by_phase(
 
 
 def _payload(entry: Any, frames: Sequence[str]) -> CarriedBody:
-    wrong = InputError(f"it holds {entry!r:.80}", "frame, mass, centre, inertia, phases")
+    wrong = InputError(f"it holds {shown(entry)}", "frame, mass, centre, inertia, phases")
     if not isinstance(entry, dict) or entry.get("frame") not in frames:
         raise wrong
     phases, mass = entry.get("phases"), entry.get("mass")
@@ -361,7 +361,7 @@ def _numbers(given: Any, shape: tuple[int, ...]) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         array = np.full(1, np.nan)
     if array.shape != shape or not np.isfinite(array).all():
-        raise InputError(f"{given!r:.60} is not of shape {shape}", "finite numbers")
+        raise InputError(f"{shown(given)} is not of shape {shape}", "finite numbers")
     return array
 
 
