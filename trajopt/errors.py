@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import reprlib
 import traceback
 from collections.abc import Callable, Iterable
 from numbers import Real
@@ -15,8 +16,7 @@ if TYPE_CHECKING:
 
 # A message lists all allowed names up to this many, and of more this many.
 MANY, LISTED = 60, 8
-# Characters of a value in a message, and how many collections within each other it shows.
-SHOWN, MOST_DEPTH = 60, 3
+SHOWN = 60  # characters of a value in a message
 COAL_MESSAGE = "\nmessage: "
 
 
@@ -78,29 +78,26 @@ class VersionMismatchError(TrajoptError):
 
 def shown(value: Any) -> str:
     """A value of a message in one line, cut where it is long; an object by its kind, never by its repr."""
-    text = _text(value)
+    text = " ".join(_Shown().repr(value).split())
     return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
 
 
-def _text(value: Any, depth: int = 0) -> str:
-    kind, deeper = type(value), depth + 1
-    if kind in (str, bytes, int, float, complex, bool, type(None)):
-        return " ".join(repr(value).split())
-    if depth > MOST_DEPTH:
-        return "..."
-    if hasattr(value, "tolist") and kind.__module__ == "numpy":
-        few = 0 < value.size <= LISTED
-        return _text(value.tolist(), deeper) if few else f"an array of shape {value.shape}"
-    if kind in (list, tuple):
-        items = [*(_text(each, deeper) for each in value[:LISTED]), *["..."][: len(value) > LISTED]]
-        text = ", ".join(items)
-        return f"[{text}]" if kind is list else f"({text},)" if len(items) == 1 else f"({text})"
-    if kind is dict:
-        pairs = list(value.items())[:LISTED]
-        return f"{{{', '.join(f'{_text(key, deeper)}: {_text(each, deeper)}' for key, each in pairs)}}}"
-    if isinstance(value, Path):
-        return f"'{value}'"
-    return f"the class {value.__name__}" if isinstance(value, type) else with_article(kind)
+class _Shown(reprlib.Repr):
+    """Python's shortened repr, for plain values and collections of them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxlist, self.maxtuple, self.maxstring = 3, LISTED, LISTED, SHOWN
+
+    def repr_instance(self, value: Any, level: int) -> str:
+        if type(value) in (float, complex, bool, bytes, type(None)):
+            return repr(value)
+        if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
+            few = 0 < value.size <= LISTED
+            return self.repr1(value.tolist(), level) if few else f"an array of shape {value.shape}"
+        if isinstance(value, Path):
+            return f"'{value}'"
+        return f"the class {value.__name__}" if isinstance(value, type) else with_article(type(value))
 
 
 def with_article(kind: type) -> str:

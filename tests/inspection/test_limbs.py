@@ -104,7 +104,7 @@ def test_a_gripper_makes_no_feet_and_is_locked_without_drive(
 
 
 def test_heavy_branches_are_limbs(tmp_path: Path) -> None:
-    assert not limbs_of(arm(tmp_path, 4.0, DRIVEN)).is_arm
+    assert not limbs_of(arm(tmp_path, 4.0, DRIVEN)).is_fixed
 
 
 def test_without_any_effort_limit_nothing_is_locked(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_without_any_effort_limit_nothing_is_locked(tmp_path: Path) -> None:
     path.write_text(
         path.read_text().replace('effort="50"', 'effort="0"').replace('effort="20"', 'effort="0"')
     )
-    assert limbs_of(path).locked == ()
+    assert limbs_of(path).undriven == ()
 
 
 def test_the_command_says_what_is_locked() -> None:

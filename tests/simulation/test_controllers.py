@@ -11,7 +11,7 @@ import trajopt
 from trajopt import Solution
 from trajopt.control import Tracker, TrackerGains
 from trajopt.errors import InputError
-from trajopt.simulation.controllers import TorqueController, copied
+from trajopt.simulation.controllers import TorqueController
 from trajopt.simulation.simulate import simulate
 
 RATE = 200.0  # Hz
@@ -84,7 +84,6 @@ class Odd(Springs):
         (np.zeros(3), r"torques of Odd at 0 s have shape \(3,\); allowed: \(6,\)"),
         (np.full(6, np.nan), "torques of Odd at 0 s are not finite"),
         (None, r"torques of Odd at 0 s"),
-        (KeyError("plan"), r"torque\(\) of Odd failed at 0 s: .*test_controllers.py, line \d+: KeyError"),
         (InputError("mine"), "^mine$"),
     ],
 )
@@ -129,22 +128,5 @@ def test_a_tracker_of_other_ticks_or_another_plan_is_refused(reach: Solution) ->
         simulate(reach, controller=Tracker(other, rate=RATE), control_rate=RATE)
 
 
-def test_a_controller_is_copied_by_its_own_copy_or_deeply(reach: Solution) -> None:
+def test_what_has_a_torque_is_a_controller(reach: Solution) -> None:
     assert isinstance(Springs(reach), TorqueController)
-    tracker = Tracker(reach, rate=RATE)
-    twin: Any = copied(tracker)
-    assert twin is not tracker
-    assert twin.counts is tracker.counts
-
-    class Counting:
-        def __init__(self) -> None:
-            self.ticks: list[float] = []
-
-        def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-            self.ticks.append(t)
-            return np.zeros(len(v))
-
-    first = Counting()
-    second: Any = copied(first)
-    second.torque(0.0, np.zeros(6), np.zeros(6), np.zeros(0))
-    assert first.ticks == []

@@ -63,9 +63,9 @@ def guessed(urdf: Path, base: Base | None = None) -> Robot:
     limbs = find_limbs(read_urdf(urdf, "fixed"))
     kind: Base = base or ("fixed" if limbs.is_fixed else "freeflyer")
     feet = [] if kind == "fixed" or limbs.wheels else _lowest_tips(read_urdf(urdf, kind))
-    made = Robot.from_urdf(urdf, base=kind, contacts=feet, locked=limbs.locked)
+    made = Robot.from_urdf(urdf, base=kind, contacts=feet, locked=(*limbs.wheels, *limbs.undriven))
     contacts = [replace(contact, radius=_ball_at(made, contact.frame)) for contact in made.contacts]
-    return _bent(Robot.from_urdf(urdf, base=kind, contacts=contacts, locked=limbs.locked))
+    return _bent(Robot.from_urdf(urdf, base=kind, contacts=contacts, locked=(*limbs.wheels, *limbs.undriven)))
 
 
 def _ball_at(robot: Robot, name: str) -> float:

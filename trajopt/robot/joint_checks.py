@@ -28,48 +28,16 @@ REMEDIES = {
 
 
 def require_moving(robot: Robot, *limits: Limit) -> None:
-    """Require that actuated joints can move.
-
-    Args:
-        robot: the robot.
-        limits: those to check, "velocity" or "torque", default both.
-
-    Raises:
-        InputError: that names joints whose limit is 0.
-    """
-    first = robot.n_unactuated
+    """Raise `InputError` that names joints whose limits are 0: of "velocity", "torque", default both."""
+    first, model = robot.n_unactuated, robot.model
+    owners = [str(model.names[joint.id]) for joint in model.joints[1:] for _ in range(joint.nv)]
     for limit in limits or ("velocity", "torque"):
         values = robot.velocity_limit[first:] if limit == "velocity" else robot.torque_limit
-        joints = [] if values is None else _owners(robot, first + np.flatnonzero(values == 0))
-        if joints:
+        still = [] if values is None else [owners[first + row] for row in np.flatnonzero(values == 0)]
+        if still:
             raise InputError(
-                f"the {limit} limit of {_named(joints, robot)} is 0", f"allowed: {REMEDIES[limit]}"
+                f"the {limit} limit of {_named(still, robot)} is 0", f"allowed: {REMEDIES[limit]}"
             )
-
-
-def joints_without_inertia(robot: Robot) -> list[str]:
-    """Joints beyond the base that move no inertia, in the reference posture and in one beside it."""
-    beside = np.full(robot.nv, BESIDE)
-    beside[: BASE_ROWS[robot.base]] = 0.0
-    postures = robot.reference, pin.integrate(robot.model, robot.reference, beside)
-    here, there = (_without_inertia(robot, np.asarray(q)) for q in postures)
-    return [name for name in here if name in there]
-
-
-def _without_inertia(robot: Robot, q: np.ndarray) -> list[str]:
-    model, data = robot.model, robot.model.createData()
-    upper = np.triu(pin.crba(model, data, q))
-    matrix = upper + np.triu(upper, 1).T
-    pin.computeSubtreeMasses(model, data)
-    found, square = [], (reach(model) or 1.0) ** 2
-    for joint in list(model.joints)[BASE_JOINT[robot.base] + 1 :]:
-        rows = slice(joint.idx_v, joint.idx_v + joint.nv)
-        if (
-            joint.nv
-            and np.linalg.eigvalsh(matrix[rows, rows])[0] <= NO_INERTIA * data.mass[joint.id] * square
-        ):
-            found.append(str(model.names[joint.id]))
-    return found
 
 
 def require_inertia(robot: Robot) -> None:
@@ -82,12 +50,30 @@ def require_inertia(robot: Robot) -> None:
         )
 
 
-def _owners(robot: Robot, rows: np.ndarray) -> list[str]:
-    names = robot.model.names
-    joints = [names[joint.id] for joint in list(robot.model.joints)[1:] for _ in range(joint.nv)]
-    return list(dict.fromkeys(str(joints[row]) for row in rows))
+def joints_without_inertia(robot: Robot) -> list[str]:
+    """Joints beyond the base that move no inertia, in the reference posture and in one beside it."""
+    beside = np.full(robot.nv, BESIDE)
+    beside[: BASE_ROWS[robot.base]] = 0.0
+    there = np.asarray(pin.integrate(robot.model, robot.reference, beside))
+    return [
+        joint for joint in _without_inertia(robot, robot.reference) if joint in _without_inertia(robot, there)
+    ]
+
+
+def _without_inertia(robot: Robot, q: np.ndarray) -> list[str]:
+    """Joints whose block of the mass matrix is singular at ``q``."""
+    model, data, found = robot.model, robot.model.createData(), []
+    matrix, square = pin.crba(model, data, q), (reach(model) or 1.0) ** 2
+    pin.computeSubtreeMasses(model, data)
+    for joint in model.joints[BASE_JOINT[robot.base] + 1 :]:
+        rows = slice(joint.idx_v, joint.idx_v + joint.nv)
+        least = NO_INERTIA * data.mass[joint.id] * square
+        if joint.nv and np.linalg.eigvalsh(matrix[rows, rows], UPLO="U")[0] <= least:
+            found.append(str(model.names[joint.id]))
+    return found
 
 
 def _named(joints: list[str], robot: Robot) -> str:
-    more = f" and {len(joints) - 1} more" if len(joints) > 1 else ""
-    return f"joint '{joints[0]}'{more} of '{robot.name}'"
+    known = list(dict.fromkeys(joints))
+    more = f" and {len(known) - 1} more" if len(known) > 1 else ""
+    return f"joint '{known[0]}'{more} of '{robot.name}'"

@@ -1,29 +1,21 @@
 """Controllers of simulations: the tracker of a plan, or any object with its `torque`."""
 
-import copy
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.tracker import Tracker
-from trajopt.errors import InputError, TrajoptError, in_file, numbers_of
+from trajopt.errors import InputError, numbers_of
 from trajopt.solution.solution import Solution
 
 
 @runtime_checkable
 class TorqueController(Protocol):
-    """What a simulation asks for torques; `Tracker` is one. It may have a `copy()` of its state."""
+    """What a simulation asks for torques; `Tracker` is one."""
 
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        """Torques of the drives (nu,), N m or N, for the tick at ``t`` s since the start of the plan.
-
-        Args:
-            t: s.
-            q: measured configuration (nq,), Pinocchio's.
-            v: measured velocity (nv,).
-            touching: which contacts touch (nc,).
-        """
+        """Torques of the drives (nu,), N m or N, at ``t`` s; arguments as of `Tracker.torque`."""
         ...
 
 
@@ -60,25 +52,11 @@ def torque_of(
     size: int,
 ) -> np.ndarray:
     """Torques (nu,) of a controller, its arguments copied. Raises `InputError` for what are none."""
-    try:
-        q, v = (part.copy() for part in state)
-        given = controller.torque(t, q, v, np.array(touching, dtype=bool))
-    except TrajoptError:
-        raise
-    except Exception as error:
-        where = in_file(error, getattr(type(controller), "torque", None))
-        raise InputError(f"torque() of {name_of(controller)} failed at {t:g} s: {where}") from error
-    torque = numbers_of(given)
+    q, v = (part.copy() for part in state)
+    torque = numbers_of(controller.torque(t, q, v, np.array(touching, dtype=bool)))
     if torque.shape != (size,) or not np.isfinite(torque).all():
         what = "are not finite" if torque.shape == (size,) else f"have shape {torque.shape}"
         raise InputError(
             f"torques of {name_of(controller)} at {t:g} s {what}", f"allowed: ({size},), finite, N m or N"
         )
     return torque
-
-
-def copied(controller: TorqueController) -> TorqueController:
-    """A controller that goes on from here, apart."""
-    own = getattr(controller, "copy", None)
-    twin: TorqueController = copy.deepcopy(controller) if own is None else own()
-    return twin

@@ -19,7 +19,7 @@ from trajopt.control.tracker import Tracker
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
-from trajopt.simulation.controllers import TorqueController, controller_of, copied, torque_of
+from trajopt.simulation.controllers import TorqueController, controller_of, torque_of
 from trajopt.simulation.gains import gains_of
 from trajopt.simulation.hardware import Hardware, Measurement
 from trajopt.simulation.record import RequestRecord, SimulationRecord
@@ -123,8 +123,8 @@ class SimulationRun:
         """A run of its own that goes on from here; of its models one run at a time may advance."""
         branched = copy.copy(self)
         branched.data, branched.hardware = copy.copy(self.data), self.hardware.copy()
-        branched.controller = None if self.controller is None else copied(self.controller)
-        branched.tracker = branched.controller if isinstance(branched.controller, Tracker) else None
+        branched.tracker = None if self.tracker is None else self.tracker.copy()
+        branched.controller = branched.tracker or self.controller
         return branched
 
     def advance(self, record: SimulationRecord, begin: int, end: int) -> int:
