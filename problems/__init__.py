@@ -4,7 +4,7 @@ import importlib
 import pkgutil
 from functools import lru_cache
 
-from trajopt.problem import Family, Problem, choose
+from trajopt.problem import Family, Problem, PublishedOptimum, choose
 from trajopt.robot import Robot
 from trajopt_library import robots
 
@@ -12,7 +12,11 @@ from trajopt_library import robots
 @lru_cache(maxsize=1)
 def families() -> dict[str, Family]:
     """All families by name."""
-    modules = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
+    modules = [
+        importlib.import_module(f"{__name__}.{info.name}")
+        for info in pkgutil.iter_modules(__path__)
+        if not info.name.startswith("_")
+    ]
     families = [module.FAMILY for module in modules if hasattr(module, "FAMILY")]
     families += [family for module in modules for family in getattr(module, "FAMILIES", ())]
     return {family.name: family for family in sorted(families, key=lambda family: family.name)}
@@ -21,6 +25,11 @@ def families() -> dict[str, Family]:
 def family(name: str) -> Family:
     """The family of that name; raises `InputError` that lists the known names."""
     return choose(families(), name)
+
+
+def published() -> tuple[PublishedOptimum, ...]:
+    """Problems with published optima, for ``trajopt bench outside``."""
+    return importlib.import_module(f"{__name__}._published").optima()
 
 
 def robot_kind(name: str) -> str:

@@ -150,16 +150,16 @@ def strongest(robot: Robot, q: np.ndarray, limit: np.ndarray | None) -> float:
         return math.inf
     upward = robot.weight / len(robot.contacts)
     force = np.concatenate([upward * (np.array(contact.rows) == 2) for contact in robot.contacts])
-    torque = np.abs(_feet_jacobian(robot, q)[:, robot.n_unactuated :].T @ force)
+    torque = np.abs(_feet_jacobian(robot, q)[:, robot.actuated_rows].T @ force)
     return float(np.min(limit / np.maximum(torque, ROUNDING * robot.weight * robot.length)))
 
 
 def _fastest(robot: Robot, q: np.ndarray, row: int) -> float:
     """Largest velocity of the base along one row of its own, feet in place: J_joints qd = -J_base v."""
-    jacobian, n = _feet_jacobian(robot, q), robot.n_unactuated
-    rates = np.abs(np.linalg.lstsq(jacobian[:, n:], -jacobian[:, row], rcond=None)[0])
+    jacobian, joints = _feet_jacobian(robot, q), robot.actuated_rows
+    rates = np.abs(np.linalg.lstsq(jacobian[:, joints], -jacobian[:, row], rcond=None)[0])
     unit = np.max(rates)
-    return float(np.min(robot.velocity_limit[n:] / np.maximum(rates, ROUNDING * unit)))
+    return float(np.min(robot.velocity_limit[joints] / np.maximum(rates, ROUNDING * unit)))
 
 
 def apex(takeoff: Takeoff, share: float, most: float) -> float:

@@ -11,7 +11,7 @@ from trajopt.errors import InputError, TrajoptError, failure, line_in, placed, s
 from trajopt.inspection.limbs import tool_joint
 from trajopt.robot import Robot, feet_in_base
 
-KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum")
+KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum", "multirotor")
 # Robots with a free base by the number of feet that they stand on.
 KIND_OF_FEET = {1: "hopper", 2: "biped", 4: "quadruped"}
 

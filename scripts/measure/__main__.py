@@ -4,8 +4,14 @@ uv run python -m scripts.measure --help
 OMP_NUM_THREADS=1 uv run python -m scripts.measure models --only hopper
 """
 
+import contextlib
+import functools
+import io
+from pathlib import Path
+
 import click
 
+from scripts import documents
 from scripts.measure import (
     batches,
     clearance,
@@ -16,6 +22,7 @@ from scripts.measure import (
     linear_systems,
     machine,
     models,
+    outside,
     pages,
     programs,
     robustness,
@@ -26,12 +33,14 @@ from scripts.measure import (
     warm_starts,
 )
 
+DOCS = Path(__file__).parents[2] / "docs"
 COMMANDS = (
     batches.batches,
     models.models,
     models.bases,
     models.goals,
     models.jump_range,
+    outside.outside,
     two_stage.two_stage,
     grades.grades,
     guesses.guesses,
@@ -54,7 +63,35 @@ COMMANDS = (
 )
 
 
-@click.group(commands={command.name: command for command in COMMANDS})
+def _writing(command: click.Command) -> click.Command:
+    """The command with --write: its output goes into the page of the documents that has its marker."""
+    measure = command.callback
+    if measure is None:
+        return command
+
+    @functools.wraps(measure)
+    def written(write: bool, **arguments: object) -> None:
+        if not write:
+            measure(**arguments)
+            return
+        marker, output = str(command.name), io.StringIO()
+        pages = [page for page in DOCS.rglob("*.md") if f"<!-- {marker} -->" in page.read_text()]
+        if not pages:
+            raise click.ClickException(f"no page of {DOCS} has the marker <!-- {marker} -->")
+        with contextlib.redirect_stdout(output):
+            measure(**arguments)
+        for page in pages:
+            page.write_text(documents.written(page.read_text(), marker, output.getvalue()))
+            click.echo(page)
+
+    command.callback = written
+    command.params.append(
+        click.Option(["--write"], is_flag=True, help="Write into the page that has its marker.")
+    )
+    return command
+
+
+@click.group(commands={command.name: _writing(command) for command in COMMANDS})
 def main() -> None:
     """Measure what the documents cite; tables are Markdown."""
 

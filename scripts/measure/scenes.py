@@ -10,7 +10,8 @@ import pinocchio as pin
 from scripts.measure.shared import head, row, solver_option
 from trajopt import Contact, Phase, Problem, Robot, Schedule, check, solve
 from trajopt.robot.building import reference_posture
-from trajopt.robot.data import robot_file
+from trajopt.robot.data import VisualSource, package_directories, robot_file
+from trajopt.robot.reading import read_urdf
 from trajopt.scenes import smallest
 from trajopt.scenes.goals import scene
 from trajopt.scenes.smallest_scene import Scene
@@ -62,7 +63,9 @@ def hips(robot: Robot) -> list[str]:
 def panda_reach() -> Scene:
     """Panda brings its hand to a position: its fingers are not needed."""
     path = robot_file("panda_description/urdf/panda.urdf")
-    robot = Robot.from_urdf(path, base="fixed", name="panda", reference=PANDA)
+    visual = VisualSource(urdf=path, package_dirs=package_directories(path))
+    model = read_urdf(path, "fixed")  # its second finger mimics the first: as independent joints
+    robot = Robot.from_model(model, base="fixed", name="panda", reference=PANDA, visual=visual)
     schedule = Schedule((Phase(name="reach", duration=REACH_TIME),))
     return scene(robot, schedule, {"panda_hand": np.array(PANDA_GOAL)}, name="panda-reach")
 

@@ -212,8 +212,8 @@ def test_states_of_wrong_shape_or_value_are_refused():
         forward_dynamics(model, six, six, np.full(6, np.nan), contacts)
     with pytest.raises(InputError, match="wrenches"):
         inverse_dynamics(model, (six, six, six), contacts, np.zeros((2, 6)))
-    with pytest.raises(InputError, match="n_unactuated"):
-        inverse_dynamics(model, (six, six, six), contacts, np.zeros((1, 6)), n_unactuated=7)
+    with pytest.raises(InputError, match="actuated_rows"):
+        inverse_dynamics(model, (six, six, six), contacts, np.zeros((1, 6)), actuated_rows=np.array([7]))
     with pytest.raises(InputError, match="torque of shape"):
         actuated_force(model, np.zeros(5))
 

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 from tests.support.contact_cases import INDEPENDENT, Case, body, close, independent, vanishes
-from trajopt.certify.contact.contact_dynamics import actuated_force, count_unactuated, forward_dynamics
+from trajopt.certify.contact.contact_dynamics import actuated_force, forward_dynamics, rows_with_actuator
 from trajopt.certify.contact.contact_projection import (
     consistent_projector,
     least_norm_inverse_dynamics,
@@ -36,7 +36,7 @@ def twice(case: Case) -> Case:
 
 def driven(case: Case) -> tuple[Case, np.ndarray]:
     """The case with actuated rows alone, and its acceleration."""
-    tau = actuated_force(case.model, case.tau[count_unactuated(case.model) :])
+    tau = actuated_force(case.model, case.tau[rows_with_actuator(case.model)])
     found = forward_dynamics(case.model, case.q, case.v, tau, case.contacts)
     return replace(case, tau=tau), found.acceleration
 
@@ -89,7 +89,7 @@ def test_projectors_project_onto_motions_that_contacts_allow(name):
 @cases
 def test_projected_torques_give_the_motion_and_none_are_less(name):
     case, acceleration = driven(independent(name))
-    model, base = case.model, count_unactuated(case.model)
+    model, base = case.model, int(rows_with_actuator(case.model)[0])
     found = projected_inverse_dynamics(model, (case.q, case.v, acceleration), case.contacts)
     vanishes(found.residual, ZERO)
     vanishes(found.contact_acceleration, ZERO)
@@ -109,7 +109,7 @@ def test_projected_torques_give_the_motion_and_none_are_less(name):
 @cases
 def test_least_norm_torques_are_the_pseudo_inverse_of_the_lecture(name):
     case, acceleration = driven(independent(name))
-    model, base = case.model, count_unactuated(case.model)
+    model, base = case.model, int(rows_with_actuator(case.model)[0])
     found = least_norm_inverse_dynamics(
         model, (case.q, case.v, acceleration), replace(case.contacts, moment_arm=1.0)
     )
@@ -167,7 +167,7 @@ def test_rows_without_an_actuator_may_be_named():
     model = body({"a": (0.1, 0.0, 0.0)})
     contacts = ContactSet.of(model, [("a", 3)])
     motion = (pin.neutral(model), np.zeros(6), np.zeros(6))
-    driven_turns = projected_inverse_dynamics(model, motion, contacts, n_unactuated=3)
+    driven_turns = projected_inverse_dynamics(model, motion, contacts, actuated_rows=np.arange(3, model.nv))
     assert driven_turns.torque.shape == (3,)
     assert driven_turns.fully_actuated
     assert projected_inverse_dynamics(model, motion, contacts).torque.shape == (0,)

@@ -44,7 +44,7 @@ class Standing:
         self.acceleration = np.where(turning, self.units.gravity / length, self.units.gravity)
         self.programs = TaskSpaceInverseDynamics(
             state=self.state,
-            n_unactuated=self.robot.n_unactuated,
+            actuation=self.robot.actuation,
             acceleration_unit=self.acceleration,
             force_units=(weight, weight * length),
             torque_unit=np.where(turning, weight * length, weight),

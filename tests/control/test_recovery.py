@@ -14,8 +14,8 @@ from trajopt.control.falling import FallingMass
 from trajopt.control.recovery import DEEPEST, LIFT, SWING, Recovery, swing_height
 from trajopt.control.support_polygon import SupportPolygon
 from trajopt.control.swing_legs import diagonal_pairs, swing_leg
+from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.push import PushTrials
 from trajopt_library import robots
 
@@ -86,7 +86,7 @@ def test_over_its_capture_point_a_mass_comes_to_rest_there() -> None:
 def test_the_longest_leg_is_the_stretched_one() -> None:
     robot = robots.load("solo12")
     foot = robot.contacts[0].frame
-    leg = swing_leg(robot.model, robot.model.getFrameId(foot), robot.n_unactuated)
+    leg = swing_leg(robot.model, robot.model.getFrameId(foot), robot.actuated_rows)
     way = [0.0, 0.0]
     for joint in list(robot.model.supports[robot.model.frames[robot.model.getFrameId(foot)].parentJoint])[3:]:
         way.append(float(np.linalg.norm(robot.model.jointPlacements[joint].translation)))

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import trajopt
+from tests.support.printed import difference
 from tests.support.repository import ROOT
 
 NOT_OURS = {"puppy.py", "paw.py"}  # files that a reader makes
@@ -18,6 +19,8 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 # Packages of this repository that documents import from.
 OURS = ("trajopt", "trajopt_library")
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+# What a block prints, where a document says so directly below it.
+OUTPUT = re.compile(r"^```python\n(.*?)^```\n(?:\n```output\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
 # Python that is more than a block: the tutorial saves it to files, which its own test does.
 ANY_BLOCK = re.compile(r"^ *```(?:python|py)\b[^\n]*\n(.*?)^ *```$", re.DOTALL | re.MULTILINE)
 
@@ -62,11 +65,18 @@ def test_source_files_that_documents_name_exist(document: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("document", "index"), ALL)
 def test_python_block_runs(
-    document: str, index: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    document: str,
+    index: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {"__name__": "__main__"}
     exec(compile(blocks(document)[index], f"{document}, block {index}", "exec"), namespace)
+    stated = OUTPUT.findall((ROOT / document).read_text(encoding="utf-8"))[index][1]
+    if stated:
+        assert difference(stated, capsys.readouterr().out) == ""
     if "solution" in namespace:
         assert namespace["solution"].statistics.status == "solved"
         report = namespace.get("report") or trajopt.check(namespace["solution"])

@@ -19,7 +19,7 @@ GUESSES = [
     ("tiago_description/robots/tiago_no_hand.urdf", "fixed", 10, 0, 2, 0),
     ("romeo_description/urdf/romeo.urdf", "freeflyer", 37, 2, 0, 24),
     ("centauro_description/urdf/centauro.urdf", "fixed", 35, 0, 4, 0),
-    ("panda_description/urdf/panda.urdf", "fixed", 9, 0, 0, 0),
+    ("panda_description/urdf/panda.urdf", "fixed", 7, 0, 0, 0),
     ("ur_description/urdf/ur5_gripper.urdf", "fixed", 6, 0, 0, 0),
     ("double_pendulum_description/urdf/double_pendulum_continuous.urdf", "fixed", 2, 0, 0, 0),
     ("b1_description/urdf/b1-z1.urdf", "freeflyer", 25, 4, 0, 0),

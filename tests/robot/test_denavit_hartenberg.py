@@ -132,7 +132,11 @@ def test_limits_are_the_robots() -> None:
         ([], {}, "robot_from_dh has no joints"),
         ([DhJoint()], {}, "has no mass"),
         ([DhJoint(**LINK)], {"convention": "classic"}, "convention of robot_from_dh is 'classic'"),
-        ([DhJoint(lower=1.0, upper=-1.0, **LINK)], {}, "position limits of robot 'arm' are empty"),
+        (
+            [DhJoint(lower=1.0, upper=-1.0, **LINK)],
+            {},
+            "position limits of joint 'joint1' of 'arm' are empty",
+        ),
         (
             [DhJoint(mass=1.0, inertia=-np.eye(3))],
             {},

@@ -37,7 +37,7 @@ def frame_positions(robot: Robot, frames: tuple[str, ...], q: np.ndarray) -> np.
 def test_every_registered_robot_builds_under_its_name(name):
     robot = robots.load(name)
     assert robot.name == name
-    assert robot.nu + robot.n_unactuated == robot.nv
+    assert robot.nu - len(robot.thrusters) + robot.n_unactuated == robot.nv
     assert robot.length > 0.1
 
 
@@ -219,9 +219,15 @@ def test_arrays_of_a_robot_are_read_only():
             {"base": "floating"},
             "base of Robot .* is .floating.; allowed: freeflyer, virtual, planar, fixed",
         ),
-        ({"torque_limit": np.full(6, -1.0)}, "torque_limit .* negative"),
+        (
+            {"torque_limit": np.full(6, -1.0)},
+            "torque_limit of joint 'shoulder_pan_joint' of 'ur5' is -1: negative or NaN",
+        ),
         ({"velocity_limit": "fast"}, "velocity_limit of Robot 'ur5' is 'fast'; allowed: an array of numbers"),
-        ({"position_lower": np.full(6, 9.0)}, "empty at index 0"),
+        (
+            {"position_lower": np.full(6, 9.0)},
+            "position limits of joint 'shoulder_pan_joint' of 'ur5' are empty: 9 > 6.28319 rad",
+        ),
     ],
 )
 def test_inconsistent_robot_is_refused(change, message):
@@ -291,3 +297,14 @@ def test_complaints_of_the_urdf_parser_are_the_reason_and_nothing_else_is_printe
     with pytest.raises(InputError, match=r"readable URDF file: Joint \[a\] is of type REVOLUTE .* limits"):
         Robot.from_urdf(file)
     assert capfd.readouterr() == ("", "")
+
+
+def test_joints_are_locked_where_frames_share_a_name():
+    robot = robots.load("z1")
+    frames = [frame.name for frame in robot.model.frames]
+    assert len(set(frames)) < len(frames)
+    locked = robot.with_locked([robot.model.names[3]])
+    q, kept = robot.reference, np.delete(np.arange(robot.nv), 2)
+    whole = pin.crba(robot.model, robot.model.createData(), q)
+    reduced = pin.crba(locked.model, locked.model.createData(), locked.reference)
+    np.testing.assert_allclose(np.triu(reduced), np.triu(whole[np.ix_(kept, kept)]), atol=1e-12)

@@ -51,7 +51,8 @@ PUBLISHED = {
 
 LEGGED = tuple(name for kind in ("quadruped", "biped", "hopper") for name in robots.names(kind))
 MASSLESS = ("hip_roll",)  # of the hopper in space: the cross of its hip, with the inertia of a motor
-BUILT_HERE = ("hopper", "hopper_space", "irb1600")  # links without a description file
+POINT_MASSES = ("swing",)  # of the cart-pole's pole, as in its publication
+BUILT_HERE = ("cart_pole", "furuta", "hopper", "hopper_space", "irb1600")  # links without a description file
 
 ONE_LEG = "from trajopt_library.robots.hopper_space import build\n"
 
@@ -172,7 +173,7 @@ def test_limits_are_positive_and_inertias_of_bodies_that_can_be(name):
     limited = np.isfinite(robot.position_lower)
     assert (robot.position_lower < robot.position_upper)[limited].all()
     for body, inertia in zip(list(robot.model.names)[1:], list(robot.model.inertias)[1:], strict=True):
-        if body in MASSLESS:
+        if body in (*MASSLESS, *POINT_MASSES):
             continue
         moments = np.linalg.eigvalsh(inertia.inertia)
         assert inertia.mass > 0

@@ -105,11 +105,11 @@ def test_a_ball_joint_in_the_leg_is_refused():
     ("passive", "message"),
     [
         (("elbow",), "'elbow' is unknown"),
-        (("knee",), "do not come first; the first are hip"),
-        (("hip", "hip"), "do not come first"),
+        (("root_joint",), "'root_joint' is unknown; one of hip, knee"),
+        (("hip", "hip"), "'hip' is named twice"),
     ],
 )
-def test_passive_joints_must_exist_and_come_first(passive, message):
+def test_passive_joints_must_exist_and_are_named_once(passive, message):
     with pytest.raises(InputError, match=message):
         Robot.from_model(robots.load("hopper").model, passive=passive)
 
@@ -120,3 +120,12 @@ def test_passive_joints_follow_the_base_and_leave_with_a_lock():
     locked = robot.with_locked(["hip"])
     assert (locked.passive, locked.n_unactuated, locked.nu) == ((), 3, 1)
     np.testing.assert_array_equal(locked.torque_limit, robot.torque_limit)
+
+
+def test_any_joint_may_be_passive():
+    hopper = robots.load("hopper")
+    robot = Robot.from_model(hopper.model, passive=["knee"])
+    np.testing.assert_array_equal(robot.unactuated_rows, [0, 1, 2, 4])
+    np.testing.assert_array_equal(robot.actuated_rows, [3])
+    np.testing.assert_array_equal(robot.torque_limit, hopper.torque_limit[:1])
+    assert robot.with_locked(["hip"]).nu == 0

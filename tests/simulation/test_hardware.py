@@ -13,8 +13,8 @@ from tests.support.synthetic_motions import arm_motion, planar_flight, sampled, 
 from trajopt import Solution
 from trajopt.control.reference import reference_of
 from trajopt.errors import InputError
+from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.run import SimulationRun
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.simulate import Simulation, simulate

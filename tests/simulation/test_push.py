@@ -12,8 +12,8 @@ from tests.support.command_lines import assert_refused, invoke
 from tests.support.synthetic_motions import arm_motion, planar_flight, sampled, standing, tumbling_flight
 from trajopt import Solution
 from trajopt.errors import InputError
+from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.push import (
     AFTER,
     DURATION,

@@ -395,7 +395,7 @@ def test_a_simulation_that_runs_away_ends_with_its_last_finite_state_and_says_so
 
 def test_missing_mujoco_is_said_in_one_line(stand, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
-    with pytest.raises(InputError, match="MuJoCo, which is not installed; pip install mujoco"):
+    with pytest.raises(InputError, match="MuJoCo, which is not installed; pip install"):
         simulate(stand)
 
 

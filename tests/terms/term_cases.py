@@ -44,6 +44,7 @@ from trajopt.terms import (
     SwingCrossing,
     SwingOver,
     SwingPart,
+    TerminalLinear,
     TerminalPosture,
     TerminalRest,
     TerminalState,
@@ -579,6 +580,20 @@ CASES: dict[str, Case] = {
     ),
     "terminal velocity": rows(
         lambda s: TerminalVelocity(q=goal(s), v=rates(s)), terminal_velocity, **IN_METRES
+    ),
+    "terminal line": rows(
+        lambda s: TerminalLinear(
+            position=np.eye(8)[:1],
+            velocity=-0.5 * s.time * np.eye(8)[1:2],
+            value=np.array([0.3 * s.length]),
+        ),
+        lambda p, t: (
+            np.array([p.xi[0] - 0.5 * p.scale.time * p.dxi[1] - 0.3 * p.scale.length]),
+            0.0,
+            0.0,
+            max(p.units.position[0], 0.5 * p.scale.time * p.units.velocity[1]),
+        ),
+        node=node,
     ),
     "terminal posture": rows(lambda s: TerminalPosture(q=goal(s), over=FOOT), terminal_posture, **IN_METRES),
 }

@@ -18,6 +18,7 @@ from tests.support.plots import arm, drawn, jump, lines, panels, track_of
 from tests.support.problems import one_joint_arm, planar_hopper
 from tests.support.synthetic_motions import arm_motion, sampled, tumbling_flight, with_meta
 from trajopt.errors import InputError
+from trajopt.robot.reading import read_urdf
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.view.plotting import style
@@ -38,7 +39,8 @@ TALOS = "cmeel.prefix/share/example-robot-data/robots/talos_data/robots/talos_fu
 def many_joints() -> Solution:
     """A humanoid of 44 joints with grippers, tumbling."""
     urdf = importlib.metadata.distribution("example-robot-data").locate_file(TALOS)
-    robot = Robot.from_urdf(Path(str(urdf)), name="talos_full")
+    model = read_urdf(Path(str(urdf)), "freeflyer")  # fingers that mimic others, as independent joints
+    robot = Robot.from_model(model, name="talos_full")
     return sampled(robot, [tumbling_flight(robot, 0.05)], 2)
 
 

@@ -17,7 +17,7 @@ FIGURES = ("ballistic_error", "momentum_error", "ballistic_error_between", "mome
 
 
 def flight_errors(motion: MotionQuantities, phase: range) -> dict[str, float | None]:
-    """Return the ``FIGURES`` of free motion in ``phase``, all None with contacts or a fixed base.
+    """Return the ``FIGURES`` of free motion in ``phase``; None with contacts, thrusters or a fixed base.
 
     Ballistic: max |c - c_0 - c'_0 t - g t^2 / 2| over the phase's max |c - c_0|.
     Momentum: max |h - h_0| over max(|h|, ``QUIET_MOMENTUM`` m l sqrt(g l)), with h the angular
@@ -26,7 +26,7 @@ def flight_errors(motion: MotionQuantities, phase: range) -> dict[str, float | N
     """
     solution, base = motion.solution, motion.base
     samples = slice(phase.start, phase.stop)
-    if base == "fixed" or solution.active[samples].any():
+    if base == "fixed" or solution.description.thrusters or solution.active[samples].any():
         return dict.fromkeys(FIGURES)
     t = solution.t[samples] - solution.t[phase.start]
     com, velocity, momentum, mass = _centroidal(solution, phase)

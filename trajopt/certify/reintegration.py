@@ -124,7 +124,6 @@ def integrate_interval(
     plan, model, nv = motion.solution, motion.solution.model, motion.solution.model.nv
     start, end = (float(time) for time in plan.interval_t[number])
     coefficients, powers = motion.inputs[number], np.arange(len(motion.inputs[number]))
-    force = np.zeros(nv)
 
     def coordinate_rate(delta: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         return np.linalg.solve(pin.dIntegrate(model, q, delta, pin.ArgumentPosition.ARG1), velocity)
@@ -134,8 +133,9 @@ def integrate_interval(
 
     def dynamic(fraction: float, state: np.ndarray) -> np.ndarray:
         delta, velocity = state[:nv], state[nv:]
-        force[plan.n_unactuated :] = fraction**powers @ coefficients
-        acceleration = dynamics.acceleration(pin.integrate(model, q, delta), velocity, force)
+        moved = pin.integrate(model, q, delta)
+        force = plan.actuation.force(fraction**powers @ coefficients) + plan.joint_force(moved, velocity)
+        acceleration = dynamics.acceleration(moved, velocity, force)
         return (end - start) * np.concatenate([coordinate_rate(delta, velocity), acceleration])
 
     if motion.moved_by_rates:

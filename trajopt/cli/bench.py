@@ -5,6 +5,7 @@ import click
 from trajopt.cli.commands import LazyGroup
 
 COMMANDS = {
+    "outside": "trajopt.cli.outside:outside",
     "reference": "trajopt.cli.reference:reference_command",
     "suite": "trajopt.cli.suite:suite",
     "sweep": "trajopt.cli.sweep:sweep",

@@ -17,11 +17,16 @@ if TYPE_CHECKING:
     from trajopt.dynamics.base_joint import Base
     from trajopt.robot.robot import Robot
 
+# Endings of descriptions, from which a robot is guessed; a Xacro file is refused with its remedy.
+DESCRIPTIONS = (".urdf", ".xacro", ".xml", ".mjcf")
+
 
 @click.command("robot")
 @click.argument("robot")
-@value_option("--base", "KIND", "Base of a URDF: freeflyer, planar, virtual or fixed.  [default: guessed]")
-@value_option("--write", "FILE.py", "Write a first robot file for a URDF, to be edited.", Path)
+@value_option(
+    "--base", "KIND", "Base of a URDF or MJCF file: freeflyer, planar, virtual or fixed.  [default: guessed]"
+)
+@value_option("--write", "FILE.py", "Write a first robot file for a URDF or MJCF file, to be edited.", Path)
 @value_option("--html", "OUT", "Write a page that shows the reference posture at rest.", Path)
 @json_option
 def robot_command(robot: str, base: str | None, write: Path | None, html: Path | None, as_json: bool) -> None:
@@ -29,9 +34,9 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
 
     Also the torques needed to stand.
 
-    ROBOT is a name (as in --set robot=go2), a .py file with build() -> Robot, or a .urdf file, for which
-    base, feet and posture are guessed from the geometry: --write saves them as a .py file. Warnings do not
-    change the exit status.
+    ROBOT is a name (as in --set robot=go2), a .py file with build() -> Robot, or a .urdf file or an
+    .xml file (MJCF), for which base, feet and posture are guessed from the geometry: --write saves them as a
+    .py file. Warnings do not change the exit status.
     """
     from trajopt.inspection.report import robot_report
 
@@ -57,27 +62,26 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
 
 
 def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
-    if Path(name).suffix == ".urdf":
+    if Path(name).suffix in DESCRIPTIONS:
         from trajopt.inspection.starter import guessed
 
         return guessed(Path(name), cast("Base | None", base))
     for option, value in (("--base", base), ("--write", write)):
         if value is not None:
-            what = f"{option} needs a .urdf file, and {name} is not one"
-            raise InputError(what, "a path that ends in .urdf")
+            what = f"{option} needs a .urdf or .xml file, and {name} is not one"
+            raise InputError(what, "a path that ends in .urdf or .xml")
     from trajopt.robot.catalogue import robot
 
     return robot(name)
 
 
 def _guesses(name: str) -> tuple[str, ...]:
-    """Notes on joints that the guess of a URDF file locks."""
-    if Path(name).suffix != ".urdf":
+    """Notes on joints that the guess of a description locks."""
+    if Path(name).suffix not in DESCRIPTIONS:
         return ()
-    from trajopt.inspection.limbs import find_limbs
-    from trajopt.robot.reading import read_urdf
+    from trajopt.inspection.starter import limbs_of
 
-    return find_limbs(read_urdf(name, "fixed")).lines()
+    return limbs_of(Path(name)).lines()
 
 
 def _starter(loaded: Robot, target: Path) -> str:

@@ -117,7 +117,7 @@ def suite(
     if resume and output_dir is None:
         raise InputError("--resume has no results to continue from", "allowed: with --output-dir DIR")
     if settings.simulate:
-        from trajopt.simulation.bodies import mujoco_package
+        from trajopt.robot.mujoco_package import mujoco_package
 
         mujoco_package()  # refused before solving, as are files that cannot be read or written
     target = None if update is None else check_output(update)

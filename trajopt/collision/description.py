@@ -20,6 +20,7 @@ from trajopt.collision.shapes import LinkShape, Obstacle
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
+from trajopt.robot.mjcf_shapes import excluded_bodies
 from trajopt.robot.robot import Robot
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import MOST_SHAPES
@@ -186,7 +187,7 @@ def above_ground(robot: Robot, shapes: tuple[LinkShape, ...]) -> bool:
 def _touching_by_construction(
     robot: Robot, shapes: tuple[LinkShape, ...], links: Mapping[str, str]
 ) -> Iterator[tuple[ShapePair, str]]:
-    """Pairs whose joints are the same or neighbours, and those that an SRDF disables."""
+    """Pairs whose joints are the same or neighbours, and those that a description disables."""
     model, disabled = robot.model, _disabled(robot)
     joints = {s.name: int(model.frames[model.getFrameId(s.frame)].parentJoint) for s in shapes}
     for first, second in itertools.combinations(shapes, 2):
@@ -198,12 +199,18 @@ def _touching_by_construction(
         else:
             reason = disabled.get(frozenset((links[first.name], links[second.name])))
             if reason is not None:
-                yield (first.name, second.name), f"SRDF: {reason}"
+                yield (first.name, second.name), reason
 
 
 def _disabled(robot: Robot) -> dict[frozenset[str], str]:
-    """Pairs of links that the SRDF of a URDF disables because they touch, with its reasons."""
-    file = None if robot.visual is None else _srdf_of(robot.visual.urdf)
+    """Pairs of links that the SRDF of a URDF disables because they touch, or an MJCF file, with reasons."""
+    source = robot.visual
+    if source is not None and source.is_mjcf:
+        try:
+            return dict.fromkeys(excluded_bodies(source.urdf), "excluded by the MJCF file")
+        except InputError:  # the shapes are missing too, which is said
+            return {}
+    file = None if source is None else _srdf_of(source.urdf)
     if file is None:
         return {}
     try:
@@ -211,7 +218,7 @@ def _disabled(robot: Robot) -> dict[frozenset[str], str]:
     except Tree.ParseError:
         return {}
     reasons = {frozenset((e.get("link1", ""), e.get("link2", ""))): e.get("reason", "") for e in entries}
-    return {pair: reason for pair, reason in reasons.items() if reason.lower() not in JUDGED_REASONS}
+    return {pair: f"SRDF: {why}" for pair, why in reasons.items() if why.lower() not in JUDGED_REASONS}
 
 
 def _srdf_of(urdf: Path) -> Path | None:

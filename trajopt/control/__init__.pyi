@@ -4,6 +4,7 @@ from .inverse_dynamics import TaskSpaceInverseDynamics as TaskSpaceInverseDynami
 from .inverse_dynamics import TickLimits as TickLimits
 from .inverse_dynamics import TickResult as TickResult
 from .robot_state import RobotState as RobotState
+from .task_space import TaskSpaceController as TaskSpaceController
 from .tasks import AngularMomentumTask as AngularMomentumTask
 from .tasks import CenterOfMassTask as CenterOfMassTask
 from .tasks import ContactForceTask as ContactForceTask

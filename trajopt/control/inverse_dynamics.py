@@ -35,6 +35,7 @@ from trajopt.control.quadratic_programs import (
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import Task
 from trajopt.errors import InputError
+from trajopt.robot.actuators.actuation import Actuation
 
 # Weight of contact rows where they are relaxed, over that of a task of weight one.
 PENALTY = 1e4
@@ -75,7 +76,7 @@ class TaskSpaceInverseDynamics:
 
     Args:
         state: of the robot.
-        n_unactuated: rows of v without an actuator, which come first.
+        actuation: of the robot.
         acceleration_unit: (nv,), m/s^2 and rad/s^2, which scales unknowns and rows.
         force_units: of forces and moments, N and N m.
         torque_unit: (nv,) of the rows of the dynamics.
@@ -84,7 +85,7 @@ class TaskSpaceInverseDynamics:
     """
 
     state: RobotState
-    n_unactuated: int
+    actuation: Actuation
     acceleration_unit: np.ndarray
     force_units: tuple[float, float]
     torque_unit: np.ndarray
@@ -162,33 +163,35 @@ class _Program:
 
     def rows(self, relaxed: int) -> QpRows:
         """Rows on the scaled unknowns; see `RELAXED`."""
-        owner, limits, n, nv = self.owner, self.limits, self.n, self.nv
-        u, h, scale = owner.n_unactuated, owner.state.nonlinear, owner.torque_unit
-        scaled = self.dynamics * (self.unit / scale[:, None])
-        equal, value = scaled[:u], -h[:u] / scale[:u]
+        owner, limits, n = self.owner, self.limits, self.n
+        actuation, h = owner.actuation, owner.state.nonlinear
+        driven, scaled = actuation.rows, (self.dynamics * self.unit).T
+        unit, scale = (of(owner.torque_unit) for of in (actuation.balance_unit, actuation.input_unit))
+        equal, value = actuation.balanced(scaled).T / unit[:, None], -actuation.balanced(h) / unit
         if relaxed < 2 and len(self.still):
             equal, value = np.vstack([equal, self.motion]), np.append(value, self.still)
-        bias = h[u:] + limits.friction
+        bias = actuation.inputs(h) + limits.friction
         forces = [contact.force_rows(owner.state) for contact in self.contacts]
-        between = np.zeros((nv - u + sum(len(low) for _, low, _ in forces), n))
-        between[: nv - u] = scaled[u:]
-        row = nv - u
+        row = len(scale)
+        between = np.zeros((row + sum(len(low) for _, low, _ in forces), n))
+        between[:row] = actuation.inputs(scaled).T / scale[:, None]
         for contact, first, (own_rows, low, _) in zip(self.contacts, self.first, forces, strict=False):
             columns = slice(first, first + contact.dimension)
             between[row : row + len(low), columns] = own_rows * (self.unit[columns] / owner.force_units[0])
             row += len(low)
-        lows = [(limits.torque[0] - bias) / scale[u:], *(low / owner.force_units[0] for _, low, _ in forces)]
-        highs = [(limits.torque[1] - bias) / scale[u:], *(high / owner.force_units[0] for *_, high in forces)]
-        units, (least, most) = owner.acceleration_unit[u:], limits.acceleration
+        low, high = ((limit - bias) / scale for limit in limits.torque)
+        lows = [low, *(low / owner.force_units[0] for _, low, _ in forces)]
+        highs = [high, *(high / owner.force_units[0] for *_, high in forces)]
+        units, (least, most) = owner.acceleration_unit[driven], limits.acceleration
         return QpRows(
             equal=equal,
             value=value,
             between=between,
             low=np.concatenate(lows),
             high=np.concatenate(highs),
-            bounded=np.arange(u, nv),
-            least=np.full(nv - u, -UNBOUNDED) if relaxed else least / units,
-            most=np.full(nv - u, UNBOUNDED) if relaxed else most / units,
+            bounded=driven,
+            least=np.full(len(driven), -UNBOUNDED) if relaxed else least / units,
+            most=np.full(len(driven), UNBOUNDED) if relaxed else most / units,
         )
 
     def objective(self, tasks: Sequence[Task]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -214,11 +217,11 @@ class _Program:
 
     def result(self, scaled: np.ndarray, relaxed: int, iterations: int) -> TickResult:
         """Torques, accelerations and forces of scaled unknowns."""
-        x, u, state = scaled * self.unit, self.owner.n_unactuated, self.owner.state
+        x, state = scaled * self.unit, self.owner.state
         forces = np.zeros((len(self.contacts), 6))
         for row, (contact, first) in enumerate(zip(self.contacts, self.first, strict=False)):
             forces[row, : contact.dimension] = x[first : first + contact.dimension]
-        torque = self.dynamics[u:] @ x + state.nonlinear[u:] + self.limits.friction
+        torque = self.owner.actuation.inputs(self.dynamics @ x + state.nonlinear) + self.limits.friction
         if relaxed == 3:
             torque = np.zeros_like(torque)
         return TickResult(
@@ -234,7 +237,7 @@ class _Program:
         """Largest violation of the rows that are relaxed by scaled unknowns (n,), over their units."""
         if relaxed not in (1, 2):
             return 0.0
-        joints = slice(self.owner.n_unactuated, self.nv)
+        joints = self.owner.actuation.rows
         low, high = self.limits.acceleration
         unit, accelerations = self.owner.acceleration_unit[joints], scaled[joints]
         beyond = np.maximum(low / unit - accelerations, accelerations - high / unit)

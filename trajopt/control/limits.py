@@ -1,6 +1,7 @@
 """Limits at a tick: torques of drives, and accelerations that keep joints in their ranges."""
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.dynamics.base_joint import UNLIMITED, position_limits
 from trajopt.robot.actuators.drive import Drive
@@ -13,7 +14,10 @@ def torque_limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
     given = plan.description.effort_limit
     if given is not None and plan.description.actuation == "torque":
         limit = _numbers(given)
-    return -limit, limit
+    least = -limit
+    for row, thruster in enumerate(plan.description.thrusters, len(plan.actuated_rows)):
+        least[row] = thruster.least
+    return least, limit
 
 
 def limits_with_drives(
@@ -32,33 +36,41 @@ class JointRange:
     """Bounds on accelerations (nu,) that keep positions and rates of joints in range for ``horizon`` s.
 
     With constant acceleration a, q + v T + a T^2 / 2 and v + a T are in their ranges. A joint that cannot
-    return within T is braked as hard as its rate allows.
+    return within T is braked as hard as its rate allows. ``critical``: it approaches the end of its range as
+    a critically damped spring would instead, a <= (q_max - q) / T^2 - 2 v / T, without going beyond.
     """
 
-    def __init__(self, plan: Solution, horizon: float) -> None:
-        model, first = plan.model, plan.n_unactuated
-        self.horizon, size = horizon, plan.model.nv - first
+    def __init__(
+        self,
+        model: pin.Model,
+        actuated: np.ndarray,
+        fastest: np.ndarray | None,
+        horizon: float,
+        *,
+        critical: bool = False,
+    ) -> None:
+        self.horizon, size = horizon, len(actuated)
+        self.stiff, self.damped = (1.0, 2.0) if critical else (2.0, 1.0)
         self.index = np.full(size, -1)
         self.low, self.high = np.full(size, -np.inf), np.full(size, np.inf)
         lower, upper = position_limits(model)
         for joint in list(model.joints)[1:]:
-            if joint.nq == joint.nv == 1 and joint.idx_v >= first:
-                row = joint.idx_v - first
+            if joint.nq == joint.nv == 1 and joint.idx_v in actuated:
+                row = np.searchsorted(actuated, joint.idx_v)
                 self.index[row] = joint.idx_q
                 self.low[row] = lower[joint.idx_q]
                 self.high[row] = upper[joint.idx_q]
-        given = plan.description.velocity_limit
-        whole = np.full(model.nv, np.inf) if given is None else _numbers(given)
-        self.fastest = whole[first:]
+        whole = np.full(model.nv, np.inf) if fastest is None else _numbers(fastest)
+        self.fastest = whole[actuated]
 
     def bounds(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest acceleration (nu,) at positions (nq,) and rates (nu,)."""
         time, known = self.horizon, self.index >= 0
         low, high = (-self.fastest - v) / time, (self.fastest - v) / time
-        ahead = np.where(known, q[np.maximum(self.index, 0)], 0.0) + v * time
-        low = np.where(known, np.maximum(low, 2 * (self.low - ahead) / time**2), low)
-        high = np.where(known, np.minimum(high, 2 * (self.high - ahead) / time**2), high)
-        brake = np.abs(v) / time
+        ahead = np.where(known, q[np.maximum(self.index, 0)], 0.0) + self.damped * v * time
+        low = np.where(known, np.maximum(low, self.stiff * (self.low - ahead) / time**2), low)
+        high = np.where(known, np.minimum(high, self.stiff * (self.high - ahead) / time**2), high)
+        brake = self.damped * np.abs(v) / time
         high = np.maximum(high, -brake)
         return np.minimum(np.minimum(low, brake), high), high
 

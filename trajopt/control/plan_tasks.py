@@ -39,7 +39,7 @@ class PlanTasks:
         self._units = NaturalUnits.of(plan.model)
         self._moving = base_of(plan.model) != "fixed"
         self._base = base_frame(tracking_model(plan, 0)) if self._moving else 0
-        self._rows = np.arange(plan.n_unactuated, plan.model.nv)
+        self._rows = plan.actuated_rows
         self._unit = self._units.acceleration(plan.model)[self._rows]
         self._walks = bool(plan.description.periodicity)
         self._stands = np.asarray(reference.active.any(axis=0))
@@ -128,12 +128,11 @@ class PlanTasks:
 
 def _determined_joints(plan: Solution, stands: np.ndarray) -> np.ndarray:
     """Joints (nc, nu) of legs that have no more than the pose of their foot has components."""
-    first = plan.n_unactuated
-    determined = np.zeros((len(stands), plan.model.nv - first), dtype=bool)
+    actuated = plan.actuated_rows
+    determined = np.zeros((len(stands), len(actuated)), dtype=bool)
     for i in np.flatnonzero(stands):
-        rows = sorted(moving_rows(plan.model, plan.contact_frames[i]))
-        joints = [row - first for row in rows if row >= first]
-        determined[i, joints] = len(joints) <= (6 if plan.description.contacts[i].is_sole else 3)
+        joints = np.isin(actuated, list(moving_rows(plan.model, plan.contact_frames[i])))
+        determined[i, joints] = joints.sum() <= (6 if plan.description.contacts[i].is_sole else 3)
     return determined
 
 

@@ -93,7 +93,7 @@ class Recovery:
         self._feet, self._groups = _feet_of(plan, reference, targets)
         self.steps = bool(self._feet)
         self._legs: dict[int, SwingLeg] = {
-            i: swing_leg(plan.model, self._frames[i], plan.n_unactuated) for i in self._feet
+            i: swing_leg(plan.model, self._frames[i], plan.actuated_rows) for i in self._feet
         }
         self._first = self._first_tick(reference)
         self._offsets = FootholdOffsets(

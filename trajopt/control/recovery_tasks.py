@@ -31,7 +31,7 @@ class RecoveryTasks:
         self._units = NaturalUnits.of(plan.model)
         self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
         self._base = base_frame(tracking_model(plan, 0))
-        self._rows = np.arange(plan.n_unactuated, plan.model.nv)
+        self._rows = plan.actuated_rows
         self._unit = self._units.acceleration(plan.model)[self._rows]
 
     def of(self, k: int, step: RecoveryStep, state: RobotState) -> list[Task]:

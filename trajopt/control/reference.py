@@ -143,19 +143,20 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
 
     A plan that has come to rest may still accelerate: its last torques would move it away again.
     """
-    model, q, first = carrying_model(plan, int(plan.phase[-1])), plan.q[-1], plan.n_unactuated
+    model, q, actuation = carrying_model(plan, int(plan.phase[-1])), plan.q[-1], plan.actuation
     gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
+    gravity = gravity - plan.joint_force(q, np.zeros(model.nv))
     sizes = [6 if contact.is_sole else 3 for contact in plan.description.contacts]
     picked = [(i, size) for i, size in enumerate(sizes) if plan.active[-1, i]]
     jacobian = contact_jacobian(model, q, [(plan.contact_frames[i], size) for i, size in picked])
     forces = np.concatenate([np.zeros(0), *(reference.f[-1, i, :size] for i, size in picked)])
-    missing = gravity[:first] - jacobian[:, :first].T @ forces
-    forces += np.linalg.lstsq(jacobian[:, :first].T, missing, rcond=None)[0]
+    missing = actuation.balanced(gravity - jacobian.T @ forces)
+    forces += np.linalg.lstsq(actuation.balanced(jacobian).T, missing, rcond=None)[0]
     wrenches, row = np.zeros_like(reference.f[-1]), 0
     for index, size in picked:
         wrenches[index, :size] = forces[row : row + size]
         row += size
-    return gravity[first:] - jacobian[:, first:].T @ forces, wrenches
+    return actuation.inputs(gravity - jacobian.T @ forces), wrenches
 
 
 def _with_hold(plan: Solution, reference: ReferenceTrajectory, hold: float) -> ReferenceTrajectory:

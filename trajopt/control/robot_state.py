@@ -1,11 +1,13 @@
 """What a controller needs of a robot at one state: inertia, nonlinear effects, frames, centre of mass."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
+from trajopt.robot.actuators.joint_force import JointForce, joint_force
 from trajopt.robot.contact import require_frame
 
 
@@ -25,11 +27,13 @@ class FrameState:
 class RobotState:
     """Quantities of a model at a state (q, v), recomputed by `update`.
 
-    ``mass`` (nv, nv) and ``nonlinear`` (nv,) are of M a + h = S' tau + J' f (Featherstone, Rigid Body
+    ``mass`` (nv, nv) and ``nonlinear`` (nv,) are of M a + h = S' tau + J' f, with forces of springs and
+    friction at joints in h (Featherstone, Rigid Body
     Dynamics Algorithms, 2008, sec. 9.2); frames and the centre of mass are computed when asked for.
     """
 
-    def __init__(self, model: pin.Model) -> None:
+    def __init__(self, model: pin.Model, joint_forces: Sequence[JointForce] = ()) -> None:
+        self.joint_forces = joint_forces
         self.model, self.data = model, model.createData()
         self.q, self.v = pin.neutral(model), np.zeros(model.nv)
         self.mass, self.nonlinear = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
@@ -48,7 +52,7 @@ class RobotState:
                 raise InputError(f"{name}[{index}] of a state is {given[index]}", "allowed: finite numbers")
         self.q, self.v = q, v
         self.mass = pin.crba(model, data, q).copy()
-        self.nonlinear = pin.nonLinearEffects(model, data, q, v).copy()
+        self.nonlinear = pin.nonLinearEffects(model, data, q, v) - joint_force(model, self.joint_forces, q, v)
         pin.computeJointJacobians(model, data, q)
         pin.forwardKinematics(model, data, q, v, self._rest)  # last: what is above puts gravity in
         pin.updateFramePlacements(model, data)

@@ -22,12 +22,12 @@ class SwingLeg:
     reach: float
 
 
-def swing_leg(model: pin.Model, frame: int, n_unactuated: int) -> SwingLeg:
+def swing_leg(model: pin.Model, frame: int, actuated_rows: np.ndarray) -> SwingLeg:
     """The leg that moves a frame of the model, by trying angles within the ranges of its joints."""
     way = [
         joint
         for joint in list(model.supports[model.frames[frame].parentJoint])[1:]
-        if model.joints[joint].idx_v >= n_unactuated
+        if model.joints[joint].idx_v in actuated_rows
     ]
     hip, turned = int(way[0]), way[1:][-TRIED:]
     lower, upper = position_limits(model)

@@ -15,13 +15,14 @@ what tasks of priority 1 leave free.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.control.contact_forces import ActiveContact
 from trajopt.control.robot_state import RobotState
+from trajopt.dynamics.base_joint import BASE_ROWS, base_of
 from trajopt.errors import InputError
 
 
@@ -56,14 +57,14 @@ def _feedback(error: np.ndarray, rate_error: np.ndarray, wanted: np.ndarray, ban
 
 @dataclass(frozen=True, kw_only=True)
 class CenterOfMassTask(Task):
-    """The centre of mass follows a position, velocity and acceleration (3,), world, m.
+    """The centre of mass follows a position, velocity and acceleration (3,), by default rest, world, m.
 
     ``unit`` m/s^2 and ``bandwidth`` 1/s as of the module.
     """
 
     position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    acceleration: np.ndarray = field(default_factory=lambda: np.zeros(3))
     bandwidth: float
     unit: float = 1.0
 
@@ -94,19 +95,19 @@ class AngularMomentumTask(Task):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameTask(Task):
-    """A frame of the model follows a pose, with its velocity and acceleration (6,), world axes at its origin.
+    """A frame of the model follows a pose, velocity and acceleration (6,), by default rest, world axes.
 
     ``frame``: its name, or its index in the model. Errors of rotation are log(R_d R') in world axes.
-    ``selection`` (r, 6): rows that act, as combinations of the linear and angular ones. ``units``: of linear
-    and angular rows, m/s^2 and rad/s^2.
+    ``selection`` (r, 6): rows that act, as combinations of the linear and angular ones, by default all;
+    ``numpy.eye(6)[:3]`` is the position alone. ``units``: of linear and angular rows, m/s^2 and rad/s^2.
     """
 
     frame: int | str
     pose: pin.SE3
-    velocity: np.ndarray
-    acceleration: np.ndarray
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    acceleration: np.ndarray = field(default_factory=lambda: np.zeros(6))
     bandwidth: float
-    selection: np.ndarray
+    selection: np.ndarray = field(default_factory=lambda: np.eye(6))
     units: tuple[float, float] = (1.0, 1.0)
 
     def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
@@ -128,23 +129,27 @@ class FrameTask(Task):
 class PostureTask(Task):
     """Rates ``rows_of_v`` follow a configuration (nq,), v and a (nv,), with a weight for each row.
 
-    weights: (n,), factors on ``weight``. unit: (n,), rad/s^2 or m/s^2.
+    v, a: by default zero. rows_of_v: by default all but those of a moving base. weights: (n,), factors on
+    ``weight``. unit: (n,), rad/s^2 or m/s^2.
     """
 
     q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
+    v: np.ndarray | None = None
+    a: np.ndarray | None = None
     bandwidth: float
-    rows_of_v: np.ndarray
-    weights: np.ndarray
-    unit: np.ndarray
+    rows_of_v: np.ndarray | None = None
+    weights: np.ndarray | float = 1.0
+    unit: np.ndarray | float = 1.0
 
     def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
         """Rows of a = wanted."""
-        picked = self.rows_of_v
+        still, picked = np.zeros(state.model.nv), self.rows_of_v
+        if picked is None:
+            picked = np.arange(BASE_ROWS[base_of(state.model)], state.model.nv)
+        v, a = (still if given is None else given for given in (self.v, self.a))
         error = pin.difference(state.model, state.q, self.q)[picked]
-        wanted = _feedback(error, (self.v - state.v)[picked], self.a[picked], self.bandwidth)
-        scale = np.sqrt(self.weights) / self.unit
+        wanted = _feedback(error, (v - state.v)[picked], a[picked], self.bandwidth)
+        scale = np.broadcast_to(np.sqrt(self.weights) / self.unit, len(picked))
         jacobian = np.zeros((len(picked), state.model.nv))
         jacobian[np.arange(len(picked)), picked] = scale
         return TaskRows(acceleration=jacobian, value=scale * wanted)

@@ -83,7 +83,8 @@ class Tracker:
         self.request = TickRequest.none(len(plan.contact_frames))
         self._programs: dict[int, TaskSpaceInverseDynamics] = {}
         self._low, self._high = torque_limits(plan)
-        self._range = JointRange(plan, HORIZON * self.reference.period)
+        fastest, horizon = plan.description.velocity_limit, HORIZON * self.reference.period
+        self._range = JointRange(plan.model, plan.actuated_rows, fastest, horizon)
         tracked = plan, self.reference, self.targets
         self._contacts = MeasuredContacts(*tracked)
         self._tasks = PlanTasks(*tracked, gains)
@@ -147,8 +148,8 @@ class Tracker:
     def _program(self, phase: int) -> TaskSpaceInverseDynamics:
         if phase not in self._programs:
             self._programs[phase] = TaskSpaceInverseDynamics(
-                state=RobotState(tracking_model(self.plan, phase)),
-                n_unactuated=self.plan.n_unactuated,
+                state=RobotState(tracking_model(self.plan, phase), self.plan.description.joint_forces),
+                actuation=self.plan.actuation,
                 acceleration_unit=self.units.acceleration(self.plan.model),
                 force_units=(self.units.weight, self.units.weight * self.units.length),
                 torque_unit=self.units.generalized_force(self.plan.model),
@@ -158,7 +159,7 @@ class Tracker:
         return self._programs[phase]
 
     def _limits(self, q: np.ndarray, v: np.ndarray) -> TickLimits:
-        rate, drives = v[self.plan.n_unactuated :], self.plan.drives
+        rate, drives = self.plan.actuation.rates(v), self.plan.drives
         low, high, friction = self._low, self._high, np.zeros(len(rate))
         if any(drive is not None for drive in drives):
             low, high = limits_with_drives(drives, rate, low, high)
@@ -166,15 +167,20 @@ class Tracker:
                 0.0 if d is None else float(d.friction_torque(r)) for d, r in zip(drives, rate, strict=True)
             ]
             friction = np.array(torques)
-        return TickLimits(torque=(low, high), acceleration=self._range.bounds(q, rate), friction=friction)
+        return TickLimits(
+            torque=(low, high),
+            acceleration=self._range.bounds(q, rate[: len(self._range.index)]),
+            friction=friction,
+        )
 
     def _held(self, k: int, state: RobotState) -> np.ndarray:
         """Planned torques with feedback of single joints: where no program has a solution."""
-        first, w = self.plan.n_unactuated, self.gains.joint / self.units.time
-        inertia = np.diagonal(state.mass)[first:]
-        error = pin.difference(state.model, state.q, self.reference.q[k])[first:]
-        rate = (self.reference.v[k] - state.v)[first:]
-        wanted = self.reference.torque[k] + inertia * (w**2 * error + 2 * w * rate)
+        rows, w = self.plan.actuated_rows, self.gains.joint / self.units.time
+        inertia = np.diagonal(state.mass)[rows]
+        error = pin.difference(state.model, state.q, self.reference.q[k])[rows]
+        rate = (self.reference.v[k] - state.v)[rows]
+        wanted = self.reference.torque[k].copy()
+        wanted[: len(rows)] += inertia * (w**2 * error + 2 * w * rate)
         return np.asarray(np.clip(wanted, self._low, self._high))
 
 

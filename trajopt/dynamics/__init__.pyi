@@ -1,5 +1,13 @@
 from .base_joint import ORDERS as ORDERS
+from .constrained import contact_forward_dynamics as contact_forward_dynamics
+from .constrained import contact_inverse_dynamics as contact_inverse_dynamics
 from .manifold import Coordinates as Coordinates
 from .model_quantities import STANDARD_GRAVITY as STANDARD_GRAVITY
 from .model_quantities import contact_jacobian as contact_jacobian
 from .model_quantities import gravity_of as gravity_of
+from .rigid_body import bias_forces as bias_forces
+from .rigid_body import frame_acceleration as frame_acceleration
+from .rigid_body import frame_jacobian as frame_jacobian
+from .rigid_body import frame_placement as frame_placement
+from .rigid_body import mass_matrix as mass_matrix
+from .rigid_body import rnea as rnea

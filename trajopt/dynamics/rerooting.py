@@ -161,7 +161,11 @@ def _copy_rows(model: pin.Model, new: pin.Model) -> None:
 
 def _copy_frames(model: pin.Model, new: pin.Model, bodies: dict[int, Body]) -> None:
     """Add the old model's frames on their bodies and on the world; frames of joints where those are now."""
-    holders = {0: 0} | {joint: new.addJointFrame(joint, 0) for joint in range(1, new.njoints)}
+    holders = dict.fromkeys(range(new.njoints), 0)
+    for joint, name in enumerate(list(new.names)[1:], start=1):
+        # A model may give a joint no frame, where a link has its name.
+        if model.existFrame(name, pin.FrameType.JOINT) or not model.existFrame(name):
+            holders[joint] = new.addJointFrame(joint, 0)
     world = {0: Body(0, pin.SE3.Identity())}
     for frame in list(model.frames)[1:]:
         if new.existFrame(frame.name, frame.type):

@@ -19,6 +19,7 @@ import pinocchio as pin
 from casadi import Function
 
 from trajopt import _pinocchio
+from trajopt.arguments import checked
 from trajopt.dynamics import configuration_space
 from trajopt.dynamics.model_content import description, frame, frame_content, joint_kind, model_content
 from trajopt.errors import InputError
@@ -53,21 +54,25 @@ def loaded_frames(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequenc
     return tuple(frame_content(model, name, size) for name, size in pairs)
 
 
+@checked
 def rnea(model: pin.Model) -> Function:
     """Inverse dynamics ``(q, v, a) -> tau`` (nv; N, Nm), armature and gravity included."""
     return _of_model("rnea", model_content(model))
 
 
+@checked
 def bias_forces(model: pin.Model) -> Function:
     """Coriolis, centrifugal and gravity terms ``(q, v) -> h`` (nv; N, Nm)."""
     return _of_model("bias_forces", model_content(model))
 
 
+@checked
 def mass_matrix(model: pin.Model) -> Function:
     """Joint-space inertia ``q -> M`` (nv, nv), symmetric, armature included."""
     return _of_model("mass_matrix", model_content(model))
 
 
+@checked
 def frame_placement(model: pin.Model, frame_name: str) -> Function:
     """Placement in the world ``q -> (rotation (3, 3), position (3) in m)``."""
     return _of_frame("frame_placement", model_content(model), frame_content(model, frame_name))
@@ -78,6 +83,7 @@ def frame_velocity(model: pin.Model, frame_name: str, reference: Reference = "wo
     return _in_reference("frame_velocity", model, frame_name, reference)
 
 
+@checked
 def frame_acceleration(model: pin.Model, frame_name: str, reference: Reference = "world_aligned") -> Function:
     """Acceleration ``(q, v, a) -> acceleration`` (6: classical linear m/s^2, angular rad/s^2).
 
@@ -87,6 +93,7 @@ def frame_acceleration(model: pin.Model, frame_name: str, reference: Reference =
     return _in_reference("frame_acceleration", model, frame_name, reference)
 
 
+@checked
 def frame_jacobian(model: pin.Model, frame_name: str, reference: Reference = "world_aligned") -> Function:
     """Jacobian ``q -> J`` (6, nv) with ``J v`` the frame's velocity."""
     return _in_reference("frame_jacobian", model, frame_name, reference)

@@ -144,8 +144,7 @@ def _named_motion(
     number: np.ndarray,
     phase: np.ndarray,
 ) -> ExportedMotion:
-    torque = np.zeros_like(arrays["v"])
-    torque[:, plan.n_unactuated :] = arrays["drive_torque"]
+    torque = plan.actuation.force(arrays["drive_torque"])
     return ExportedMotion(
         plan=plan,
         rate=float(rate),

@@ -9,7 +9,7 @@ import numpy as np
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError, expanded, first_line, not_among
 from trajopt.export.exported_motion import ExportedMotion
-from trajopt.simulation.bodies import mujoco_package, muted_mujoco
+from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.simulation.mjcf import mjcf_of
 
 # A free joint without a name is called this.

@@ -13,7 +13,7 @@ from trajopt.export.simulator_model import (
     named_coordinates,
     require_same_joints,
 )
-from trajopt.simulation.bodies import mujoco_package
+from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.solution.local_states import rotation_matrices
 
 # Descriptions of one robot from two sources are rounded differently, by less than this: m.

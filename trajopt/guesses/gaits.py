@@ -197,7 +197,7 @@ class GaitPlan:
         v = pin.difference(robot.model, self.guess(t - step), self.guess(t + step)) / (2 * step)
         places = [(robot.contact(name).frame, robot.contact(name).rows) for name in resting]
         jacobian = contact_jacobian(robot.model, q, places)
-        joints = slice(robot.n_unactuated, robot.nv)
+        joints = robot.actuated_rows
         v[joints] -= np.linalg.lstsq(jacobian[:, joints], jacobian @ v, rcond=None)[0]
         return q, v
 

@@ -191,7 +191,7 @@ class _Samples:
         self.unit = units.acceleration(self.robot.model)
         self.dynamics = TaskSpaceInverseDynamics(
             state=RobotState(self.robot.model),
-            n_unactuated=self.robot.n_unactuated,
+            actuation=self.robot.actuation,
             acceleration_unit=self.unit,
             force_units=(units.weight, units.weight * units.length),
             torque_unit=units.generalized_force(self.robot.model),
@@ -256,9 +256,9 @@ class _Samples:
     ) -> tuple[np.ndarray, np.ndarray, bool]:
         """Torques (K, nu), contact forces (K, nc, 6), and whether they give the motion everywhere."""
         robot, units = self.robot, self.units
-        first, contacts = robot.n_unactuated, [self._contact(i) for i in range(len(robot.contacts))]
-        tau, f = np.zeros((len(q), robot.nv - first)), np.zeros((len(q), len(contacts), 6))
-        free = np.full(robot.nv - first, np.inf)
+        contacts = [self._contact(i) for i in range(len(robot.contacts))]
+        tau, f = np.zeros((len(q), robot.nu)), np.zeros((len(q), len(contacts), 6))
+        free = np.full(robot.nu, np.inf)
         given = robot.actuated_row_limit(robot.torque_limit)
         limit = free if given is None else given
         limits = TickLimits(torque=(-limit, limit), acceleration=(-free, free), friction=np.zeros_like(limit))
@@ -312,8 +312,8 @@ class _Samples:
                 raise _OutOfReachError(off, SHORTER)
 
     def _require_slow(self, t: float, v: np.ndarray) -> None:
-        first, model, most = self.robot.n_unactuated, self.robot.model, self.robot.velocity_limit
-        row = first + int(np.argmax(np.abs(v[first:]) - most[first:]))
+        rows, model, most = self.robot.actuated_rows, self.robot.model, self.robot.velocity_limit
+        row = rows[np.argmax(np.abs(v[rows]) - most[rows])]
         if abs(v[row]) > most[row]:
             names = [n for n, joint in zip(model.names, model.joints, strict=True) for _ in range(joint.nv)]
             joint = f"joint '{names[row]}' of '{self.robot.name}' turns at {abs(v[row]):.3g} rad/s"

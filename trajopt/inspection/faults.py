@@ -92,12 +92,11 @@ def _bodies(robot: Robot) -> _Lines:
 
 
 def _limits(robot: Robot) -> _Lines:
-    units, model, first = Units(robot), robot.model, robot.n_unactuated
+    units, model, rows = Units(robot), robot.model, robot.actuated_rows
     effort = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
-    velocity = robot.velocity_limit[first:]
-    moving = [joint for joint in list(model.joints)[1:] if joint.idx_v >= first]
-    torque = {model.names[j.id]: effort[j.idx_v - first : j.idx_v - first + j.nv] for j in moving}
-    rates = {model.names[j.id]: velocity[j.idx_v - first : j.idx_v - first + j.nv] for j in moving}
+    moving = [joint for joint in list(model.joints)[1:] if joint.idx_v in rows]
+    torque = {model.names[j.id]: effort[np.isin(rows, j.idx_v + np.arange(j.nv))] for j in moving}
+    rates = {model.names[j.id]: robot.velocity_limit[j.idx_v : j.idx_v + j.nv] for j in moving}
     bounds = {
         model.names[j.id]: (robot.position_upper - robot.position_lower)[j.idx_q : j.idx_q + j.nq]
         for j in moving
@@ -126,7 +125,7 @@ def _named(values: dict[str, np.ndarray], is_fault: Callable[[np.ndarray], np.nd
 def _reference(robot: Robot, standing: StandingPosture) -> _Lines:
     q, near = robot.reference, []
     for joint in list(robot.model.joints)[1:]:
-        if joint.idx_v < robot.n_unactuated or joint.nq != joint.nv:
+        if joint.idx_v not in robot.actuated_rows or joint.nq != joint.nv:
             continue
         rows = slice(joint.idx_q, joint.idx_q + joint.nq)
         lower, upper = robot.position_lower[rows], robot.position_upper[rows]
@@ -144,7 +143,7 @@ def _reference(robot: Robot, standing: StandingPosture) -> _Lines:
         worst = max(over, key=lambda row: round(float(abs(standing.effort[row])), DIGITS))
         yield (
             f"the reference posture takes {abs(standing.effort[worst]):.3g} at joint"
-            f" '{owners[robot.n_unactuated + worst]}', beyond its torque limit"
+            f" '{owners[robot.actuated_rows[worst]]}', beyond its torque limit"
             f" {robot.torque_limit[worst]:.3g}"
         )
 
@@ -181,7 +180,7 @@ def _legs(robot: Robot, standing: StandingPosture) -> _Lines:
         contact = robot.contact(name)
         joint = robot.model.frames[robot.model.getFrameId(contact.frame)].parentJoint
         support = [robot.model.joints[k] for k in robot.model.supports[joint]]
-        rows = [j.idx_v + i for j in support for i in range(j.nv) if j.idx_v >= robot.n_unactuated]
+        rows = [j.idx_v + i for j in support for i in range(j.nv) if j.idx_v in robot.actuated_rows]
         linear = [row for row in contact.rows if row < 3]
         jacobian = contact_jacobian(robot.model, robot.reference, [(contact.frame, linear)])[:, rows]
         values = np.linalg.svd(jacobian, compute_uv=False)

@@ -10,6 +10,7 @@ from trajopt.errors import InputError
 from trajopt.inspection.faults import find_faults, listed, shapes_of
 from trajopt.inspection.shape_facts import ShapeFacts, shape_facts
 from trajopt.inspection.standing import StandingPosture, standing_posture
+from trajopt.inspection.unused import unused_parts
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
@@ -122,17 +123,17 @@ def robot_report(robot: Robot) -> RobotReport:
 
 
 def _joints(robot: Robot, torque: np.ndarray) -> tuple[JointFacts, ...]:
-    facts, first = [], robot.n_unactuated
+    facts = []
     effort = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
     for joint in list(robot.model.joints)[1:]:
         if joint.idx_v < BASE_ROWS[robot.base]:
             continue
         kind = joint.shortname().removeprefix("JointModel")
-        single, actuated = joint.nv == 1, joint.idx_v >= first
+        single, actuated = joint.nv == 1, joint.idx_v in robot.actuated_rows
         q = robot.reference[joint.idx_q : joint.idx_q + joint.nq]
         angle = float(q[0]) if joint.nq == 1 else float(np.arctan2(q[1], q[0])) if joint.nq == 2 else np.nan
         bounded = joint.nq == joint.nv == 1
-        row = joint.idx_v - first
+        row = np.searchsorted(robot.actuated_rows, joint.idx_v)
         facts.append(
             JointFacts(
                 name=robot.model.names[joint.id],
@@ -163,6 +164,11 @@ def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:
         names = list(dict.fromkeys(owners[row] for row in np.flatnonzero(values)))
         if names:
             notes.append(f"{what} of the file is not part of the dynamics: {listed(names)}")
+    try:
+        unused = unused_parts(robot)
+    except InputError:  # said below, of shapes
+        unused = {}
+    notes += [f"not part of the dynamics: {what}: {listed(names)}" for what, names in unused.items() if names]
     if robot.visual is None:
         notes.append("no description with meshes: a replay draws a skeleton")
         return tuple(notes)

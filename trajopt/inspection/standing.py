@@ -13,10 +13,12 @@ from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
 from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.legs import LIFTED
 from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
 
 # Weight of the balance equations relative to the norm of the forces: their residuals do not show in a report.
 BALANCE_WEIGHT = 1e4
@@ -62,22 +64,22 @@ def standing_posture(robot: Robot) -> StandingPosture:
     feet = standing_feet(robot)
     zero = np.zeros(robot.nv)
     weight_force = pin.rnea(robot.model, robot.model.createData(), robot.reference, zero, zero)
+    weight_force = weight_force - joint_force(robot.model, robot.joint_forces, robot.reference, zero)
     rows = [(contact.frame, contact.rows) for contact in feet]
     jacobian = contact_jacobian(robot.model, robot.reference, rows)
-    unactuated = robot.n_unactuated
-    scales = np.full(unactuated, robot.weight * robot.length)
-    scales[: 3 if unactuated >= 6 else min(unactuated, 2)] = robot.weight
+    free = robot.unactuated_rows
+    scales = Units(robot).generalized_force[free]
     pushes, pushing = _pushes(robot, feet)
-    carried = robot.weight * jacobian[:, :unactuated].T @ pushes / scales[:, None]
-    wrench = robot.weight * pushes @ _least_forces(weight_force[:unactuated] / scales, carried, pushing)
+    carried = robot.weight * jacobian[:, free].T @ pushes / scales[:, None]
+    wrench = robot.weight * pushes @ _least_forces(weight_force[free] / scales, carried, pushing)
     left = weight_force - jacobian.T @ wrench
     vertical = np.array([axis == 2 for contact in feet for axis in contact.rows], dtype=bool)
     centre = pin.centerOfMass(robot.model, robot.model.createData(), robot.reference)[:2]
     return StandingPosture(
         feet=tuple(contact.name for contact in feet),
         load=wrench[vertical],
-        effort=left[unactuated:],
-        unbalanced=float(np.abs(left[:unactuated] / scales).max(initial=0.0)),
+        effort=left[robot.actuated_rows],
+        unbalanced=float(np.abs(left[free] / scales).max(initial=0.0)),
         centre=centre,
         margin=inside(support_points(robot, feet), centre),
     )

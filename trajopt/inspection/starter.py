@@ -1,16 +1,21 @@
-"""From a URDF file to a first ``robot.py``: feet and a standing posture guessed from geometry."""
+"""From a URDF or MJCF file to a first ``robot.py``: feet and a standing posture guessed from geometry."""
 
+import json
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import Base, position_limits
+from trajopt.dynamics.base_joint import Base
 from trajopt.errors import InputError
 from trajopt.inspection.faults import shapes_of
-from trajopt.inspection.limbs import find_limbs, tool_joint
+from trajopt.inspection.limbs import Limbs, find_limbs, tool_joint
+from trajopt.robot.building import locked_model, reference_posture
+from trajopt.robot.coupling import couplings_of
+from trajopt.robot.data import VisualSource
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.legs import LIFTED
 from trajopt.robot.reading import read_urdf
@@ -26,6 +31,8 @@ SAME_PLACE = 1e-6
 CENTRINGS = 4
 # A description this many folders up is given by its absolute path.
 FAR = ("..", "..", "..")
+# Frames that feet may be: links, and of MJCF files balls and sites.
+TIPS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 TEMPLATE = '''"""Robot "{name}" of {source}. Feet and posture are guesses from geometry: edit them."""
 
@@ -33,7 +40,7 @@ from pathlib import Path
 
 from trajopt import {imported}
 
-URDF = Path(__file__).parent / "{file}"
+{kind} = Path(__file__).parent / "{file}"
 {tool}# The standing posture by joint, rad (m where a joint slides); the limits beside it.
 REFERENCE = {{
 {reference}
@@ -42,30 +49,50 @@ REFERENCE = {{
 
 def build() -> Robot:
     """Return the robot in its reference posture."""
-    return Robot.from_urdf(
-        URDF,
+    return Robot.from_{reader}(
+        {kind},
         name="{name}",
         base="{base}",
-        contacts={contacts},{locked}
-        reference=REFERENCE,
+        contacts={contacts},
+        reference=REFERENCE,{locked}
     )
 '''
 
 
-def guessed(urdf: Path, base: Base | None = None) -> Robot:
-    """Return the robot of a URDF file with guessed base, feet and posture.
+def guessed(path: Path, base: Base | None = None) -> Robot:
+    """Return the robot of a URDF or MJCF file with guessed base, feet and posture.
 
-    base: by default fixed for an arm, a chain with a light hand or none, and on wheels; else free. Wheels,
-    and joints of hands without drive, are locked (`find_limbs`). Feet are the tips at the bottom with all
-    joints at zero, or as near as limits allow; the posture bends the legs, with the feet's middle under the
-    centre of mass, where inverse kinematics finds a way. Raises `InputError` for a file that is not a URDF.
+    base: by default that of an MJCF file; of a URDF file, fixed for an arm, a chain with a light hand or
+    none, and on wheels, else free. Wheels, and joints of hands without drive, are locked (`find_limbs`), as
+    are joints that follow others, and those they follow. Feet are the tips at the bottom with joints at zero,
+    or as near as limits allow; the posture bends the legs, with the feet's middle under the centre of mass,
+    where inverse kinematics finds a way. The keyframe of an MJCF file goes before both. Raises `InputError`
+    for a file that is neither.
     """
-    limbs = find_limbs(read_urdf(urdf, "fixed"))
-    kind: Base = base or ("fixed" if limbs.is_fixed else "freeflyer")
-    feet = [] if kind == "fixed" or limbs.wheels else _lowest_tips(read_urdf(urdf, kind))
-    made = Robot.from_urdf(urdf, base=kind, contacts=feet, locked=(*limbs.wheels, *limbs.undriven))
-    contacts = [replace(contact, radius=_ball_at(made, contact.frame)) for contact in made.contacts]
-    return _bent(Robot.from_urdf(urdf, base=kind, contacts=contacts, locked=(*limbs.wheels, *limbs.undriven)))
+    source, limbs = VisualSource(urdf=path), limbs_of(path)
+    locked = (*_coupled(source), *limbs.wheels, *limbs.undriven)
+    build = partial(Robot.from_mjcf if source.is_mjcf else Robot.from_urdf, path, locked=locked)
+    usual: Base = "fixed" if limbs.is_fixed else "freeflyer"
+    bare = build(base=base or (None if source.is_mjcf else usual))
+    kind = bare.base
+    if kind == "fixed" or limbs.wheels:
+        return bare
+    tips = build(base=kind, contacts=_lowest_tips(bare.model, bare.reference))
+    contacts = [replace(contact, radius=_ball_at(tips, contact.frame)) for contact in tips.contacts]
+    return _bent(build(base=kind, contacts=contacts))
+
+
+def limbs_of(path: Path) -> Limbs:
+    """Limbs of a URDF file without its coupled joints; none are looked for in an MJCF file."""
+    source = VisualSource(urdf=path)
+    if source.is_mjcf:
+        return Limbs(wheels=(), undriven=(), is_fixed=False)
+    model = read_urdf(path, "fixed")
+    return find_limbs(locked_model(model, _coupled(source), pin.neutral(model)))
+
+
+def _coupled(source: VisualSource) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(joint for each in couplings_of(source) for joint in each.joints))
 
 
 def _ball_at(robot: Robot, name: str) -> float:
@@ -85,14 +112,14 @@ def _ball_at(robot: Robot, name: str) -> float:
 
 
 def starter(robot: Robot, target: Path) -> str:
-    """Return the text of a Python file, to be written at ``target``, that builds ``robot`` of a URDF file."""
+    """Return the text of a Python file, to be written at ``target``, that builds a described ``robot``."""
     if robot.visual is None:
-        raise InputError(f"robot '{robot.name}' was not read from a URDF file", "a robot of Robot.from_urdf")
-    urdf = robot.visual.urdf
+        raise InputError(f"robot '{robot.name}' was not read from a file", "a robot of Robot.from_urdf")
+    urdf, reader = robot.visual.urdf, "mjcf" if robot.visual.is_mjcf else "urdf"
+    described = _coupled(robot.visual) if robot.visual.is_mjcf else list(read_urdf(urdf, robot.base).names)
+    locked = [joint for joint in described if not robot.model.existJointName(joint)]
     near = Path(os.path.relpath(urdf, target.absolute().parent))
     file = (urdf if near.parts[: len(FAR)] == FAR else near).as_posix()
-    known = set(robot.model.names)
-    locked = [name for name in read_urdf(urdf, robot.base).names if name not in known]
     tool = ""
     if robot.base == "fixed":
         end = tool_joint(robot.model)
@@ -104,12 +131,14 @@ def starter(robot: Robot, target: Path) -> str:
     )
     return TEMPLATE.format(
         name=robot.name,
+        kind=reader.upper(),
+        reader=reader,
+        locked=f"\n        locked={json.dumps(locked)}," if locked else "",
         file=file,
         source=urdf.name,
         tool=tool,
         base=robot.base,
         contacts=f"[{contacts}]",
-        locked=f"\n        locked={locked}," if locked else "",
         imported="Contact, Robot" if any(c.radius for c in robot.contacts) else "Robot",
         reference="\n".join(_entries(robot)),
     )
@@ -136,12 +165,12 @@ def _within(value: float, lower: float, upper: float) -> str:
 
 
 def _tips(model: pin.Model) -> dict[int, str]:
-    """The farthest body frame of every joint without children: joint -> frame."""
+    """The farthest body, ball or site of every joint without children: joint -> frame."""
     parents = {int(parent) for parent in list(model.parents)[1:]}
     tips: dict[int, tuple[float, str]] = {}
     for frame in model.frames:
         joint = int(frame.parentJoint)
-        if joint == 0 or joint in parents or frame.type != pin.FrameType.BODY:
+        if joint == 0 or joint in parents or frame.type not in TIPS:
             continue
         distance = float(np.linalg.norm(frame.placement.translation))
         if joint not in tips or distance > tips[joint][0]:
@@ -149,9 +178,9 @@ def _tips(model: pin.Model) -> dict[int, str]:
     return {joint: name for joint, (_, name) in tips.items()}
 
 
-def _lowest_tips(model: pin.Model) -> list[str]:
+def _lowest_tips(model: pin.Model, q: np.ndarray) -> list[str]:
     data = model.createData()
-    pin.framesForwardKinematics(model, data, np.clip(pin.neutral(model), *position_limits(model)))
+    pin.framesForwardKinematics(model, data, q)
     heights = {name: data.oMf[model.getFrameId(name)].translation[2] for name in _tips(model).values()}
     lowest = min(heights.values(), default=0.0)
     # A root may lie on the ground, as base_footprint does: the height is that of all frames.
@@ -164,6 +193,8 @@ def _bent(straight: Robot) -> Robot:
     if straight.base != "freeflyer" or not straight.contacts:
         return straight
     model, data = straight.model, straight.model.createData()
+    if not np.allclose(straight.reference, reference_posture(model, straight.base, straight.contacts, None)):
+        return straight  # a keyframe
     places = contact_positions(straight, straight.reference)
     middle = np.mean(list(places.values()), axis=0)
     q = straight.reference.copy()

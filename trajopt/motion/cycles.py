@@ -30,8 +30,8 @@ class CycleImage:
     """The map from a periodic plan's samples to those one pass later; arrays have one row a sample.
 
     described: of a state. duration: of a pass, s. index, sign: (nv,) for each row of v
-    the one that it comes from. contacts: for each contact the one whose image it is. first: number of
-    unactuated rows. to_force, to_moment: (3, 3) maps of contact forces and moments, world axes.
+    the one that it comes from. contacts: for each contact the one whose image it is. actuated: rows (nu,)
+    with a torque. to_force, to_moment: (3, 3) maps of contact forces and moments, world axes.
     """
 
     model: pin.Model
@@ -40,7 +40,7 @@ class CycleImage:
     index: np.ndarray
     sign: np.ndarray
     contacts: list[int]
-    first: int
+    actuated: np.ndarray
     to_force: np.ndarray
     to_moment: np.ndarray
 
@@ -59,7 +59,7 @@ class CycleImage:
             index=described.index,
             sign=described.sign,
             contacts=image_of_contacts(plan, described),
-            first=plan.n_unactuated,
+            actuated=plan.actuated_rows,
             to_force=turned * flip,
             to_moment=turned * (flip if not described.mirror else -flip),
         )
@@ -74,7 +74,10 @@ class CycleImage:
 
     def of_torques(self, torque: np.ndarray) -> np.ndarray:
         """Images of torques (n, nu)."""
-        return np.asarray(self.sign[self.first :] * torque[:, self.index[self.first :] - self.first])
+        image, joints = torque.copy(), len(self.actuated)
+        columns = np.searchsorted(self.actuated, self.index[self.actuated])
+        image[:, :joints] = self.sign[self.actuated] * torque[:, columns]
+        return image
 
     def of_contact_forces(self, f: np.ndarray) -> np.ndarray:
         """Images of contact forces and moments (n, nc, 6)."""

@@ -26,16 +26,16 @@ class DynamicsRows:
 
 def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> DynamicsRows:
     """Residuals at every sample; base rows of velocity sources are statics, RNEA(q, 0, 0) - sum J^T f."""
-    base, force = plan.n_unactuated, samples.generalized_force
-    balance, held = force[:, :base], samples.acceleration
+    free, force = plan.unactuated_rows, samples.generalized_force - plan.actuation.force(plan.tau)
+    balance, held = force[:, free], samples.acceleration
     if plan.description.velocity_input:  # rows of statics and of velocities, not of motion
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
-        balance = sample_quantities(still).generalized_force[:, :base] if base else balance
+        balance = sample_quantities(still).generalized_force[:, free] if len(free) else balance
         held = samples.velocity
     contact = np.concatenate([held_part(held[..., :3], surfaces), held[..., 3:]], axis=-1)
     contact[~plan.active] = 0.0
     contact[:, ~plan.description.soles, 3:] = 0.0
-    return DynamicsRows(base=balance, actuated=force[:, base:] - plan.tau, contact=contact)
+    return DynamicsRows(base=balance, actuated=force[:, plan.actuated_rows], contact=contact)
 
 
 def dynamics_traces(plan: Solution, rows: DynamicsRows) -> Traces:
@@ -47,9 +47,9 @@ def dynamics_traces(plan: Solution, rows: DynamicsRows) -> Traces:
     weight = mass_of(plan.model) * gravity
     moving = np.sqrt(gravity) if plan.description.velocity_input else gravity
     names, contact = names_of_rows(plan), np.abs(rows.contact).max(axis=-1, initial=0.0) / moving
-    base = plan.n_unactuated
+    free, actuated = ([names[i] for i in rows] for rows in (plan.unactuated_rows, plan.actuated_rows))
     return {
-        "base_residual": Trace.of(np.abs(rows.base) / weight, points, names[:base]),
-        "actuated_residual": Trace.of(np.abs(rows.actuated) / weight, points, names[base:]),
+        "base_residual": Trace.of(np.abs(rows.base) / weight, points, free),
+        "actuated_residual": Trace.of(np.abs(rows.actuated) / weight, points, actuated),
         "contact_acceleration": Trace.of(contact, points & plan.active, plan.contact_frames),
     }

@@ -27,10 +27,15 @@ def energy(solution: Solution, *, recovered: float = -1.0) -> float:
     """
     require_recovered(recovered)
     torque = solution.drive_torque
-    power = torque * solution.v[:, solution.n_unactuated :]
+    power = torque * solution.actuation.rates(solution.v)
     drawn = (1 + recovered) / 2 * power + (1 - recovered) / 2 * np.abs(power)
     heat = torque**2 * heat_coefficients(solution.drives, solution.tau.shape[1])
-    return float(np.dot(_quadrature(solution), (drawn + heat).sum(axis=1)))
+    return integral(solution, (drawn + heat).sum(axis=1))
+
+
+def integral(solution: Solution, values: np.ndarray) -> float:
+    """Integral over time of values (K,) at the samples, by the quadrature of the transcription."""
+    return float(np.dot(_quadrature(solution), values))
 
 
 def _quadrature(solution: Solution) -> np.ndarray:

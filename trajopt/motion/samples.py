@@ -28,8 +28,9 @@ class ContactPlaces:
 class SampleQuantities(ContactPlaces):
     """What the robot does at K samples.
 
-    generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f, of the robot with what it carries. acceleration
-    (K, nc, 6, classical): of the contact frames, like their velocity.
+    generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f, of the robot with what it carries, without what
+    springs and friction of joints give. acceleration (K, nc, 6, classical): of the contact frames, like their
+    velocity.
     """
 
     generalized_force: np.ndarray
@@ -75,7 +76,7 @@ def sample_quantities(solution: Solution) -> SampleQuantities:
             velocity[row, index] = pin.getFrameVelocity(model, data, frame, axes).vector
             acceleration[row, index] = pin.getFrameClassicalAcceleration(model, data, frame, axes).vector
     return SampleQuantities(
-        generalized_force=force,
+        generalized_force=force - solution.joint_force(solution.q, solution.v),
         position=position,
         rotation=rotation,
         velocity=velocity,

@@ -75,3 +75,9 @@ def joints_of(plan: Solution) -> list[tuple[Any, str]]:
 def names_of_rows(plan: Solution) -> list[str]:
     """Joint of every row of v (nv,)."""
     return [name for joint, name in joints_of(plan) for _ in range(joint.nv)]
+
+
+def names_of_inputs(plan: Solution) -> list[str]:
+    """Joint or thruster of every column of ``tau`` (nu,)."""
+    names = names_of_rows(plan)
+    return [names[row] for row in plan.actuated_rows] + [one.name for one in plan.description.thrusters]

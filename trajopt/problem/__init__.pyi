@@ -7,3 +7,4 @@ from .family import choose as choose
 from .guessing import default_guess as default_guess
 from .periodicity import Periodicity as Periodicity
 from .problem import Problem as Problem
+from .published import PublishedOptimum as PublishedOptimum

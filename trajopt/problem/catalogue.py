@@ -18,6 +18,7 @@ from trajopt.robot.catalogue import GROUP
 if TYPE_CHECKING:
     from trajopt.problem.family import Family
     from trajopt.problem.problem import Problem
+    from trajopt.problem.published import PublishedOptimum
 
 
 @checked
@@ -51,6 +52,12 @@ def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
         warnings.warn(f"problems of '{entry.value}' cannot be loaded: {reason}", stacklevel=3)
         return {}
     return offered
+
+
+def published_optima() -> tuple[PublishedOptimum, ...]:
+    """Return the problems with published optima of all packages that have some."""
+    modules = [entry.load() for entry in {e.value: e for e in entry_points(group=GROUP)}.values()]
+    return tuple(one for module in modules if hasattr(module, "published") for one in module.published())
 
 
 def problem_modules() -> tuple[str, ...]:

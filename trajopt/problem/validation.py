@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.arguments import check_fields
+from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.errors import InputError, not_among, shown
@@ -223,7 +224,7 @@ def require_limits(
             given = np.array([q, robot.position_lower, robot.position_upper])
             every = np.full((3, robot.nv), np.nan)
             for joint in coordinates.joints:
-                if joint.kind == "plain" and joint.v.start >= robot.n_unactuated:
+                if joint.kind == "plain" and joint.v.start >= BASE_ROWS[robot.base]:
                     every[:, joint.v] = given[:, joint.q]
             _require_within(robot, (*what, "is at"), every[0], (every[1], every[2]))
         bounds = term.node_bounds(robot)

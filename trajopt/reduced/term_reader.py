@@ -71,8 +71,8 @@ class TermInstance:
     @property
     def uses_torques(self) -> bool:
         """Whether it uses generalised forces of actuated joints."""
-        unactuated = self.context.robot.n_unactuated
-        return self.uses_dynamics and self.uses(self.context.generalized_forces[unactuated:])
+        rows = np.flatnonzero(self.context.robot.actuation.matrix.any(axis=1)).tolist()
+        return self.uses_dynamics and self.uses(self.context.generalized_forces[rows])
 
     def function(self) -> ca.Function:
         """The expression as a function of the place's inputs z, for all times in one column."""

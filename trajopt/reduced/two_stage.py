@@ -80,14 +80,14 @@ def standing_share(robot: Robot) -> float:
     """
     if not robot.contacts or not robot.nu:
         return 0.0
-    units, n, still = Units(robot), robot.n_unactuated, np.zeros(robot.nv)
+    units, actuation, still = Units(robot), robot.actuation, np.zeros(robot.nv)
     sizes = [6 if contact.kind == "surface" else 3 for contact in robot.contacts]
     places = [(contact.frame, size) for contact, size in zip(robot.contacts, sizes, strict=True)]
     unit = np.concatenate([units.wrench[:size] for size in sizes])
     jacobian = contact_jacobian(robot.model, robot.reference, places)
     weight = pin.rnea(robot.model, robot.model.createData(), robot.reference, still, still)
-    wrench = np.linalg.lstsq(jacobian[:, :n].T * unit, weight[:n], rcond=None)[0]
-    torque = (weight - jacobian.T @ (unit * wrench))[n:] / units.torque
+    wrench = np.linalg.lstsq(actuation.balanced(jacobian).T * unit, actuation.balanced(weight), rcond=None)[0]
+    torque = actuation.inputs(weight - jacobian.T @ (unit * wrench)) / units.torque
     return float(np.mean(torque**2) / np.mean(wrench**2))
 
 
@@ -119,9 +119,9 @@ def torque_bounds(problem: Problem, v: np.ndarray) -> TorqueBounds:
     voltage at the joint's rate, and their friction, which the drive has to overcome.
     """
     robot, effort = problem.robot, problem_torque_limit(problem)
-    rates = v[:, robot.n_unactuated :]
+    rates = robot.actuation.rates(v)
     upper = np.tile(effort, (len(v), 1))
-    lower, scale = -upper, effort.copy()
+    lower, scale = np.tile(robot.least_torque(effort), (len(v), 1)), effort.copy()
     if robot.drives is not None:
         friction = drive_torque_values(robot.drives, np.zeros_like(rates), rates)
         for row, drive in enumerate(robot.drives):
@@ -207,12 +207,13 @@ def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, T
             f"allowed: {robot.nv} and {robot.nu}, those of '{robot.name}', which has joints",
         )
     forces = sample_quantities(solution).generalized_force
-    torque = forces[:, robot.n_unactuated :]
-    base = np.abs(forces[solution.collocation, : robot.n_unactuated])
+    torque = robot.actuation.inputs(forces)
+    base = np.abs((forces - robot.actuation.force(torque))[solution.collocation])
     bounds = torque_bounds(problem, solution.v)
     excess = np.maximum(torque - bounds.upper, bounds.lower - torque) / bounds.scale
-    moved = [joint for joint in list(robot.model.joints)[1:] if joint.idx_v >= robot.n_unactuated]
+    moved = [joint for joint in list(robot.model.joints)[1:] if joint.idx_v in robot.actuated_rows]
     names = [robot.model.names[joint.id] for joint in moved for _ in range(joint.nv)]
+    names += [thruster.name for thruster in robot.thrusters]
     joints = tuple(_joint(solution, names[row], torque[:, row], excess[:, row]) for row in range(robot.nu))
     between = excess[~solution.collocation]
     return torque, TorqueReport(

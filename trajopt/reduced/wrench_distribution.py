@@ -73,7 +73,7 @@ def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
         raise InputError("wrenches are redistributed for the whole robot in its own coordinates", "no modes")
     samples, bounds = sample_quantities(solution), torque_bounds(problem, solution.v)
     phases = {i: _Phase(problem, i) for i, phase in enumerate(problem.schedule.phases) if phase.contacts}
-    f, torque = solution.f.copy(), samples.generalized_force[:, problem.robot.n_unactuated :].copy()
+    f, torque = solution.f.copy(), problem.robot.actuation.inputs(samples.generalized_force)
     changed, points = 0, np.flatnonzero(solution.collocation)
     for row in points:
         phase = phases.get(int(solution.phase[row]))
@@ -156,12 +156,14 @@ class _Phase:
         places = [(contact.frame, 6) for contact in self.contacts]
         full = contact_jacobian(self.robot.model, solution.q[row], places)
         jacobian = full[[6 * i + k for i, contact in enumerate(self.contacts) for k in contact.rows]]
-        unit, n = self.units.wrench[rows], self.robot.n_unactuated
-        basis = unit[:, None] * null_space((unit[:, None] * jacobian[:, :n]).T / self.robot.weight)
+        unit, actuation = self.units.wrench[rows], self.robot.actuation
+        basis = unit[:, None] * null_space(
+            (unit[:, None] * actuation.balanced(jacobian)).T / self.robot.weight
+        )
         if basis.shape[1] == 0:
             return None
-        torque = samples.generalized_force[row, n:]
-        levers = -jacobian[:, n:].T @ basis
+        torque = actuation.inputs(samples.generalized_force[row])
+        levers = -actuation.inputs(jacobian).T @ basis
         exact, affine = (
             (contact_rows, _frame_values(self.robot.contacts, samples, row, names))
             for contact_rows, names in zip((self.exact, self.affine), self.frames, strict=True)

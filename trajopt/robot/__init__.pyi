@@ -1,5 +1,7 @@
+from .actuators.actuation import Thruster as Thruster
 from .actuators.beams import Beam as Beam
 from .actuators.drive import Drive as Drive
+from .actuators.joint_force import JointForce as JointForce
 from .building import sagittal as sagittal
 from .contact import Contact as Contact
 from .data import robot_file as robot_file

@@ -1,5 +1,6 @@
 """From a numeric `pin.Model` to the arrays of a `Robot`: base, limits, reference."""
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 
@@ -18,6 +19,7 @@ from trajopt.dynamics.base_joint import (
     base_of,
     position_limits,
 )
+from trajopt.dynamics.rerooting import Body, copy_bodies
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.robot.contact import Contact
 
@@ -100,7 +102,23 @@ def locked_model(model: pin.Model, joints: Sequence[str], reference: np.ndarray)
     for name in joints:
         if name not in known:
             raise InputError(f"joint '{name}' to lock is unknown", "one of " + ", ".join(known))
-    return pin.buildReducedModel(model, [model.getJointId(name) for name in joints], reference)
+    if all(model.existFrame(name, pin.FrameType.JOINT) for name in known):
+        with contextlib.suppress(ValueError):  # of frames that share a name
+            return pin.buildReducedModel(model, [model.getJointId(name) for name in joints], reference)
+    # It takes a frame for each joint; of an MJCF file a body has the name instead.
+    new, bodies = pin.Model(), {0: Body(0, pin.SE3.Identity())}
+    new.name, new.gravity = model.name, model.gravity
+    for index, name in enumerate(known, start=1):
+        joint, on = model.joints[index], bodies[int(model.parents[index])]
+        place = on.placement * model.jointPlacements[index]
+        if name in joints:
+            data = joint.createData()
+            joint.calc(data, reference)
+            bodies[index] = Body(on.joint, place * data.M)
+        else:
+            bodies[index] = Body(new.addJoint(on.joint, joint, place, name), pin.SE3.Identity())
+    copy_bodies(model, new, bodies)
+    return new
 
 
 def velocity_limit_of(model: pin.Model, base: Base) -> np.ndarray:
@@ -110,24 +128,20 @@ def velocity_limit_of(model: pin.Model, base: Base) -> np.ndarray:
     return limit
 
 
-def count_unactuated_rows(model: pin.Model, base: Base, passive: Sequence[str]) -> int:
-    """Return the number of rows of the base and the ``passive`` joints, which must come first in v."""
-    rows, names = BASE_ROWS[base], list(model.names)
-    leading = [joint for joint in list(model.joints)[1:] if joint.idx_v >= rows]
+def unactuated_rows(model: pin.Model, base: Base, passive: Sequence[str]) -> np.ndarray:
+    """Return the rows of v of the base and of the ``passive`` joints; raises `InputError`."""
+    behind = [model.names[joint.id] for joint in list(model.joints)[1:] if joint.idx_v >= BASE_ROWS[base]]
     for name in passive:
-        if name not in names[1:]:
-            raise InputError(f"passive joint '{name}' is unknown", "one of " + ", ".join(names[1:]))
-    first = [names[joint.id] for joint in leading[: len(passive)]]
-    if set(first) != set(passive) or len(set(passive)) != len(passive):
-        raise InputError(
-            f"passive joints {', '.join(passive)} do not come first", f"the first are {', '.join(first)}"
-        )
-    return rows + sum(joint.nv for joint in leading[: len(passive)])
+        if name not in behind:
+            raise InputError(f"passive joint '{name}' is unknown", "one of " + ", ".join(behind))
+        if list(passive).count(name) > 1:
+            raise InputError(f"passive joint '{name}' is named twice", "each joint once")
+    return np.sort(np.concatenate([np.arange(BASE_ROWS[base]), joint_entries(model, passive)[1]]))
 
 
-def torque_limit_of(model: pin.Model, unactuated: int) -> np.ndarray | None:
+def torque_limit_of(model: pin.Model, base: Base, passive: Sequence[str]) -> np.ndarray | None:
     """Return the torque limit (nu,) on the joint side, or None if no actuated row has one."""
-    effort = model.upperEffortLimit[unactuated:]
+    effort = np.delete(model.upperEffortLimit, unactuated_rows(model, base, passive))
     limit = np.where(np.abs(effort) > UNLIMITED, np.inf, np.abs(effort))
     return limit if np.isfinite(limit).any() else None
 

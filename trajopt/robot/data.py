@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError, first_line
+from trajopt.robot.mjcf_shapes import mjcf_geometry
 
 DATA_PACKAGE = "example-robot-data"
 # The wheel is built by cmeel: its files lie under this prefix of site-packages.
@@ -89,12 +90,12 @@ class VisualSource:
         self, model: pin.Model, kind: pin.GeometryType = pin.GeometryType.VISUAL
     ) -> pin.GeometryModel:
         """Return the visual or collision geometries placed on ``model``; raises `InputError`."""
+        if self.is_mjcf:
+            return mjcf_geometry(self.urdf, model, kind)
         if not self.urdf.is_file():
             raise InputError(f"URDF file {self.urdf} of the robot's meshes does not exist")
         directories = [str(path) for path in self.package_dirs]
         try:
-            if self.is_mjcf:
-                return pin.buildGeomFromMJCF(model, str(self.urdf), kind)
             return pin.buildGeomFromUrdf(model, str(self.urdf), kind, package_dirs=directories)
         except (ValueError, RuntimeError) as error:
             raise InputError(f"meshes of {self.urdf} cannot be read: {first_line(error)}") from None

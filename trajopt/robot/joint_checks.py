@@ -29,11 +29,11 @@ REMEDIES = {
 
 def require_moving(robot: Robot, *limits: Limit) -> None:
     """Raise `InputError` that names joints whose limits are 0: of "velocity", "torque", default both."""
-    first, model = robot.n_unactuated, robot.model
+    rows, model = robot.actuated_rows, robot.model
     owners = [str(model.names[joint.id]) for joint in model.joints[1:] for _ in range(joint.nv)]
     for limit in limits or ("velocity", "torque"):
-        values = robot.velocity_limit[first:] if limit == "velocity" else robot.torque_limit
-        still = [] if values is None else [owners[first + row] for row in np.flatnonzero(values == 0)]
+        values = robot.velocity_limit[rows] if limit == "velocity" else robot.torque_limit
+        still = [] if values is None else [owners[row] for row in rows[values[: len(rows)] == 0]]
         if still:
             raise InputError(
                 f"the {limit} limit of {_named(still, robot)} is 0", f"allowed: {REMEDIES[limit]}"

@@ -96,7 +96,7 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
     _require_size(robot, q)
     _require_targets(robot, targets)
     model, data = robot.model, robot.model.createData()
-    movable = np.arange(0 if move_base else robot.n_unactuated, robot.nv)
+    movable = np.arange(robot.nv) if move_base else robot.actuated_rows
     damping, error = FIRST_DAMPING, _errors(model, data, q, targets)
     for _ in range(MOST_ITERATIONS):
         if np.linalg.norm(error) < TOLERANCE or damping > 1 / FIRST_DAMPING:
@@ -218,7 +218,7 @@ def inverse_kinematics_branches(
     _require_targets(robot, targets)
     data = robot.model.createData()
     rows = len(_errors(robot.model, data, near, targets))
-    redundant = robot.nv - robot.n_unactuated > rows
+    redundant = robot.nu > rows
     if separation is None:
         separation = SEPARATION if redundant else SAME_BRANCH
     turning = _turning_joints(robot)
@@ -247,7 +247,7 @@ def _turning_joints(robot: Robot) -> list[int]:
         int(joint.idx_q)
         for joint in list(robot.model.joints)[1:]
         if joint.nq == joint.nv == 1
-        and joint.idx_v >= robot.n_unactuated
+        and joint.idx_v in robot.actuated_rows
         and joint.shortname().removeprefix("JointModel").startswith("R")
     ]
 
@@ -257,7 +257,7 @@ def _starts(robot: Robot, near: np.ndarray, count: int) -> Iterator[np.ndarray]:
     from scipy.stats import qmc  # takes half a second to load
 
     yield near
-    free = np.arange(robot.n_unactuated, robot.nv)
+    free = robot.actuated_rows
     lower, upper = np.full(robot.nv, -math.pi), np.full(robot.nv, math.pi)
     for joint in list(robot.model.joints)[1:]:
         if joint.nq == joint.nv:

@@ -94,7 +94,7 @@ def legs_only(robot: Robot) -> Robot:
     idle = [
         model.names[joint.id]
         for joint in list(model.joints)[1:]
-        if joint.idx_v >= robot.n_unactuated and joint.id not in moved
+        if joint.idx_v in robot.actuated_rows and joint.id not in moved
     ]
     if not idle and len(standing) == len(robot.contacts):
         return robot

@@ -147,6 +147,8 @@ def find_mirror(robot: Robot) -> Mirror:
             f"robot '{robot.name}' has no mirror image: {match.worst} differ", "a symmetric robot"
         )
     every = range(1, model.njoints)
+    if len(match.images) < len(every):
+        raise InputError(f"robot '{robot.name}' has joints apart from its base", "one tree of joints")
     partner = (0, *(match.images[j][0] for j in every))
     lonely = [model.names[j] for j in every if partner[partner[j]] != j]
     if lonely:
@@ -221,13 +223,13 @@ def _same_limits(robot: Robot, mirror: Mirror, joint: int, image: int) -> bool:
     ]  # continuous joints have none
     same = [np.allclose(mirrored_range(*ranges[0], mirror.sign[joint]), ranges[1], rtol=1e-9, atol=1e-9)]
     same.append(bool(robot.velocity_limit[source.idx_v] == robot.velocity_limit[target.idx_v]))
-    first = robot.n_unactuated
-    if robot.torque_limit is not None and min(source.idx_v, target.idx_v) >= first:
-        same.append(
-            bool(robot.torque_limit[source.idx_v - first] == robot.torque_limit[target.idx_v - first])
-        )
-    if robot.drives is not None and min(source.idx_v, target.idx_v) >= first:
-        same.append(robot.drives[source.idx_v - first] == robot.drives[target.idx_v - first])
+    driven = np.isin([source.idx_v, target.idx_v], robot.actuated_rows)
+    same.append(bool(driven[0] == driven[1]))
+    one, other = np.searchsorted(robot.actuated_rows, [source.idx_v, target.idx_v])
+    if robot.torque_limit is not None and driven.all():
+        same.append(bool(robot.torque_limit[one] == robot.torque_limit[other]))
+    if robot.drives is not None and driven.all():
+        same.append(robot.drives[one] == robot.drives[other])
     return all(same)
 
 

@@ -1,4 +1,4 @@
-"""Description files as numeric `pin.Model`s: URDF, MJCF."""
+"""URDF files as numeric `pin.Model`s."""
 
 import os
 import sys
@@ -11,13 +11,15 @@ from xml.etree import ElementTree
 import pinocchio as pin
 
 from trajopt.arguments import checked
-from trajopt.dynamics.base_joint import Base, base_of
+from trajopt.dynamics.base_joint import Base
 from trajopt.dynamics.virtual_base import virtual_model
 from trajopt.errors import InputError, expanded, first_line
 from trajopt.robot.building import sagittal
 
 # Prefix of urdfdom's error messages.
 PREFIX = "Error:"
+# Ending of files for the preprocessor xacro, and what the tags of its elements hold.
+XACRO, XACRO_ELEMENT = ".xacro", "xacro}"
 
 
 @checked
@@ -61,40 +63,18 @@ def _captured_stderr(lines: list[str]) -> Iterator[None]:
                 sys.stderr.write(text)
 
 
-def require_xml(source: Path) -> None:
-    """Raise `InputError`, with line and column, for a file that is not XML: URDF parsers print instead."""
+def require_xml(source: Path) -> ElementTree.Element:
+    """The root of a URDF. Raises `InputError` for a file that is not XML, with the place, or is for xacro."""
     try:
-        ElementTree.parse(source)
+        root = ElementTree.parse(source).getroot()
     except (ElementTree.ParseError, ValueError) as error:  # the second: an unknown encoding
         raise InputError(f"{source} is not a readable URDF file: {error}") from None
-
-
-def read_mjcf(path: str | Path, base: Base | None) -> pin.Model:
-    """Read an MJCF file; ``base=None`` takes the base that the file has.
-
-    A file with a free joint of its own has a floating base: a different ``base`` raises `InputError`. A file
-    without one gets the requested base.
-    """
-    source = existing_file(path, "MJCF")
-    try:
-        model = pin.buildModelFromMJCF(str(source))
-        kind = base_of(model)
-        if base is None or base == kind:
-            return model
-        if (kind, base) == ("freeflyer", "virtual"):
-            return virtual_model(model)
-        if kind != "fixed":
-            raise InputError(
-                f"{source} has a {kind} root joint of its own, base={base!r} contradicts it",
-                f"{kind!r}",
-            )
-        root = pin.JointModelPlanar() if base == "planar" else pin.JointModelFreeFlyer()
-        model = pin.buildModelFromMJCFAndRootJoint(str(source), pin.JointModel(root))
-    except (ValueError, RuntimeError) as error:
-        raise InputError(f"{source} is not a readable MJCF file: {first_line(error)}") from None
-    if base == "virtual":
-        return virtual_model(model)
-    return sagittal(model) if base == "planar" else model
+    # Files that xacro wrote may keep its namespace, but none of its elements.
+    if source.suffix == XACRO or any(XACRO_ELEMENT in str(element.tag) for element in root.iter()):
+        target = source.with_suffix("").stem if source.suffix == XACRO else f"{source.stem}_expanded"
+        command = f"xacro {source.name} > {target}.urdf"
+        raise InputError(f"{source} is a Xacro file, not yet a URDF", f"expand it: {command}")
+    return root
 
 
 def existing_file(path: str | Path, kind: str) -> Path:

@@ -19,12 +19,23 @@ from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtua
 from trajopt.errors import InputError, expanded
 from trajopt.kinds import ArrayShape
 from trajopt.robot import building
+from trajopt.robot.actuators.actuation import Actuation, Thruster
 from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.joint_force import SPRING, JointForce, described_forces, with_spring_joints
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
 from trajopt.robot.contact import Contact, require_frame
+from trajopt.robot.coupling import mjcf_couplings, require_independent, urdf_couplings
 from trajopt.robot.data import VisualSource, package_directories
-from trajopt.robot.reading import read_mjcf, read_urdf
-from trajopt.robot.validation import require_contacts, require_inertias, require_limits, require_reference
+from trajopt.robot.mjcf import compile_mjcf, read_mjcf
+from trajopt.robot.natural_units import NaturalUnits
+from trajopt.robot.reading import read_urdf
+from trajopt.robot.validation import (
+    require_contacts,
+    require_inertias,
+    require_limits,
+    require_reference,
+    require_thrusters,
+)
 
 
 @checked
@@ -34,19 +45,21 @@ class Robot:
 
     Args:
         name: word for tables and files.
-        model: numeric Pinocchio model; joint damping and friction in it are not part of the dynamics.
-        base: kind of the root joint. The base rows come first in v and are unactuated.
+        model: numeric Pinocchio model; damping and friction in it count with `with_joint_forces` alone.
+        base: kind of the root joint. Its rows come first in v and are unactuated.
         reference: posture (nq,), m and rad in Pinocchio's convention, within the limits.
         velocity_limit: (nv,), rad/s or m/s, inf where there is none.
         position_lower: least positions (nq,), rad or m, -inf where there is no limit.
         position_upper: largest positions (nq,), rad or m, inf where there is no limit.
-        torque_limit: torque or force on the joint side (nu,), N m or N; None without any limit.
+        torque_limit: torque or force on the joint side (nu,), N m or N; None without any limit. Of a thruster
+            the largest force.
         contacts: where it may touch its surroundings.
         visual: where the meshes are, for a replay.
-        passive: joints without actuator (an ankle that is a contact, the shoulder of an acrobot), behind
-            the base rows and before every other joint.
+        passive: joints without actuator, at any place: an ankle that is a contact, the pole on a cart.
         given_length: characteristic length in m; None takes the one that `length` measures.
-        drives: a `Drive` or None for each actuated row (nu), or None; set with `with_drives`.
+        drives: a `Drive` or None for each input (nu), or None; set with `with_drives`.
+        thrusters: on the base, whose forces are the last inputs; set with `with_thrusters`.
+        joint_forces: springs, damping and dry friction of joints; set with `with_joint_forces`.
 
     Raises:
         InputError: for an unknown frame, a wrong shape, a number that is not finite, a reference outside the
@@ -66,6 +79,8 @@ class Robot:
     passive: tuple[str, ...] = ()
     given_length: float | None = None
     drives: tuple[Drive | None, ...] | None = None
+    thrusters: tuple[Thruster, ...] = ()
+    joint_forces: tuple[JointForce, ...] = ()
 
     def __post_init__(self) -> None:
         kind = base_of(self.model)
@@ -74,7 +89,6 @@ class Robot:
                 f"robot '{self.name}' has a {kind} root joint but base={self.base!r}", f"{kind!r}"
             )
         object.__setattr__(self, "contacts", building.within_plane(self.model, self.contacts))
-        building.count_unactuated_rows(self.model, self.base, self.passive)
         shapes = {
             "reference": self.nq,
             "velocity_limit": self.nv,
@@ -89,13 +103,19 @@ class Robot:
                     f"{field} of robot '{self.name}' has {len(array)} numbers", f"allowed: {size}"
                 )
         position = self.position_lower, self.position_upper
-        others = {"velocity_limit": self.velocity_limit, "torque_limit": self.torque_limit}
+        others = {
+            "velocity_limit": (np.arange(self.nv), self.velocity_limit),
+            "torque_limit": (self._rows_of_inputs, self.torque_limit),
+        }
         require_contacts(self.name, self.model, self.contacts)
+        require_thrusters(self.name, self.model, self.thrusters)
+        for force in self.joint_forces:
+            force.entries(self.model)
         require_inertias(self.name, self.model)
-        require_limits(self.name, self.given_length, position, others)
+        require_limits(self.name, self.model, self.given_length, position, others)
         require_reference(self.name, self.model, self.reference, position)
         if self.drives is not None:
-            require_drives(self.name, self.model, self.nu, self.drives)
+            require_drives(self.name, self.model, self._rows_of_inputs, self.drives)
 
     @property
     def nq(self) -> int:
@@ -108,9 +128,30 @@ class Robot:
         return int(self.model.nv)
 
     @cached_property
+    def unactuated_rows(self) -> np.ndarray:
+        """Rows of v without actuator: the base's, which come first, and those of passive joints."""
+        return building.unactuated_rows(self.model, self.base, self.passive)
+
+    @cached_property
+    def actuated_rows(self) -> np.ndarray:
+        """Rows of v with an actuator, in the order of torques."""
+        return np.setdiff1d(np.arange(self.nv), self.unactuated_rows)
+
+    @cached_property
+    def actuation(self) -> Actuation:
+        """The map from inputs (nu,), motors of joints and then thrusters, to generalised forces."""
+        unit = NaturalUnits.of(self.model).generalized_force(self.model)
+        return Actuation.of(self.model, self.actuated_rows, self.thrusters, unit)
+
+    @property
+    def _rows_of_inputs(self) -> np.ndarray:
+        """Row of v of every input (nu,), -1 of a thruster."""
+        return np.append(self.actuated_rows, np.full(len(self.thrusters), -1))
+
+    @property
     def n_unactuated(self) -> int:
-        """Number of rows without actuator, which come first: the base's 6, 3 or 0, then passive joints."""
-        return building.count_unactuated_rows(self.model, self.base, self.passive)
+        """Number of rows without actuator."""
+        return len(self.unactuated_rows)
 
     @cached_property
     def scalar_joints(self) -> tuple[np.ndarray, np.ndarray]:
@@ -121,8 +162,8 @@ class Robot:
 
     @property
     def nu(self) -> int:
-        """Number of actuated rows."""
-        return self.nv - self.n_unactuated
+        """Number of inputs: joints with an actuator, and thrusters."""
+        return len(self.actuated_rows) + len(self.thrusters)
 
     @cached_property
     def mass(self) -> float:
@@ -150,7 +191,7 @@ class Robot:
 
     def actuated_row_limit(self, effort: np.ndarray | None) -> np.ndarray | None:
         """Return the bound (nu,) on the actuated rows, N m, of an torque limit (nu,) of the drives."""
-        return actuated_row_limit(self.drives, effort, self.velocity_limit[self.n_unactuated :])
+        return actuated_row_limit(self.drives, effort, self.velocity_limit[self.actuated_rows])
 
     def limited_model(self) -> pin.Model:
         """Return a copy of the model that carries this robot's limits, as a solution file stores it."""
@@ -181,12 +222,14 @@ class Robot:
             position_lower=self.position_lower[q],
             position_upper=self.position_upper[q],
             passive=tuple(name for name in self.passive if name not in joints),
+            joint_forces=tuple(force for force in self.joint_forces if force.joint not in joints),
             **self.actuators_of(v),
         )
 
     def actuators_of(self, rows: np.ndarray) -> dict[str, Any]:
         """Return torque limits and drives of the actuated ones of ``rows`` of v, as fields of a robot."""
-        actuators = rows[rows >= self.n_unactuated] - self.n_unactuated
+        actuators = np.searchsorted(self.actuated_rows, rows[np.isin(rows, self.actuated_rows)])
+        actuators = np.append(actuators, np.arange(len(self.actuated_rows), self.nu))
         return {
             "torque_limit": None if self.torque_limit is None else self.torque_limit[actuators],
             "drives": None if self.drives is None else tuple(self.drives[int(row)] for row in actuators),
@@ -204,8 +247,82 @@ class Robot:
         Raises `InputError` for a joint that is unknown or not actuated, `UnsupportedJointError` for one
         of several degrees of freedom.
         """
-        chosen = drives_by_row(self.name, self.model, self.drives or (None,) * self.nu, drives)
-        return replace(self, **drive_fields(self.model, self.torque_limit, self.velocity_limit, chosen))
+        rows = self._rows_of_inputs
+        chosen = drives_by_row(self.name, self.model, rows, self.drives or (None,) * self.nu, drives)
+        return replace(self, **drive_fields(self.model, rows, self.torque_limit, self.velocity_limit, chosen))
+
+    @checked
+    def with_thrusters(self, thrusters: Sequence[Thruster]) -> Robot:
+        """Return this robot with thrusters on its base, in place of those it has.
+
+        Raises `InputError` for a frame that is unknown or not on the base, a base that is not "freeflyer" or
+        "planar", or two thrusters of the same name.
+        """
+        joints = len(self.actuated_rows)
+        limit = np.full(joints, np.inf) if self.torque_limit is None else self.torque_limit[:joints]
+        limit = np.append(limit, [thruster.most for thruster in thrusters])
+        return replace(
+            self,
+            thrusters=tuple(thrusters),
+            torque_limit=limit if np.isfinite(limit).any() else None,
+            drives=None if self.drives is None else (*self.drives[:joints], *[None] * len(thrusters)),
+        )
+
+    @checked
+    def with_joint_forces(self, forces: Sequence[JointForce] | None = None) -> Robot:
+        """Return this robot with springs, damping and dry friction at joints, in place of those it has.
+
+        Args:
+            forces: of joints; default the damping and dry friction of its description.
+
+        Raises:
+            InputError: for an unknown joint, or one of several degrees of freedom.
+        """
+        given = described_forces(self.model) if forces is None else forces
+        return replace(self, joint_forces=tuple(given))
+
+    @checked
+    def with_series_springs(self, stiffness: Mapping[str, float]) -> Robot:
+        """Return this robot with springs between gear and link of joints, series elastic actuators.
+
+        Behind each joint comes a passive one, ``JOINT_spring``, which carries the link: its position is the
+        deflection. The joint itself is the gear's side, with the armature as its inertia, its motor and its
+        limits.
+
+        Args:
+            stiffness: N m/rad or N/m, by the joint's name.
+
+        Raises:
+            InputError: for a joint that is unknown, has no armature or several degrees of freedom.
+        """
+        known = list(self.model.names)[1:]
+        for name in stiffness:
+            if name not in known:
+                raise InputError(
+                    f"joint '{name}' of a series spring is unknown", "one of " + ", ".join(known)
+                )
+        model = with_spring_joints(self.model, list(stiffness))
+        q, v = building.joint_entries(model, known)
+        changed = {"reference": pin.neutral(model), "velocity_limit": np.full(model.nv, np.inf)}
+        changed["position_lower"], changed["position_upper"] = position_limits(model)
+        for name, entries in (("velocity_limit", v), ("reference", q), ("position_lower", q)):
+            changed[name][entries] = getattr(self, name)
+        changed["position_upper"][q] = self.position_upper
+        springs = [JointForce(joint=name + SPRING, stiffness=k) for name, k in stiffness.items()]
+        return replace(
+            self,
+            model=model,
+            passive=(*self.passive, *(spring.joint for spring in springs)),
+            joint_forces=(*self.joint_forces, *springs),
+            given_length=self.length,
+            **changed,
+        )
+
+    def least_torque(self, limit: np.ndarray) -> np.ndarray:
+        """Least inputs (nu,) that go with the largest ones ``limit``: of joints their negative."""
+        least = -limit
+        least[len(self.actuated_rows) :] = [thruster.least for thruster in self.thrusters]
+        return least
 
     def with_virtual_base(self, order: str = DEFAULT_ORDER) -> Robot:
         """Return this free-flyer robot with six virtual joints as its base: x, y, z, then three angles.
@@ -255,12 +372,14 @@ class Robot:
             locked: names of joints to weld at the reference.
             name: of the robot; default the one in the file.
             package_dirs: where ``package://`` paths of meshes start; default the folders above the file.
-            passive: names of joints without actuator, which must come first.
+            passive: names of joints without actuator.
 
         Raises:
-            InputError: for a missing or malformed file, and as `Robot`.
+            InputError: for a missing or malformed file, a joint that mimics another and is not locked, and
+                as `Robot`.
         """
         model = read_urdf(path, base)
+        require_independent(path, urdf_couplings(path), locked)
         source = expanded(path).absolute()
         given = None if package_dirs is None else tuple(Path(entry).absolute() for entry in package_dirs)
         directories = package_directories(source) if given is None else given
@@ -277,22 +396,43 @@ class Robot:
 
     @classmethod
     @checked
-    def from_mjcf(cls, path: str | Path, *, base: Base | None = None, **options: Any) -> Robot:
-        """Build a robot from an MJCF file, as far as Pinocchio reads it; options as in `from_model`.
+    def from_mjcf(
+        cls,
+        path: str | Path,
+        *,
+        base: Base | None = None,
+        reference: ArrayLike | Mapping[str, float] | None = None,
+        locked: Sequence[str] = (),
+        passive: Sequence[str] | None = None,
+        **options: Any,
+    ) -> Robot:
+        """Build a robot from an MJCF file as MuJoCo compiles it; arguments and ``options`` as in `from_urdf`.
 
-        MJCF actuator limits are not read by Pinocchio: the torque limit comes from the joints alone.
+        The default base is the file's, the default reference its keyframe "home", or else the first, if it is
+        within the limits; contacts put its base on the ground, and joints that a mapping does not name are
+        those of it. By default joints without actuator are passive, if others have one. Contacts name bodies,
+        sites and colliding balls.
 
-        Args:
-            path: of the file.
-            base: kind of the root joint; default that of the file.
-            options: further arguments of `from_model`.
-
-        Raises:
-            InputError: for a missing or malformed file, and a base that contradicts it.
+        Raises `InputError` for a missing or malformed file, a base that contradicts it, joints that are not
+        independent and not locked, several free joints, and where MuJoCo is not installed.
         """
-        model = read_mjcf(path, base)
-        source = VisualSource(urdf=expanded(path).absolute())
-        return cls.from_model(model, **{"base": base, "visual": source, **options})
+        compiled = compile_mjcf(path)
+        require_independent(path, mjcf_couplings(compiled), locked)
+        read = read_mjcf(path, compiled, base)
+        posture = {**read.joints, **reference} if isinstance(reference, Mapping) else reference
+        idle = read.passive if passive is None else passive
+        robot = cls.from_model(
+            read.model,
+            base=base,
+            reference=read.home if posture is None else posture,
+            locked=locked,
+            passive=[joint for joint in idle if joint not in locked],
+            **{"visual": VisualSource(urdf=expanded(path).absolute()), **options},
+        )
+        if reference is not None or read.home is None:
+            return robot
+        standing = building.put_on_ground(robot.model, robot.base, robot.contacts, robot.reference)
+        return replace(robot, reference=standing)
 
     @classmethod
     @checked
@@ -320,9 +460,7 @@ class Robot:
             base=kind,
             contacts=named,
             reference=building.reference_posture(model, kind, named, reference),
-            torque_limit=building.torque_limit_of(
-                model, building.count_unactuated_rows(model, kind, passive)
-            ),
+            torque_limit=building.torque_limit_of(model, kind, passive),
             velocity_limit=building.velocity_limit_of(model, kind),
             position_lower=lower,
             position_upper=upper,

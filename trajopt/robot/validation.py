@@ -8,14 +8,18 @@ import pinocchio as pin
 from trajopt.dynamics.model_quantities import mass_of
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.errors import InputError, require_positive
+from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.contact import Contact, require_frame
 
 # A reference posture may touch its limit: rounding of degrees in description files, rad or m.
 LIMIT_SLACK = 1e-6
-# Eigenvalues of an inertia may be negative by this part of the largest: rounding of description files.
-INERTIA_SLACK = 1e-6
+# Eigenvalues of an inertia may be negative by the first part of its largest, rounding of description files,
+# or by the second of the robot's largest: bodies that are welded together are added in other axes.
+INERTIA_SLACK, WELDED_SLACK = 1e-6, 1e-15
 # A unit quaternion or (cos, sin) pair of a reference is given with this many digits at least.
 UNIT_SLACK = 1e-6
+# Joints whose coordinate is a length.
+STRAIGHT = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismatic", "JointModelTranslation")
 
 
 def require_contacts(robot: str, model: pin.Model, contacts: Sequence[Contact]) -> None:
@@ -28,11 +32,22 @@ def require_contacts(robot: str, model: pin.Model, contacts: Sequence[Contact]) 
         require_frame(model, contact.frame, f"contact '{contact.name}'")
 
 
+def require_thrusters(robot: str, model: pin.Model, thrusters: Sequence[Thruster]) -> None:
+    """Raise `InputError` for thrusters that are not on the base, or are named like another input."""
+    names = [*model.names, *(thruster.name for thruster in thrusters)]
+    for thruster in thrusters:
+        thruster.column(model)
+        if names.count(thruster.name) > 1:
+            raise InputError(f"robot '{robot}' has two inputs named '{thruster.name}'", "different names")
+
+
 def require_inertias(robot: str, model: pin.Model) -> None:
     """Raise `InputError` for an unphysical mass, inertia, armature or gravity, or a robot without mass.
 
     One link without mass or inertia is allowed: inverse dynamics needs no inverse of the mass matrix.
     """
+    moments = [np.abs(inertia.inertia).max() for inertia in list(model.inertias)[1:]]
+    rounding = WELDED_SLACK * np.nan_to_num(moments, posinf=0.0).max(initial=0.0)
     for joint in range(1, model.njoints):
         inertia, where = model.inertias[joint], f"moved by joint '{model.names[joint]}' of '{robot}'"
         if not (np.isfinite(inertia.mass) and inertia.mass >= 0 and np.isfinite(inertia.lever).all()):
@@ -42,7 +57,7 @@ def require_inertias(robot: str, model: pin.Model) -> None:
         if not np.isfinite(inertia.inertia).all():
             raise InputError(f"the inertia of the body {where} is not finite", "allowed: finite, kg m^2")
         principal = np.linalg.eigvalsh(inertia.inertia)
-        if principal[0] < -INERTIA_SLACK * np.abs(principal).max():
+        if principal[0] < -max(INERTIA_SLACK * np.abs(principal).max(), rounding):
             raise InputError(
                 f"the least principal inertia of the body {where} is {principal[0]:g} kg m^2", "allowed: >= 0"
             )
@@ -58,24 +73,31 @@ def require_inertias(robot: str, model: pin.Model) -> None:
 
 def require_limits(
     robot: str,
+    model: pin.Model,
     length: float | None,
     position: tuple[np.ndarray, np.ndarray],
-    others: Mapping[str, np.ndarray | None],
+    others: Mapping[str, tuple[Sequence[int] | np.ndarray, np.ndarray | None]],
 ) -> None:
-    """Raise `InputError` for limits that are empty, negative or NaN, or a length that is not positive."""
-    lower, upper = position
+    """Raise `InputError` for limits that are empty, negative or NaN, or a length that is not positive.
+
+    others: limits by what they are, and the row of v that each of their numbers is for.
+    """
     if length is not None:
         require_positive(f"given_length of robot '{robot}'", length, "m")
-    if np.isnan(lower).any() or np.isnan(upper).any():
-        raise InputError(f"position limits of robot '{robot}' hold NaN", "numbers, or -inf and inf")
-    for index in np.flatnonzero(lower > upper):
-        raise InputError(
-            f"position limits of robot '{robot}' are empty at index {index}: {lower[index]} > {upper[index]}",
-            "lower <= upper",
-        )
-    for field, limit in others.items():
-        if limit is not None and not (limit >= 0).all():
-            raise InputError(f"{field} of robot '{robot}' is negative or NaN", "numbers >= 0, or inf")
+    joints = list(model.joints)[1:]
+    entries = [joint for joint in joints for _ in range(joint.nq)]
+    for joint, lower, upper in zip(entries, *position, strict=True):
+        if not lower <= upper:
+            fault = "empty" if lower > upper else "not numbers"
+            unit = "m" if joint.shortname().startswith(STRAIGHT) else "rad"
+            what = f"position limits of joint '{model.names[joint.id]}' of '{robot}' are {fault}"
+            raise InputError(f"{what}: {lower:g} > {upper:g} {unit}", "lower <= upper, or -inf and inf")
+    owners = [model.names[joint.id] for joint in joints for _ in range(joint.nv)]
+    for field, (rows, limits) in others.items():
+        for row, limit in zip(rows, [] if limits is None else limits, strict=limits is not None):
+            if not limit >= 0:
+                what = f"{field} of joint '{owners[row]}' of '{robot}' is {limit:g}"
+                raise InputError(f"{what}: negative or NaN", "numbers >= 0, or inf")
 
 
 def require_reference(

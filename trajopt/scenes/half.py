@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.dynamics.rerooting import JOINT_ROWS, joint_slices
+from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.building import sagittal
 from trajopt.robot.contact import Contact
@@ -142,6 +143,8 @@ def _with_limits(
             lower[new_q] = np.maximum(lower[new_q], low)
             upper[new_q] = np.minimum(upper[new_q], high)
     reference = np.clip(pin.neutral(model), lower, upper)
+    if robot.thrusters or robot.joint_forces:
+        raise InputError(f"'{robot.name}' has thrusters, or forces at joints", "allowed in a half: none")
     return Robot(
         name=f"{robot.name} (half)",
         model=model,

@@ -97,7 +97,7 @@ def _always(problem: Problem) -> Needs:
     robot, needs = problem.robot, {}
     for joint in list(robot.model.joints)[1:]:
         name = robot.model.names[joint.id]
-        if joint.idx_v < robot.n_unactuated:
+        if joint.idx_v in robot.unactuated_rows:
             needs[name] = "has no actuator" if name in robot.passive else "is the base"
         elif problem.initial_v[joint.idx_v : joint.idx_v + joint.nv].any():
             needs[name] = "starts moving"

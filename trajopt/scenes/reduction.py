@@ -123,9 +123,12 @@ class Reduction:
 
         Zero for a locked joint: the small robot does not determine its holding torque.
         """
-        matrix = self.rates[self.whole.n_unactuated :, self.small.n_unactuated :].copy()
+        matrix = self.rates[np.ix_(self.whole.actuated_rows, self.small.actuated_rows)]
         members = np.abs(matrix).sum(axis=0)
-        return np.asarray(matrix / np.where(members > 0, members, 1.0))
+        count = len(self.whole.thrusters)
+        shares = np.pad(matrix / np.where(members > 0, members, 1.0), (0, count))
+        shares[len(matrix) :, matrix.shape[1] :] = np.eye(count)
+        return shares
 
     def lift_q(self, q: np.ndarray) -> np.ndarray:
         """Configuration (nq,) of the whole robot."""
@@ -275,17 +278,17 @@ def _carrying(
     solution: Solution, robot: Robot, motion: _Trajectory, f: np.ndarray, active: np.ndarray
 ) -> np.ndarray:
     """Wrenches (K, nc, 6) nearest to ``f`` whose base rows carry the motion at collocation points."""
-    model, data, n = robot.model, robot.model.createData(), robot.n_unactuated
+    model, data, rows = robot.model, robot.model.createData(), robot.unactuated_rows
     frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
     units = np.array([1.0] * 3 + [robot.length] * 3)
     corrected = f.copy()
     for k in np.flatnonzero(solution.collocation & active.any(axis=1)):
         state = (motion[0][k], motion[1][k], motion[2][k])
-        missing = generalized_force(model, data, state, frames, f[k])[:n]
+        missing = generalized_force(model, data, state, frames, f[k])[rows]
         chosen = [
             (c, row) for c, row in zip(robot.contacts, range(len(frames)), strict=True) if active[k, row]
         ]
-        jacobian = contact_jacobian(model, state[0], [(c.frame, c.rows) for c, _ in chosen])[:, :n]
+        jacobian = contact_jacobian(model, state[0], [(c.frame, c.rows) for c, _ in chosen])[:, rows]
         scale = np.concatenate([units[list(c.rows)] for c, _ in chosen])
         change = scale * np.linalg.lstsq((scale[:, None] * jacobian).T, missing, rcond=None)[0]
         for contact, row in chosen:
@@ -302,4 +305,4 @@ def _torques(solution: Solution, robot: Robot, motion: _Trajectory, f: np.ndarra
     for k in np.flatnonzero(solution.collocation):
         state = (motion[0][k], motion[1][k], motion[2][k])
         forces[k] = generalized_force(model, data, state, frames, f[k])
-    return interpolated(solution, forces)[:, robot.n_unactuated :]
+    return robot.actuation.inputs(interpolated(solution, forces))

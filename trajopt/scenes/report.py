@@ -153,13 +153,13 @@ def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iter
 
 def _beyond(term: TorqueLimits | VelocityLimits | PositionLimits, robot: Robot) -> tuple[int, str]:
     """Number of finite limits that a term leaves out, and the threshold."""
-    units, first = Units(robot), robot.n_unactuated
+    units = Units(robot)
     if isinstance(term, TorqueLimits):
         limit = robot.torque_limit if term.limit is None else np.asarray(term.limit)
         far = np.zeros(0) if limit is None else limit[np.isfinite(limit)] >= units.unreachable_torque
         return int(np.sum(far)), f"beyond 30 m g l = {units.unreachable_torque:.3g} N m"
     if isinstance(term, VelocityLimits):
-        speed = robot.velocity_limit[first:]
+        speed = robot.velocity_limit[robot.actuated_rows]
         far = speed[np.isfinite(speed)] >= units.unreachable_velocity
         return int(np.sum(far)), f"beyond 30 sqrt(g / l) = {units.unreachable_velocity:.3g} rad/s"
     lower, upper = robot.position_lower, robot.position_upper

@@ -100,10 +100,13 @@ class WholeView(Context):
     @property
     @override
     def generalized_forces(self) -> ca.SX:
-        forces, unactuated = self.small.generalized_forces, self.reduction.small.n_unactuated
-        base = ca.mtimes(ca.DM(self.reduction.rates[:, :unactuated]), forces[:unactuated])
-        joints = ca.mtimes(ca.DM(self.reduction.shares), forces[unactuated:])
-        return ca.vertcat(base[: self.robot.n_unactuated], joints)
+        forces, small = self.small.generalized_forces, self.reduction.small
+        free = ca.DM(self.reduction.rates[:, small.unactuated_rows])
+        whole = ca.mtimes(free, forces[small.unactuated_rows.tolist()])
+        rows, joints = small.actuated_rows, self.robot.actuated_rows
+        shares = self.reduction.shares[: len(joints), : len(rows)]
+        whole[joints.tolist()] = ca.mtimes(ca.DM(shares), forces[rows.tolist()])
+        return whole
 
     @cached_property
     @override

@@ -5,8 +5,6 @@ without mass and inertias that no solid body has, both of which Pinocchio's recu
 compiled with a stand-in and their inertias written into the compiled model.
 """
 
-import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,37 +13,13 @@ import pinocchio as pin
 
 from trajopt.dynamics.manifold import Coordinates, Joint
 from trajopt.errors import InputError
+from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.coordinates import CoordinateMap, JointAddress
 
-PACKAGE_MISSING = "pip install mujoco"
 # A column of a joint's motion that turns by less than this is a translation.
 TRANSLATION = 1e-9
 # Stand-in inertia for compilation: off its frame and not diagonal, so that no special case is compiled in.
 STAND_IN = {"mass": 1.0, "ipos": [0.1, 0.2, 0.3], "fullinertia": [1.0, 1.1, 1.2, 0.1, 0.1, 0.1]}
-
-
-def mujoco_package() -> Any:
-    """The module ``mujoco``; raises `InputError` where it is not installed."""
-    try:
-        import mujoco
-    except ImportError:
-        raise InputError("simulating needs MuJoCo, which is not installed", PACKAGE_MISSING) from None
-    return mujoco
-
-
-@contextlib.contextmanager
-def muted_mujoco() -> Iterator[None]:
-    """Suppress MuJoCo's warnings, which go to stderr and into a file in the working directory.
-
-    Divergence is detected from the state instead.
-    """
-    mujoco = mujoco_package()
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -65,9 +65,9 @@ class TrackingErrors:
 def tracking_errors(plan: Solution, reference: ReferenceTrajectory, q: np.ndarray) -> TrackingErrors:
     """Errors of simulated q (n + 1, nq) at the starts of periods and at the end of the last."""
     wanted = np.vstack([reference.q, reference.end])[: len(q)]
-    model, first = plan.model, plan.n_unactuated
+    model, rows = plan.model, plan.actuated_rows
     distance = np.array([state_distance(model, a, b) for a, b in zip(wanted, q, strict=True)])
-    joints = np.array([pin.difference(model, a, b)[first:] for a, b in zip(wanted, q, strict=True)])
+    joints = np.array([pin.difference(model, a, b)[rows] for a, b in zip(wanted, q, strict=True)])
     return TrackingErrors(base=distance[:, 0], turn=distance[:, 1], joint=distance[:, 2], joints=joints)
 
 

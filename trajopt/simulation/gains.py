@@ -20,7 +20,8 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import base_of
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.cycles import moving_rows
-from trajopt.simulation.bodies import mujoco_package, write_inertias
+from trajopt.robot.mujoco_package import mujoco_package
+from trajopt.simulation.bodies import write_inertias
 from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
 from trajopt.simulation.world import World
 from trajopt.solution.solution import Solution
@@ -47,7 +48,7 @@ def gains_of(
 ) -> Gains:
     """Gains for every period of a reference."""
     picked = np.arange(0, len(reference.t), EVERY)
-    rows = world.coordinates.rows[plan.n_unactuated :]
+    rows = world.coordinates.rows[plan.actuated_rows]
     matrices = _inertias(plan, world, reference, picked)
     inertia = np.diagonal(matrices, axis1=1, axis2=2)[:, rows]
     rate = 1.0 / (FEEDBACK_TIME * world.units.time)
@@ -81,15 +82,15 @@ def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, pick
 
 def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
     """Stiffness (n, nu) that legs need to hold the body, for active contacts (n, nc); zero elsewhere."""
-    holding = np.zeros((len(active), plan.tau.shape[1]))
+    holding = np.zeros((len(active), len(plan.actuated_rows)))
     if base_of(plan.model) == "fixed":
         return holding
     standing = np.maximum(active.sum(axis=1), 1)
-    units, first = world.units, plan.n_unactuated
-    force = units.generalized_force(plan.model)[first:]
+    units, actuated = world.units, plan.actuated_rows
+    force = units.generalized_force(plan.model)[actuated]
     stiffness = STIFFER * np.where(force == units.weight, force / units.length, force)  # N/m, or N m
     for contact, frame in enumerate(plan.contact_frames):
-        moved = sorted(row - first for row in moving_rows(plan.model, frame) if row >= first)
+        moved = np.flatnonzero(np.isin(actuated, list(moving_rows(plan.model, frame))))
         held = np.where(active[:, contact, None], stiffness[moved] / standing[:, None], 0.0)
         holding[:, moved] = np.maximum(holding[:, moved], held)
     return holding

@@ -14,13 +14,8 @@ import numpy as np
 
 from trajopt.collision.shapes import BoxObstacle, LinkShape, Obstacle
 from trajopt.motion.cycles import image_of_contacts
-from trajopt.simulation.bodies import (
-    Bodies,
-    add_geom,
-    body_name,
-    mujoco_package,
-    mujoco_quaternion,
-)
+from trajopt.robot.mujoco_package import mujoco_package
+from trajopt.simulation.bodies import Bodies, add_geom, body_name, mujoco_quaternion
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.solution.solution import Solution
 from trajopt.terrain.patch import Patch, cut_polygon

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.simulation.bodies import mujoco_package
+from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.settings import SimulationSettings
 
 # The noise of sensors is drawn apart from the start's, which has the seed alone.

@@ -14,14 +14,8 @@ from numpy.typing import ArrayLike
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded, first_line
-from trajopt.simulation.bodies import (
-    body_name,
-    joint_axis,
-    mujoco_package,
-    mujoco_quaternion,
-    muted_mujoco,
-    part_name,
-)
+from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
+from trajopt.simulation.bodies import body_name, joint_axis, mujoco_quaternion, part_name
 from trajopt.simulation.run import torque_limits
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.world import World, build_world
@@ -121,7 +115,11 @@ def _complete_body(root: ElementTree.Element, model: pin.Model, index: int) -> N
 def _complete_joint(joint: ElementTree.Element, world: World) -> None:
     """Write rotor inertia and friction of a joint; raises `InputError` where its rows have different ones."""
     compiled, name = world.compiled, str(joint.get("name"))
-    rows = compiled.dof_jntid == compiled.joint(name).id
+    number = compiled.joint(name).id
+    if compiled.jnt_stiffness[number]:
+        joint.set("stiffness", _numbers(compiled.jnt_stiffness[number]))
+        joint.set("springref", _numbers(compiled.qpos_spring[compiled.jnt_qposadr[number]]))
+    rows = compiled.dof_jntid == number
     for attribute, array in DRIVE_ATTRIBUTES.items():
         values = getattr(compiled, array)[rows]
         if np.ptp(values) > 0:
@@ -171,7 +169,16 @@ def _add_motors(root: ElementTree.Element, plan: Solution) -> None:
     actuator = ElementTree.SubElement(root, "actuator")
     low, high = torque_limits(plan)
     for row, name in enumerate(plan.torque_names):
-        place = plan.n_unactuated + row
+        motor = ElementTree.SubElement(actuator, "motor", name=name.replace("/", "_"))
+        if np.isfinite(high[row]):
+            motor.set("ctrlrange", _numbers([low[row], high[row]]))
+        if row >= len(plan.actuated_rows):
+            thruster = plan.description.thrusters[row - len(plan.actuated_rows)]
+            axis = np.array(thruster.axis) / np.linalg.norm(thruster.axis)
+            motor.set("site", thruster.name)
+            motor.set("gear", _numbers([*axis, *(thruster.drag * axis)]))
+            continue
+        place = int(plan.actuated_rows[row])
         index = next(i for i, joint in enumerate(plan.model.joints) if i and place < joint.idx_v + joint.nv)
         number = place - plan.model.joints[index].idx_v
         kind = plan.model.joints[index].shortname()
@@ -181,12 +188,9 @@ def _add_motors(root: ElementTree.Element, plan: Solution) -> None:
                 "allowed in MJCF: on hinges, slides and balls",
             )
         turns = kind == "JointModelSpherical"
-        motor = ElementTree.SubElement(actuator, "motor", name=name.replace("/", "_"))
         motor.set("joint", part_name(index, 0 if turns else number))
         if turns:
             motor.set("gear", _numbers([*np.eye(3)[number], 0.0, 0.0, 0.0]))
-        if np.isfinite(high[row]):
-            motor.set("ctrlrange", _numbers([low[row], high[row]]))
 
 
 def _add_keyframes(root: ElementTree.Element, plan: Solution, world: World) -> None:

@@ -20,7 +20,7 @@ from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
-from trajopt.simulation.bodies import muted_mujoco
+from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.simulation.figures import fall_of
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.run import LEAST_LEVEL, SimulationRun

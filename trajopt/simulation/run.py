@@ -18,7 +18,8 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.tracker import Tracker
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
-from trajopt.simulation.bodies import body_name, mujoco_package, write_inertias
+from trajopt.robot.mujoco_package import mujoco_package
+from trajopt.simulation.bodies import body_name, write_inertias
 from trajopt.simulation.controllers import TorqueController, controller_of, torque_of
 from trajopt.simulation.gains import gains_of
 from trajopt.simulation.hardware import Hardware, Measurement
@@ -63,7 +64,7 @@ class SimulationRun:
             steps = f"{self.substeps * len(reference.t):.3g}"
             raise InputError(f"a simulation of {steps} steps", f"allowed: {MOST_STEPS}; a longer --timestep")
         self.model.opt.timestep = reference.period / self.substeps
-        self.rows = world.coordinates.rows[plan.n_unactuated :]
+        self.rows = world.coordinates.rows[plan.actuated_rows]
         self.gains = gains_of(plan, world, reference, settings)
         self.drives = plan.drives
         self.low, self.high = torque_limits(plan)
@@ -86,9 +87,15 @@ class SimulationRun:
         reference, coordinates = self.reference, self.world.coordinates
         self.qpos = coordinates.to_mujoco(reference.q)
         self.qvel = coordinates.rates_to_mujoco(self.qpos, reference.v)
-        whole = np.zeros_like(reference.v)
-        whole[:, self.plan.n_unactuated :] = reference.torque
-        self.torque = coordinates.rates_to_mujoco(self.qpos, whole)[:, self.rows]
+        self.torque = self._in_mujoco(self.qpos, reference.torque)
+
+    def _in_mujoco(self, qpos: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """Inputs (n, nu) of the plan in MuJoCo's coordinates: those of joints along its axes."""
+        joints = len(self.rows)
+        whole = np.zeros((len(torque), self.plan.model.nv))
+        whole[:, self.plan.actuated_rows] = torque[:, :joints]
+        moved = self.world.coordinates.rates_to_mujoco(qpos, whole)[:, self.rows]
+        return np.hstack([moved, torque[:, joints:]])
 
     def record(self) -> SimulationRecord:
         """The whole plan, from its start."""
@@ -107,9 +114,9 @@ class SimulationRun:
             qpos=np.zeros((count + 1, model.nq)),
             qvel=np.zeros((count + 1, model.nv)),
             qacc=np.zeros((count, model.nv)),
-            torque=np.zeros((count, len(self.rows))),
-            saturated=np.zeros((count, len(self.rows)), dtype=bool),
-            friction=np.zeros((count, len(self.rows))),
+            torque=np.zeros((count, len(self.low))),
+            saturated=np.zeros((count, len(self.low)), dtype=bool),
+            friction=np.zeros((count, len(self.low))),
             force=np.zeros((count, contacts, 6)),
             feet=np.zeros((count, contacts, 3)),
             turns=np.zeros((count, contacts, 3, 3)),
@@ -222,35 +229,39 @@ class SimulationRun:
             low, high = limits_with_drives(self.drives, self.data.qvel[self.rows], low, high)
         torque = np.clip(wanted, low, high)
         self.hardware.deliver(torque)
-        self.data.qfrc_applied[self.rows] = torque
+        joints = len(self.rows)
+        if joints < len(torque):
+            thrust = self.plan.actuation.thrust @ torque[joints:]
+            pushed = self.world.coordinates.rates_to_mujoco(self.data.qpos[None], thrust[None])
+            self.data.qfrc_applied[:] = pushed[0]
+        self.data.qfrc_applied[self.rows] = torque[:joints]
         return torque, torque != wanted
 
     def _fed_back(self, k: int, measured: Measurement) -> np.ndarray:
         """Torques (nu,) of the plan and of the joints' feedback."""
         error = np.zeros(self.model.nv)
         self.mujoco.mj_differentiatePos(self.model, error, 1.0, measured.qpos, self.qpos[k])
-        return np.asarray(
-            self.torque[k]
-            + self.gains.kp[k] * error[self.rows]
-            + self.gains.kd[k] * (self.qvel[k][self.rows] - measured.qvel[self.rows])
+        torque = self.torque[k].copy()
+        torque[: len(self.rows)] += self.gains.kp[k] * error[self.rows] + self.gains.kd[k] * (
+            self.qvel[k][self.rows] - measured.qvel[self.rows]
         )
+        return torque
 
     def _asked(self, controller: TorqueController, k: int, measured: Measurement) -> np.ndarray:
         """Torques (nu,) of a controller in MuJoCo's coordinates."""
         coordinates, qpos = self.world.coordinates, measured.qpos[None]
         q = coordinates.from_mujoco(qpos)[0]
         v = coordinates.rates_from_mujoco(qpos, measured.qvel[None])[0]
-        whole = np.zeros((1, self.plan.model.nv))
-        t, first = k * self.reference.period, self.plan.n_unactuated
-        whole[0, first:] = torque_of(controller, t, (q, v), measured.touching, self.plan.tau.shape[1])
-        return np.asarray(coordinates.rates_to_mujoco(qpos, whole)[0, self.rows])
+        t, size = k * self.reference.period, self.plan.tau.shape[1]
+        torque = torque_of(controller, t, (q, v), measured.touching, size)
+        return self._in_mujoco(qpos, torque[None])[0]
 
     def _friction(self) -> np.ndarray:
         """Torques (nu,) of friction in the drives on their joints: viscous, and Coulomb's as a constraint."""
         whole = self.data.qfrc_passive.copy()
         is_friction = self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
         np.add.at(whole, self.data.efc_id[is_friction], self.data.efc_force[is_friction])
-        return np.asarray(whole[self.rows])
+        return np.append(whole[self.rows], np.zeros(len(self.low) - len(self.rows)))
 
     def _contacts(self, force: np.ndarray, feet: np.ndarray) -> tuple[bool, bool]:
         """Add this step's contacts to ``force`` (nc, 6); whether a link touches ground, or an obstacle.

@@ -11,8 +11,8 @@ from trajopt.arguments import checked
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError, not_among
+from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.simulation import figures
-from trajopt.simulation.bodies import muted_mujoco
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import ContactReport, SimulationReport, TickReport
 from trajopt.simulation.run import run_simulation

@@ -13,7 +13,7 @@ import numpy as np
 
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.motion.touched import held_samples
-from trajopt.simulation.bodies import mujoco_package
+from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.figures import loaded_contacts
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import SimulationReport
@@ -45,6 +45,7 @@ def simulated_solution(
     a = world.coordinates.accelerations_from_mujoco(record.qpos[:n], record.qvel[:n], record.qacc)
     t = np.append(reference.t[:n], reference.t[n - 1] + reference.period)
     phase = np.array([reference.phase[first] for first, _ in chunks])
+    own = plan.joint_force(q[last], v[last])  # MuJoCo's friction on joints has it, too
     return Solution(
         description=_description(plan, reference, phase),
         statistics=_statistics(plan, report),
@@ -57,7 +58,7 @@ def simulated_solution(
         q=q[rows],
         v=v[rows],
         a=a[last],
-        tau=(record.torque + record.friction)[last],
+        tau=(record.torque + record.friction)[last] - plan.actuation.inputs(own),
         f=record.force[last],
         active=np.repeat(_active(plan, reference, record, world, chunks), 3, axis=0),
         **_requests(record, last),

@@ -13,6 +13,7 @@ from trajopt.motion.body_distances import FileBodies
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.samples import ContactPlaces, contact_places
 from trajopt.motion.touched import held_samples
+from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation.bodies import (
     Bodies,
@@ -20,7 +21,6 @@ from trajopt.simulation.bodies import (
     body_name,
     build_bodies,
     compile_bodies,
-    mujoco_package,
     mujoco_quaternion,
 )
 from trajopt.simulation.coordinates import CoordinateMap
@@ -112,7 +112,7 @@ def build_world(plan: Solution, settings: SimulationSettings) -> World:
         for obstacle in obstacles:
             _pair(bodies.spec, capsule, obstacle, settings.friction_scale * LINK_FRICTION, settings, units)
     compiled, coordinates = compile_bodies(bodies)
-    _friction_of_drives(compiled, coordinates, plan)
+    _friction_of_joints(compiled, coordinates, plan)
     named = {geom: contact for contact, geoms in enumerate(feet) for geom in geoms}
     geoms = [compiled.geom(i).name for i in range(compiled.ngeom)]
     return World(
@@ -196,6 +196,13 @@ def _extent(plan: Solution, contact: int) -> float:
 def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[str]]:
     """A site and balls at each contact frame; names of the balls."""
     names = []
+    for thruster in plan.description.thrusters:
+        placed = bodies.model.frames[bodies.model.getFrameId(thruster.frame)]
+        bodies.spec.body(body_name(placed.parentJoint)).add_site(
+            name=thruster.name,
+            pos=placed.placement.translation,
+            quat=mujoco_quaternion(placed.placement.rotation),
+        )
     for number, frame in enumerate(plan.contact_frames):
         contact_frame = bodies.model.frames[bodies.model.getFrameId(frame)]
         body = bodies.spec.body(body_name(contact_frame.parentJoint))
@@ -349,9 +356,18 @@ def _stiffness(settings: SimulationSettings, units: NaturalUnits) -> dict[str, l
     }
 
 
-def _friction_of_drives(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
-    rows = coordinates.rows[plan.n_unactuated :]
-    for row, drive in zip(rows, plan.drives, strict=True):
+def _friction_of_joints(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
+    """Friction of drives, and springs, damping and dry friction of joints."""
+    for force in plan.description.joint_forces:
+        _, v = force.entries(plan.model)
+        row = coordinates.rows[v]
+        joint = compiled.dof_jntid[row]
+        compiled.jnt_stiffness[joint] += force.stiffness
+        compiled.qpos_spring[compiled.jnt_qposadr[joint]] = force.rest
+        compiled.dof_damping[row] += force.damping
+        compiled.dof_frictionloss[row] += force.dry_friction
+    rows = coordinates.rows[plan.actuated_rows]
+    for row, drive in zip(rows, plan.drives, strict=False):  # thrusters, which come last, have none
         if drive is not None:
-            compiled.dof_damping[row] = drive.viscous_friction
-            compiled.dof_frictionloss[row] = drive.coulomb_friction
+            compiled.dof_damping[row] += drive.viscous_friction
+            compiled.dof_frictionloss[row] += drive.coulomb_friction

@@ -81,16 +81,27 @@ def _wrong_shape(
     for name, shape in expected.items():
         if arrays[name].shape != shape:
             return f"'{name}' has shape {arrays[name].shape}, expected {shape}"
-    if actuated > model.nv:
-        return f"'tau' has {actuated} columns, more than nv = {model.nv}"
+    most = model.nv + len(plan.thrusters)
+    if not len(plan.thrusters) <= actuated <= most:
+        return f"'tau' has {actuated} columns, not {len(plan.thrusters)} to {most}"
+    try:
+        for thruster in plan.thrusters:
+            thruster.column(model)
+        for force in plan.joint_forces:
+            force.entries(model)
+    except InputError as error:
+        return str(error)
     for key, limit, size in (
         ("effort_limit", plan.effort_limit, actuated),
         ("velocity_limit", plan.velocity_limit, model.nv),
+        ("actuated_rows", plan.actuated_rows, actuated - len(plan.thrusters)),
         ("drives", plan.drives or None, actuated),
         ("index of periodicity", None if plan.periodicity is None else plan.periodicity.index, model.nv),
     ):
         if limit is not None and len(limit) != size:
             return f"{key} of meta has {len(limit)} entries, expected {size}"
+    if plan.actuated_rows is not None and (plan.actuated_rows >= model.nv).any():
+        return f"actuated_rows of meta are {plan.actuated_rows.tolist()}, of {model.nv} rows of v"
     for frame in plan.frames:
         if not isinstance(frame, str) or not model.existFrame(frame):
             return f"contact frame {frame!r} is not in the model"

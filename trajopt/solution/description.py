@@ -10,7 +10,9 @@ import pinocchio as pin
 from trajopt.collision.description import RobotShapes
 from trajopt.collision.near import CollisionScene
 from trajopt.collision.shapes import LinkShape, Obstacle
+from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.joint_force import JointForce
 from trajopt.robot.data import VisualSource
 from trajopt.schedule.moment import Target
 from trajopt.terrain.flat import FlatGround
@@ -115,6 +117,9 @@ class PlanDescription:
         gravity: (3,) m/s^2.
         effort_limit: (nu,) N m or N, infinite where there is none; None without any.
         velocity_limit: (nv,) rad/s or m/s, likewise.
+        actuated_rows: rows of v that have a torque; None where they are the last.
+        thrusters: whose forces are the last columns of torques.
+        joint_forces: springs, damping and dry friction at joints, part of the dynamics.
         terrain: None where it is not known.
         surfaces, patches: for each phase what active contacts touch or stand on, by contact frames; empty
             where all touch the terrain.
@@ -138,6 +143,9 @@ class PlanDescription:
     gravity: tuple[float, ...] | None = None
     effort_limit: np.ndarray | None = None
     velocity_limit: np.ndarray | None = None
+    actuated_rows: np.ndarray | None = None
+    thrusters: tuple[Thruster, ...] = ()
+    joint_forces: tuple[JointForce, ...] = ()
     terrain: Terrain | None = None
     surfaces: tuple[Mapping[str, Surface], ...] = ()
     patches: tuple[Mapping[str, Patch], ...] = ()

@@ -10,7 +10,9 @@ import numpy as np
 from trajopt.collision.description import RobotShapes
 from trajopt.collision.shapes import LinkShape, obstacle_from_description
 from trajopt.errors import InputError, SolutionFileError, is_number, shown
+from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.joint_force import JointForce
 from trajopt.robot.data import VisualSource
 from trajopt.schedule.moment import Target
 from trajopt.solution.description import (
@@ -38,6 +40,7 @@ REQUIRED = (
 # Keys of descriptions, and keys that follow from arrays: all others are of statistics.
 DESCRIBED = (
     *("problem", "parameters", "robot", "actuation", "gravity", "effort_limit", "velocity_limit"),
+    *("actuated_rows", "thrusters", "joint_forces"),
     *("contact_frames", "contact_names", "contact_kinds", "contact_sizes", "contact_radius", "friction"),
     *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
     *("visual", "phase_names"),
@@ -68,6 +71,9 @@ def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
         gravity=_optional(meta, "gravity", lambda given: tuple(_numbers(given, (3,)).tolist())),
         effort_limit=_limit(meta, "effort_limit"),
         velocity_limit=_limit(meta, "velocity_limit"),
+        actuated_rows=_optional(meta, "actuated_rows", _rows),
+        thrusters=tuple(_each(meta, "thrusters", Thruster.from_meta)),
+        joint_forces=tuple(_each(meta, "joint_forces", JointForce.from_meta)),
         terrain=_optional(meta, "terrain", terrain_from_description),
         surfaces=_by_phase(meta, "surfaces", "surface", Surface.from_description),
         patches=_by_phase(meta, "patches", "patch", Patch.from_description),
@@ -168,6 +174,12 @@ def meta_of(description: PlanDescription, statistics: SolveStatistics) -> _Json:
 def _described_options(plan: PlanDescription) -> _Json:
     """Entries that a file has only where there is something to describe."""
     options: _Json = {}
+    if plan.actuated_rows is not None:
+        options["actuated_rows"] = plan.actuated_rows
+    if plan.thrusters:
+        options["thrusters"] = [thruster.to_meta() for thruster in plan.thrusters]
+    if plan.joint_forces:
+        options["joint_forces"] = [force.to_meta() for force in plan.joint_forces]
     if plan.payloads:
         options["payloads"] = [vars(body) for body in plan.payloads]
     if plan.periodicity is not None:
@@ -248,6 +260,13 @@ def _limit(meta: Mapping[str, Any], key: str) -> np.ndarray | None:
     entries = isinstance(limit, list) and all(e is None or (is_number(e) and e >= 0) for e in limit)
     _require(entries, key, "null or a list of numbers >= 0")
     return np.array([np.inf if entry is None else entry for entry in limit], dtype=float)
+
+
+def _rows(given: Any) -> np.ndarray:
+    rows = all(type(row) is int and row >= 0 for row in given) and given == sorted(set(given))
+    if not rows:
+        raise InputError(f"{shown(given)} are no rows of v", "ascending, each once")
+    return np.array(given, dtype=int)
 
 
 def _phase_names(meta: Mapping[str, Any], n_phases: int) -> tuple[str, ...]:

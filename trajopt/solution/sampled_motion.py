@@ -27,7 +27,7 @@ class SampledMotion:
     v, a: (n, nv), ``velocity_names``. Those of a free-flyer or planar base are along ``base_velocity``: axes
         of the body, as in Pinocchio (``a`` is the derivative of ``v``), or of the world, where they are the
         derivatives of the base's position, its angular velocity and its angular acceleration.
-    tau: (n, nu) torques of the actuated rows, the last of v, ``torque_names``; without joint friction.
+    tau: (n, nu) torques of the actuated rows, ``torque_names``; without joint friction.
     drive_torque: (n, nu) torques that the drives deliver: ``tau`` and the joints' friction, which only robots
         that ``has_drives`` know.
     angle: (n, m) angles, ``angle_names``, that q has as cosine and sine; they count whole turns.
@@ -100,7 +100,11 @@ class SampledMotion:
     @property
     def joint_velocity(self) -> np.ndarray:
         """Velocities (n, nu) of the joints with a torque, rad/s or m/s, in the order of ``torque_names``."""
-        return self.v[:, self.v.shape[1] - self.tau.shape[1] :]
+        names = list(self.velocity_names)
+        missing = [name for name in self.torque_names if name not in names]
+        if missing:
+            raise InputError(f"'{missing[0]}' has no velocity", "allowed: joints")
+        return self.v[:, [names.index(name) for name in self.torque_names]]
 
     @property
     def columns(self) -> dict[str, np.ndarray]:

@@ -14,8 +14,11 @@ from numpy.typing import ArrayLike
 from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded
 from trajopt.pickling import picklable
+from trajopt.robot.actuators.actuation import Actuation
 from trajopt.robot.actuators.drive import Drive
+from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.actuators.on_robot import drive_torque_values
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution import file
 from trajopt.solution.arrays import OTHERS, SAMPLED, read_only, runs
 from trajopt.solution.consistency import wrong_number
@@ -139,7 +142,9 @@ class Solution:
     @property
     def torque_names(self) -> tuple[str, ...]:
         """Entries (nu,) of ``tau``."""
-        return self.velocity_names[self.n_unactuated :]
+        names = self.velocity_names
+        thrusters = (thruster.name for thruster in self.description.thrusters)
+        return (*(names[row] for row in self.actuated_rows), *thrusters)
 
     @property
     def phase_names(self) -> tuple[str, ...]:
@@ -171,10 +176,32 @@ class Solution:
         """Number of intervals I."""
         return len(self.interval_t)
 
+    @cached_property
+    def actuated_rows(self) -> np.ndarray:
+        """Rows of v that have a torque, in the order of ``tau``; forces of thrusters come after them."""
+        rows = self.description.actuated_rows
+        nv, joints = self.v.shape[1], self.tau.shape[1] - len(self.description.thrusters)
+        return np.arange(nv - joints, nv) if rows is None else rows
+
+    @cached_property
+    def unactuated_rows(self) -> np.ndarray:
+        """Rows of v without torque: those of a moving base, which come first, and of passive joints."""
+        return np.setdiff1d(np.arange(self.v.shape[1]), self.actuated_rows)
+
+    @cached_property
+    def actuation(self) -> Actuation:
+        """The map from ``tau`` to generalised forces."""
+        unit = NaturalUnits.of(self.model).generalized_force(self.model)
+        return Actuation.of(self.model, self.actuated_rows, self.description.thrusters, unit)
+
+    def joint_force(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Forces (..., nv) of springs, damping and dry friction at states (..., nq), (..., nv)."""
+        return joint_force(self.model, self.description.joint_forces, q, v)
+
     @property
     def n_unactuated(self) -> int:
-        """Number of base rows, which come first in v and have no torque."""
-        return self.v.shape[1] - self.tau.shape[1]
+        """Number of rows without torque."""
+        return len(self.unactuated_rows)
 
     @property
     def drives(self) -> tuple[Drive | None, ...]:
@@ -195,7 +222,7 @@ class Solution:
     @property
     def drive_torque(self) -> np.ndarray:
         """Torques (K, nu) that the drives deliver, joint side: ``tau`` and the joints' friction."""
-        return drive_torque_values(self.drives, self.tau, self.v[:, self.n_unactuated :])
+        return drive_torque_values(self.drives, self.tau, self.actuation.rates(self.v))
 
     @cached_property
     def intervals(self) -> tuple[range, ...]:
@@ -272,7 +299,7 @@ class Solution:
             success=self.success,
             t=t,
             **vars(motion),
-            drive_torque=drive_torque_values(self.drives, state.tau, state.v[:, self.n_unactuated :]),
+            drive_torque=drive_torque_values(self.drives, state.tau, self.actuation.rates(state.v)),
             angle=angle,
             active=self.active[first],
             phase=self.phase[first],

@@ -12,6 +12,7 @@ from trajopt.collision.near import CollisionScene
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.problem.bodies import clearance_of, self_margins, shapes_of
 from trajopt.problem.problem import Problem
+from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Schedule
@@ -200,7 +201,8 @@ def _torques(robot: Robot, motion: list[np.ndarray], f: np.ndarray) -> np.ndarra
         generalized_force(model, data, (q, v, a), frames, wrench)
         for q, v, a, wrench in zip(*motion, f, strict=True)
     ]
-    return np.array(forces)[:, robot.n_unactuated :]
+    own = joint_force(model, robot.joint_forces, motion[0], motion[1])
+    return robot.actuation.inputs(np.array(forces) - own)
 
 
 def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray) -> np.ndarray:
@@ -237,8 +239,12 @@ def described_robot(problem: Problem) -> dict[str, Any]:
         index, sign = periodicity.images(robot)
         origin = problem.initial_q[:3].copy()
         image = PeriodicImage(index=index, sign=sign, origin=origin, **asdict(periodicity))
+    last = np.array_equal(robot.actuated_rows, np.arange(robot.n_unactuated, robot.nv))
     return {
         "robot": robot.name,
+        "actuated_rows": None if last else robot.actuated_rows,
+        "thrusters": robot.thrusters,
+        "joint_forces": robot.joint_forces,
         "contacts": tuple(_contact(contact, problem.terrain.friction) for contact in robot.contacts),
         "surfaces": _surfaces(problem),
         "patches": _patches(problem),

@@ -52,6 +52,7 @@ from .swing import SwingOver as SwingOver
 from .swing import SwingPart as SwingPart
 from .swing_planning import swing_arcs as swing_arcs
 from .swing_planning import swing_clearance as swing_clearance
+from .terminal import TerminalLinear as TerminalLinear
 from .terminal import TerminalPosture as TerminalPosture
 from .terminal import TerminalRest as TerminalRest
 from .terminal import TerminalState as TerminalState

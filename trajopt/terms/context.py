@@ -227,7 +227,7 @@ class Context(Parameters):
 
     @property
     def generalized_forces(self) -> ca.SX:
-        """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joint torques.
+        """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joints.
 
         For a velocity source RNEA(q, 0, 0) - J^T w, statics; at an impact M (v+ - v-) - J^T impulses.
         """
@@ -237,8 +237,30 @@ class Context(Parameters):
 
     @property
     def base_rows(self) -> ca.SX:
-        """Unactuated rows of the generalised forces; the dynamics hold where they vanish."""
-        return self.generalized_forces[: self.robot.n_unactuated]
+        """What no input makes of the generalised forces; the dynamics hold where it vanishes."""
+        actuation = self.robot.actuation
+        if actuation.is_selection:
+            return self._made_by_inputs[actuation.free.tolist()]
+        return ca.mtimes(ca.DM(actuation.balance), self._made_by_inputs)
+
+    @property
+    def _made_by_inputs(self) -> ca.SX:
+        """Generalised forces (nv,) without those of springs and friction at joints."""
+        if not self.robot.joint_forces or self.place is Place.IMPACT:
+            return self.generalized_forces
+        forces = ca.SX(self.generalized_forces)
+        for force in self.robot.joint_forces:
+            _, row = force.entries(self.robot.model)
+            forces[row] -= force.symbol(self.xi[row], self.dxi[row] if self.moving else None)
+        return forces
+
+    @property
+    def input_rates(self) -> ca.SX:
+        """Rates (nu,) of what the inputs push: of joints, and of thrusters along their axes, rad/s or m/s."""
+        rows = self.robot.actuated_rows.tolist()
+        if self.robot.actuation.is_selection:
+            return self.dxi[rows]
+        return ca.vertcat(self.dxi[rows], ca.mtimes(ca.DM(self.robot.actuation.thrust.T), self.v))
 
     @property
     def torque(self) -> ca.SX:
@@ -248,8 +270,12 @@ class Context(Parameters):
                 f"a term asks for torques, which a source of {self.actuation} does not have",
                 "allowed: actuation 'torque', or terms about motion and contact forces",
             )
-        unactuated = self.robot.n_unactuated
-        return drive_torque(self.robot.drives, self.generalized_forces[unactuated:], self.dxi[unactuated:])
+        actuation, forces = self.robot.actuation, self._made_by_inputs
+        if actuation.is_selection:
+            inputs = forces[actuation.rows.tolist()]
+        else:
+            inputs = ca.mtimes(ca.DM(actuation.inverse), forces)
+        return drive_torque(self.robot.drives, inputs, self.input_rates)
 
     def frame(self, name: str) -> FrameSymbols:
         """Symbols of the frame ``name`` of the model."""

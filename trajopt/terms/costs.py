@@ -51,15 +51,15 @@ class AccelerationCost(Cost):
 
     Args:
         weight: w, dimensionless.
-        joints_only: leave out the unactuated rows, those of the base.
+        joints_only: leave out the unactuated rows, those of the base and of passive joints.
     """
 
     joints_only: bool = False
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:
-        first = context.robot.n_unactuated if self.joints_only else 0
-        return (context.ddxi / units.acceleration)[first:]
+        scaled = context.ddxi / units.acceleration
+        return scaled[context.robot.actuated_rows.tolist()] if self.joints_only else scaled
 
 
 @checked
@@ -74,15 +74,15 @@ class VelocityCost(Cost):
 
     Args:
         weight: w, dimensionless.
-        joints_only: leave out the unactuated rows, those of the base.
+        joints_only: leave out the unactuated rows, those of the base and of passive joints.
     """
 
     joints_only: bool = False
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:
-        first = context.robot.n_unactuated if self.joints_only else 0
-        return (context.dxi / units.velocity)[first:]
+        scaled = context.dxi / units.velocity
+        return scaled[context.robot.actuated_rows.tolist()] if self.joints_only else scaled
 
 
 @checked
@@ -108,7 +108,7 @@ class PostureCost(Cost):
         node = coordinates.node_from_pinocchio(q, np.zeros(robot.nv))
         n4 = 4 * coordinates.n_rotations
         additive = coordinates.additive_index
-        joints = [(i, node[n4 + row]) for row, i in enumerate(additive) if i >= robot.n_unactuated]
+        joints = [(i, node[n4 + row]) for row, i in enumerate(additive) if i in robot.actuated_rows]
         target = context.parameter(np.array([value for _, value in joints]))
         selected = ca.vertcat(*[context.xi[int(i)] for i, _ in joints])
         return (selected - target) / units.position[[i for i, _ in joints]]

@@ -68,7 +68,7 @@ class DriveLimits(PointConstraint):
         for row in range(robot.nu):
             torque = context.torque[row]
             if row in driven:
-                rate = context.dxi[robot.n_unactuated + row]
+                rate = context.input_rates[row]
                 parts += [
                     ca.dot(context.parameter(factors), ca.vertcat(torque, rate))
                     for factors in _drive_rows(driven[row], units)
@@ -185,7 +185,7 @@ class PowerCost(Cost):
 
     def _power(self, context: Context, units: Units) -> tuple[ca.SX, ca.SX]:
         """Power p of each joint over its unit, and sqrt(p^2 + smoothing^2)."""
-        power = context.torque * context.v[context.robot.n_unactuated :] * (units.time / units.torque)
+        power = context.torque * context.input_rates * (units.time / units.torque)
         return power, ca.sqrt(power**2 + self.smoothing**2)
 
     def _drawn(self, power: ca.SX, rounded: ca.SX) -> ca.SX:

@@ -29,19 +29,21 @@ from trajopt.terrain.surface import Surface
 
 @dataclass(frozen=True, kw_only=True)
 class BaseDynamics(PointConstraint):
-    """The unactuated rows of the dynamics vanish: the Newton-Euler equations of the whole robot.
+    """The unactuated rows of the dynamics vanish: the base's Newton-Euler equations, and passive joints'.
 
         [M(q) v' + h(q, v) - sum_c J_c^T f_c]_unactuated = 0
 
-    with the wrenches f_c of the active contacts in world axes. Rows are over m g or m g l.
+    with the wrenches f_c of the active contacts in world axes. Rows are over m g or m g l. With thrusters
+    they are the combinations of rows that no input reaches.
     """
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        n = context.robot.n_unactuated
-        if n == 0:
+        actuation = context.robot.actuation
+        if not len(actuation.balance):
             return None
-        return Rows.create(context.base_rows, 0, 0, units.generalized_force[:n])
+        scale = actuation.balance_unit(units.generalized_force)
+        return Rows.create(context.base_rows, 0, 0, scale)
 
 
 @dataclass(frozen=True, kw_only=True)

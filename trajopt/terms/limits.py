@@ -10,6 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import checked
+from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.kinds import ArrayShape
@@ -34,7 +35,7 @@ def _rows_within(
 class TorqueLimits(PointConstraint):
     """Joint torques within limits.
 
-        |tau_j| <= limit_j
+        |tau_j| <= limit_j,      least_j <= u_j <= limit_j of a thruster
 
     with tau (nu,) the torques that the drives deliver, joint side. Rows are over m g l. Limits of 30 m g l or
     more cannot bind and have no row; the check verifies them.
@@ -60,7 +61,8 @@ class TorqueLimits(PointConstraint):
         if limit is None:
             return None
         upper = np.where(limit < units.unreachable_torque, limit, np.inf)
-        return _rows_within(lambda: context.torque, -upper, upper, np.full(len(upper), units.torque))
+        lower = context.robot.least_torque(upper)
+        return _rows_within(lambda: context.torque, lower, upper, np.full(len(upper), units.torque))
 
     @override
     def limits(self, robot: Robot) -> dict[str, np.ndarray]:
@@ -82,7 +84,7 @@ class VelocityLimits(PointConstraint):
         limit = np.where(
             robot.velocity_limit < Units(robot).unreachable_velocity, robot.velocity_limit, np.inf
         )
-        limit[: robot.n_unactuated] = np.inf
+        limit[: BASE_ROWS[robot.base]] = np.inf
         return limit
 
     @override
@@ -110,7 +112,7 @@ class PositionLimits(PointConstraint):
     def _limits(self, robot: Robot, context: Context) -> tuple[np.ndarray, np.ndarray]:
         lower, upper = np.full(robot.nv, -np.inf), np.full(robot.nv, np.inf)
         for joint in context.coordinates.joints:
-            if joint.kind != "plain" or joint.v.start < robot.n_unactuated:
+            if joint.kind != "plain" or joint.v.start < BASE_ROWS[robot.base]:
                 continue
             near_lower = robot.position_lower[joint.q] > robot.reference[joint.q] - 2 * math.pi
             near_upper = robot.position_upper[joint.q] < robot.reference[joint.q] + 2 * math.pi

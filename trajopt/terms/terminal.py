@@ -166,6 +166,59 @@ class TerminalVelocity(NodeConstraint):
         return free_rows(context, place, self.q, (context.dxi - context.parameter(rates)) / units.velocity)
 
 
+@checked
+@dataclass(frozen=True, kw_only=True)
+class TerminalLinear(NodeConstraint):
+    """The motion ends on a line, plane or subspace of joint positions and rates.
+
+        P xi + V xi' = c
+
+    Rows are over their largest entry in the units of positions and rates.
+
+    Args:
+        position: P (n, nv), of joints with one coordinate, 1/m or 1/rad.
+        velocity: V (n, nv), s/m or s/rad.
+        value: c (n,).
+
+    Raises:
+        InputError: for other shapes, a row of zeros, and joints that are rotations of several coordinates.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    value: np.ndarray
+
+    def __post_init__(self) -> None:
+        rows = len(self.value)
+        if (
+            self.position.ndim != 2
+            or self.position.shape != self.velocity.shape
+            or len(self.position) != rows
+        ):
+            raise InputError(
+                f"{self.name} has shapes {self.position.shape} and {self.velocity.shape}, and {rows} values",
+                "allowed: (n, nv) twice, and n values",
+            )
+        if not (np.abs(self.position) + np.abs(self.velocity)).any(axis=1).all():
+            raise InputError(f"a row of {self.name} is zero", "allowed: rows with a position or a velocity")
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        nv = context.coordinates.nv
+        if self.position.shape[1] != nv:
+            raise InputError(
+                f"{self.name} has {self.position.shape[1]} columns", f"allowed: {nv}, those of v"
+            )
+        others = np.setdiff1d(np.arange(nv), context.coordinates.additive_index)
+        if self.position[:, others].any():
+            raise InputError(f"{self.name} has positions of a rotation", "allowed: joints of one coordinate")
+        sizes = np.hstack([np.abs(self.position) * units.position, np.abs(self.velocity) * units.velocity])
+        given = (context.parameter(part) for part in (self.position, self.velocity, self.value))
+        position, velocity, value = given
+        quantity = ca.mtimes(position, context.xi) + ca.mtimes(velocity, context.dxi) - value
+        return Rows.create(quantity, 0, 0, sizes.max(axis=1))
+
+
 # Rows of v that are the base's translation along the world's x and y, by kind of base; -1 has none.
 HORIZONTAL = {"planar": (0, -1), "freeflyer": (0, 1)}
 

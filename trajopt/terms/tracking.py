@@ -12,6 +12,7 @@ import pinocchio as pin
 from typing_extensions import override
 
 from trajopt.arguments import checked
+from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Joint
 from trajopt.dynamics.rotations import quaternion_product
 from trajopt.errors import InputError, shown
@@ -68,13 +69,14 @@ class TrackingCost(Cost):
         parts = [ca.SX(0, 1)]
         for joint in coordinates.joints:
             quaternion = None if joint.rotation is None else next(quaternions)
-            if self.part == "all" or (joint.v.start < context.robot.n_unactuated) == (self.part == "base"):
+            of_base = joint.v.start < BASE_ROWS[context.robot.base]
+            if self.part == "all" or of_base == (self.part == "base"):
                 parts.append(_distance(context, joint, goal[joint.v], quaternion, units))
         return ca.vertcat(*parts)
 
     @override
     def idle(self, robot: Robot, schedule: Schedule) -> str:
-        if self.part == "base" and not robot.n_unactuated:
+        if self.part == "base" and robot.base == "fixed":
             return f"part='base', and robot '{robot.name}' is fixed to the world"
         times = self.reference.times if isinstance(self.reference, KeyFrames) else (0.0, math.inf)
         if times[0] >= schedule.duration_range[1] or times[-1] <= 0.0:

@@ -155,13 +155,13 @@ def node_phase(layout: Layout, k: int) -> int:
 def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Least wrenches at active contacts that balance the base rows of the motion (zero for a fixed base)."""
     robot, contacts = layout.form_of(phase).robot, layout.contacts[phase]
-    n = robot.n_unactuated
-    if n == 0 or not contacts:
+    balanced = robot.actuation.balanced
+    if not len(robot.actuation.balance) or not contacts:
         return np.zeros(layout.n_wrench(phase))
-    needed = pin.rnea(robot.model, robot.model.createData(), q, v, a)[:n]
+    needed = pin.rnea(robot.model, robot.model.createData(), q, v, a)
     places = [(contact.frame, contact.rows) for contact in contacts]
-    jacobian = contact_jacobian(robot.model, q, places)[:, :n]
-    return np.linalg.lstsq(jacobian.T, needed, rcond=None)[0]
+    jacobian = contact_jacobian(robot.model, q, places)
+    return np.linalg.lstsq(balanced(jacobian).T, balanced(needed), rcond=None)[0]
 
 
 def perturbed(transcription: Transcription, x: np.ndarray, seed: int, sigma: float) -> np.ndarray:

@@ -122,11 +122,10 @@ class SymbolNames:
         self._add(context.z, input_labels(context, form, free_phases))
         if context.uses_dynamics:
             torques = coordinate_labels(form.robot, context.coordinates, "torque")
-            forces = [
-                Label(owner=one.owner, kind="balance", quantity=one.quantity.replace("torque", "balance"))
-                for one in torques[: form.robot.n_unactuated]
-            ]
-            self._add(context.generalized_forces, [*forces, *torques[form.robot.n_unactuated :]])
+            for row in form.robot.unactuated_rows:
+                quantity = torques[row].quantity.replace("torque", "balance")
+                torques[row] = Label(owner=torques[row].owner, kind="balance", quantity=quantity)
+            self._add(context.generalized_forces, torques)
         for contact in context.used_accelerations:
             rows = context.held_rows(contact)
             labels = wrench_labels(contact.name, rows, "acceleration", "angular acceleration")

@@ -87,7 +87,7 @@ def figures_between_points(motion: MotionQuantities) -> BetweenPoints:
 def _residuals(motion: MotionQuantities, units: NaturalUnits) -> IntervalResiduals:
     dense, rows = motion.solution, motion.residuals
     force = units.generalized_force(dense.model)
-    base = dense.n_unactuated
+    free, actuated = force[dense.unactuated_rows], force[dense.actuated_rows]
     turning = np.array([1.0] * 3 + [1.0 / units.length] * 3)
     if motion.moved_by_rates:
         contact = rows.contact / (np.sqrt(units.gravity * units.length) * turning)
@@ -95,7 +95,7 @@ def _residuals(motion: MotionQuantities, units: NaturalUnits) -> IntervalResidua
         contact = rows.contact / (units.gravity * turning)
     worst = [
         np.abs(part.reshape(dense.n_intervals, -1)).max(axis=1, initial=0.0)
-        for part in (rows.base / force[:base], rows.actuated / force[base:], contact)
+        for part in (rows.base / free, rows.actuated / actuated, contact)
     ]
     return IntervalResiduals(base=worst[0], actuated=worst[1], contact=worst[2])
 

@@ -61,7 +61,8 @@ def compare(plan: Solution, reference: Solution) -> Comparison:
     require_same_task(plan, reference)
     points, units = NamedPoints.of(plan.model), NaturalUnits.of(plan.model)
     phases = [_phase(plan, reference, points, phase) for phase in range(len(plan.phases))]
-    torques = [part.torque / units.generalized_force(plan.model)[plan.n_unactuated :] for part in phases]
+    unit = plan.actuation.input_unit(units.generalized_force(plan.model))
+    torques = [part.torque / unit for part in phases]
     worst = np.array([part.state for part in phases])
     fixed = base_of(plan.model) == "fixed"
     distances = worst[:, 3] if fixed else worst[:, 0]

@@ -61,14 +61,15 @@ def _collocated(
     count = int(plan.collocation[first.start : first.stop].sum()) + MORE_POINTS
     fractions, once, twice = _gauss(count)
     sample = motion.polynomials.at(np.repeat(numbers, count), np.tile(fractions, len(numbers)))
-    force = np.zeros(sample.v.shape)
-    force[:, plan.n_unactuated :] = sample.tau
+    force = plan.actuation.force(sample.tau)
     step = np.diff(plan.interval_t[numbers.start : numbers.stop], axis=1)[:, None]
     q, v = sample.q, sample.v
     ends = np.full((len(numbers), plan.model.nv), np.inf)
     with np.errstate(all="ignore"):
         for _ in range(MOST_SWEEPS):
-            apart = (dynamics.accelerations(q, v, force) - sample.a).reshape(len(numbers), count, -1)
+            apart = (dynamics.accelerations(q, v, force + plan.joint_force(q, v)) - sample.a).reshape(
+                len(numbers), count, -1
+            )
             faster, moved = step * (once @ apart), step**2 * (twice @ apart)
             changed, ends = np.abs(faster[:, -1] - ends).max(), faster[:, -1]
             if not changed > SETTLED * np.abs(ends).max():

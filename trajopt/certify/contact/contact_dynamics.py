@@ -81,18 +81,19 @@ def forward_dynamics(
     )
 
 
+@checked
 def inverse_dynamics(
     model: pin.Model,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
     contacts: ContactSet,
     wrenches: np.ndarray,
     *,
-    n_unactuated: int | None = None,
+    actuated_rows: np.ndarray | None = None,
 ) -> InverseDynamics:
     """Return torques and base rows of ``RNEA(q, v, a) - J^T f`` for a motion (q, v, a).
 
-    wrenches (n, 6) N and N m, world axes, at the frames' origins. The first ``n_unactuated`` rows have no
-    actuator; default those of the model's base. Raises `InputError` for wrong shapes or values.
+    wrenches (n, 6) N and N m, world axes, at the frames' origins. actuated_rows (nu,) of v have an actuator;
+    default all but those of the model's base. Raises `InputError` for wrong shapes or values.
     """
     q, v, a = motion
     require_arrays({"q": (q, model.nq), "v": (v, model.nv), "a": (a, model.nv)})
@@ -100,24 +101,28 @@ def inverse_dynamics(
     if table.shape != (len(contacts.names), 6) or not np.isfinite(table).all():
         raise InputError(f"wrenches have shape {table.shape}", f"finite, shape ({len(contacts.names)}, 6)")
     force = generalized_force(model, model.createData(), motion, contacts.frames, table)
-    base = count_unactuated(model, n_unactuated)
-    return InverseDynamics(torque=force[base:], base_residual=force[:base])
+    rows = rows_with_actuator(model, actuated_rows)
+    return InverseDynamics(torque=force[rows], base_residual=np.delete(force, rows))
 
 
-def count_unactuated(model: pin.Model, given: int | None = None) -> int:
-    """Number of first rows of v without an actuator: ``given``, or those of the model's base."""
+def rows_with_actuator(model: pin.Model, given: np.ndarray | None = None) -> np.ndarray:
+    """Rows of v with an actuator: ``given``, or all but those of the model's base. Raises `InputError`."""
     if given is None:
-        return BASE_ROWS[base_of(model)]
-    if not 0 <= given <= model.nv:
-        raise InputError(f"n_unactuated is {given}", f"0 to {model.nv}")
-    return given
+        return np.arange(BASE_ROWS[base_of(model)], model.nv)
+    if not np.isin(given, np.arange(model.nv)).all() or (np.diff(given) <= 0).any():
+        raise InputError(f"actuated_rows are {np.asarray(given).tolist()}", f"ascending, 0 to {model.nv - 1}")
+    return np.asarray(given, dtype=int)
 
 
-def actuated_force(model: pin.Model, torque: np.ndarray, n_unactuated: int | None = None) -> np.ndarray:
-    """Return ``S^T torque`` (nv,): zeros for the base rows, then torques (nu,)."""
-    base = count_unactuated(model, n_unactuated)
-    require_arrays({"torque": (torque, model.nv - base)})
-    return np.concatenate([np.zeros(base), torque])
+@checked
+def actuated_force(
+    model: pin.Model, torque: np.ndarray, actuated_rows: np.ndarray | None = None
+) -> np.ndarray:
+    """Return ``S^T torque`` (nv,): torques (nu,) at the rows with an actuator, zeros at the others."""
+    rows, force = rows_with_actuator(model, actuated_rows), np.zeros(model.nv)
+    require_arrays({"torque": (torque, len(rows))})
+    force[rows] = torque
+    return force
 
 
 def require_arrays(arrays: dict[str, tuple[np.ndarray, int]]) -> None:

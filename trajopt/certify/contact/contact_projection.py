@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.certify.contact.contact_dynamics import count_unactuated, require_arrays
+from trajopt.arguments import checked
+from trajopt.certify.contact.contact_dynamics import require_arrays, rows_with_actuator
 from trajopt.certify.contact.contact_response import contact_response, mass_factor, numeric_rank
 from trajopt.certify.contact.contact_set import ContactKinematics, ContactSet, contact_kinematics
 from trajopt.dynamics.model_quantities import mass_matrix_at
@@ -41,6 +42,7 @@ class ContactTorques:
     fully_actuated: bool
 
 
+@checked
 def null_space_projector(jacobian: np.ndarray, unit: float = 0.0) -> np.ndarray:
     """Return ``P = I - J^+ J`` (nv, nv): symmetric, P P = P, J P = 0; rank-deficient J (n, nv) allowed.
 
@@ -51,6 +53,7 @@ def null_space_projector(jacobian: np.ndarray, unit: float = 0.0) -> np.ndarray:
     return allowed.T @ allowed
 
 
+@checked
 def consistent_projector(mass: np.ndarray, contacts: ContactSet, jacobian: np.ndarray) -> np.ndarray:
     """Return ``N = I - M^-1 J^T (J M^-1 J^T)^+ J`` (nv, nv): N N = N, J N = 0, M N symmetric.
 
@@ -61,6 +64,7 @@ def consistent_projector(mass: np.ndarray, contacts: ContactSet, jacobian: np.nd
     return np.linalg.solve(response.lower.T, allowed @ response.lower.T)
 
 
+@checked
 def projected_forward_dynamics(
     model: pin.Model, q: np.ndarray, v: np.ndarray, tau: np.ndarray, contacts: ContactSet
 ) -> np.ndarray:
@@ -81,30 +85,33 @@ def projected_forward_dynamics(
     return np.linalg.solve(projector @ mass + size * (np.eye(model.nv) - projector), allowed + size * held)
 
 
+@checked
 def projected_inverse_dynamics(
-    model: pin.Model, motion: _Motion, contacts: ContactSet, *, n_unactuated: int | None = None
+    model: pin.Model, motion: _Motion, contacts: ContactSet, *, actuated_rows: np.ndarray | None = None
 ) -> ContactTorques:
     """Return minimum-norm torques of a motion (q, v, a), ``tau = (P S^T)^+ P (M a + h)``, and their wrenches.
 
     They have the least norm of all torques that give the motion; this does not depend on the metric of P
-    where the motion is possible. The wrenches are ``(J^T)^+ (M a + h - S^T tau)``. The first ``n_unactuated``
-    rows have no actuator; default those of the model's base. Raises `InputError`.
+    where the motion is possible. The wrenches are ``(J^T)^+ (M a + h - S^T tau)``. ``actuated_rows`` (nu,)
+    of v have an actuator; default all but those of the model's base. Raises `InputError`.
     """
-    needed, rows, scaled, base = _needed(model, motion, contacts, n_unactuated)
+    needed, rows, scaled, actuated = _needed(model, motion, contacts, actuated_rows)
     projector = null_space_projector(scaled, contacts.moment_arm)
-    torque = _pseudo_inverse(projector[:, base:], 1.0) @ (projector @ needed)
+    torque = _pseudo_inverse(projector[:, actuated], 1.0) @ (projector @ needed)
     remaining = needed.copy()
-    remaining[base:] -= torque
+    remaining[actuated] -= torque
     forces = _pseudo_inverse(scaled.T, contacts.moment_arm) @ remaining
-    return _torques(contacts, rows, motion[2], (remaining - scaled.T @ forces, torque, forces), scaled)
+    computed = remaining - scaled.T @ forces, torque, forces
+    return _torques(contacts, rows, motion[2], computed, scaled, actuated)
 
 
+@checked
 def least_norm_inverse_dynamics(
     model: pin.Model,
     motion: _Motion,
     contacts: ContactSet,
     *,
-    n_unactuated: int | None = None,
+    actuated_rows: np.ndarray | None = None,
     torque_scale: float | np.ndarray | None = None,
 ) -> ContactTorques:
     """Return the torques and wrenches of least combined norm, ``[f; tau] = [J^T S^T]^+ (M a + h)``.
@@ -114,31 +121,32 @@ def least_norm_inverse_dynamics(
     smaller it is, the costlier are torques: `projected_inverse_dynamics` is its limit at zero. Raises
     `InputError`.
     """
-    needed, rows, scaled, base = _needed(model, motion, contacts, n_unactuated)
-    size = model.nv - base
+    needed, rows, scaled, actuated = _needed(model, motion, contacts, actuated_rows)
+    size = len(actuated)
     given = contacts.moment_arm if torque_scale is None else torque_scale
     if np.shape(given) not in ((), (size,)) or not (np.asarray(given) > 0).all():
         raise InputError(f"torque_scale is {given}", f"a positive number or {size} of them")
     arms = np.broadcast_to(np.asarray(given, dtype=float), (size,))
     actuation = np.zeros((model.nv, size))
-    actuation[base:] = np.diag(arms)
+    actuation[actuated] = np.diag(arms)
     columns = np.hstack([scaled.T, actuation])
     both = _pseudo_inverse(columns, contacts.moment_arm) @ needed
     forces, torque = both[: contacts.n_rows], arms * both[contacts.n_rows :]
-    return _torques(contacts, rows, motion[2], (needed - columns @ both, torque, forces), scaled)
+    computed = needed - columns @ both, torque, forces
+    return _torques(contacts, rows, motion[2], computed, scaled, actuated)
 
 
 def _needed(
-    model: pin.Model, motion: _Motion, contacts: ContactSet, n_unactuated: int | None
-) -> tuple[np.ndarray, ContactKinematics, np.ndarray, int]:
-    """M a + h (nv,), the contacts' rows, their scaled Jacobian and the number of unactuated rows."""
+    model: pin.Model, motion: _Motion, contacts: ContactSet, actuated_rows: np.ndarray | None
+) -> tuple[np.ndarray, ContactKinematics, np.ndarray, np.ndarray]:
+    """M a + h (nv,), the contacts' rows, their scaled Jacobian and the rows with an actuator."""
     q, v, a = motion
     require_arrays({"q": (q, model.nq), "v": (v, model.nv), "a": (a, model.nv)})
     data = model.createData()
     needed = pin.rnea(model, data, q, v, a)
     rows = contact_kinematics(model, data, q, v, contacts)
     scaled = contacts.scale[:, None] * rows.jacobian
-    return needed, rows, scaled, count_unactuated(model, n_unactuated)
+    return needed, rows, scaled, rows_with_actuator(model, actuated_rows)
 
 
 def _torques(
@@ -147,10 +155,11 @@ def _torques(
     acceleration: np.ndarray,
     computed: tuple[np.ndarray, np.ndarray, np.ndarray],
     scaled: np.ndarray,
+    actuated: np.ndarray,
 ) -> ContactTorques:
     residual, torque, forces = computed
     projector = null_space_projector(scaled, contacts.moment_arm)
-    actuation = np.linalg.svd(projector[:, len(projector) - len(torque) :], compute_uv=False)
+    actuation = np.linalg.svd(projector[:, actuated], compute_uv=False)
     return ContactTorques(
         torque=torque,
         wrenches=contacts.table(contacts.scale * forces),

@@ -14,12 +14,13 @@ Drives = tuple[Drive | None, ...]
 
 
 def drive_fields(
-    model: pin.Model, effort: np.ndarray | None, velocity: np.ndarray, drives: Drives
+    model: pin.Model, rows: np.ndarray, effort: np.ndarray | None, velocity: np.ndarray, drives: Drives
 ) -> dict[str, Any]:
     """Return the fields of a robot that drives change: model, torque_limit, velocity_limit and drives.
 
     Args:
         model: of the robot without them; not changed.
+        rows: of v of each input (nu,), -1 of a thruster.
         effort: limits (nu,), N m or N, or None.
         velocity: limits (nv,), rad/s or m/s.
         drives: one or None for each actuated row (nu), see `Robot.with_drives`.
@@ -33,7 +34,7 @@ def drive_fields(
     for row, drive in enumerate(drives):
         if drive is None:
             continue
-        index = model.nv - len(drives) + row
+        index = rows[row]
         if drive.rotor_inertia > 0:
             armature[index], gear[index], rotor[index] = drive.armature, drive.gear_ratio, drive.rotor_inertia
         if np.isfinite(drive.torque_limit):
@@ -51,12 +52,14 @@ def drive_fields(
 def drives_by_row(
     robot: str,
     model: pin.Model,
+    actuated: np.ndarray,
     present: Drives,
     given: Mapping[str, Drive | None] | Sequence[Drive | None],
 ) -> Drives:
     """Return a drive or None for each actuated row (nu): a mapping changes joints, a sequence states all.
 
-    ``robot`` is its name, ``present`` (nu) are the drives it has. Raises `InputError`.
+    ``robot`` is its name, ``actuated`` (nu,) are the rows of v of its inputs, ``present`` (nu) the drives
+    it has. Raises `InputError`.
     """
     chosen: Drives = tuple(present)
     if not isinstance(given, Mapping):
@@ -64,25 +67,26 @@ def drives_by_row(
     else:
         rows = list(present)
         for name, drive in given.items():
-            rows[_row(robot, model, len(present), name)] = drive
+            rows[_row(robot, model, actuated, name)] = drive
         chosen = tuple(rows)
-    require_drives(robot, model, len(present), chosen)
+    require_drives(robot, model, actuated, chosen)
     return chosen
 
 
-def _row(robot: str, model: pin.Model, nu: int, name: str) -> int:
-    """Actuated row of the joint of that name."""
-    known = [model.names[joint.id] for joint in list(model.joints)[1:] if joint.idx_v >= model.nv - nu]
+def _row(robot: str, model: pin.Model, actuated: np.ndarray, name: str) -> int:
+    """Place among the actuated rows of the joint of that name."""
+    known = [model.names[joint.id] for joint in list(model.joints)[1:] if joint.idx_v in actuated]
     if name not in known:
         raise InputError(f"robot '{robot}' has no actuated joint '{name}'", "one of " + ", ".join(known))
     joint = model.joints[model.getJointId(name)]
     if joint.nv != 1:
         raise UnsupportedJointError(name, joint.shortname(), "drives on joints of one degree of freedom")
-    return int(joint.idx_v) - (model.nv - nu)
+    return int(np.flatnonzero(actuated == joint.idx_v)[0])
 
 
-def require_drives(robot: str, model: pin.Model, nu: int, drives: Drives) -> None:
-    """Raise `InputError` unless ``drives`` are one or None for each of ``nu`` actuated rows."""
+def require_drives(robot: str, model: pin.Model, actuated: np.ndarray, drives: Drives) -> None:
+    """Raise `InputError` unless ``drives`` are one or None for each of the ``actuated`` rows (nu,)."""
+    nu = len(actuated)
     foreign = [type(entry).__name__ for entry in drives if not (entry is None or isinstance(entry, Drive))]
     if foreign or len(drives) != nu:
         kinds = f", some of kind {', '.join(foreign)}" if foreign else ""
@@ -92,7 +96,7 @@ def require_drives(robot: str, model: pin.Model, nu: int, drives: Drives) -> Non
         )
     single = {int(joint.idx_v) for joint in list(model.joints)[1:] if joint.nv == 1}
     for row, drive in enumerate(drives):
-        if drive is not None and row + model.nv - nu not in single:
+        if drive is not None and actuated[row] not in single:
             raise InputError(
                 f"robot '{robot}' has a drive on row {row}, of a joint of several degrees of freedom",
                 "allowed: drives on joints of one degree of freedom",

@@ -90,7 +90,8 @@ class StanceMode:
     def torque_rows(self) -> np.ndarray:
         """Rows (nu,) of the floating robot's torques in the order of the stance robot's."""
         _, rows = joint_entries(self.floating.model, list(self.robot.model.names)[2:])
-        return rows - self.floating.n_unactuated
+        actuated = self.floating.actuated_rows
+        return np.searchsorted(actuated, rows[np.isin(rows, actuated)])
 
     def lifted(
         self,

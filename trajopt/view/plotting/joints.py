@@ -78,7 +78,8 @@ def axes_of(solution: Solution) -> tuple[JointAxis, ...]:
     for joint in list(model.joints)[BASE_JOINT[base_of(model)] + 1 :]:
         for i in range(joint.nv):
             row = joint.idx_v + i
-            torque = row - solution.n_unactuated
+            torque = int(np.searchsorted(solution.actuated_rows, row))
+            driven = row in solution.actuated_rows
             column = joint.idx_q + i if joint.nq == joint.nv else None
             suffix = "" if joint.nv == 1 else f" {'xyz'[i] if joint.nv <= 3 else i + 1}"
             axes.append(
@@ -86,13 +87,13 @@ def axes_of(solution: Solution) -> tuple[JointAxis, ...]:
                     name=model.names[joint.id] + suffix,
                     joint=joint.id,
                     row=row,
-                    torque=torque if torque >= 0 else None,
+                    torque=torque if driven else None,
                     column=column,
                     slides=_slides(joint, i),
                     lower=-np.inf if column is None else float(lower[column]),
                     upper=np.inf if column is None else float(upper[column]),
                     speed=float(speed[row]),
-                    effort=float(effort[torque]) if torque >= 0 else np.inf,
+                    effort=float(effort[torque]) if driven else np.inf,
                 )
             )
     return tuple(axes)

@@ -52,7 +52,7 @@ class PlottedMotion(MotionQuantities):
     @property
     def rates(self) -> np.ndarray:
         """Rates (K, nu) of the actuated rows."""
-        return self.solution.v[:, self.solution.n_unactuated :]
+        return self.solution.actuation.rates(self.solution.v)
 
     @cached_property
     def power(self) -> np.ndarray:

@@ -27,9 +27,9 @@ DECADES = 3
 
 def dynamics_residual(motion: PlottedMotion, part: str) -> np.ndarray:
     """Largest residual (K,) of the "base" or "actuated" rows of the dynamics, over weight and reach."""
-    rows, base = getattr(motion.residuals, part), motion.solution.n_unactuated
-    scale = motion.units.generalized_force(motion.solution.model)
-    return _largest(rows / (scale[:base] if part == "base" else scale[base:]))
+    plan, rows = motion.solution, getattr(motion.residuals, part)
+    scale = motion.units.generalized_force(plan.model)
+    return _largest(rows / scale[plan.unactuated_rows if part == "base" else plan.actuated_rows])
 
 
 def contact_residual(motion: PlottedMotion) -> np.ndarray:

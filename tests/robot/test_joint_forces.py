@@ -1,0 +1,197 @@
+"""Springs, damping and dry friction at joints, and springs in series with motors."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+import trajopt
+from trajopt.errors import InputError, UnsupportedJointError
+from trajopt.problem import Problem
+from trajopt.robot import Drive, JointForce, Robot
+from trajopt.schedule import Phase, Schedule
+from trajopt.solution.solution import Solution
+from trajopt.terms import TerminalRest, TerminalState, TorqueCost, effort_costs
+from trajopt_library import problems, robots
+
+SOLVED = 1e-6
+
+
+def oscillator(*forces: JointForce) -> Robot:
+    """2 kg on a slide along x, without a motor."""
+    model = pin.Model()
+    model.name = "oscillator"
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    model.appendBodyToJoint(joint, pin.Inertia(2.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    return Robot.from_model(model, passive=["slide"]).with_joint_forces(forces)
+
+
+def fall(robot: Robot, v: float, duration: float) -> Solution:
+    """The motion that nothing drives, from q = 1 m at v m/s."""
+    problem = Problem(
+        name="free",
+        robot=robot,
+        schedule=Schedule((Phase(name="free", duration=duration),)),
+        initial_q=np.array([1.0]),
+        initial_v=np.array([v]),
+        terms=(),
+        guess=lambda t: np.array([1.0]),
+    )
+    return trajopt.solve(problem, transcription="legendre:3", intervals=60)
+
+
+def test_a_mass_on_a_spring_swings_as_its_closed_form() -> None:
+    solution = fall(oscillator(JointForce(joint="slide", stiffness=50.0, rest=0.4)), 0.0, 1.7)
+    assert_allclose(solution.q[:, 0], 0.4 + 0.6 * np.cos(5.0 * solution.t), atol=1e-6)
+    report = trajopt.check(solution)
+    assert report.ok, report.failures()
+
+
+def test_damping_and_dry_friction_slow_a_mass_as_their_closed_forms() -> None:
+    damped = fall(oscillator(JointForce(joint="slide", damping=3.0)), 2.0, 1.0)
+    assert_allclose(damped.v[:, 0], 2.0 * np.exp(-1.5 * damped.t), atol=1e-7)
+    rubbed = fall(oscillator(JointForce(joint="slide", dry_friction=4.0)), 3.0, 1.0)
+    assert rubbed.converged
+    assert_allclose(rubbed.v[:, 0], 3.0 - 2.0 * rubbed.t, atol=1e-6)
+    assert trajopt.check(rubbed).ok
+
+
+def test_damping_of_a_description_counts_where_it_is_asked_for() -> None:
+    robot = robots.load("double_pendulum")
+    assert robot.joint_forces == ()
+    described = robot.with_joint_forces()
+    assert {force.joint for force in described.joint_forces} == {"joint1", "joint2"}
+    assert_allclose([force.damping for force in described.joint_forces], robot.model.damping)
+    assert described.with_locked(["joint2"]).joint_forces == described.joint_forces[:1]
+
+
+@pytest.mark.parametrize(
+    ("changed", "error", "message"),
+    [
+        ({"joint": "knee"}, InputError, "'knee' of a force is unknown; one of slide"),
+        ({"stiffness": -1.0}, InputError, "stiffness"),
+        ({"dry_speed": 0.0}, InputError, "dry_speed"),
+        ({"damping": math.nan}, InputError, "damping"),
+    ],
+)
+def test_forces_that_cannot_be_are_refused(changed, error, message) -> None:
+    with pytest.raises(error, match=message):
+        oscillator(JointForce(**{"joint": "slide", "stiffness": 1.0, **changed}))
+
+
+def test_springs_need_a_joint_of_one_coordinate() -> None:
+    with pytest.raises(UnsupportedJointError, match="springs of one coordinate"):
+        robots.load("double_pendulum").with_joint_forces([JointForce(joint="joint1", stiffness=1.0)])
+    with pytest.raises(UnsupportedJointError, match="one degree of freedom"):
+        robots.load("go2").with_joint_forces([JointForce(joint="root_joint", damping=1.0)])
+
+
+@pytest.mark.long
+def test_legs_with_springs_and_friction_jump_and_their_torques_are_those_of_the_motors(tmp_path) -> None:
+    problem = problems.load("solo12-jump")
+    knees = [name for name in problem.robot.model.names if name.endswith("KFE")]
+    springs = [
+        JointForce(
+            joint=name, stiffness=2.0, rest=1.0 if "F" in name[0] else -1.0, damping=0.01, dry_friction=0.02
+        )
+        for name in knees
+    ]
+    solution = trajopt.solve(replace(problem, robot=problem.robot.with_joint_forces(springs)))
+    assert solution.success, solution.statistics.failures
+    read = Solution.load(solution.save(tmp_path / "jump.npz"))
+    assert read.description.joint_forces == tuple(springs)
+    assert trajopt.check(read).ok
+    model, data = read.model, read.model.createData()
+    frames = [model.getFrameId(name) for name in read.contact_frames]
+    for k in np.flatnonzero(read.collocation)[::7]:
+        force = pin.rnea(model, data, read.q[k], read.v[k], read.a[k])
+        for frame, wrench in zip(frames, read.f[k], strict=True):
+            jacobian = pin.computeFrameJacobian(model, data, read.q[k], frame, pin.LOCAL_WORLD_ALIGNED)
+            force -= jacobian.T @ wrench
+        for spring in springs:
+            q, v = spring.entries(model)
+            rate = read.v[k, v]
+            force[v] += (
+                spring.stiffness * (read.q[k, q] - spring.rest) + 0.01 * rate + 0.02 * np.tanh(rate / 0.1)
+            )
+        assert_allclose(force, np.append(np.zeros(6), read.tau[k]), atol=1e-5)
+
+
+def test_a_series_spring_splits_a_joint_into_gear_and_link() -> None:
+    robot = robots.load("ur5").with_drives({"elbow_joint": Drive(gear_ratio=101.0, rotor_inertia=1e-5)})
+    elastic = robot.with_series_springs({"elbow_joint": 8000.0})
+    assert (elastic.nv, elastic.nu) == (7, 6)
+    assert elastic.passive == ("elbow_joint_spring",)
+    assert elastic.torque_limit.tolist() == robot.torque_limit.tolist()
+    assert elastic.drives == robot.drives
+    random = np.random.default_rng(0)
+    q, v, a = random.normal(size=(3, 6))
+    row = elastic.model.joints[elastic.model.getJointId("elbow_joint_spring")].idx_v
+    split = [np.insert(part, row, 0.0) for part in (q, v, a)]
+    stiff = pin.rnea(elastic.model, elastic.model.createData(), *split)
+    plain = pin.rnea(robot.model, robot.model.createData(), q, v, a)
+    assert_allclose(np.delete(stiff, row), plain, atol=1e-9)
+    gear = robot.model.armature[2] * a[2]
+    assert_allclose(stiff[row], plain[2] - gear, atol=1e-9)  # the rotor's inertia is not behind the spring
+    tool = [model.getFrameId("tool0") for model in (elastic.model, robot.model)]
+    poses = []
+    for model, frame, at in zip((elastic.model, robot.model), tool, (split[0], q), strict=True):
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, at)
+        poses.append(data.oMf[frame].homogeneous)
+    assert_allclose(*poses, atol=1e-9)
+
+
+def test_a_series_spring_needs_a_rotor() -> None:
+    with pytest.raises(InputError, match="'elbow_joint' has no armature"):
+        robots.load("ur5").with_series_springs({"elbow_joint": 8000.0})
+    with pytest.raises(InputError, match="'knee' of a series spring is unknown"):
+        robots.load("ur5").with_series_springs({"knee": 8000.0})
+
+
+@pytest.mark.long
+def test_a_link_behind_a_soft_series_spring_moves_from_rest_to_rest() -> None:
+    """The deflection of the spring is the torque of the link, at any time."""
+    model = pin.Model()
+    model.name, model.gravity.linear = "link", np.zeros(3)
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "turn")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.2 * np.eye(3)), pin.SE3.Identity())
+    model.armature = np.array([0.05])
+    robot = Robot.from_model(model).with_series_springs({"turn": 4.0})
+    end = np.array([1.0, 0.0])
+    problem = Problem(
+        name="turn",
+        robot=robot,
+        schedule=Schedule((Phase(name="turn", duration=1.5),)),
+        terms=(TorqueCost(weight=1.0), TerminalState(q=end), TerminalRest(q=end)),
+        guess=lambda t: end * t / 1.5,
+    )
+    solution = trajopt.solve(problem)
+    assert solution.success
+    points = solution.collocation
+    torque = 0.2 * solution.a.sum(axis=1)
+    assert_allclose(-4.0 * solution.q[points, 1], torque[points], atol=SOLVED * 10)
+    assert np.abs(solution.q[:, 1]).max() > 0.05
+    assert trajopt.check(solution).ok
+
+
+def test_springs_hold_in_mujoco() -> None:
+    pytest.importorskip("mujoco")
+    robot = robots.load("ur5").with_joint_forces(
+        [JointForce(joint="elbow_joint", stiffness=20.0, rest=1.0, damping=0.3)]
+    )
+    end = robot.reference.copy()
+    end[[0, 2]] += 0.3
+    problem = Problem(
+        name="move",
+        robot=robot,
+        schedule=Schedule((Phase(name="move", duration=1.0),)),
+        terms=(*effort_costs(), TerminalState(q=end), TerminalRest(q=end)),
+        guess=lambda t: robot.reference + t * (end - robot.reference),
+    )
+    simulated = trajopt.simulate(trajopt.solve(problem))
+    assert simulated.report.passed, simulated.report.failures
+    assert simulated.report.saturated == 0.0

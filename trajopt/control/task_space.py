@@ -1,0 +1,125 @@
+"""Task-space inverse dynamics without a plan: torques that do given tasks at the state that was measured."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.arguments import NonNegative, Positive, checked
+from trajopt.control.contact_forces import ActiveContact
+from trajopt.control.gains import TrackerGains
+from trajopt.control.inverse_dynamics import (
+    RELAXED,
+    QpSolverName,
+    TaskSpaceInverseDynamics,
+    TickLimits,
+    TickResult,
+)
+from trajopt.control.limits import JointRange, limits_with_drives
+from trajopt.control.robot_state import RobotState
+from trajopt.control.tasks import RegularisationTask, Task
+from trajopt.errors import InputError
+from trajopt.robot.contact import Contact
+from trajopt.robot.natural_units import NaturalUnits
+from trajopt.robot.robot import Robot
+
+# Weight of small accelerations, which decide where tasks do not.
+SMALL = 1e-8
+# The vertical, out of level ground.
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@checked
+class TaskSpaceController:
+    """Torques for tasks; units, limits, drives and contacts are those of the robot.
+
+    Joints keep within their ranges and rates, torques within their limits, contacts stand on level ground.
+
+    Args:
+        robot: the robot.
+        friction: Coulomb's coefficient at its contacts.
+        horizon: for which joints look ahead to their limits, s: time to stop within the torques.
+        solver: of the quadratic programs.
+
+    ``state`` has inertia, frames and the centre of mass of the last tick, ``last`` its result.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        friction: NonNegative = 0.7,
+        horizon: Positive = 0.1,
+        solver: QpSolverName = "piqp",
+    ) -> None:
+        model, units = robot.model, NaturalUnits.of(robot.model)
+        self.robot, self.friction = robot, friction
+        self.state = RobotState(model, robot.joint_forces)
+        self.last: TickResult | None = None
+        self._program = TaskSpaceInverseDynamics(
+            state=self.state,
+            actuation=robot.actuation,
+            acceleration_unit=units.acceleration(model),
+            force_units=(units.weight, units.weight * units.length),
+            torque_unit=units.generalized_force(model),
+            damping=TrackerGains().contact / units.time,
+            solver=solver,
+        )
+        self._range = JointRange(
+            robot.limited_model(), robot.actuated_rows, robot.velocity_limit, horizon, critical=True
+        )
+        self._high = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
+        self._low = robot.least_torque(self._high)
+        self._small = RegularisationTask(weight=SMALL, unit=units.acceleration(model))
+
+    @checked
+    def torque(
+        self, q: np.ndarray, v: np.ndarray, tasks: Sequence[Task], contacts: Sequence[str] | None = None
+    ) -> np.ndarray:
+        """Torques (nu,) of the actuators, N m or N.
+
+        Args:
+            q: measured configuration (nq,).
+            v: measured velocity (nv,).
+            tasks: what is wanted.
+            contacts: names of those that stand; default all of a robot that moves, none of a fixed one.
+
+        Raises:
+            InputError: for a state that is not finite or has another shape, unknown contacts, and where no
+                torques within the limits exist.
+        """
+        robot, drives = self.robot, self.robot.drives or (None,) * self.robot.nu
+        names = [c.name for c in robot.contacts if robot.base != "fixed"] if contacts is None else contacts
+        self.state.update(q, v)
+        rate = robot.actuation.rates(v)
+        friction = [
+            0.0 if d is None else float(d.friction_torque(r)) for d, r in zip(drives, rate, strict=True)
+        ]
+        limits = TickLimits(
+            torque=limits_with_drives(drives, rate, self._low, self._high),
+            acceleration=self._range.bounds(q, v[robot.actuated_rows]),
+            friction=np.array(friction),
+        )
+        standing = [self._active(robot.contact(name)) for name in names]
+        self.last = self._program.solve(standing, [*tasks, self._small], limits)
+        if RELAXED[self.last.relaxed] == "everything":
+            what = "no torques within the limits hold the robot at this state"
+            raise InputError(what, "another state, or other contacts")
+        return self.last.torque
+
+    def step(self, q: np.ndarray, v: np.ndarray, dt: Positive) -> tuple[np.ndarray, np.ndarray]:
+        """State a time dt in s later under the last result's acceleration, semi-implicit Euler."""
+        if self.last is None:
+            raise InputError("no torques were asked for yet", "allowed: torque(q, v, tasks), then step")
+        v = v + dt * self.last.acceleration
+        return np.asarray(pin.integrate(self.robot.model, q, dt * v)), v
+
+    def _active(self, contact: Contact) -> ActiveContact:
+        return ActiveContact(
+            number=self.robot.contacts.index(contact),
+            frame=contact.frame,
+            dimension=6 if contact.kind == "surface" else 3,
+            normal=UP,
+            friction=self.friction,
+            half_size=(contact.half_length, contact.half_width),
+        )

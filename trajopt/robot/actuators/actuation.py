@@ -1,0 +1,166 @@
+"""Control inputs and the generalised forces that they make: motors of joints, and thrusters.
+
+    force = S^T tau = sum over joints with a motor, tau_j, and thrusters, J_frame(q)^T [u d; c u d]
+
+A thruster pushes along an axis d that is fixed in a frame of the base, so that its column of S^T is constant
+in the base's own axes. Of a generalised force, the pseudo-inverse of S^T gives the inputs, of least norm
+where there are more than needed, and its left null space the balance: rows that no input reaches, which
+vanish.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.arguments import NonNegative, UnboundedPositive, checked
+from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.errors import InputError
+
+# Singular values of the map below this fraction of the largest count as zero.
+RANK = 1e-9
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Thruster:
+    """A propeller or jet on the base: a force u >= 0 on the robot along an axis of a frame.
+
+    Args:
+        name: of the input.
+        frame: on the base, whose origin the force passes through.
+        axis: (3,) in the frame's axes, of any length.
+        drag: moment about the axis over the force, N m/N: of a propeller the ratio of its drag to its thrust,
+            negative where it turns counter-clockwise about the axis.
+        least: smallest force, N.
+        most: largest force, N.
+
+    Raises:
+        InputError: for an axis without direction, or ``least`` above ``most``.
+    """
+
+    name: str
+    frame: str
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    drag: float = 0.0
+    least: NonNegative = 0.0
+    most: UnboundedPositive = math.inf
+
+    def __post_init__(self) -> None:
+        if not np.linalg.norm(self.axis) > 0:
+            raise InputError(f"axis of thruster '{self.name}' is {self.axis}", "allowed: a direction")
+        if self.least > self.most:
+            raise InputError(f"least of thruster '{self.name}' is {self.least:g} N", f"at most {self.most:g}")
+
+    @classmethod
+    def from_meta(cls, meta: Any) -> "Thruster":
+        """Thruster of a solution file's description; raises `InputError` where it is not one."""
+        names = {field.name for field in fields(cls)}
+        if not isinstance(meta, Mapping) or set(meta) != names:
+            raise InputError("a thruster in meta is not an object of its fields", ", ".join(sorted(names)))
+        most = math.inf if meta["most"] is None else meta["most"]
+        return cls(**{**meta, "axis": tuple(meta["axis"]), "most": most})
+
+    def to_meta(self) -> dict[str, Any]:
+        """Fields for JSON, which has no infinity: null means no limit."""
+        return asdict(self) | {"most": self.most if math.isfinite(self.most) else None}
+
+    def column(self, model: pin.Model) -> np.ndarray:
+        """Generalised force (nv,) of 1 N. Raises `InputError` unless the frame is on a base that moves."""
+        kind = base_of(model)
+        known = model.existFrame(self.frame)
+        if kind not in ("freeflyer", "planar"):
+            raise InputError(
+                f"thruster '{self.name}' is on a {kind} base", "allowed: base 'freeflyer' or 'planar'"
+            )
+        if not known or model.frames[model.getFrameId(self.frame)].parentJoint != BASE_JOINT[kind]:
+            on_base = [frame.name for frame in model.frames if frame.parentJoint == BASE_JOINT[kind]]
+            raise InputError(
+                f"thruster '{self.name}' is at frame '{self.frame}', which is "
+                + ("a link that moves against the base" if known else "unknown"),
+                "frames of the base: " + ", ".join(on_base),
+            )
+        data, axis = model.createData(), np.array(self.axis) / np.linalg.norm(self.axis)
+        q, frame = pin.neutral(model), model.getFrameId(self.frame)
+        jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
+        return np.asarray(jacobian.T @ np.concatenate([axis, self.drag * axis]))
+
+
+@dataclass(frozen=True, eq=False)
+class Actuation:
+    """The map S^T (nv, nu) of a robot; arrays of forces, inputs and rates have them along their last axis.
+
+    rows: of v that have a motor. thrust: (nv, n) columns of thrusters, whose inputs come last. unit: (nv,) N
+    and N m, by which rows of the balance are scaled where there are thrusters.
+    """
+
+    rows: np.ndarray
+    thrust: np.ndarray
+    unit: np.ndarray
+
+    @classmethod
+    def of(
+        cls, model: pin.Model, rows: np.ndarray, thrusters: Sequence[Thruster], unit: np.ndarray
+    ) -> "Actuation":
+        """The map of a model's joints with a motor and its thrusters. Raises `InputError`."""
+        columns = [thruster.column(model) for thruster in thrusters]
+        return cls(rows, np.array(columns).reshape(-1, model.nv).T, unit)
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Rows of v without a motor."""
+        return np.setdiff1d(np.arange(len(self.unit)), self.rows)
+
+    @property
+    def is_selection(self) -> bool:
+        """Whether inputs are rows of v alone, without thrusters."""
+        return self.thrust.shape[1] == 0
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """S^T (nv, nu)."""
+        return np.hstack([np.eye(len(self.unit))[:, self.rows], self.thrust])
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """Pseudo-inverse of S^T (nu, nv), in the scale of the unit."""
+        return np.asarray(np.linalg.pinv(self.matrix / self.unit[:, None]) / self.unit)
+
+    @cached_property
+    def balance(self) -> np.ndarray:
+        """Rows (nv - rank, nv) of what no input reaches; dimensionless, or rows of the identity."""
+        if self.is_selection:
+            return np.eye(len(self.unit))[self.free]
+        left, singular, _ = np.linalg.svd(self.matrix / self.unit[:, None])
+        rank = int(np.sum(singular > RANK * singular[0]))
+        return np.asarray(left[:, rank:].T / self.unit)
+
+    def force(self, inputs: np.ndarray) -> np.ndarray:
+        """S^T tau (..., nv) of inputs (..., nu)."""
+        force = inputs[..., len(self.rows) :] @ self.thrust.T
+        force[..., self.rows] += inputs[..., : len(self.rows)]
+        return np.asarray(force)
+
+    def inputs(self, force: np.ndarray) -> np.ndarray:
+        """Inputs (..., nu) that make a generalised force (..., nv) as far as they can."""
+        return np.asarray(force[..., self.rows] if self.is_selection else force @ self.inverse.T)
+
+    def balanced(self, force: np.ndarray) -> np.ndarray:
+        """What no input makes of a generalised force (..., nv), see `balance`."""
+        return np.asarray(force[..., self.free] if self.is_selection else force @ self.balance.T)
+
+    def rates(self, v: np.ndarray) -> np.ndarray:
+        """Rates (..., nu) of what the inputs push: of joints, and of thrusters along their axes."""
+        return np.asarray(v[..., self.rows] if self.is_selection else v @ self.matrix)
+
+    def balance_unit(self, unit: np.ndarray) -> np.ndarray:
+        """Units of the balance, from those of generalised forces (nv,)."""
+        return unit[self.free] if self.is_selection else np.ones(len(self.balance))
+
+    def input_unit(self, unit: np.ndarray) -> np.ndarray:
+        """Units (nu,) of the inputs, from those of generalised forces (nv,)."""
+        return np.concatenate([unit[self.rows], np.full(self.thrust.shape[1], unit[0])])

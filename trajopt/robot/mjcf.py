@@ -1,0 +1,236 @@
+"""MJCF files: MuJoCo compiles them, and a `pin.Model` is built from what it compiled.
+
+Coordinates are MuJoCo's qpos, joint by joint in its order; only quaternions are (x, y, z, w). The tree of the
+free joint comes first, as a base does.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.base_joint import Base, base_of, position_limits
+from trajopt.dynamics.rerooting import Body
+from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
+from trajopt.errors import InputError
+from trajopt.robot.building import sagittal
+from trajopt.robot.mjcf_actuators import BALL, FREE, HINGE, SLIDE, actuation_of
+from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
+from trajopt.robot.reading import existing_file
+
+# An axis is a coordinate axis up to the rounding of its normalisation.
+ALIGNED = 1e-15
+# A keyframe may be at a limit, up to the rounding of files, rad or m.
+LIMIT_SLACK = 1e-6
+HOME = "home"
+SPHERE = 2  # of MuJoCo's mjtGeom
+
+
+class MjcfRobot(NamedTuple):
+    """What a file says of a robot: the ``model`` on its base, ``passive`` joints if others have actuators.
+
+    home: its keyframe as a reference for `Robot.from_model`; None without one within the limits. joints: the
+    same by name, for hinges and slides.
+    """
+
+    model: pin.Model
+    passive: tuple[str, ...]
+    home: np.ndarray | None
+    joints: dict[str, float]
+
+
+def compile_mjcf(path: str | Path) -> Any:
+    """The ``mujoco.MjModel`` of a file. Raises `InputError` for a file that MuJoCo cannot read."""
+    source = existing_file(path, "MJCF")
+    with muted_mujoco("reading MJCF"):
+        try:
+            return mujoco_package().MjModel.from_xml_path(str(source))
+        except (ValueError, RuntimeError) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(f"{source} is not a readable MJCF file: {reason}") from None
+
+
+def read_mjcf(path: str | Path, compiled: Any, base: Base | None) -> MjcfRobot:
+    """The robot of a compiled file; ``base=None`` takes the base that the file has.
+
+    A file with a free joint of its own has a floating base: a different ``base`` raises `InputError`. A file
+    without one gets the requested base, above all bodies that move.
+    """
+    names, free = body_names(compiled), compiled.jnt_bodyid[compiled.jnt_type == FREE]
+    if len(free) > 1:
+        others = ", ".join(f"'{names[body]}'" for body in free[1:])
+        raise InputError(f"{path} has free bodies besides '{names[free[0]]}': {others}", "one free joint")
+    model = plain = mjcf_model(compiled)
+    kind, qpos = base_of(plain), _keyframe(compiled, plain)
+    home = None if qpos is None else configuration(compiled, plain, qpos)
+    if base not in (None, kind, "virtual" if kind == "freeflyer" else kind):
+        if kind != "fixed":
+            what = f"{path} has a {kind} root joint of its own, base={base!r} contradicts it"
+            raise InputError(what, f"{kind!r}")
+        planar = base == "planar"
+        model = mjcf_model(compiled, pin.JointModelPlanar() if planar else pin.JointModelFreeFlyer())
+        model = sagittal(model) if planar else model
+    if base == "virtual" and kind != "virtual":
+        model, still = virtual_model(model), np.zeros(plain.nv)
+        if kind == "freeflyer" and home is not None:
+            home = from_free_flyer(DEFAULT_ORDER, home, still, still)[0]
+    driven = actuation_of(compiled).driven
+    idle = ~driven & driven.any() & (compiled.jnt_type != FREE)
+    named, values = zip(joint_names(compiled), compiled.jnt_type, compiled.jnt_qposadr, strict=True), {}
+    if qpos is not None:
+        values = {name: float(qpos[entry]) for name, kind, entry in named if kind in (SLIDE, HINGE)}
+    return MjcfRobot(model, tuple(np.array(joint_names(compiled))[idle].tolist()), home, values)
+
+
+def mjcf_model(compiled: Any, root: Any = None) -> pin.Model:
+    """The model of a compiled file, with a joint ``root`` above all bodies that move, if one is given."""
+    model, names, joints = pin.Model(), body_names(compiled), joint_names(compiled)
+    model.name = bytes(compiled.names).split(b"\0")[0].decode()
+    off = compiled.opt.disableflags & mujoco_package().mjtDisableBit.mjDSBL_GRAVITY
+    model.gravity = pin.Motion(np.zeros(3) if off else compiled.opt.gravity.copy(), np.zeros(3))
+    bodies = {0: Body(0, pin.SE3.Identity())}
+    moving, rooted = robot_bodies(compiled), bodies[0]
+    if root is not None:
+        own = unique("root_joint", {*names, *joints})
+        rooted = Body(model.addJoint(0, root, pin.SE3.Identity(), own), pin.SE3.Identity())
+        model.addJointFrame(rooted.joint, 0)
+    free = compiled.body_rootid[compiled.jnt_bodyid[compiled.jnt_type == FREE]]
+    for body in sorted(range(1, compiled.nbody), key=lambda body: compiled.body_rootid[body] not in free):
+        parent = int(compiled.body_parentid[body])
+        on = _add_joints(compiled, model, body, rooted if parent == 0 and body in moving else bodies[parent])
+        bodies[body] = on
+        model.addFrame(pin.Frame(names[body], on.joint, 0, on.placement, pin.FrameType.BODY))
+        inertia = pin.Inertia(compiled.body_mass[body], np.zeros(3), np.diag(compiled.body_inertia[body]))
+        centre = placement(compiled.body_ipos[body], compiled.body_iquat[body])
+        model.appendBodyToJoint(on.joint, inertia, on.placement * centre)
+    _add_rows(compiled, model)
+    _add_points(compiled, model, bodies)
+    return model
+
+
+def _add_joints(compiled: Any, model: pin.Model, body: int, on: Body) -> Body:
+    """Add the joints of a body in series; returns where the body is."""
+    joint, names, joints = on.joint, body_names(compiled), joint_names(compiled)
+    place = on.placement * placement(compiled.body_pos[body], compiled.body_quat[body])
+    start = int(compiled.body_jntadr[body])
+    for index in range(start, start + int(compiled.body_jntnum[body])):
+        kind, axis, anchor = compiled.jnt_type[index], compiled.jnt_axis[index], compiled.jnt_pos[index]
+        zero = float(compiled.qpos0[compiled.jnt_qposadr[index]])
+        at = place * pin.SE3(np.eye(3), anchor.copy())
+        if kind == FREE:
+            moved, at, anchor = pin.JointModelFreeFlyer(), pin.SE3.Identity(), np.zeros(3)
+        elif kind == BALL:
+            moved = pin.JointModelSpherical()
+        elif kind == SLIDE:
+            moved, at = _along("Prismatic", axis), at * pin.SE3(np.eye(3), -zero * axis)
+        else:
+            moved, at = _along("Revolute", axis), at * pin.SE3(pin.exp3(-zero * axis), np.zeros(3))
+        joint = model.addJoint(joint, moved, at, joints[index])
+        if joints[index] not in names:
+            model.addJointFrame(joint, 0)
+        place = pin.SE3(np.eye(3), -anchor)
+    return Body(joint, place)
+
+
+def _along(kind: str, axis: np.ndarray) -> Any:
+    """A joint of one coordinate, "Revolute" or "Prismatic", with an axis."""
+    for letter, unit in zip("XYZ", np.eye(3), strict=True):
+        if np.abs(axis - unit).max() <= ALIGNED:
+            return getattr(pin, f"JointModel{kind[0]}{letter}")()
+    return getattr(pin, f"JointModel{kind}Unaligned")(axis.copy())
+
+
+def _add_rows(compiled: Any, model: pin.Model) -> None:
+    """Limits, armature and friction of joints; those that MuJoCo does not limit have none."""
+    actuation = actuation_of(compiled)
+    for limit, sign in (("upper", 1), ("lower", -1)):
+        for what in ("Effort", "Velocity", "Position"):
+            getattr(model, f"{limit}{what}Limit")[:] = sign * np.inf
+    for index, name in enumerate(joint_names(compiled)):
+        joint, start = model.joints[model.getJointId(name)], int(compiled.jnt_dofadr[index])
+        v, dofs = slice(joint.idx_v, joint.idx_v + joint.nv), slice(start, start + joint.nv)
+        model.armature[v] = compiled.dof_armature[dofs] + actuation.armature[index]
+        model.damping[v] = compiled.dof_damping[dofs]
+        model.upperDryFrictionLimit[v] = compiled.dof_frictionloss[dofs]
+        model.lowerDryFrictionLimit[v] = -compiled.dof_frictionloss[dofs]
+        model.upperEffortLimit[v], model.lowerEffortLimit[v] = np.array([[1], [-1]]) * actuation.effort[index]
+        if joint.nv == 1 and compiled.jnt_limited[index]:
+            lower, upper = compiled.jnt_range[index]
+            model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q] = lower, upper
+
+
+def _add_points(compiled: Any, model: pin.Model, bodies: dict[int, Body]) -> None:
+    """Add frames of the robot's colliding balls and of sites, which feet may be."""
+    touching = (compiled.geom_contype | compiled.geom_conaffinity) != 0
+    balls = touching & (compiled.geom_type == SPHERE) & np.isin(compiled.geom_bodyid, robot_bodies(compiled))
+    points = [("ball", compiled.geom(int(index))) for index in np.flatnonzero(balls)]
+    points += [("site", site) for site in map(compiled.site, range(compiled.nsite)) if site.name]
+    taken = {frame.name for frame in model.frames} | set(body_names(compiled))
+    for kind, point in points:
+        body, free = int(point.bodyid[0]), point.name and point.name not in taken
+        owner = point.name or body_names(compiled)[body]
+        name = unique(point.name if free else f"{owner}_{kind}", taken)
+        place = bodies[body].placement * placement(point.pos, point.quat)
+        model.addFrame(pin.Frame(name, bodies[body].joint, 0, place, pin.FrameType.OP_FRAME))
+
+
+def _keyframe(compiled: Any, model: pin.Model) -> np.ndarray | None:
+    """Coordinates of the keyframe "home", or else the first, if it is within the limits."""
+    names = [compiled.key(index).name for index in range(compiled.nkey)]
+    if not names:
+        return None
+    qpos = compiled.key_qpos[names.index(HOME) if HOME in names else 0]
+    q = configuration(compiled, model, qpos)
+    return qpos if (np.abs(np.clip(q, *position_limits(model)) - q) <= LIMIT_SLACK).all() else None
+
+
+def configuration(compiled: Any, model: pin.Model, qpos: np.ndarray) -> np.ndarray:
+    """Configuration (nq,) of the model at MuJoCo's qpos: m, rad, quaternions (x, y, z, w)."""
+    q = pin.neutral(model)
+    for name, start in zip(joint_names(compiled), compiled.jnt_qposadr, strict=True):
+        joint = model.joints[model.getJointId(name)]
+        values = qpos[start : start + joint.nq].copy()
+        if joint.nq >= 4:
+            values[-4:] = np.roll(values[-4:], -1) / np.linalg.norm(values[-4:])
+        q[joint.idx_q : joint.idx_q + joint.nq] = values
+    return q
+
+
+def robot_bodies(compiled: Any) -> list[int]:
+    """Bodies of trees with joints, all if there are none: the others are the scene."""
+    roots = {int(compiled.body_rootid[body]) for body in compiled.jnt_bodyid}
+    return [
+        body for body in range(1, compiled.nbody) if not roots or int(compiled.body_rootid[body]) in roots
+    ]
+
+
+def body_names(compiled: Any) -> list[str]:
+    """Names of all bodies, the world's first; those without are numbered."""
+    given = [compiled.body(index).name for index in range(compiled.nbody)]
+    return _complete(given, [f"body{index}" for index in range(compiled.nbody)])
+
+
+def joint_names(compiled: Any) -> list[str]:
+    """Names of all joints; those without are named after their bodies."""
+    given, bodies = [compiled.joint(index).name for index in range(compiled.njnt)], body_names(compiled)
+    return _complete(given, [f"{bodies[body]}_joint" for body in compiled.jnt_bodyid])
+
+
+def _complete(given: Sequence[str], otherwise: Sequence[str]) -> list[str]:
+    taken = set(given)
+    return [name or unique(other, taken) for name, other in zip(given, otherwise, strict=True)]
+
+
+def unique(name: str, taken: set[str]) -> str:
+    """The name, with a number if it is ``taken`` already; it is added to them."""
+    numbered = (f"{name}_{number}" for number in range(2, len(taken) + 3))
+    found = next(each for each in (name, *numbered) if each not in taken)
+    taken.add(found)
+    return found
+
+
+def placement(position: np.ndarray, quaternion: np.ndarray) -> pin.SE3:
+    """Placement at MuJoCo's position and quaternion (w, x, y, z)."""
+    return pin.XYZQUATToSE3(np.concatenate([position, np.roll(quaternion, -1)]))

@@ -1,0 +1,62 @@
+"""What the actuators of a compiled MJCF file can do on its joints."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# Of MuJoCo's mjtJoint, mjtTrn (a joint in its own or its parent's axes), mjtGain, mjtBias and mjtDyn.
+FREE, BALL, SLIDE, HINGE = range(4)
+ON_JOINT = (0, 1)
+FIXED_GAIN, MUSCLE, NO_BIAS, INTEGRATOR = 0, 2, 0, 1
+
+
+class JointActuation(NamedTuple):
+    """Of each joint (njnt,): its torque limit, N m or N, inf without one, and whether it is ``driven``.
+
+    armature: reflected inertia of its actuators, kg m^2 or kg. others: names of actuators that are none of a
+    hinge's or slide's, or a muscle.
+    """
+
+    effort: np.ndarray
+    armature: np.ndarray
+    driven: np.ndarray
+    others: tuple[str, ...]
+
+
+def actuation_of(compiled: Any) -> JointActuation:
+    """Limits by gear, force range and, of plain motors, gain and control range; several on a joint add.
+
+    Of a range that is not symmetric the smaller side is the limit.
+    """
+    count = getattr(compiled, "nactuator", compiled.nu)
+    outputs = getattr(compiled, "actuator_outadr", np.arange(count))  # MuJoCo 3 has one each
+    rotor = getattr(compiled, "actuator_armature", np.zeros(count))
+    ranges, armature = np.zeros((compiled.njnt, 2)), np.zeros(compiled.njnt)
+    driven, others = np.zeros(compiled.njnt, dtype=bool), []
+    for index in range(count):
+        joint, gear = int(compiled.actuator_trnid[index, 0]), compiled.actuator_gear[outputs[index], 0]
+        plain = compiled.actuator_trntype[index] in ON_JOINT and compiled.actuator_gaintype[index] != MUSCLE
+        if not plain or compiled.jnt_type[joint] not in (SLIDE, HINGE):
+            others.append(compiled.actuator(index).name or f"actuator{index}")
+            continue
+        driven[joint] = True
+        armature[joint] += gear**2 * rotor[index]
+        ranges[joint] += np.sort(gear * _force_range(compiled, index)) if gear else 0.0
+    ranges[~driven] = -np.inf, np.inf
+    clamped = compiled.jnt_actfrclimited.astype(bool)
+    ranges[clamped] = np.clip(ranges[clamped], *compiled.jnt_actfrcrange[clamped].T[..., None])
+    return JointActuation(np.abs(ranges).min(axis=1, initial=np.inf), armature, driven, tuple(others))
+
+
+def _force_range(compiled: Any, index: int) -> np.ndarray:
+    """Least and largest force (2,) of an actuator, before its gear."""
+    limits, control = np.array([-np.inf, np.inf]), getattr(compiled, "actuator_ctrladr", None)
+    if compiled.actuator_forcelimited[index]:
+        limits = compiled.actuator_forcerange[index]
+    row = index if control is None else control[index]
+    motor = compiled.actuator_gaintype[index] == FIXED_GAIN and compiled.actuator_biastype[index] == NO_BIAS
+    if motor and compiled.actuator_dyntype[index] != INTEGRATOR and compiled.actuator_ctrllimited[row]:
+        return np.clip(
+            np.sort(compiled.actuator_gainprm[index, 0] * compiled.actuator_ctrlrange[row]), *limits
+        )
+    return np.asarray(limits)
