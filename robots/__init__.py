@@ -8,7 +8,6 @@ from pathlib import Path
 from types import ModuleType
 
 from trajopt.errors import InputError, TrajoptError, failure, line_in, placed, shown
-from trajopt.inspection.limbs import tool_joint
 from trajopt.robot import Robot, feet_in_base
 
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum", "multirotor")
@@ -80,6 +79,8 @@ def tool_frame(name: str | Robot) -> str:
         raise InputError(
             f"robot '{called}' has no tool: it is not an arm", "arms: " + ", ".join(names("arm"))
         )
+    from trajopt.inspection.limbs import tool_joint  # takes a while to load
+
     given = _stated(name, "TOOL")
     model = load(name).model
     carried = [frame.name for frame in model.frames if frame.parentJoint == tool_joint(model)]

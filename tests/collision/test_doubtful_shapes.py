@@ -109,6 +109,8 @@ def test_a_report_and_a_replay_name_the_mesh_that_they_are_without(tmp_path: Pat
         f"l3_0: mesh file {tmp_path / 'empty.stl'} cannot be read: File is empty",
     )
     text = robot_report(robot).table()
+    assert "4 shapes to draw" in text
+    assert f"a replay draws not all: mesh file {tmp_path / 'empty.stl'} cannot be read" in text
     assert "empty.stl cannot be read: File is empty" in text
     assert "/project/" not in text
     described = SimpleNamespace(visual=robot.visual, robot=robot.name)

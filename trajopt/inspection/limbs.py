@@ -27,7 +27,7 @@ class Limbs:
     def lines(self) -> tuple[str, ...]:
         """What a guess does with them, one line each."""
         wheels = f"guess: wheels, locked and not taken as feet: {listed(self.wheels)}"
-        undriven = f"guess: joints of hands or grippers without drive, locked: {listed(self.undriven)}"
+        undriven = f"guess: joints at the ends without drive or mass, locked: {listed(self.undriven)}"
         return (wheels,) * bool(self.wheels) + (undriven,) * bool(self.undriven)
 
 
