@@ -198,7 +198,7 @@ BAD = {
     "solver's tolerance": ((*HOP, "--solver-option", "tol=1e-3"), ["tol", "allowed: --tolerance"]),
     "solver's limit": ((*HOP, "--solver-option", "max_iter=3"), ["max_iter", "allowed: --max-iterations"]),
     "misspelt command": (("sovle",), ["no command 'sovle'; did you mean solve? allowed: "]),
-    "unknown member": (("bench", "sweeep"), ["did you mean sweep? allowed: outside, reference, suite, sweep"]),
+    "unknown member": (("bench", "sweeep"), ["did you mean sweep? allowed: outside, reference, suite"]),
     "solver option form": ((*HOP, "--solver-option", "tol"), ["--solver-option 'tol'"]),
     "solver option nan": ((*HOP, "--solver-option", "mu_init=nan"), ["mu_init is nan"]),
     "ipopt option": ((*HOP, "--solver-option", "mu_strateg=x"), ["ipopt", "mu_strateg"]),
