@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.problem import Family, Parameter, Problem
-from trajopt.robot import inverse_kinematics
+from trajopt.robot import Posture, inverse_kinematics
 from trajopt.terms import AccelerationCost, TorqueCost
 
 from . import arms, common
@@ -21,15 +21,29 @@ UNHURRIED = 2.0
 
 
 def build(
-    *, robot: str, duration: float | None, roll: float, pitch: float, yaw: float, **place: float | None
+    *,
+    robot: str,
+    duration: float | None,
+    orientation: str,
+    roll: float,
+    pitch: float,
+    yaw: float,
+    **place: float | None,
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters. Raises InputError.
 
     The guess ends where inverse kinematics from the reference gets closest to the goal. A goal that is not
-    reached still gives a problem, whose solution then reports the violated constraint.
+    reached still gives a problem, whose solution then reports the violated constraint; an arm with too few
+    joints for a pose is refused.
     """
-    arm = arms.load(robot)
-    goal, end = _goal(arm, tuple(place[axis] for axis in "xyz"), pin.rpy.rpyToMatrix(roll, pitch, yaw))
+    arm, turned, turn = arms.load(robot), orientation == arms.GIVEN, pin.rpy.rpyToMatrix(roll, pitch, yaw)
+    if not turned and (roll or pitch or yaw):
+        raise InputError(
+            f"arm-reach has {arms.ORIENTATION}={arms.FREE} and a turn of the tool",
+            f"allowed: one of them; roll, pitch and yaw need {arms.ORIENTATION}={arms.GIVEN}",
+        )
+    goal, posture = _goal(arm, tuple(place[axis] for axis in "xyz"), turn, turned)
+    end = posture.q if not turned or arm.robot.nv >= arms.POSE_ROWS else arm.reached(posture, goal)
     ends = (arm.robot.reference, end)
     least = arms.least_duration(arm.robot, ends)
     if not (duration or least > 0):
@@ -43,14 +57,16 @@ def build(
         phase="reach",
         costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2)),
         torques=arms.torque_limits(arm.robot),
-        end=arm.arrival(goal, end),
+        end=arm.arrival(goal, end, turned=turned),
         parameters=dict(zip("xyz", goal.translation.tolist(), strict=True)) | {"duration": time},
         default_intervals=30,
     )
 
 
-def _goal(arm: arms.Arm, given: tuple[float | None, ...], turn: np.ndarray) -> tuple[pin.SE3, np.ndarray]:
-    """Pose of the tool and a posture (nq,) there, or as near as inverse kinematics can get."""
+def _goal(
+    arm: arms.Arm, given: tuple[float | None, ...], turn: np.ndarray, turned: bool
+) -> tuple[pin.SE3, Posture]:
+    """Pose of the tool and a posture there, or as near as inverse kinematics can get."""
     default = arm.pose(TURN, 0.0, UP).translation
     position = np.where([coordinate is None for coordinate in given], default, np.array(given, dtype=float))
     distance = float(np.linalg.norm(position - arm.axis))
@@ -61,7 +77,8 @@ def _goal(arm: arms.Arm, given: tuple[float | None, ...], turn: np.ndarray) -> t
         )
     where = arm.cylinder(position)
     goal = pin.SE3(turn @ arm.pose(*where).rotation, position)
-    return goal, inverse_kinematics(arm.robot, arm.towards(*where).q, {arm.tool: goal}).q
+    wanted = goal if turned else position
+    return goal, inverse_kinematics(arm.robot, arm.towards(*where, turned=turned).q, {arm.tool: wanted})
 
 
 def turns(origin: str) -> tuple[Parameter, ...]:
@@ -80,6 +97,9 @@ FAMILY = Family(
     summary="bring an arm's tool to a pose, from rest to rest, within torque, velocity and position limits",
     parameters=(
         *(common.length(name, None, PLACE, (-20.0, 20.0)) for name in "xyz"),
+        common.choice(
+            arms.ORIENTATION, "of the tool at the goal: by roll, pitch and yaw, or any", arms.GIVEN, arms.FREE
+        ),
         *turns("the start orientation turned to the goal's heading"),
         common.duration("duration", None, "duration (default: estimated from the limits)", (1e-3, 60.0)),
     ),

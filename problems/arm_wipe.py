@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -37,6 +38,8 @@ FORCE_SHARE = 0.25
 UNHURRIED = 2.0
 # Slip speed at which friction reverses smoothly, over the mean speed.
 SLIP = 0.1
+# Sine of the angle between a plane's normal and the sideways of the arm, below which none runs in it.
+LEAST_ACROSS = 1e-6
 # Postures along the path, by inverse kinematics, for the guess.
 KNOTS = 41
 
@@ -187,7 +190,11 @@ def _along(model: pin.Model, postures: Sequence[np.ndarray], duration: float) ->
 
     start = postures[0]
     spline = CubicSpline(np.linspace(0.0, 1.0, KNOTS), [pin.difference(model, start, q) for q in postures])
-    return lambda t: np.asarray(pin.integrate(model, start, spline(smooth_step(t / duration))))
+    return partial(_moved, model, start, spline, duration)
+
+
+def _moved(model: pin.Model, start: np.ndarray, way: Motion, duration: float, t: float) -> np.ndarray:
+    return np.asarray(pin.integrate(model, start, way(smooth_step(t / duration))))
 
 
 def _normal(arm: arms.Arm, tilt: float | None, out: float) -> np.ndarray:
@@ -206,6 +213,11 @@ def _stroke(arm: arms.Arm, shape: str, size: float | None, centre: np.ndarray, n
     away = centre - arm.axis
     sideways = np.array([-away[1], away[0], 0.0])
     across = sideways - (sideways @ normal) * normal
+    if np.linalg.norm(across) < LEAST_ACROSS * np.linalg.norm(sideways):
+        raise InputError(
+            f"the plane that '{arm.robot.name}' wipes faces sideways, where the stroke is to run",
+            "allowed: tilt=0deg, a level plane, or another tilt towards the arm",
+        )
     across /= np.linalg.norm(across)
     length = size if size is not None else SIZES[shape] * arm.robot.length
     return Stroke(shape=shape, size=length, centre=centre, across=across, along=np.cross(normal, across))
@@ -227,7 +239,7 @@ def _postures(arm: arms.Arm, stroke: Stroke, normal: np.ndarray) -> list[np.ndar
     if worst > arms.REACHED:
         raise InputError(
             f"'{arm.robot.name}' does not bring '{arm.tool}' along the stroke: it is off by {worst:.3g}",
-            "allowed: a plane and a size within its reach and joint ranges",
+            arm.allowed("a plane and a size within its reach and joint ranges"),
         )
     return [posture.q for posture in postures]
 

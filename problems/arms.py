@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.problem import Parameter, Problem
-from trajopt.robot import Posture, Robot, frame_pose, inverse_kinematics
+from trajopt.robot import Posture, Robot, frame_pose, inverse_kinematics, require_moving
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import DriveLimits, FramePose, Term, TerminalRest, TorqueLimits
 from trajopt_library import robots
@@ -24,6 +24,8 @@ ARMS = ("ur5", "panda", "kinova", "irb1600", "z1", "xarm7")
 STEPS = 12
 # Error below which a pose counts as reached, m and rad.
 REACHED = 1e-6
+# Rows of a pose. An arm with fewer joints reaches few poses; of arm-reach the place alone may be asked for.
+POSE_ROWS, ORIENTATION, GIVEN, FREE = 6, "orientation", "given", "free"
 # Least fraction of a motor's torque that is assumed to be left for the motion.
 LEAST_SPARE = 0.1
 # Least assumed lever arm of a joint to a force at the tool, over the reach.
@@ -91,17 +93,18 @@ class Arm:
         out = math.hypot(there[0], there[1]) - math.hypot(here[0], here[1])
         return turn, out / self.robot.length, (there[2] - here[2]) / self.robot.length
 
-    def follow(self, poses: Iterable[pin.SE3]) -> Posture:
-        """Posture with the tool at the last pose, followed from the reference, or as near as possible."""
+    def follow(self, poses: Iterable[pin.SE3 | np.ndarray]) -> Posture:
+        """Posture with the tool at the last pose or place (3,) m, from the reference, or near it."""
         posture = Posture(self.robot.reference, 0.0)
         for pose in poses:
             posture = inverse_kinematics(self.robot, posture.q, {self.tool: pose})
         return posture
 
-    def towards(self, turn: float, out: float, up: float) -> Posture:
-        """Posture with the tool at that `pose`, followed in steps, or as near as possible."""
+    def towards(self, turn: float, out: float, up: float, *, turned: bool = True) -> Posture:
+        """Posture with the tool at that `pose`, or place alone, followed in steps, or as near as possible."""
         parts = np.linspace(0.0, 1.0, STEPS + 1)[1:]
-        return self.follow(self.pose(part * turn, part * out, part * up) for part in parts)
+        poses = [self.pose(part * turn, part * out, part * up) for part in parts]
+        return self.follow(poses if turned else [pose.translation for pose in poses])
 
     def posture(self, turn: float, out: float, up: float) -> np.ndarray:
         """The posture (nq,) of `towards`. Raises InputError if the arm does not reach it."""
@@ -113,20 +116,32 @@ class Arm:
             x, y, z = pose.translation
             raise InputError(
                 f"'{self.robot.name}' cannot bring '{self.tool}' to ({x:.3f}, {y:.3f}, {z:.3f}) m",
-                f"allowed: poses within its reach ({self.robot.length:.2f} m) and joint ranges",
+                self.allowed(f"poses within its reach ({self.robot.length:.2f} m) and joint ranges"),
             )
         return posture.q
 
-    def arrival(self, pose: pin.SE3, q: np.ndarray) -> tuple[Term, Term]:
-        """The tool ends at ``pose`` and the joints at rest, near ``q`` (nq,)."""
-        there = FramePose(frame=self.tool, position=pose.translation, rotation=pose.rotation)
+    def allowed(self, usual: str) -> str:
+        """What is allowed where the tool's pose is not reached: with few joints, hardly any pose."""
+        joints = self.robot.nv
+        if joints >= POSE_ROWS:
+            return f"allowed: {usual}"
+        return (
+            f"a pose has six rows, three of place and three of turn, and '{self.robot.name}' {joints} joints;"
+            f" allowed: arms with six joints; for the place alone arm-reach with {ORIENTATION}={FREE}"
+        )
+
+    def arrival(self, pose: pin.SE3, q: np.ndarray, *, turned: bool = True) -> tuple[Term, Term]:
+        """The tool ends at ``pose``, or at its place alone, and the joints at rest, near ``q`` (nq,)."""
+        turn = pose.rotation if turned else None
+        there = FramePose(frame=self.tool, position=pose.translation, rotation=turn)
         return there, TerminalRest(q=q)
 
 
-def load(name: str) -> Arm:
-    """Return the arm of that name. Raises InputError if it is not an arm."""
-    tool = robots.tool_frame(name)
-    return Arm(robot=robots.load(name), tool=tool)
+def load(name: str | Robot) -> Arm:
+    """Return the arm of that name. Raises InputError if it is not an arm, or has joints that cannot move."""
+    arm = Arm(robot=robots.load(name), tool=robots.tool_frame(name))
+    require_moving(arm.robot)
+    return arm
 
 
 def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool = True) -> float:

@@ -16,7 +16,7 @@ ROBOTS = ("talos", "g1", "bolt")
 
 
 @lru_cache(maxsize=8)
-def biped(name: str) -> Robot:
+def biped(name: str | Robot) -> Robot:
     """The robot of that name on its two feet, all joints outside the legs locked at the reference.
 
     These tasks do not need arms, waist or head: they are rigid parts of the trunk. Raises InputError if the

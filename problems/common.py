@@ -138,7 +138,7 @@ class PosturePath:
         return np.asarray(pin.interpolate(self.model, before, after, part))
 
 
-def quadruped(name: str) -> Robot:
+def quadruped(name: str | Robot) -> Robot:
     """The robot of that name. Raises InputError if it does not stand on four feet."""
     robot = robots.load(name)
     quadruped_legs(robot)

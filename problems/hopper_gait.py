@@ -1,11 +1,12 @@
 """Hopping on one leg as a periodic orbit at a commanded speed: from touchdown to touchdown."""
 
+from functools import partial
+
 import numpy as np
 
 from trajopt.dynamics import gravity_of
 from trajopt.problem import Family, Periodicity, Problem
 from trajopt.robot import Robot
-from trajopt.schedule import Motion
 from trajopt.terms import goal_terms
 from trajopt.terrain import smooth_step
 
@@ -19,7 +20,7 @@ FREE = (0.5, 2.0)
 INTERVALS = 24
 
 
-def _guess(robot: Robot, speed: float, durations: tuple[float, float], lift: float) -> Motion:
+def _guess(robot: Robot, speed: float, durations: tuple[float, float], lift: float, t: float) -> np.ndarray:
     """The base at constant speed, ballistic in flight; the foot under it in mid-stance, the neutral point.
 
     durations: of stance and flight, s. lift: height of the foot in mid-flight over its position with a leg of
@@ -27,20 +28,15 @@ def _guess(robot: Robot, speed: float, durations: tuple[float, float], lift: flo
     """
     stance, flight = durations
     step, rate = speed * (stance + flight), gravity_of(robot.model) * flight / 2
-    standing = hoppers.standing_foot(robot)
-
-    def motion(t: float) -> np.ndarray:
-        cycle, since = divmod(t, stance + flight)
-        foot = standing + np.array([cycle * step + speed * stance / 2, 0.0, 0.0])
-        if since < stance:
-            up = float(common.hermite(since / stance, stance, 0.0, -rate, 0.0, rate))
-            return hoppers.posture(robot, speed * t, up, foot)
-        s = (since - stance) / flight
-        up = rate * flight * s * (1 - s)
-        swing = np.array([smooth_step(s) * step, 0.0, up + lift * 4 * s * (1 - s)])
-        return hoppers.posture(robot, speed * t, up, foot + swing)
-
-    return motion
+    cycle, since = divmod(t, stance + flight)
+    foot = hoppers.standing_foot(robot) + np.array([cycle * step + speed * stance / 2, 0.0, 0.0])
+    if since < stance:
+        up = float(common.hermite(since / stance, stance, 0.0, -rate, 0.0, rate))
+        return hoppers.posture(robot, speed * t, up, foot)
+    s = (since - stance) / flight
+    up = rate * flight * s * (1 - s)
+    swing = np.array([smooth_step(s) * step, 0.0, up + lift * 4 * s * (1 - s)])
+    return hoppers.posture(robot, speed * t, up, foot + swing)
 
 
 def build(
@@ -65,7 +61,7 @@ def build(
         "hopper-gait",
         body,
         schedule,
-        _guess(body, speed, times, lift),
+        partial(_guess, body, speed, times, lift),
         costs=goal_terms(goal, body, schedule, travel=abs(speed) * period),
         clearance=lift,
         end=(),

@@ -4,6 +4,7 @@ In minimal coordinates of each phase or as one floating-base system.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError
 from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, StanceMode, stance_mode
-from trajopt.schedule import Motion, Schedule
+from trajopt.schedule import Schedule
 from trajopt.terms import ImpulseCost, TerminalPosture, TerminalRest, TerminalState, effort_costs, goal_terms
 
 from . import common, hoppers
@@ -27,24 +28,20 @@ INTERVALS = {"effort": 50, "time": 160, "height": 80, "distance": 160}
 COSTS = effort_costs(joints_only=True)
 
 
-def _guess(robot: Robot, distance: float, durations: tuple[float, float, float]) -> Motion:
+def _guess(robot: Robot, distance: float, durations: tuple[float, float, float], t: float) -> np.ndarray:
     """Crouch, stretch, a parabola, and back to the standing posture, the foot on its foothold."""
     stance, flight, landing = durations
     rise, arc = RISE * robot.length, gravity_of(robot.model) * flight**2 / 2
     start = hoppers.standing_foot(robot)
-
-    def motion(t: float) -> np.ndarray:
-        s = min(max((t - stance) / flight, 0.0), 1.0)
-        if t < stance:
-            up = float(common.hermite(t / stance, stance, 0.0, 0.0, rise, 0.0))
-        elif t > stance + flight:
-            up = float(common.hermite((t - stance - flight) / landing, landing, rise, 0.0, 0.0, 0.0))
-        else:
-            up = rise + arc * s * (1 - s)
-        lift = (4 * common.CLEARANCE + arc) * s * (1 - s)
-        return hoppers.posture(robot, distance * s, up, start + np.array([distance * s, 0.0, lift]))
-
-    return motion
+    s = min(max((t - stance) / flight, 0.0), 1.0)
+    if t < stance:
+        up = float(common.hermite(t / stance, stance, 0.0, 0.0, rise, 0.0))
+    elif t > stance + flight:
+        up = float(common.hermite((t - stance - flight) / landing, landing, rise, 0.0, 0.0, 0.0))
+    else:
+        up = rise + arc * s * (1 - s)
+    lift = (4 * common.CLEARANCE + arc) * s * (1 - s)
+    return hoppers.posture(robot, distance * s, up, start + np.array([distance * s, 0.0, lift]))
 
 
 def _schedule(
@@ -106,7 +103,7 @@ def build(
         "hopper-hop",
         body,
         schedule,
-        _guess(body, distance, durations),
+        partial(_guess, body, distance, durations),
         costs=(*aim, *((ImpulseCost(weight=common.IMPULSE_WEIGHT),) if impact else ())),
         friction=friction,
         clearance=common.CLEARANCE,

@@ -11,7 +11,7 @@ ROBOTS = ("hopper", "hopper_space")
 FORWARD_UP = {"planar": [0, 1], "freeflyer": [0, 2]}
 
 
-def hopper(name: str) -> Robot:
+def hopper(name: str | Robot) -> Robot:
     """The robot of that name, if it floats and stands on one point. Raises InputError."""
     robot = robots.load(name)
     if robot.base not in FORWARD_UP or [contact.kind for contact in robot.contacts] != ["point"]:

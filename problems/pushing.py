@@ -9,7 +9,7 @@ import numpy as np
 
 from trajopt.dynamics import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.robot import Posture, Robot, contact_poses, contact_targets, inverse_kinematics
+from trajopt.robot import Posture, Robot, contact_poses, contact_targets, inverse_kinematics, require_moving
 
 from .common import displaced
 
@@ -78,6 +78,7 @@ def takeoff(robot: Robot, torque_limit: float | None = None) -> Takeoff:
             f"'{robot.name}' is without gravity: it would not come down again",
             "allowed: a model with gravity",
         )
+    require_moving(robot, *(("velocity",) if torque_limit is not None else ()))
     limit = robot.torque_limit if torque_limit is None else np.full(robot.nu, torque_limit)
     gravity, sink = gravity_of(robot.model), sink_of(robot)
     heights = np.linspace(-sink, EXTENSION_PART * extension_left(robot), PUSH_SAMPLES)

@@ -1,6 +1,7 @@
 """Flights of quadrotors: through a window and back, and a flip, from hovering to hovering."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -80,15 +81,11 @@ def build_window(
     once = (2 * nominal if duration is None else duration) / 2
     schedule = Schedule((Phase(name="out", duration=once), Phase(name="back", duration=once)))
 
-    def there_and_back(t: float) -> np.ndarray:
-        part = t / once if t < once else 2 - t / once
-        return _at(body, start + smooth_step(part) * (centre - start))
-
     return common.problem(
         "quadrotor-window",
         body,
         schedule,
-        there_and_back,
+        partial(_there_and_back, body, start, centre - start, once),
         costs=EFFORT,
         more=(
             FramePose(frame=body.model.frames[2].name, position=centre, at=start_of("back")),
@@ -101,6 +98,19 @@ def build_window(
     )
 
 
+def _there_and_back(body: Robot, start: np.ndarray, way: np.ndarray, once: float, t: float) -> np.ndarray:
+    part = t / once if t < once else 2 - t / once
+    return _at(body, start + smooth_step(part) * way)
+
+
+def _turning(
+    body: Robot, start: np.ndarray, moved: tuple[np.ndarray, np.ndarray], duration: float, t: float
+) -> np.ndarray:
+    """A whole turn about an axis, on a rise and fall; ``moved``: the rise (3,) m, and the axis (3,)."""
+    s, (rise, about) = t / duration, moved
+    return _at(body, start + 16 * (s * (1 - s)) ** 2 * rise, 2 * math.pi * smooth_step(s) * about)
+
+
 def build_flip(*, robot: str, axis: str, height: float, duration: float) -> Problem:
     """Build the flip; see ``FAMILIES`` for the parameters. Raises InputError."""
     body = _quadrotor(robot)
@@ -110,10 +120,6 @@ def build_flip(*, robot: str, axis: str, height: float, duration: float) -> Prob
     schedule = Schedule((Phase(name="flip", duration=duration),))
     side = np.cross(up, about)
 
-    def turning(t: float) -> np.ndarray:
-        s = t / duration
-        return _at(body, start + 16 * (s * (1 - s)) ** 2 * rise * up, 2 * math.pi * smooth_step(s) * about)
-
     def upward(direction: np.ndarray, at: Moment) -> FrameDirection:
         base = body.model.frames[2].name
         return FrameDirection(frame=base, axis=tuple(direction), direction=tuple(up), angle=WITHIN, at=at)
@@ -122,7 +128,7 @@ def build_flip(*, robot: str, axis: str, height: float, duration: float) -> Prob
         "quadrotor-flip",
         body,
         schedule,
-        turning,
+        partial(_turning, body, start, (rise * up, about), duration),
         costs=EFFORT,
         more=(
             upward(side, Moment("flip", 0.4)),

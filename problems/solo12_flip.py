@@ -1,6 +1,7 @@
 """Half a backflip of Solo12: push, take-off, and a flight that ends with the nose beyond the vertical."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -34,31 +35,45 @@ def _guess(robot: Robot, turn: np.ndarray, stance: float, flight: float) -> Moti
 
     turn: pitch and yaw (2,) in rad at the end.
     """
-    feet = contact_positions(robot, robot.reference)
     # Height (m), pitch and yaw (rad): at take-off, and their rates there.
     takeoff = np.array([RISE, *(GROUND_SHARE * turn)])
     upward = (END_RISE - RISE) / flight + STANDARD_GRAVITY * flight / 2
     rates = np.array([upward, *((1 - GROUND_SHARE) * turn / flight)])
 
-    def pose(moved: np.ndarray) -> np.ndarray:
-        q = common.displaced(robot, (0.0, 0.0, moved[0]))
-        q[3:7] = pin.Quaternion(orientation(*moved[1:])).coeffs()
-        return q
+    joints = _standing(robot, takeoff)[7:]
+    return _Flip(robot=robot, stance=stance, takeoff=takeoff, rates=rates, joints=joints)
 
-    def standing(moved: np.ndarray) -> np.ndarray:
-        return inverse_kinematics(robot, pose(moved), feet).q
 
-    joints = standing(takeoff)[7:]
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Flip:
+    """The guess: ``takeoff`` and ``rates`` (3,) of height m, pitch, yaw rad; ``joints`` (12,) in flight."""
 
-    def motion(t: float) -> np.ndarray:
-        if t < stance:
-            return standing(common.hermite(t / stance, stance, 0.0, 0.0, takeoff, rates))
-        flown = t - stance
-        flying = pose(takeoff + rates * flown - np.array([STANDARD_GRAVITY * flown**2 / 2, 0.0, 0.0]))
-        flying[7:] = joints
+    robot: Robot
+    stance: float
+    takeoff: np.ndarray
+    rates: np.ndarray
+    joints: np.ndarray
+
+    def __call__(self, t: float) -> np.ndarray:
+        if t < self.stance:
+            moved = common.hermite(t / self.stance, self.stance, 0.0, 0.0, self.takeoff, self.rates)
+            return _standing(self.robot, moved)
+        flown = t - self.stance
+        fallen = np.array([STANDARD_GRAVITY * flown**2 / 2, 0.0, 0.0])
+        flying = _pose(self.robot, self.takeoff + self.rates * flown - fallen)
+        flying[7:] = self.joints
         return flying
 
-    return motion
+
+def _pose(robot: Robot, moved: np.ndarray) -> np.ndarray:
+    q = common.displaced(robot, (0.0, 0.0, moved[0]))
+    q[3:7] = pin.Quaternion(orientation(*moved[1:])).coeffs()
+    return q
+
+
+def _standing(robot: Robot, moved: np.ndarray) -> np.ndarray:
+    feet = contact_positions(robot, robot.reference)
+    return inverse_kinematics(robot, _pose(robot, moved), feet).q
 
 
 def build(

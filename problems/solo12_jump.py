@@ -1,6 +1,7 @@
 """A jump of Solo12: stance, flight, landing on the footholds of the target pose, rest."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -46,22 +47,30 @@ def _guess(robot: Robot, schedule: Schedule, end: np.ndarray, base: WaypointPath
     """Feet on their footholds; in flight they move with the base from one stance to the other."""
     stance, flight, _ = (phase.duration for phase in schedule.phases)
     starts, ends = (contact_positions(robot, q) for q in (robot.reference, end))
-    before, after = base(stance), base(stance + flight)
+    return partial(_posture, robot, base, (stance, flight), (starts, ends))
 
-    def motion(t: float) -> np.ndarray:
-        placement, s = base(t), (t - stance) / flight
-        q = robot.reference.copy()
-        q[:7] = pin.SE3ToXYZQUAT(placement)
-        feet = starts if s <= 0 else ends
-        if 0 < s < 1:
-            ways = {name: (before.actInv(start), after.actInv(ends[name])) for name, start in starts.items()}
-            feet = {
-                name: placement.act(common.hermite(s, flight, first, 0.0, last, 0.0))
-                for name, (first, last) in ways.items()
-            }
-        return inverse_kinematics(robot, q, feet).q
 
-    return motion
+def _posture(
+    robot: Robot,
+    base: WaypointPath,
+    durations: tuple[float, float],
+    feet: tuple[dict[str, np.ndarray], dict[str, np.ndarray]],
+    t: float,
+) -> np.ndarray:
+    """Configuration at ``t`` s; durations of stance and flight, positions of the feet before and after it."""
+    (stance, flight), (starts, ends) = durations, feet
+    placement, s = base(t), (t - stance) / flight
+    q = robot.reference.copy()
+    q[:7] = pin.SE3ToXYZQUAT(placement)
+    places = starts if s <= 0 else ends
+    if 0 < s < 1:
+        before, after = base(stance), base(stance + flight)
+        ways = {name: (before.actInv(start), after.actInv(ends[name])) for name, start in starts.items()}
+        places = {
+            name: placement.act(common.hermite(s, flight, first, 0.0, last, 0.0))
+            for name, (first, last) in ways.items()
+        }
+    return inverse_kinematics(robot, q, places).q
 
 
 def _actuated(torque_limit: float | None, voltage: float | None) -> tuple[Robot, Term]:

@@ -1,6 +1,7 @@
 """Solo12 hops uphill on a slope: every contact normal is tilted against gravity."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -29,6 +30,15 @@ def _standing(robot: Robot, ground: FlatGround, uphill: float) -> np.ndarray:
     return q
 
 
+def _guess(start: np.ndarray, end: np.ndarray, stance: float, flight: float, t: float) -> np.ndarray:
+    """Standing still; in flight on a parabola from one stance to the other, legs as in standing."""
+    s = min(max((t - stance) / flight, 0.0), 1.0)
+    q = start.copy()
+    q[:3] += s * (end - start)[:3]
+    q[2] += STANDARD_GRAVITY * flight**2 * s * (1 - s) / 2
+    return q
+
+
 def build(
     *,
     slope: float,
@@ -46,19 +56,11 @@ def build(
     start, end = (_standing(robot, ground, uphill) for uphill in (0.0, distance))
     time = max(SHORTEST_FLIGHT, 2 * math.sqrt(2 * height / STANDARD_GRAVITY)) if flight is None else flight
 
-    def guess(t: float) -> np.ndarray:
-        """Standing still; in flight on a parabola from one stance to the other, legs as in standing."""
-        s = min(max((t - stance) / time, 0.0), 1.0)
-        q = start.copy()
-        q[:3] += s * (end - start)[:3]
-        q[2] += STANDARD_GRAVITY * time**2 * s * (1 - s) / 2
-        return q
-
     return common.problem(
         "solo12-slope",
         robot,
         common.hop_schedule(footholds_at(robot, end, ground), (stance, time, landing)),
-        guess,
+        partial(_guess, start, end, stance, time),
         costs=leaping.COSTS,
         torque_limit=torque_limit,
         cones=(FrictionCone(),),

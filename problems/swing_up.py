@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -56,6 +57,12 @@ def _pendulum(robot: Robot) -> tuple[np.ndarray, float]:
     )
 
 
+def _turning(pendulum: Robot, turn: np.ndarray, duration: float, t: float) -> np.ndarray:
+    """Guess: the joints at ``t`` s of their smooth turn."""
+    turned = smooth_step(t / duration) * turn
+    return np.asarray(pin.integrate(pendulum.model, pendulum.reference, turned))
+
+
 def build(
     *, robot: str, goal: str, duration: float | None, torque_share: float, distance: float = 0.0
 ) -> Problem:
@@ -67,18 +74,14 @@ def build(
     schedule = Schedule((Phase(name="swing", duration=nominal),))
     schedule = common.freed(schedule, FREE) if goal == "time" else schedule
 
-    def turning(t: float) -> np.ndarray:
-        turned = smooth_step(t / nominal) * turn
-        return np.asarray(pin.integrate(pendulum.model, pendulum.reference, turned))
-
     return common.problem(
         pendulum.name.replace("_", "-"),
         pendulum,
         schedule,
-        turning,
+        partial(_turning, pendulum, turn, nominal),
         costs=goal_terms(goal, pendulum, schedule, effort=EFFORT),
         torque_share=torque_share,
-        end=turning(nominal),
+        end=_turning(pendulum, turn, nominal, nominal),
         parameters={"duration": nominal},
         default_intervals=max(LEAST_INTERVALS, round(INTERVALS_PER_PERIOD * nominal / period)),
     )

@@ -1,5 +1,6 @@
 """Talos puts its left hand on a wall and pushes, or grasps a handle on it and pulls, and comes to rest."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,11 @@ def _guess(robot: Robot, end: np.ndarray, duration: float) -> Motion:
     """From standing to leaning in ``duration`` s, soles kept in place by the legs, then standing still."""
     soles = _soles(robot)
     leaning = common.PosturePath(model=robot.model, postures=(robot.reference, end), durations=(duration,))
-    return lambda t: inverse_kinematics(robot, leaning(t), soles).q
+    return partial(_held, robot, leaning, soles)
+
+
+def _held(robot: Robot, motion: Motion, soles: dict[str, pin.SE3], t: float) -> np.ndarray:
+    return inverse_kinematics(robot, motion(t), soles).q
 
 
 def build(

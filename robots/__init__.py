@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
-from trajopt.errors import InputError, TrajoptError, failure, line_in, placed
+from trajopt.errors import InputError, TrajoptError, failure, line_in, placed, shown
 from trajopt.robot import Robot, feet_in_base
 
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum", "multirotor")
@@ -25,12 +25,14 @@ def names(kind: str | None = None) -> tuple[str, ...]:
     return tuple(name for name in found if kind is None or kind == _module(name).KIND)
 
 
-def load(name: str) -> Robot:
+def load(name: str | Robot) -> Robot:
     """Return the robot of that name, or the one that ``build()`` of a .py file at that path returns.
 
-    Raises `InputError` for a name that is unknown (and lists the known ones) and for a file that does not
-    exist, cannot be read or does not build a `Robot`.
+    A robot is returned as it is. Raises `InputError` for a name that is unknown (and lists the known ones)
+    and for a file that does not exist, cannot be read or does not build a `Robot`.
     """
+    if isinstance(name, Robot):
+        return name
     module = _module(name)
     try:
         robot = module.build()
@@ -45,46 +47,57 @@ def load(name: str) -> Robot:
     return robot
 
 
-def kind(name: str) -> str:
+def kind(name: str | Robot) -> str:
     """Return which of `KINDS` a robot is: its module's ``KIND``.
 
-    A file at a path may leave it out: a fixed base then makes an arm, feet a hopper (one), a biped (two) or
-    a quadruped (four). Raises `InputError` for other numbers of feet, and as `load`.
+    A file at a path may leave it out, and a robot has none: a fixed base then makes an arm, feet a hopper
+    (one), a biped (two) or a quadruped (four). Raises `InputError` for other numbers of feet, and as `load`.
     """
-    given = getattr(_module(name), "KIND", None)
+    given = _stated(name, "KIND")
     if given is not None:
         if given not in KINDS:
-            raise InputError(f"KIND of {name} is {given!r}", "one of " + ", ".join(KINDS))
+            raise InputError(f"KIND of {name} is {shown(given)}", "one of " + ", ".join(KINDS))
         return str(given)
     robot = load(name)
     if robot.base == "fixed":
         return "arm"
     standing = len(feet(robot))
     if standing not in KIND_OF_FEET:
-        raise InputError(f"{name} stands on {standing} feet", "KIND in the file, or 1, 2 or 4 feet")
+        raise InputError(f"{robot.name} stands on {standing} feet", "KIND in the file, or 1, 2 or 4 feet")
     return KIND_OF_FEET[standing]
 
 
-def tool_frame(name: str) -> str:
+def tool_frame(name: str | Robot) -> str:
     """Return the name of an arm's tool frame: its module's ``TOOL``.
 
-    A file at a path may leave it out: then it is the last frame behind the last joint. Raises `InputError`
+    A file at a path may leave it out, and a robot has none: then it is the last frame behind the last joint
+    before a light hand. Raises `InputError`
     for a robot that is not an arm, and as `load`.
     """
     if kind(name) != "arm":
-        raise InputError(f"robot '{name}' has no tool: it is not an arm", "arms: " + ", ".join(names("arm")))
-    given = getattr(_module(name), "TOOL", None)
+        called = load(name).name
+        raise InputError(
+            f"robot '{called}' has no tool: it is not an arm", "arms: " + ", ".join(names("arm"))
+        )
+    from trajopt.inspection.limbs import tool_joint  # takes a while to load
+
+    given = _stated(name, "TOOL")
     model = load(name).model
-    carried = [frame.name for frame in model.frames if frame.parentJoint == model.njoints - 1]
+    carried = [frame.name for frame in model.frames if frame.parentJoint == tool_joint(model)]
     tool = carried[-1] if given is None else given
     if not model.existFrame(tool):
-        raise InputError(f"TOOL of {name} is {tool!r}, not a frame of the model", ", ".join(carried))
+        raise InputError(f"TOOL of {name} is {shown(tool)}, not a frame of the model", ", ".join(carried))
     return str(tool)
 
 
 def feet(robot: Robot) -> tuple[str, ...]:
     """Return the names of the contacts that a robot stands on in its reference: those at the bottom."""
     return tuple(feet_in_base(robot)) if robot.contacts else ()
+
+
+def _stated(name: str | Robot, what: str) -> object:
+    """A name that a robot's module states, or None."""
+    return None if isinstance(name, Robot) else getattr(_module(name), what, None)
 
 
 def _module(name: str) -> ModuleType:

@@ -22,6 +22,7 @@ from typing import Annotated, Any, TypeVar
 
 from trajopt.errors import InputError, not_among
 from trajopt.kinds import ANY, Kind, Range, kind_of
+from trajopt.pickling import picklable
 
 _Target = TypeVar("_Target", bound=Callable[..., Any])
 
@@ -82,7 +83,8 @@ class _Arguments:
 def checked(target: _Target) -> _Target:
     """Check the arguments of a dataclass, or of a function, against their annotations.
 
-    Sequences become tuples, and arrays in dataclasses read-only; a single name stands for a sequence of one.
+    Sequences become tuples, and arrays in dataclasses read-only, also where they are pickled; a single name
+    stands for a sequence of one.
 
     Raises:
         InputError: where it is called with an argument that is wrong, missing or not known.
@@ -98,7 +100,7 @@ def checked(target: _Target) -> _Target:
     if not isinstance(target, type):
         return call  # type: ignore[return-value]
     target.__init__ = call  # type: ignore[misc]
-    return target
+    return picklable(target)
 
 
 def check_settings(function: Callable[..., Any], settings: Mapping[str, Any]) -> None:

@@ -8,11 +8,11 @@ import contextlib
 import hashlib
 import os
 import uuid
+import warnings
+from functools import cache
 from pathlib import Path
 
 import platformdirs
-
-from trajopt.errors import InputError
 
 CACHE_VARIABLE = "TRAJOPT_CACHE_DIR"
 _DIGEST = hashlib.sha256().digest_size
@@ -34,7 +34,7 @@ def read_entry(name: str) -> bytes | None:
 
 
 def write_entry(name: str, content: bytes) -> None:
-    """Write an entry; raises InputError where the cache cannot be written."""
+    """Write an entry; where that is not possible all works without it, and a warning says so once."""
     folder = cache_directory()
     unfinished = folder / f".{name}.{uuid.uuid4().hex}"
     try:
@@ -46,7 +46,13 @@ def write_entry(name: str, content: bytes) -> None:
             with contextlib.suppress(OSError):
                 unfinished.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(
-            f"cannot write the cache folder {folder} ({error.strerror})",
-            f"set {CACHE_VARIABLE} to a folder that can be written",
-        ) from None
+        _warn(folder, str(error.strerror))
+
+
+@cache
+def _warn(folder: Path, reason: str) -> None:
+    warnings.warn(
+        f"the cache folder {folder} cannot be written ({reason}): nothing is kept for the next time;"
+        f" {CACHE_VARIABLE} names another one",
+        stacklevel=3,
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import reprlib
 import traceback
 from collections.abc import Callable, Iterable
 from numbers import Real
@@ -15,10 +16,16 @@ if TYPE_CHECKING:
 
 # A message lists all allowed names up to this many, and of more this many.
 MANY, LISTED = 60, 8
+SHOWN = 60  # characters of a value in a message
+COAL_MESSAGE = "\nmessage: "
 
 
 class TrajoptError(Exception):
     """Base of every error the toolkit raises for its user's input or environment."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as it is, whatever its class takes: a pool raises the errors of its processes."""
+        return _as_raised, (type(self), self.args), vars(self)
 
 
 class InputError(TrajoptError):
@@ -48,6 +55,10 @@ def not_among(known: Iterable[str], name: str, what: str) -> InputError:
     return InputError(what, f"{hint}allowed: {', '.join(listed) or 'none'}")
 
 
+def _as_raised(kind: type[TrajoptError], args: tuple[Any, ...]) -> TrajoptError:
+    return kind.__new__(kind, *args)
+
+
 class UnsupportedJointError(InputError):
     """A joint of the model has a kind that the toolkit cannot differentiate or transcribe."""
 
@@ -65,9 +76,42 @@ class VersionMismatchError(TrajoptError):
     """The installed wheels are not the ones the extension was built against."""
 
 
+def shown(value: Any) -> str:
+    """A value of a message in one line, cut where it is long; an object by its kind, never by its repr."""
+    text = " ".join(_Shown().repr(value).split())
+    return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
+
+
+class _Shown(reprlib.Repr):
+    """Python's shortened repr, for plain values and collections of them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxlist, self.maxtuple, self.maxstring = 3, LISTED, LISTED, SHOWN
+
+    def repr_instance(self, value: Any, level: int) -> str:
+        if type(value) in (float, complex, bool, bytes, type(None)):
+            return repr(value)
+        if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
+            few = 0 < value.size <= LISTED
+            return self.repr1(value.tolist(), level) if few else f"an array of shape {value.shape}"
+        if isinstance(value, Path):
+            return f"'{value}'"
+        return f"the class {value.__name__}" if isinstance(value, type) else with_article(type(value))
+
+
+def with_article(kind: type) -> str:
+    """The name of a class in a sentence."""
+    return f"{'an' if kind.__name__[0] in 'aeiouAEIOU' else 'a'} {kind.__name__}"
+
+
 def first_line(error: Exception) -> str:
-    """The first line of a library's exception, or its type if it has no text."""
-    return next(iter(str(error).strip().splitlines()), type(error).__name__)
+    """The first line of a library's exception, or its type if it has no text; of Coal's its message."""
+    text = str(error).strip()
+    if COAL_MESSAGE in text:  # after lines on Coal's own source, before a hint
+        said = text.partition(COAL_MESSAGE)[2].splitlines()
+        return ": ".join(line for line in said if not line.startswith("Hint: "))
+    return next(iter(text.splitlines()), type(error).__name__)
 
 
 def line_in(path: Path, error: BaseException) -> int | None:
@@ -135,8 +179,8 @@ def _is_real(value: Any) -> bool:
 
 def _require(right: bool, what: str, value: Any, unit: str, allowed: str) -> None:
     if not right:
-        shown = f"{value:g}" if _is_real(value) else repr(value)
-        raise InputError(f"{what} is {shown} {unit}".rstrip(), f"allowed: {allowed}")
+        text = f"{value:g}" if _is_real(value) else shown(value)
+        raise InputError(f"{what} is {text} {unit}".rstrip(), f"allowed: {allowed}")
 
 
 def numbers_of(value: Any) -> np.ndarray:
@@ -157,7 +201,7 @@ def finite_array(what: str, value: Any, shape: tuple[int, ...] = (3,), unit: str
     if array.shape != shape or not np.isfinite(array).all():
         size = str(shape[0]) if len(shape) == 1 else f"{shape}"
         allowed = f"allowed: {size} finite numbers" + (f", {unit}" if unit else "")
-        raise InputError(f"{what} is {value!r}", allowed)
+        raise InputError(f"{what} is {shown(value)}", allowed)
     array.setflags(write=False)
     return array
 
@@ -168,5 +212,5 @@ def unit_vector(what: str, value: Any) -> np.ndarray:
 
     vector = numbers_of(value)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise InputError(f"{what} is {value!r}", "allowed: 3 finite numbers, not all 0")
+        raise InputError(f"{what} is {shown(value)}", "allowed: 3 finite numbers, not all 0")
     return np.asarray(vector / np.linalg.norm(vector))

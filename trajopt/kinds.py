@@ -11,10 +11,8 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trajopt.errors import InputError, not_among
+from trajopt.errors import InputError, not_among, shown, with_article
 
-# A given value is shown up to this many characters, in one line.
-SHOWN = 60
 # How values of a class are made, where a name or a path is a likely mistake for one.
 MADE_BY = {
     "Problem": "trajopt.load({name!r})",
@@ -125,21 +123,6 @@ class Kind:
 ANY = Kind("any value", lambda value, place: value)
 
 
-def shown(value: Any) -> str:
-    """A value in one line, cut where it is long."""
-    try:
-        text = " ".join(repr(value).split())
-    except Exception:  # a repr of the user's own
-        text = ""
-    if not text or (text.startswith("<") and "object at 0x" in text):
-        return _with_article(type(value))
-    return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
-
-
-def _with_article(kind: type) -> str:
-    return f"{'an' if kind.__name__[0] in 'aeiouAEIOU' else 'a'} {kind.__name__}"
-
-
 def kind_of(hint: Any, keeps: bool) -> Kind:
     """The kind of an annotation; ``keeps`` is whether arrays are kept, and so become read-only copies."""
     origin, parts = get_origin(hint), get_args(hint)
@@ -229,7 +212,7 @@ def _instance(kind: Any) -> Kind:
             return ""
         return f", for example {MADE_BY[name].format(name=value if isinstance(value, str) else '...')}"
 
-    return _that(_with_article(kind), holds, made_by)
+    return _that(with_article(kind), holds, made_by)
 
 
 def _union(hints: tuple[Any, ...], keeps: bool) -> Kind:

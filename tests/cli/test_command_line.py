@@ -198,10 +198,7 @@ BAD = {
     "solver's tolerance": ((*HOP, "--solver-option", "tol=1e-3"), ["tol", "allowed: --tolerance"]),
     "solver's limit": ((*HOP, "--solver-option", "max_iter=3"), ["max_iter", "allowed: --max-iterations"]),
     "misspelt command": (("sovle",), ["no command 'sovle'; did you mean solve? allowed: "]),
-    "unknown member": (
-        ("bench", "sweeep"),
-        ["did you mean sweep? allowed: outside, reference, suite, sweep"],
-    ),
+    "unknown member": (("bench", "sweeep"), ["did you mean sweep? allowed: outside, reference, suite"]),
     "solver option form": ((*HOP, "--solver-option", "tol"), ["--solver-option 'tol'"]),
     "solver option nan": ((*HOP, "--solver-option", "mu_init=nan"), ["mu_init is nan"]),
     "ipopt option": ((*HOP, "--solver-option", "mu_strateg=x"), ["ipopt", "mu_strateg"]),
@@ -257,9 +254,13 @@ def test_what_could_steer_a_terminal_is_escaped(capsys: pytest.CaptureFixture[st
     ]  # fmt: skip
 
 
-def test_cache_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TRAJOPT_CACHE_DIR", "/proc/none")
-    assert_refused(invoke(*HOP, "--output", tmp_path / "x.npz"), "/proc/none", "TRAJOPT_CACHE_DIR")
+    result = invoke(*HOP, "--output", tmp_path / "x.npz")
+    assert (tmp_path / "x.npz").exists()
+    told = [line for line in result.stderr.splitlines() if "/proc/none" in line]
+    assert len(told) == 1
+    assert "TRAJOPT_CACHE_DIR" in told[0]
 
 
 @pytest.mark.parametrize("verb", ["check", "replay"])

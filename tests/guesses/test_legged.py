@@ -243,7 +243,7 @@ def test_soles_land_flat_and_turned_with_the_base():
         BaseWaypoint(time=0.7, position=base - [0, 0, 0.05], turn=(0.0, 0.0, 0.3)),
         BaseWaypoint(time=1.0, position=base, turn=(0.0, 0.0, 0.05)),
     )
-    posture = legged_guess(talos, schedule, points).__wrapped__.__self__
+    posture = legged_guess(talos, schedule, points).motion
     assert isinstance(posture, LeggedPosture)
     before, reference = posture.base(0.85).rotation, contact_poses(talos, talos.reference)
     for name in soles:

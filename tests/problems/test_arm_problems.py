@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -172,3 +173,66 @@ def test_what_an_arm_cannot_do_is_refused_in_one_line(module, values, message):
     with pytest.raises(InputError, match=message) as refused:
         module.FAMILY.load(values)
     assert "\n" not in str(refused.value)
+
+
+LINK = (
+    '<inertial><mass value="1"/><inertia ixx=".01" ixy="0" ixz="0" iyy=".01" iyz="0" izz=".01"/></inertial>'
+)
+LIMIT = '<limit lower="-2.5" upper="2.5" effort="80" velocity="3"/>'
+
+
+@pytest.fixture
+def three_joints(tmp_path: Path) -> str:
+    """The file of an arm that turns, lifts and bends."""
+    axes = enumerate(("0 0 1", "0 1 0", "0 1 0"))
+    joints = "".join(
+        f'<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>'
+        f'<origin xyz="0 0 0.3"/><axis xyz="{axis}"/>{LIMIT}</joint>'
+        for k, axis in axes
+    )
+    links = "".join(f'<link name="l{k}">{LINK}</link>' for k in range(4))
+    tool = '<link name="tool"/><joint name="end" type="fixed"><parent link="l3"/><child link="tool"/>'
+    tool += '<origin xyz="0 0 0.3"/></joint>'
+    (tmp_path / "three.urdf").write_text(f'<robot name="three">{links}{joints}{tool}</robot>')
+    file = tmp_path / "three.py"
+    file.write_text(
+        "from pathlib import Path\nfrom trajopt import Robot\nTOOL = 'tool'\ndef build():\n"
+        "    file = Path(__file__).parent / 'three.urdf'\n"
+        "    return Robot.from_urdf(file, base='fixed', reference={'j1': 0.5, 'j2': 0.8})\n"
+    )
+    return str(file)
+
+
+GOAL = {"x": 0.3, "y": 0.2, "z": 0.6}
+
+
+@pytest.mark.parametrize(
+    ("family", "values"),
+    [
+        ("arm-reach", GOAL),
+        ("arm-transfer", {}),
+        ("arm-pick-place", {}),
+        ("arm-avoid", {}),
+        ("arm-wipe", {"tilt": 0.3}),
+    ],
+)
+def test_an_arm_with_few_joints_is_told_that_a_pose_has_six_rows(family, values, three_joints):
+    with pytest.raises(InputError, match=r"six rows.*'three' 3 joints.*orientation=free") as refused:
+        trajopt.load(family, robot=three_joints, **values)
+    assert "\n" not in str(refused.value)
+
+
+def test_an_arm_with_few_joints_reaches_a_place(three_joints):
+    problem, solution = solve(arm_reach.FAMILY, robot=three_joints, orientation="free", **GOAL)
+    place = frame_pose(problem.robot, solution.q[-1], "tool").translation
+    np.testing.assert_allclose(place, list(GOAL.values()), atol=PLACE)
+
+
+def test_a_free_orientation_contradicts_a_turn():
+    with pytest.raises(InputError, match=r"orientation=free and a turn.*orientation=given"):
+        trajopt.load("arm-reach", orientation="free", yaw=0.3)
+
+
+def test_a_plane_that_faces_sideways_is_one_line(three_joints):
+    with pytest.raises(InputError, match=r"faces sideways.*tilt"):
+        trajopt.load("arm-wipe", robot=three_joints)

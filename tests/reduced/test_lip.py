@@ -206,6 +206,7 @@ def test_both_controls_tend_to_one_motion() -> None:
             ).solve()
             for control in CONTROLS
         ]
+        assert all(motion.duration == pytest.approx(plan.duration) for motion in motions)
         times = np.linspace(0, plan.duration, 40)
         apart.append(max(np.abs(motions[0].com(t) - motions[1].com(t)).max() for t in times))
     assert apart[1] < apart[0]

@@ -297,3 +297,14 @@ def test_complaints_of_the_urdf_parser_are_the_reason_and_nothing_else_is_printe
     with pytest.raises(InputError, match=r"readable URDF file: Joint \[a\] is of type REVOLUTE .* limits"):
         Robot.from_urdf(file)
     assert capfd.readouterr() == ("", "")
+
+
+def test_joints_are_locked_where_frames_share_a_name():
+    robot = robots.load("z1")
+    frames = [frame.name for frame in robot.model.frames]
+    assert len(set(frames)) < len(frames)
+    locked = robot.with_locked([robot.model.names[3]])
+    q, kept = robot.reference, np.delete(np.arange(robot.nv), 2)
+    whole = pin.crba(robot.model, robot.model.createData(), q)
+    reduced = pin.crba(locked.model, locked.model.createData(), locked.reference)
+    np.testing.assert_allclose(np.triu(reduced), np.triu(whole[np.ix_(kept, kept)]), atol=1e-12)

@@ -356,8 +356,8 @@ def test_jumps_and_trots_end_within_five_centimetres(problem, robot):
         (
             {"gain": 2.0},
             "a simulation has no setting gain; allowed: timestep, control_rate, kp, kd, friction_scale, "
-            "mass_scale, noise, seed, cycles, push, rolling, controller, qp_solver, impulse, sensor_noise, "
-            "delay, torque_step, torque_rate, com_offset, ground_offsets",
+            "mass_scale, noise, seed, cycles, push, rolling, controller, gains, qp_solver, impulse, "
+            "sensor_noise, delay, torque_step, torque_rate, com_offset, ground_offsets",
         ),
         ({"rolling": 1}, "rolling of a simulation is 1; allowed: True or False"),
         ({"noise": "much"}, "noise of a simulation is 'much'; allowed: a finite number"),

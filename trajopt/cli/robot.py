@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -45,6 +46,7 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
     loaded = _loaded(robot, base, write)
     text = None if write is None else _starter(loaded, write)
     report = robot_report(loaded)
+    report = replace(report, notes=report.notes + _guesses(robot))
     say(to_json(report.to_dict()) if as_json else report.table())
     if write is not None and text is not None:
         with replacing(write) as unfinished:
@@ -71,6 +73,15 @@ def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
     from trajopt.robot.catalogue import robot
 
     return robot(name)
+
+
+def _guesses(name: str) -> tuple[str, ...]:
+    """Notes on joints that the guess of a description locks."""
+    if Path(name).suffix not in DESCRIPTIONS:
+        return ()
+    from trajopt.inspection.starter import limbs_of
+
+    return limbs_of(Path(name)).lines()
 
 
 def _starter(loaded: Robot, target: Path) -> str:

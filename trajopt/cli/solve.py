@@ -193,6 +193,8 @@ def _checked(solution: Solution, notes: list[str]) -> CheckReport | None:
     except (TrajoptError, ArithmeticError, ValueError) as error:
         notes.append(f"accuracy cannot be computed: {error}")
         return None
+    bodies = solution.description.bodies
+    notes += [] if bodies is None else bodies.doubts(solution.model)
     beyond = ", ".join(FIGURES[name].text for name in report.failures())
     if beyond and solution.success:
         notes.append(f"beyond the tolerances of a check: {beyond}; try more intervals")

@@ -19,6 +19,7 @@ from trajopt.collision.near import CollisionScene, ShapePair
 from trajopt.collision.shapes import LinkShape, Obstacle
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError
+from trajopt.robot.building import reach
 from trajopt.robot.mjcf_shapes import excluded_bodies
 from trajopt.robot.robot import Robot
 from trajopt.terrain.flat import FlatGround
@@ -38,6 +39,12 @@ NO_LENGTH = 1e-3
 # Folders above a URDF whose folder ``srdf`` may hold its SRDF.
 SRDF_LEVELS = 2
 MOST_ROBOTS = 64
+OVERLAP = "in the reference posture"
+# Shapes of real robots are up to 1.2 times as large as the robot's reach, and up to 4 % of the pairs of which
+# neither is the other's neighbour overlap in the reference posture. Beyond these a description is doubtful.
+OUTSIZED, MOST_OVERLAPPING = 5.0, 0.1
+# Shapes that a line of doubt names.
+NAMED = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,6 +73,24 @@ class RobotShapes:
             self_pairs=self.pairs,
             terrain=terrain if self.above_ground else None,
         )
+
+    def doubts(self, model: pin.Model) -> tuple[str, ...]:
+        """What is unlikely about these shapes, on ``model``, one line each: their size, many that overlap."""
+        length, lines = reach(model), []
+        sizes = {shape.name: shape.extent / length for shape in self.shapes if length > 0}
+        outsized = sorted((name for name in sizes if sizes[name] > OUTSIZED), key=lambda name: -sizes[name])
+        if outsized:
+            named = ", ".join(outsized[:NAMED]) + (", ..." if len(outsized) > NAMED else "")
+            lines.append(
+                f"shapes up to {sizes[outsized[0]]:.0f} times as large as the robot's reach, {length:.3g} m:"
+                f' {named}; if their meshes are in mm, <mesh scale="0.001 0.001 0.001">'
+            )
+        overlapping = sum(OVERLAP in reason for reason in self.left_out.values())
+        whole = overlapping + len(self.pairs)
+        if overlapping > MOST_OVERLAPPING * whole:
+            share = f"{overlapping} of {whole} pairs of shapes ({100 * overlapping / whole:.0f} %)"
+            lines.append(f"{share} are not judged, since they overlap {OVERLAP}")
+        return tuple(lines)
 
     def describe(self) -> dict[str, Any]:
         """JSON-able description for a solution file."""
@@ -219,7 +244,7 @@ def _overlapping(
     often = (distances[1:] < 0).mean(axis=0)
     for pair, depth, part in zip(pairs, -distances[0], often, strict=True):
         if depth > 0:
-            yield pair, f"overlap by {1e3 * depth:.1f} mm in the reference posture"
+            yield pair, f"overlap by {1e3 * depth:.1f} mm {OVERLAP}"
         elif part >= ALWAYS:
             yield pair, f"overlap in {100 * part:.0f} % of all postures"
 

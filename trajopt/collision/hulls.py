@@ -1,6 +1,5 @@
 """Shapes of a robot's links from its description, of few points: hulls of meshes, prisms of cylinders."""
 
-import contextlib
 import hashlib
 import importlib.metadata
 import math
@@ -61,8 +60,7 @@ def simplified(points: np.ndarray, fine: bool = False) -> tuple[np.ndarray, floa
         numbers = np.frombuffer(entry)
         return numbers[1:].reshape(-1, 3).copy(), float(numbers[0])
     corners, radius = _simplified(given, fine)
-    with contextlib.suppress(InputError):  # without a cache it takes longer, no more
-        write_entry(name, np.append(radius, corners).tobytes())
+    write_entry(name, np.append(radius, corners).tobytes())
     return corners, radius
 
 

@@ -18,7 +18,7 @@ import pinocchio as pin
 from trajopt.arguments import checked
 from trajopt.collision.hulls import joint_frame, prism_corners
 from trajopt.collision.shapes import LinkShape, box_corners, require_different_names
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.robot.robot import Robot
 from trajopt.terrain.surface import frame_of_normal
 
@@ -62,7 +62,7 @@ def robot_capsules(
     Links fixed to the world are left out: no motion moves them. Raises InputError.
     """
     if source is not None and source not in SOURCES:
-        raise InputError(f"capsules from {source!r}", f"allowed: {', '.join(SOURCES)}")
+        raise InputError(f"capsules from {shown(source)}", f"allowed: {', '.join(SOURCES)}")
     tried = (source,) if source is not None else SOURCES
     geometry = next((pieces for pieces in (_pieces(robot, name) for name in tried) if pieces), None)
     if not geometry:

@@ -11,8 +11,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from trajopt.arguments import Positive, checked
-from trajopt.errors import InputError, finite_array, numbers_of, require_not_negative, require_positive
+from trajopt.errors import InputError, finite_array, numbers_of, require_not_negative, require_positive, shown
 from trajopt.kinds import ArrayShape
+from trajopt.pickling import picklable
 from trajopt.terrain.surface import FARTHEST, MOST_CORNERS
 
 # Tolerance of a rotation matrix: rounding of numbers written as decimals.
@@ -24,6 +25,7 @@ ShapeKind = Literal["sphere", "capsule", "box", "hull"]
 KINDS: tuple[ShapeKind, ...] = ("sphere", "capsule", "box", "hull")
 
 
+@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkShape:
     """All points within ``radius`` m of the convex hull of ``points``, moving with a frame of the robot.
@@ -52,6 +54,11 @@ class LinkShape:
         points.setflags(write=False)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "radius", float(self.radius))
+
+    @property
+    def extent(self) -> float:
+        """Diagonal of the box around it, m."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)) + 2 * self.radius)
 
     @classmethod
     def sphere(cls, name: str, frame: str, centre: Any, radius: float) -> LinkShape:
@@ -250,7 +257,7 @@ def obstacle_from_description(described: Any) -> Obstacle:
     """The obstacle that ``describe`` wrote. Raises InputError."""
     kind = str(described.get("kind")) if isinstance(described, dict) else ""
     if kind not in _KINDS:
-        raise InputError(f"an obstacle is described by {described!r}", f"kinds: {', '.join(_KINDS)}")
+        raise InputError(f"an obstacle is described by {shown(described)}", f"kinds: {', '.join(_KINDS)}")
     fields = {name: value for name, value in described.items() if name != "kind"}
     _require_keys(fields, tuple(_KINDS[kind].__dataclass_fields__), "obstacle")
     made: Obstacle = _KINDS[kind](**fields)
@@ -277,4 +284,4 @@ def _described(shape: Any, names: Sequence[str] | None = None) -> dict[str, Any]
 
 def _require_keys(described: Any, keys: Sequence[str], what: str) -> None:
     if not isinstance(described, dict) or set(described) != set(keys):
-        raise InputError(f"a {what} is described by {described!r}", f"keys: {', '.join(keys)}")
+        raise InputError(f"a {what} is described by {shown(described)}", f"keys: {', '.join(keys)}")

@@ -12,12 +12,14 @@ from trajopt.export.formats import RATE
 from trajopt.export.links import LinkMotion, link_motion
 from trajopt.export.single_joints import SingleJoints, joint_angles, single_joints
 from trajopt.motion.cycles import CycleImage, passes_of
+from trajopt.pickling import picklable
 from trajopt.solution.consistency import SAME_TIME
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.sampling import MOST_SAMPLES
 from trajopt.solution.solution import Solution
 
 
+@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExportedMotion:
     """A motion at n times, ``rate`` a second; SI units, world axes unless said, arrays are read-only.

@@ -6,11 +6,13 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.pickling import picklable
 
 # What descriptions call the world.
 WORLD = ("universe", "world")
 
 
+@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkMotion:
     """B links at n times, world axes; SI units, arrays are read-only.

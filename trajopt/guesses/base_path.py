@@ -10,6 +10,7 @@ import pinocchio as pin
 from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError, finite_array, require_finite
+from trajopt.pickling import picklable
 from trajopt.schedule.schedule import Schedule
 
 # Times of waypoints and of phases that differ by less than this fraction of the schedule are the same.
@@ -41,6 +42,7 @@ def hermite(
     )
 
 
+@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseWaypoint:
     """A pose through which the base passes.

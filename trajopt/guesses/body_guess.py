@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError
+from trajopt.problem.guessing import RememberedMotion
 from trajopt.problem.problem import Problem
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, feet_of
 from trajopt.reduced.lip import ComMotion
@@ -33,8 +34,6 @@ DEFAULT_CLEARANCE = 0.05
 # Fixed-point steps that bring the CoM to its target: each leaves the share of mass that does not follow the
 # base. A fixed number from one start keeps the posture a smooth function of time, for finite differences.
 COM_STEPS = 4
-# Cached configurations: a guess is evaluated three times at every point.
-CACHED_POSTURES = 4096
 
 
 class BasePath:
@@ -143,7 +142,7 @@ def guess_from_srb(problem: Problem, solution: Solution, *, clearance: float = D
         )
     durations = [phase.duration for phase in problem.schedule.phases]
     posture = _LegPosture(problem=problem, base=BasePath(solution, durations), clearance=clearance)
-    return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)
+    return RememberedMotion(posture)
 
 
 @dataclass(frozen=True)
@@ -280,4 +279,4 @@ def guess_from_lip(
     start = np.array(robot.reference if q is None else q, dtype=float)
     feet = FootMotion(plan=plan, initial=feet_of(robot, start), clearance=clearance)
     posture = WalkPosture(robot=robot, feet=feet, motion=motion, q=start)
-    return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)
+    return RememberedMotion(posture)

@@ -7,6 +7,7 @@ A foot stands where its hip is at mid-stance, so that it acts symmetrically befo
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -112,13 +113,13 @@ def base_pose(robot: Robot, pace: Pace, t: float) -> pin.SE3:
 @checked
 def commanded_motion(robot: Robot, pace: Pace) -> Motion:
     """The reference posture carried along by the pace, ``t -> q`` (nq,): the reference motion of a gait."""
+    return partial(_carried, robot, pace)
 
-    def motion(t: float) -> np.ndarray:
-        q = robot.reference.copy()
-        q[:7] = pin.SE3ToXYZQUAT(base_pose(robot, pace, t))
-        return q
 
-    return motion
+def _carried(robot: Robot, pace: Pace, t: float) -> np.ndarray:
+    q = robot.reference.copy()
+    q[:7] = pin.SE3ToXYZQUAT(base_pose(robot, pace, t))
+    return q
 
 
 def gait_path(robot: Robot, schedule: Schedule, pace: Pace, *, begin: float = 0.0) -> WaypointPath:
@@ -250,7 +251,11 @@ def plan_of_part(
         replace(phase, footholds=landing.footholds)
         for phase, landing in zip(part.phases, landings, strict=False)
     ]
-    return GaitPlan(schedule=Schedule(tuple(phases)), guess=lambda t: motion(t + begin))
+    return GaitPlan(schedule=Schedule(tuple(phases)), guess=partial(_later, motion, begin))
+
+
+def _later(motion: Motion, begin: float, t: float) -> np.ndarray:
+    return motion(t + begin)
 
 
 def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedule, int]:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +12,8 @@ from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import require_finite
 from trajopt.guesses.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
-from trajopt.guesses.body_guess import CACHED_POSTURES
+from trajopt.pickling import picklable
+from trajopt.problem.guessing import RememberedMotion
 from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kinematics
 from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
@@ -50,6 +51,7 @@ class FootStance:
     place: pin.SE3
 
 
+@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LeggedPosture:
     """Postures of a legged motion over time; see `legged_guess`."""
@@ -256,7 +258,7 @@ def legged_guess(
         tuck=tuck,
         swing=swing,
     )
-    return lru_cache(maxsize=CACHED_POSTURES)(posture.__call__)
+    return RememberedMotion(posture)
 
 
 def _between(start: np.ndarray, end: np.ndarray, part: float) -> np.ndarray:

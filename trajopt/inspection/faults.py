@@ -6,11 +6,13 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
+from trajopt.collision.description import robot_shapes
 from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.inspection.standing import StandingPosture
 from trajopt.robot.building import reach
+from trajopt.robot.joint_checks import joints_without_inertia
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.legs import biped_legs, quadruped_legs
 from trajopt.robot.mirror import find_mirror
@@ -44,7 +46,8 @@ _Lines = Iterator[str]
 def find_faults(robot: Robot, standing: StandingPosture) -> tuple[str, ...]:
     """One line for each fault, the worst first: bodies, limits, reference posture, feet, left and right."""
     legged = robot.base != "fixed"
-    faults = [*_bodies(robot), *_limits(robot), *_reference(robot, standing)]
+    doubts = robot_shapes(robot).doubts(robot.model)
+    faults = [*_bodies(robot), *_limits(robot), *_reference(robot, standing), *doubts]
     if legged:
         faults += [*_feet(robot, standing), *_legs(robot, standing), *_sides(robot)]
     else:
@@ -77,6 +80,9 @@ def _bodies(robot: Robot) -> _Lines:
             large.append(name)
     if light:
         yield f"no mass is moved by {listed(light)}: is <inertial> missing?"
+    still = [name for name in joints_without_inertia(robot) if name not in light]
+    if still:
+        yield f"no inertia is moved by {listed(still)}: lock them, or give their links moments of inertia"
     if points:
         yield f"mass without moments of inertia is moved by {listed(points)}: a body is not a point"
     if unreal:

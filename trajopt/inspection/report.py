@@ -7,10 +7,11 @@ import numpy as np
 
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError
-from trajopt.inspection.faults import find_faults, listed, shapes_of
+from trajopt.inspection.faults import find_faults, listed
 from trajopt.inspection.shape_facts import ShapeFacts, shape_facts
 from trajopt.inspection.standing import StandingPosture, standing_posture
 from trajopt.inspection.unused import unused_parts
+from trajopt.robot.geometry import described_geometry, mesh_vertices
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
@@ -173,12 +174,19 @@ def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:
         notes.append("no description with meshes: a replay draws a skeleton")
         return tuple(notes)
     try:
-        shapes = shapes_of(robot)
-        count = 0 if shapes is None else shapes.ngeoms
-        notes.append(f"{count} shapes to draw" if count else "nothing to draw: a replay draws a skeleton")
+        drawn = described_geometry(robot.visual, robot.model, "visual")
     except InputError as error:
-        notes.append(f"a replay draws a skeleton: {error}")
-    return tuple(notes)
+        return (*notes, f"a replay draws a skeleton: {error}")
+    lost = [f"no mesh file {file}" for file in drawn.missing.values()]
+    for entry in drawn.geometry.geometryObjects:
+        try:
+            if entry.name in drawn.meshes:
+                mesh_vertices(entry.meshPath, entry.meshScale)
+        except InputError as error:
+            lost.append(error.what)
+    count = drawn.geometry.ngeoms - len(lost) + len(drawn.missing)
+    notes.append(f"{count} shapes to draw" if count else "nothing to draw: a replay draws a skeleton")
+    return (*notes, f"a replay draws not all: {listed(list(dict.fromkeys(lost)))}") if lost else tuple(notes)
 
 
 def _joint_row(joint: JointFacts) -> tuple[str, ...]:

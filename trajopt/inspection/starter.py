@@ -12,6 +12,7 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import Base
 from trajopt.errors import InputError
 from trajopt.inspection.faults import shapes_of
+from trajopt.inspection.limbs import Limbs, find_limbs, tool_joint
 from trajopt.robot.building import locked_model, reference_posture
 from trajopt.robot.coupling import couplings_of
 from trajopt.robot.data import VisualSource
@@ -61,28 +62,40 @@ def build() -> Robot:
 def guessed(path: Path, base: Base | None = None) -> Robot:
     """Return the robot of a URDF or MJCF file with guessed base, feet and posture.
 
-    base: by default that of an MJCF file; of a URDF file, fixed for a chain (one tip), free for a tree. Feet
-    are the tips at the bottom with joints at zero, or as near as limits allow; the posture bends the legs,
-    with the feet's middle under the centre of mass, where inverse kinematics finds a way. The keyframe of an
-    MJCF file goes before both. Joints that follow others without a motor of their own are locked, and those
-    they follow. Raises `InputError` for a file that is neither.
+    base: by default that of an MJCF file; of a URDF file, fixed for an arm, a chain with a light hand or
+    none, and on wheels, else free. Wheels, and joints of hands without drive, are locked (`find_limbs`), as
+    are joints that follow others
+    without a motor of their own, and those they follow. Feet are the tips at the bottom with joints at zero,
+    or as near as limits allow; the posture bends the legs, with the feet's middle under the centre of mass,
+    where inverse kinematics finds a way. The keyframe of an MJCF file goes before both. Raises `InputError`
+    for a file that is neither.
     """
-    source = VisualSource(urdf=path)
-    grasping = [each for each in couplings_of(source) if not each.driven]
-    locked = tuple(dict.fromkeys(joint for each in grasping for joint in each.joints))
+    source, limbs = VisualSource(urdf=path), limbs_of(path)
+    locked = (*_coupled(source), *limbs.wheels, *limbs.undriven)
     build = partial(Robot.from_mjcf if source.is_mjcf else Robot.from_urdf, path, locked=locked)
-    bare = build(base=base or (None if source.is_mjcf else _urdf_base(path, locked)))
+    usual: Base = "fixed" if limbs.is_fixed else "freeflyer"
+    bare = build(base=base or (None if source.is_mjcf else usual))
     kind = bare.base
-    if kind == "fixed":
+    if kind == "fixed" or limbs.wheels:
         return bare
     tips = build(base=kind, contacts=_lowest_tips(bare.model, bare.reference))
     contacts = [replace(contact, radius=_ball_at(tips, contact.frame)) for contact in tips.contacts]
     return _bent(build(base=kind, contacts=contacts))
 
 
-def _urdf_base(path: Path, locked: tuple[str, ...]) -> Base:
+def limbs_of(path: Path) -> Limbs:
+    """Limbs of a URDF file without its coupled joints; none are looked for in an MJCF file."""
+    source = VisualSource(urdf=path)
+    if source.is_mjcf:
+        return Limbs(wheels=(), undriven=(), is_fixed=False)
     model = read_urdf(path, "fixed")
-    return "fixed" if len(_tips(locked_model(model, locked, pin.neutral(model)))) < 2 else "freeflyer"
+    return find_limbs(locked_model(model, _coupled(source), pin.neutral(model)))
+
+
+def _coupled(source: VisualSource) -> tuple[str, ...]:
+    """Joints that follow others without a motor of their own, or in another way, and those they follow."""
+    led = (each for each in couplings_of(source) if not each.driven)
+    return tuple(dict.fromkeys(joint for each in led for joint in each.joints))
 
 
 def _ball_at(robot: Robot, name: str) -> float:
@@ -106,13 +119,14 @@ def starter(robot: Robot, target: Path) -> str:
     if robot.visual is None:
         raise InputError(f"robot '{robot.name}' was not read from a file", "a robot of Robot.from_urdf")
     urdf, reader = robot.visual.urdf, "mjcf" if robot.visual.is_mjcf else "urdf"
-    coupled = [joint for each in couplings_of(robot.visual) for joint in each.joints]
-    locked = [joint for joint in dict.fromkeys(coupled) if not robot.model.existJointName(joint)]
+    described = _coupled(robot.visual) if robot.visual.is_mjcf else list(read_urdf(urdf, robot.base).names)
+    locked = [joint for joint in described if not robot.model.existJointName(joint)]
     near = Path(os.path.relpath(urdf, target.absolute().parent))
     file = (urdf if near.parts[: len(FAR)] == FAR else near).as_posix()
     tool = ""
     if robot.base == "fixed":
-        last = [f.name for f in robot.model.frames if f.parentJoint == robot.model.njoints - 1]
+        end = tool_joint(robot.model)
+        last = [f.name for f in robot.model.frames if f.parentJoint == end > 0]
         tool = f'KIND, TOOL = "arm", "{last[-1]}"\n' if last else ""
     contacts = ", ".join(
         f'Contact(frame="{c.frame}", radius={c.radius:g})' if c.radius else f'"{c.frame}"'

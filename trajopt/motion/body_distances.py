@@ -95,10 +95,11 @@ def _kinds(scene: CollisionScene) -> list[str]:
 
 
 def missing_shapes(plan: Solution) -> tuple[str, ...]:
-    """What is not known of a motion because shapes of links are not in its file."""
+    """What is not known of a motion because shapes of links are not in its file, or are doubtful."""
     bodies = plan.description.bodies
     if bodies is None or not bodies.shapes:
         return ("no shapes of links are in the file: their depth in the ground and distances are not known",)
+    doubts = bodies.doubts(plan.model)
     if bodies.missing:
-        return (f"without shapes of links that could not be read: {'; '.join(bodies.missing)}",)
-    return ()
+        return (f"without shapes of links that could not be read: {'; '.join(bodies.missing)}", *doubts)
+    return doubts

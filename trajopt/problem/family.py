@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError, TrajoptError, in_file, not_among
-from trajopt.kinds import shown
+from trajopt.errors import InputError, TrajoptError, in_file, not_among, shown
 
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
@@ -56,15 +55,15 @@ class Parameter:
             match = re.fullmatch(r"\s*([-+0-9.eE]+|[-+]?(?:nan|inf))\s*([a-zA-Z/]*)\s*", value)
             sizes = self._sizes()
             if not match or match[2] not in sizes:
-                raise InputError(f"parameter {self.name}={value!r} is not a number", allowed)
+                raise InputError(f"parameter {self.name}={shown(value)} is not a number", allowed)
             try:
                 number = float(match[1]) * sizes[match[2]]
             except ValueError:
-                raise InputError(f"parameter {self.name}={value!r} is not a number", allowed) from None
+                raise InputError(f"parameter {self.name}={shown(value)} is not a number", allowed) from None
         elif isinstance(value, (int, float)) and not isinstance(value, bool):
             number = float(value)
         else:
-            raise InputError(f"parameter {self.name}={value!r} is not a number", allowed)
+            raise InputError(f"parameter {self.name}={shown(value)} is not a number", allowed)
         if not (math.isfinite(number) and self.lower <= number <= self.upper):
             hint = (
                 f" (for degrees write {self.name}={value}deg)"
@@ -100,13 +99,16 @@ class Choice:
     def parse(self, value: object) -> str:
         """The word, if it is one of the choices. Raises InputError."""
         if value not in self.choices:
-            raise InputError(f"parameter {self.name}={value!r}", f"allowed: {', '.join(self.choices)}")
+            raise InputError(f"parameter {self.name}={shown(value)}", f"allowed: {', '.join(self.choices)}")
         return str(value)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotName:
-    """The parameter ``robot``: a robot by name (or a file that builds one), which the family looks up."""
+    """The parameter ``robot``: a robot by name (or a file that builds one), which the family looks up.
+
+    `Family.load` also takes a `Robot`; the problem's parameter is then a text that no robot is found by.
+    """
 
     default: str
     choices: tuple[str, ...]
@@ -120,7 +122,7 @@ class RobotName:
     def parse(self, value: object) -> str:
         """The text. Raises InputError for anything else."""
         if not isinstance(value, str) or not value.strip():
-            raise InputError(f"parameter robot={value!r}", f"allowed: a name, such as {self.choices[0]}")
+            raise InputError(f"parameter robot={shown(value)}", f"allowed: a name, such as {self.choices[0]}")
         return value.strip()
 
 
@@ -192,9 +194,14 @@ class Family:
     def load(self, values: Mapping[str, object]) -> Problem:
         """Build the problem with ``values`` over the defaults. Raises InputError."""
         given = {name: self.parameter(name) for name in values}
-        chosen: dict[str, float | str | None] = {each.name: each.default for each in self.parameters}
-        chosen |= {name: given[name].parse(value) for name, value in values.items()}
+        chosen: dict[str, object] = {each.name: each.default for each in self.parameters}
         from trajopt.problem.problem import Problem
+        from trajopt.robot.robot import Robot
+
+        chosen |= {
+            name: value if isinstance(value, Robot) and name == RobotName.name else given[name].parse(value)
+            for name, value in values.items()
+        }
 
         try:
             problem = self.build(**chosen)
@@ -208,6 +215,8 @@ class Family:
             raise InputError(
                 f"build() of problem '{self.name}' returns {shown(problem)}", "allowed: a Problem"
             )
+        if self.takes_robot and not isinstance(chosen["robot"], str):
+            chosen["robot"] = f"{problem.robot.name} (a Robot)"
         return replace(problem, parameters={**chosen, **problem.parameters})
 
 

@@ -29,6 +29,7 @@ from trajopt.terrain.terrain import Terrain
 SWING = 0.15
 # Times of goals that differ by less than this fraction of the schedule are one.
 SAME_TIME = 1e-9
+# Cached configurations: a guess is evaluated three times at every point.
 CACHED_POSTURES = 4096
 
 
@@ -68,7 +69,22 @@ def default_guess(
         goals[ends[-1]] = [Target(q=image)]
     for time in sorted(goals):
         made = made.through(time, goals[time])
-    return lru_cache(maxsize=CACHED_POSTURES)(made.__call__)
+    return RememberedMotion(made)
+
+
+class RememberedMotion:
+    """A motion ``t -> q`` that keeps the postures of times that were asked for; they are not pickled."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion, self._at = motion, lru_cache(maxsize=CACHED_POSTURES)(motion)
+
+    def __call__(self, t: float) -> np.ndarray:
+        """Configuration (nq,) at time ``t`` in s."""
+        return self._at(t)
+
+    def __reduce__(self) -> tuple[type[RememberedMotion], tuple[Motion]]:
+        """Pickled without the postures."""
+        return RememberedMotion, (self.motion,)
 
 
 def _goals(schedule: Schedule, ends: Sequence[float], terms: Sequence[Term]) -> dict[float, list[Target]]:

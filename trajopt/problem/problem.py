@@ -19,6 +19,7 @@ from trajopt.problem.validation import (
     require_actuation,
     require_following,
     require_modes,
+    require_movable,
     require_no_impacts,
     require_payloads,
     require_phases,
@@ -117,6 +118,7 @@ class Problem:
         object.__setattr__(self, "terms", tuple(self.terms))
         require_terms(self.name, self.terms)
         require_actuation(robot, schedule, self.actuation, self.initial_v)
+        require_movable(robot, self.terms, self.actuation)
         require_phases(self.name, robot, schedule)
         if robot.mimics:
             require_following(self.name, robot, schedule, self.initial_q, self.initial_v)

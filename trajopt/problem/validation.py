@@ -12,18 +12,19 @@ from trajopt.arguments import check_fields
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
-from trajopt.errors import InputError, not_among
+from trajopt.errors import InputError, not_among, shown
 from trajopt.robot.actuators.mimic import followed
+from trajopt.robot.joint_checks import require_inertia, require_moving
 from trajopt.robot.payload import Payload
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.schedule.moment import Moment
 from trajopt.schedule.schedule import Schedule
-from trajopt.terms.context_symbols import ACTUATIONS
+from trajopt.terms.context_symbols import ACTUATIONS, Actuation
 from trajopt.terms.costs import NodeCost
 from trajopt.terms.interfaces import DuringPhases, NodeConstraint, NodePlace, PointConstraint, Term, nodes_of
-from trajopt.terms.limits import PositionLimits
+from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 
 # A start may exceed a limit by what a check allows: this fraction of it, at least this much, rad, m, rad/s,
 # m/s.
@@ -61,7 +62,9 @@ def require_terms(problem: str, terms: Sequence[Term]) -> None:
     """Raise `InputError` for terms that are neither costs nor constraints."""
     for term in terms:
         if not isinstance(term, Term):
-            raise InputError(f"a term of problem '{problem}' is {term!r}", "allowed: costs and constraints")
+            raise InputError(
+                f"a term of problem '{problem}' is {shown(term)}", "allowed: costs and constraints"
+            )
         check_fields(term)
 
 
@@ -261,6 +264,16 @@ def _require_within(
         )
 
 
+def require_movable(robot: Robot, terms: Sequence[Term], actuation: Actuation) -> None:
+    """Raise `InputError` for joints with limits of 0 that terms impose, or without inertia under torques."""
+    if any(isinstance(term, VelocityLimits) for term in terms):
+        require_moving(robot, "velocity")
+    if any(isinstance(term, TorqueLimits) and term.limit is None for term in terms):
+        require_moving(robot, "torque")
+    if actuation == "torque":
+        require_inertia(robot)
+
+
 def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> None:
     """Raise `InputError` for a term that cannot act, or that has an argument it does not use.
 
@@ -285,7 +298,7 @@ def _require_names(term: Term, known: Mapping[str, tuple[str, ...]], schedule: S
     """Names in the fields of a term are among those ``known`` of their kind."""
     during = getattr(term, "during", None)
     if during is not None and not during:
-        what = f"during of {term.name}: {during!r}"
+        what = f"during of {term.name}: {shown(during)}"
         raise InputError(what, "allowed: the name of a phase, names of several, or None for all")
     for field in fields(term):
         kind = NAMES.get(field.name, "")
@@ -324,7 +337,7 @@ def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
     object.__setattr__(anywhere, "during", None)
     places = (*_places(schedule), *_places(schedule, name=NO_PHASE))
     if all(term.acts_at(place) == anywhere.acts_at(place) for place in places):
-        what = f"during of {term.name}: {term.during!r}, which this term does not use"
+        what = f"during of {term.name}: {shown(term.during)}, which this term does not use"
         raise InputError(what, "allowed: leave it out")
     for name in term.phases:
         if not any(term.acts_at(place) for place in _places(schedule) if place.phase.name == name):

@@ -25,7 +25,7 @@ import osqp
 from scipy import sparse
 from scipy.linalg import expm
 
-from trajopt.errors import InputError, require_positive
+from trajopt.errors import InputError, require_positive, shown
 from trajopt.reduced.footsteps import FootstepPlan, support_vertices
 from trajopt.reduced.lip import ComMotion, CubicMotion, Pendulum, PendulumMotion
 from trajopt.robot.robot import Robot
@@ -78,7 +78,7 @@ class CenterOfMassProgram:
     def __post_init__(self) -> None:
         for name, allowed in (("control", get_args(PendulumInput)), ("terminal", get_args(EndCondition))):
             if getattr(self, name) not in allowed:
-                raise InputError(f"{name}={getattr(self, name)!r}", f"allowed: {', '.join(allowed)}")
+                raise InputError(f"{name}={shown(getattr(self, name))}", f"allowed: {', '.join(allowed)}")
         for name in ("step", "smoothing"):
             require_positive(name, getattr(self, name), "s")
         if not 0 <= self.shrink < 1:

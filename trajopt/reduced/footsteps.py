@@ -9,12 +9,14 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.errors import InputError, finite_array, require_finite, require_positive
+from trajopt.pickling import picklable
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terrain.surface import UP
 
 
+@picklable
 @dataclass(frozen=True, eq=False)
 class Foothold:
     """A foot on level ground: ``position`` (3,) of the contact's frame in the world, m; ``yaw`` in rad."""

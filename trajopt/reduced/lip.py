@@ -27,6 +27,7 @@ import numpy as np
 
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError, finite_array, require_positive
+from trajopt.pickling import picklable
 from trajopt.reduced.footsteps import FootstepPlan, support_vertices
 from trajopt.robot.robot import Robot
 
@@ -110,6 +111,7 @@ def dcm_at_steps(
     return np.array(dcm[::-1])
 
 
+@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PendulumMotion:
     """The bounded CoM motion over a ZMP that is linear in each of n pieces, from c(0) and xi(T).
@@ -242,6 +244,11 @@ class CubicMotion:
     times: np.ndarray
     states: np.ndarray
     jerk: np.ndarray
+
+    @property
+    def duration(self) -> float:
+        """Duration of the motion, s."""
+        return float(self.times[-1])
 
     def _state(self, t: float) -> np.ndarray:
         time = float(np.clip(t, self.times[0], self.times[-1]))

@@ -13,6 +13,7 @@ problem.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -29,7 +30,7 @@ from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.placing import landing_place
-from trajopt.schedule.schedule import Schedule
+from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.costs import AccelerationCost, TimeCost, VelocityCost, WrenchCost
 from trajopt.terms.frames import FrameHeight, FramePose, FrameVelocity
@@ -241,10 +242,15 @@ def body_problem(
         initial_q=problem.initial_q[: robot.nq],
         initial_v=problem.initial_v[: robot.nv],
         terms=(*_kept(problem, robot), *limits, *terms),
-        guess=lambda t: problem.guess(t)[: robot.nq],
+        guess=partial(_first, problem.guess, robot.nq),
         actuation="torque",
         dynamics=tuple(dynamics),
     )
+
+
+def _first(motion: Motion, size: int, t: float) -> np.ndarray:
+    """The first coordinates of a configuration: those of the base."""
+    return motion(t)[:size]
 
 
 def _kept(problem: Problem, robot: Robot) -> list[Term]:

@@ -6,6 +6,9 @@ from .actuators.mimic import MimicJoint as MimicJoint
 from .building import sagittal as sagittal
 from .contact import Contact as Contact
 from .data import robot_file as robot_file
+from .denavit_hartenberg import DhJoint as DhJoint
+from .denavit_hartenberg import robot_from_dh as robot_from_dh
+from .joint_checks import require_moving as require_moving
 from .kinematics import Posture as Posture
 from .kinematics import contact_poses as contact_poses
 from .kinematics import contact_positions as contact_positions

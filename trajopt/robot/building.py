@@ -1,5 +1,6 @@
 """From a numeric `pin.Model` to the arrays of a `Robot`: base, limits, reference."""
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 
@@ -102,7 +103,8 @@ def locked_model(model: pin.Model, joints: Sequence[str], reference: np.ndarray)
         if name not in known:
             raise InputError(f"joint '{name}' to lock is unknown", "one of " + ", ".join(known))
     if all(model.existFrame(name, pin.FrameType.JOINT) for name in known):
-        return pin.buildReducedModel(model, [model.getJointId(name) for name in joints], reference)
+        with contextlib.suppress(ValueError):  # of frames that share a name
+            return pin.buildReducedModel(model, [model.getJointId(name) for name in joints], reference)
     # It takes a frame for each joint; of an MJCF file a body has the name instead.
     new, bodies = pin.Model(), {0: Body(0, pin.SE3.Identity())}
     new.name, new.gravity = model.name, model.gravity

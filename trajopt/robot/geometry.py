@@ -97,7 +97,8 @@ def mesh_vertices(path: str | Path, scale: Sequence[float] | np.ndarray) -> np.n
     try:
         return np.asarray(_vertices(file, file.stat().st_mtime_ns) * np.asarray(scale), dtype=float)
     except (RuntimeError, ValueError, OSError) as error:
-        raise InputError(f"mesh file {path} cannot be read: {first_line(error)}") from None
+        cause = first_line(error).removeprefix(f"Could not load resource {path}: ")
+        raise InputError(f"mesh file {path} cannot be read: {cause}") from None
 
 
 @lru_cache(maxsize=MOST_FILES)

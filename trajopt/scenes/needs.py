@@ -99,9 +99,10 @@ def _require_known(robot: Robot, names: Sequence[str], purpose: str) -> None:
 
 def _always(problem: Problem) -> Needs:
     robot, needs = problem.robot, {}
+    followers = {mimic.joint for mimic in robot.mimics}
     for joint in list(robot.model.joints)[1:]:
         name = robot.model.names[joint.id]
-        if joint.idx_v in robot.unactuated_rows:
+        if joint.idx_v in robot.unactuated_rows and name not in followers:
             needs[name] = "has no actuator" if name in robot.passive else "is the base"
         elif problem.initial_v[joint.idx_v : joint.idx_v + joint.nv].any():
             needs[name] = "starts moving"

@@ -7,7 +7,7 @@ method ``reduced(reduction) -> Term | None``.
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import singledispatch
+from functools import partial, singledispatch
 from types import MappingProxyType
 from typing import TypeVar
 
@@ -23,7 +23,7 @@ from trajopt.scenes.whole_terms import (
     WholeNodeRows,
     WholePointRows,
 )
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terms.costs import NodeCost
 from trajopt.terms.drives import DriveLimits
 from trajopt.terms.dynamics import BaseDynamics, ContactAcceleration, ContactVelocity, ImpactDynamics
@@ -44,7 +44,6 @@ UNCHANGED = (
 
 def reduced_problem(problem: Problem, reduction: Reduction) -> Problem:
     """Return the problem of the small robot, on the same schedule with the small robot's contacts."""
-    guess = problem.guess
     made = (t.reduced(reduction) if hasattr(t, "reduced") else _reduced(t, reduction) for t in problem.terms)
     return replace(
         problem,
@@ -53,8 +52,12 @@ def reduced_problem(problem: Problem, reduction: Reduction) -> Problem:
         initial_q=reduction.drop_q(problem.initial_q),
         initial_v=reduction.drop_v(problem.initial_v),
         terms=tuple(term for term in made if term is not None),
-        guess=lambda t: reduction.drop_q(guess(t)),
+        guess=partial(_dropped, problem.guess, reduction),
     )
+
+
+def _dropped(guess: Motion, reduction: Reduction, t: float) -> np.ndarray:
+    return reduction.drop_q(guess(t))
 
 
 def _phase(phase: Phase, reduction: Reduction) -> Phase:

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from trajopt.arguments import Fraction, checked
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.kinds import ArrayShape
 
 KEYS = ("frame", "position", "rotation", "q", "phase")
@@ -44,7 +44,8 @@ class Moment:
             raise InputError("phase of a moment is ''", "allowed: the name of a phase")
         if self.phase is None and self.fraction != 1:
             raise InputError(
-                f"fraction of a moment is {self.fraction!r} of {self._phase}", "allowed: 0 to 1 of a phase"
+                f"fraction of a moment is {shown(self.fraction)} of {self._phase}",
+                "allowed: 0 to 1 of a phase",
             )
 
     @property
@@ -82,7 +83,7 @@ def as_moment(what: str, value: object) -> Moment:
     if isinstance(value, Moment):
         return value
     said = f"start_of({value!r}), middle_of({value!r})" if isinstance(value, str) else "start_of('flight')"
-    raise InputError(f"{what} is {value!r}", f"allowed: a moment, for example {said}")
+    raise InputError(f"{what} is {shown(value)}", f"allowed: a moment, for example {said}")
 
 
 @checked
@@ -124,7 +125,7 @@ class Target:
     def from_description(cls, described: Any) -> Target:
         """The target that ``describe`` wrote. Raises `InputError`."""
         if not isinstance(described, dict) or set(described) - {FRACTION} != set(KEYS):
-            raise InputError(f"a target is described by {described!r}", f"allowed: {', '.join(KEYS)}")
+            raise InputError(f"a target is described by {shown(described)}", f"allowed: {', '.join(KEYS)}")
         phase = described["phase"]
         at = END if phase is None else Moment(phase, described.get(FRACTION, 0.0))
         return cls(**{name: described[name] for name in KEYS[:-1]}, at=at)

@@ -20,6 +20,7 @@ from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.bodies import body_name, write_inertias
+from trajopt.simulation.controllers import TorqueController, controller_of, torque_of
 from trajopt.simulation.gains import gains_of
 from trajopt.simulation.hardware import Hardware, Measurement
 from trajopt.simulation.record import RequestRecord, SimulationRecord
@@ -67,11 +68,8 @@ class SimulationRun:
         self.gains = gains_of(plan, world, reference, settings)
         self.drives = plan.drives
         self.low, self.high = torque_limits(plan)
-        self.tracker = None
-        if settings.controller == "whole-body":
-            self.tracker = Tracker(
-                plan, rate=settings.control_rate, cycles=settings.cycles, solver=settings.qp_solver
-            )
+        self.controller = controller_of(plan, reference, settings)
+        self.tracker = self.controller if isinstance(self.controller, Tracker) else None
         self.touching = reference.active[0]
         self.impulse, self._force = settings.impulse, np.zeros(3)
         self._plan_in_mujoco()
@@ -133,6 +131,7 @@ class SimulationRun:
         branched = copy.copy(self)
         branched.data, branched.hardware = copy.copy(self.data), self.hardware.copy()
         branched.tracker = None if self.tracker is None else self.tracker.copy()
+        branched.controller = branched.tracker or self.controller
         return branched
 
     def advance(self, record: SimulationRecord, begin: int, end: int) -> int:
@@ -222,7 +221,8 @@ class SimulationRun:
     def _drive(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Apply the torques of period ``k``; returns them, and where they were cut off."""
         measured = self.hardware.measure(self.data.qpos, self.data.qvel, self.touching)
-        wanted = self._fed_back(k, measured) if self.tracker is None else self._tracked(k, measured)
+        controller = self.controller
+        wanted = self._fed_back(k, measured) if controller is None else self._asked(controller, k, measured)
         wanted = self.hardware.command(wanted)
         low, high = self.low, self.high
         if any(drive is not None for drive in self.drives):
@@ -247,13 +247,13 @@ class SimulationRun:
         )
         return torque
 
-    def _tracked(self, k: int, measured: Measurement) -> np.ndarray:
-        """Torques (nu,) of the whole-body controller in MuJoCo's coordinates."""
-        assert self.tracker is not None
+    def _asked(self, controller: TorqueController, k: int, measured: Measurement) -> np.ndarray:
+        """Torques (nu,) of a controller in MuJoCo's coordinates."""
         coordinates, qpos = self.world.coordinates, measured.qpos[None]
         q = coordinates.from_mujoco(qpos)[0]
         v = coordinates.rates_from_mujoco(qpos, measured.qvel[None])[0]
-        torque = self.tracker.torque(k * self.reference.period, q, v, measured.touching)
+        t, size = k * self.reference.period, self.plan.tau.shape[1]
+        torque = torque_of(controller, t, (q, v), measured.touching, size)
         return self._in_mujoco(qpos, torque[None])[0]
 
     def _friction(self) -> np.ndarray:

@@ -8,8 +8,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, checked
+from trajopt.control.gains import TrackerGains
 from trajopt.control.quadratic_programs import QpSolverName
-from trajopt.errors import InputError, not_among, require_finite
+from trajopt.errors import InputError, not_among, require_finite, shown
+from trajopt.simulation.controllers import TorqueController, name_of
 
 # Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
 # a contact pushes a penetration out again, and the time in which the feedback takes out an error of a joint.
@@ -35,7 +37,9 @@ ALLOWED = {
 # Largest offset of a centre of mass or of the ground, m.
 FARTHEST = 10.0
 # Settings that are checked separately.
-CHECKED_APART = ("rolling", "controller", "qp_solver", "impulse", "com_offset", "ground_offsets")
+CHECKED_APART = (
+    "rolling", "controller", "gains", "qp_solver", "impulse", "com_offset", "ground_offsets",
+)  # fmt: skip
 
 
 # Feedback of single joints, or a quadratic program for the whole body at each tick (`trajopt.control`).
@@ -71,7 +75,8 @@ class SimulationSettings:
     level on the base for a tenth of the motion, in its middle, to its left; in a plane to its front.
     impulse: another push, of any direction and time, see `Impulse`.
     rolling: contacts with a radius are balls fixed to their links, which roll; otherwise they turn about
-    their centres, as in the plan. controller: see `Controller`; ``kp`` and ``kd`` are of "joints",
+    their centres, as in the plan. controller: see `Controller`, or an object with the ``torque`` of a
+    `Tracker`, see `TorqueController`; ``kp`` and ``kd`` are of "joints", gains, None for the usual ones, and
     qp_solver, which solves the programs, of "whole-body".
 
     Of the hardware: sensor_noise: standard deviation of the measured state at every tick, in the units of
@@ -95,7 +100,8 @@ class SimulationSettings:
     cycles: int = 1
     push: float = 0.0
     rolling: bool = False
-    controller: Controller = "joints"
+    controller: Controller | TorqueController = "joints"
+    gains: TrackerGains | None = None
     qp_solver: QpSolverName = "piqp"
     impulse: Impulse | None = None
     sensor_noise: float = 0.0
@@ -107,21 +113,29 @@ class SimulationSettings:
 
     def __post_init__(self) -> None:
         if not isinstance(self.rolling, bool):
-            raise InputError(f"rolling of a simulation is {self.rolling!r}", "allowed: True or False")
-        if self.controller not in get_args(Controller):
-            raise not_among(
-                get_args(Controller),
-                str(self.controller),
-                f"controller of a simulation is {self.controller!r}",
+            raise InputError(f"rolling of a simulation is {shown(self.rolling)}", "allowed: True or False")
+        words = get_args(Controller)
+        if isinstance(self.controller, str) and self.controller not in words:
+            raise not_among(words, self.controller, f"controller of a simulation is '{self.controller}'")
+        if isinstance(self.controller, type) or not isinstance(self.controller, str | TorqueController):
+            raise InputError(
+                f"controller of a simulation is {shown(self.controller)}",
+                f"allowed: {', '.join(words)}, or an object with torque(t, q, v, touching), as a Tracker",
+            )
+        if not isinstance(self.gains, TrackerGains | None):
+            raise InputError(
+                f"gains of a simulation is {shown(self.gains)}", "allowed: a TrackerGains or None"
             )
         if self.qp_solver not in get_args(QpSolverName):
             raise not_among(
                 get_args(QpSolverName),
                 str(self.qp_solver),
-                f"qp_solver of a simulation is {self.qp_solver!r}",
+                f"qp_solver of a simulation is {shown(self.qp_solver)}",
             )
         if not isinstance(self.impulse, Impulse | None):
-            raise InputError(f"impulse of a simulation is {self.impulse!r}", "allowed: an Impulse or None")
+            raise InputError(
+                f"impulse of a simulation is {shown(self.impulse)}", "allowed: an Impulse or None"
+            )
         object.__setattr__(self, "com_offset", _com_offset(self.com_offset))
         object.__setattr__(self, "ground_offsets", _ground_offsets(self.ground_offsets))
         for name in (setting.name for setting in fields(self) if setting.name not in CHECKED_APART):
@@ -136,18 +150,20 @@ class SimulationSettings:
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise InputError(
-                    f"{name} of a simulation is {value!r}", f"allowed: a whole number >= {least}"
+                    f"{name} of a simulation is {shown(value)}", f"allowed: a whole number >= {least}"
                 )
 
         self._require_effect()
 
     def _require_effect(self) -> None:
         """Raise `InputError` for settings that are of the other controller."""
-        for name, controller in (("kp", "joints"), ("kd", "joints"), ("qp_solver", "whole-body")):
+        whole = "whole-body"
+        for name, controller in (("kp", "joints"), ("kd", "joints"), ("qp_solver", whole), ("gains", whole)):
             value, default = getattr(self, name), SimulationSettings.__dataclass_fields__[name].default
             if value != default and self.controller != controller:
+                other = name_of(self.controller)
                 raise InputError(
-                    f"{name} of a simulation is {value!r}, with the controller {self.controller!r}",
+                    f"{name} of a simulation is {shown(value)}, with the controller {other}",
                     f"allowed: with the controller {controller!r}",
                 )
 
@@ -159,7 +175,7 @@ class SimulationSettings:
 def _com_offset(value: Any) -> tuple[float, float, float]:
     """Three finite numbers. Raises `InputError`."""
     if isinstance(value, str) or not isinstance(value, list | tuple | np.ndarray) or len(value) != 3:
-        raise InputError(f"com_offset of a simulation is {value!r}", "allowed: three numbers, m")
+        raise InputError(f"com_offset of a simulation is {shown(value)}", "allowed: three numbers, m")
     for axis, number in zip("xyz", value, strict=True):
         _require_length(f"{axis} of com_offset of a simulation", number)
     x, y, z = (float(number) for number in value)
@@ -169,7 +185,7 @@ def _com_offset(value: Any) -> tuple[float, float, float]:
 def _ground_offsets(value: Any) -> dict[str, float]:
     """Finite numbers by name, a copy. Raises `InputError`."""
     if not isinstance(value, Mapping):
-        raise InputError(f"ground_offsets of a simulation is {value!r}", "allowed: m by contact frame")
+        raise InputError(f"ground_offsets of a simulation is {shown(value)}", "allowed: m by contact frame")
     for name, number in value.items():
         _require_length(f"ground_offsets of a simulation for '{name}'", number)
     return {str(name): float(number) for name, number in value.items()}

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.solution.solution import Solution
 
 SolutionOrFile = Solution | str | Path
@@ -23,7 +23,7 @@ def solution_of(given: SolutionOrFile) -> Solution:
         return given
     if isinstance(given, str | Path):
         return Solution.load(given)
-    raise InputError(f"{given!r:.60} is not a solution", "allowed: a Solution or the path of its file")
+    raise InputError(f"{shown(given)} is not a solution", "allowed: a Solution or the path of its file")
 
 
 def solutions_of(given: SolutionOrFile | Iterable[SolutionOrFile]) -> list[Solution]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from trajopt.collision.description import RobotShapes
 from trajopt.collision.shapes import LinkShape, obstacle_from_description
-from trajopt.errors import InputError, SolutionFileError, is_number
+from trajopt.errors import InputError, SolutionFileError, is_number, shown
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
@@ -266,7 +266,7 @@ def _limit(meta: Mapping[str, Any], key: str) -> np.ndarray | None:
 def _rows(given: Any) -> np.ndarray:
     rows = all(type(row) is int and row >= 0 for row in given) and given == sorted(set(given))
     if not rows:
-        raise InputError(f"{given!r:.60} are no rows of v", "ascending, each once")
+        raise InputError(f"{shown(given)} are no rows of v", "ascending, each once")
     return np.array(given, dtype=int)
 
 
@@ -289,7 +289,7 @@ def _by_phase(
 
 
 def _payload(entry: Any, frames: Sequence[str]) -> CarriedBody:
-    wrong = InputError(f"it holds {entry!r:.80}", "frame, mass, centre, inertia, phases")
+    wrong = InputError(f"it holds {shown(entry)}", "frame, mass, centre, inertia, phases")
     if not isinstance(entry, dict) or entry.get("frame") not in frames:
         raise wrong
     phases, mass = entry.get("phases"), entry.get("mass")
@@ -381,7 +381,7 @@ def _numbers(given: Any, shape: tuple[int, ...]) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         array = np.full(1, np.nan)
     if array.shape != shape or not np.isfinite(array).all():
-        raise InputError(f"{given!r:.60} is not of shape {shape}", "finite numbers")
+        raise InputError(f"{shown(given)} is not of shape {shape}", "finite numbers")
     return array
 
 

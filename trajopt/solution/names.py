@@ -6,7 +6,7 @@ from typing import Literal
 import pinocchio as pin
 
 from trajopt.dynamics.manifold import Coordinates, Joint
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 
 # Order of a quaternion's entries; axes of a moving base's velocity and acceleration.
 QuaternionOrder = Literal["xyzw", "wxyz"]
@@ -19,9 +19,9 @@ LINEAR, ANGULAR = (tuple(f"{kind}_{axis}" for axis in "xyz") for kind in ("linea
 def require_convention(quaternion: str, base_velocity: str) -> None:
     """Raise `InputError` for an order of quaternions or axes of a base that are not known."""
     if quaternion not in QUATERNION_ORDERS:
-        raise InputError(f"quaternion is {quaternion!r}", "allowed: 'xyzw' or 'wxyz'")
+        raise InputError(f"quaternion is {shown(quaternion)}", "allowed: 'xyzw' or 'wxyz'")
     if base_velocity not in BASE_AXES:
-        raise InputError(f"base_velocity is {base_velocity!r}", "allowed: 'body' or 'world'")
+        raise InputError(f"base_velocity is {shown(base_velocity)}", "allowed: 'body' or 'world'")
 
 
 def position_names(model: pin.Model, quaternion: QuaternionOrder = "xyzw") -> tuple[str, ...]:

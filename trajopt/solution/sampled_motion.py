@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError, expanded
+from trajopt.pickling import picklable
 from trajopt.solution.names import BaseAxes, QuaternionOrder
 from trajopt.solution.output import replacing
 from trajopt.versions import optional_package
@@ -16,6 +17,7 @@ from trajopt.versions import optional_package
 AXES = "xyz"
 
 
+@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledMotion:
     """A motion at n times, one value each, from `Solution.sample`; SI units, arrays are read-only.

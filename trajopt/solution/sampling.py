@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.manifold import Coordinates
-from trajopt.errors import InputError, require_positive
+from trajopt.errors import InputError, require_positive, shown
 from trajopt.solution.consistency import SAME_TIME
 from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.local_states import local_state, rotation_matrices
@@ -50,7 +50,7 @@ def _numbers(times: Any) -> np.ndarray:
     except ValueError:  # rows of different lengths
         numbers = np.zeros((0, 0))
     if numbers.ndim != 1 or numbers.dtype.kind not in "fiu":
-        raise InputError(f"times are {times!r:.60}", "allowed: a list of numbers, s")
+        raise InputError(f"times are {shown(times)}", "allowed: a list of numbers, s")
     if not 0 < len(numbers) <= MOST_SAMPLES:
         raise InputError(f"times are {len(numbers)} numbers", f"allowed: 1 to {MOST_SAMPLES}")
     return numbers.astype(float)
@@ -68,7 +68,7 @@ def _within(times: np.ndarray, start: float, end: float) -> np.ndarray:
 def located(edges: np.ndarray, t: np.ndarray, side: Side) -> tuple[np.ndarray, np.ndarray]:
     """Intervals at times ``t`` (n,), and fractions of them; a node belongs to the one on its ``side``."""
     if side not in get_args(Side):
-        raise InputError(f"side is {side!r}", "allowed: 'after' or 'before'")
+        raise InputError(f"side is {shown(side)}", "allowed: 'after' or 'before'")
     same = SAME_TIME * float(edges[-1, 1] - edges[0, 0])
     if side == "after":
         numbers = np.searchsorted(edges[:, 0], t + same, side="right") - 1

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded
+from trajopt.pickling import picklable
 from trajopt.robot.actuators.actuation import Actuation
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import joint_force
@@ -42,6 +43,7 @@ from trajopt.solution.sampling import (
 from trajopt.solution.statistics import SolveStatistics
 
 
+@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
     """Samples of a motion, grouped by interval in time order: start node, collocation points, end node.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.problem.problem import Problem
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
@@ -119,7 +119,7 @@ def continuation(
     if not asked:
         raise InputError("values of continuation are empty", "allowed: at least one finite number")
     if not isinstance(max_halvings, int) or isinstance(max_halvings, bool) or max_halvings < 0:
-        raise InputError(f"max_halvings is {max_halvings!r}", "allowed: a whole number of at least 0")
+        raise InputError(f"max_halvings is {shown(max_halvings)}", "allowed: a whole number of at least 0")
     walk = _Walk(load, (transcription, intervals), settings, on_step, start)
     for value in asked:
         if not walk.to(value, max_halvings, compare):

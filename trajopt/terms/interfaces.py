@@ -25,8 +25,8 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import NonNegative, checked
-from trajopt.errors import InputError, numbers_of, require_not_negative
-from trajopt.kinds import ArrayShape, shown
+from trajopt.errors import InputError, numbers_of, require_not_negative, shown
+from trajopt.kinds import ArrayShape
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.moment import END, Moment, Target, as_moment

@@ -13,11 +13,13 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.errors import InputError
+from trajopt.pickling import picklable
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Rows, Term
 
 
+@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MomentConstraint(Term, ABC):
     """One row at each of n moments of a phase: a smooth function of the motion and of parameters there.

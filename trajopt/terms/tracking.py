@@ -15,7 +15,7 @@ from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Joint
 from trajopt.dynamics.rotations import quaternion_product
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Motion, Schedule
@@ -56,7 +56,7 @@ class TrackingCost(Cost):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.part not in PARTS:
-            raise InputError(f"part of {self.name} is {self.part!r}", f"allowed: {', '.join(PARTS)}")
+            raise InputError(f"part of {self.name} is {shown(self.part)}", f"allowed: {', '.join(PARTS)}")
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, checked
-from trajopt.errors import InputError, finite_array, numbers_of, require_positive
+from trajopt.errors import InputError, finite_array, numbers_of, require_positive, shown
 from trajopt.terrain.surface import FARTHEST, MOST_CORNERS, SAME_PLANE, UP, Surface
 
 # Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
@@ -156,7 +156,9 @@ class Patch:
     def from_description(cls, described: Any) -> Patch:
         """The patch that ``describe`` wrote. Raises `InputError`."""
         if not isinstance(described, dict) or set(described) != set(DESCRIBED):
-            raise InputError(f"a patch is described by {described!r}", f"allowed: {', '.join(DESCRIBED)}")
+            raise InputError(
+                f"a patch is described by {shown(described)}", f"allowed: {', '.join(DESCRIBED)}"
+            )
         return cls(**(described | {"surface": Surface.from_description(described["surface"])}))
 
 
@@ -219,7 +221,7 @@ class ObstacleAxes:
         origin = np.array(self.at, dtype=float)
         if origin.shape != (2,) or not np.isfinite([*origin, self.yaw]).all():
             raise InputError(
-                f"an obstacle stands at {self.at!r} m, yaw {self.yaw!r}",
+                f"an obstacle stands at {shown(self.at)} m, yaw {shown(self.yaw)}",
                 "allowed: two finite numbers and a yaw",
             )
         c, s = math.cos(self.yaw), math.sin(self.yaw)

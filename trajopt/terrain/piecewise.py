@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError, require_finite
+from trajopt.errors import InputError, require_finite, shown
 from trajopt.terrain.patch import ObstacleAxes, Patch, PlanePoint, require_lengths
 from trajopt.terrain.surface import MOST_SHAPES, UP, Surface
 
@@ -172,7 +172,9 @@ class PiecewiseTerrain:
         require_lengths(run=run, width=width)
         levels = np.array(heights, dtype=float).ravel()
         if not len(levels) or not np.isfinite(levels).all():
-            raise InputError(f"heights of steps are {heights!r} m", "allowed: one or more finite numbers")
+            raise InputError(
+                f"heights of steps are {shown(heights)} m", "allowed: one or more finite numbers"
+            )
         place = ObstacleAxes(at, yaw, friction, margin)
         edges = [-REACH, *(run * np.arange(len(levels))), run * (len(levels) - 1) + REACH]
         names = ["before", *(f"step{i}" for i in range(1, len(levels))), "beyond"]
@@ -196,7 +198,7 @@ class PiecewiseTerrain:
     ) -> PiecewiseTerrain:
         """``steps`` risers of ``rise`` m (negative: down), treads of ``run`` m: faces as in `steps`."""
         if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
-            raise InputError(f"stairs have {steps!r} steps", "allowed: a whole number, at least 1")
+            raise InputError(f"stairs have {shown(steps)} steps", "allowed: a whole number, at least 1")
         require_finite("rise of stairs", rise, "m")
         heights = [rise * (i + 1) for i in range(steps)]
         return cls.steps(heights, run, width=width, at=at, yaw=yaw, friction=friction, margin=margin)

@@ -11,7 +11,7 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import Positive, checked
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 
 ParameterOf = Callable[[np.ndarray], ca.SX]
 
@@ -188,7 +188,7 @@ def shape_from_description(described: Any) -> Shape:
     made = SHAPES.get(str(described.get("shape"))) if isinstance(described, dict) else None
     if made is None:
         raise InputError(
-            f"a shape of the ground is described by {described!r}", f"allowed: {', '.join(SHAPES)}"
+            f"a shape of the ground is described by {shown(described)}", f"allowed: {', '.join(SHAPES)}"
         )
     numbers = {key: value for key, value in described.items() if key != "shape"}
     if set(numbers) != {entry.name for entry in fields(made)}:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, checked
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.kinds import ArrayShape
 
 UP = (0.0, 0.0, 1.0)
@@ -71,7 +71,7 @@ class Surface:
             raise InputError("normal of a surface has no length", "allowed: any direction")
         if self.slip_speed is not None and self.bilateral:
             raise InputError(
-                f"slip_speed of a bilateral surface is {self.slip_speed!r}",
+                f"slip_speed of a bilateral surface is {shown(self.slip_speed)}",
                 "allowed: on a surface that is not bilateral",
             )
         normal = self.normal / length
@@ -127,5 +127,5 @@ class Surface:
         """The surface that ``describe`` wrote. Raises `InputError`."""
         keys = ("point", "normal", "friction", "bilateral")
         if not isinstance(described, dict) or set(described) - {"slip_speed"} != set(keys):
-            raise InputError(f"a surface is described by {described!r}", f"allowed: {', '.join(keys)}")
+            raise InputError(f"a surface is described by {shown(described)}", f"allowed: {', '.join(keys)}")
         return cls(**described)

@@ -2,14 +2,15 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from types import MappingProxyType
 
 import numpy as np
 
 from trajopt.arguments import checked
 from trajopt.errors import require_not_negative
+from trajopt.pickling import picklable
 from trajopt.terrain.crossing import Crossing, Edge, crossing
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
@@ -76,20 +77,35 @@ def swing_path(
         InputError: for a clearance that is negative or not finite.
     """
     require_clearance(clearance)
+    return _Path(terrain=terrain, clearance=clearance, reach=reach, radii=radii)
 
-    @lru_cache(maxsize=KEPT)
-    def between(start: tuple[float, ...], end: tuple[float, ...], radius: float) -> Crossing:
-        ends = np.array(start), np.array(end)
-        return _reached(crossing_of(terrain, *ends).offset(radius, *ends), start, end, reach)
 
-    raised = {radius: terrain.offset(radius) for radius in {0.0, *radii.values()}}
+@picklable
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Path:
+    terrain: Terrain
+    clearance: float
+    reach: float
+    radii: Mapping[str, float]
 
-    def path(name: str, start: np.ndarray, end: np.ndarray, s: float) -> np.ndarray:
-        radius, ends = radii.get(name, 0.0), (np.asarray(start), np.asarray(end))
-        ground = between(tuple(map(float, start)), tuple(map(float, end)), radius)
-        return _over(raised[radius], ground, ends, min(max(s, 0.0), 1.0), clearance)
+    def __call__(self, name: str, start: np.ndarray, end: np.ndarray, s: float) -> np.ndarray:
+        radius, ends = self.radii.get(name, 0.0), (np.asarray(start), np.asarray(end))
+        ground = self._between(tuple(map(float, start)), tuple(map(float, end)), radius)
+        return _over(self._raised[radius], ground, ends, min(max(s, 0.0), 1.0), self.clearance)
 
-    return path
+    @cached_property
+    def _raised(self) -> dict[float, Terrain]:
+        return {radius: self.terrain.offset(radius) for radius in {0.0, *self.radii.values()}}
+
+    @cached_property
+    def _between(self) -> Callable[[tuple[float, ...], tuple[float, ...], float], Crossing]:
+        @lru_cache(maxsize=KEPT)
+        def between(start: tuple[float, ...], end: tuple[float, ...], radius: float) -> Crossing:
+            ends = np.array(start), np.array(end)
+            ground = crossing_of(self.terrain, *ends).offset(radius, *ends)
+            return _reached(ground, start, end, self.reach)
+
+        return between
 
 
 def crossing_of(terrain: Terrain, start: np.ndarray, end: np.ndarray) -> Crossing:

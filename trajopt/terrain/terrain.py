@@ -3,7 +3,7 @@
 from typing import Any
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import CurvedSurface, SmoothTerrain
@@ -23,7 +23,7 @@ def terrain_from_description(described: Any) -> Terrain:
     if kind == "smooth":
         return SmoothTerrain.from_description(described)
     if kind != "flat":
-        raise InputError(f"terrain of kind {kind!r} is not known", "allowed: flat, piecewise, smooth")
+        raise InputError(f"terrain of kind {shown(kind)} is not known", "allowed: flat, piecewise, smooth")
     numbers = {key: described[key] for key in ("height", "normal", "friction") if key in described}
     try:
         return FlatGround(**numbers)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.transcription.schemes import Scheme, scheme
 
 # Widths are sums of fractions: they add up to one within rounding.
@@ -98,7 +98,7 @@ class Mesh:
     def __post_init__(self) -> None:
         phases = tuple(self.phases)
         if not phases or not all(isinstance(phase, PhaseMesh) for phase in phases):
-            raise InputError(f"phases of a mesh are {phases!r}", "allowed: a PhaseMesh for every phase")
+            raise InputError(f"phases of a mesh are {shown(phases)}", "allowed: a PhaseMesh for every phase")
         object.__setattr__(self, "phases", phases)
 
     @classmethod

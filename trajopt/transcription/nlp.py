@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from trajopt import _engine
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.transcription.compilation import CompiledPoint
 from trajopt.transcription.hessians import DEFAULT_HESSIAN
 from trajopt.transcription.sparse_maps import DerivativeMap, hessian_map, jacobian_map
@@ -70,7 +70,7 @@ def assemble(
     Raises InputError unless ``threads`` is a whole number of at least 1.
     """
     if not isinstance(threads, (int, np.integer)) or threads < 1:
-        raise InputError(f"threads is {threads!r}", "allowed: 1 or more")
+        raise InputError(f"threads is {shown(threads)}", "allowed: 1 or more")
     n = transcription.layout.n_unknowns
     jacobian, curvature = _Pattern(n), _Pattern(n)
     linear = transcription.linear.tocoo()

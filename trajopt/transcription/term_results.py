@@ -7,8 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from trajopt.errors import InputError, TrajoptError, first_line
-from trajopt.kinds import shown
+from trajopt.errors import InputError, TrajoptError, first_line, shown
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import PointConstraint, Rows, Term, column
 

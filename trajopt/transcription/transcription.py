@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.transcription.collocation import Collocation
@@ -371,6 +371,6 @@ def chosen_mesh(
         return mesh
     total = problem.default_intervals if intervals is None else intervals
     if not isinstance(total, (int, np.integer)) or isinstance(total, bool):
-        raise InputError(f"intervals is {total!r}", "allowed: a whole number")
+        raise InputError(f"intervals is {shown(total)}", "allowed: a whole number")
     name = problem.default_transcription if transcription is None else transcription
     return Mesh.uniform(name, problem.schedule.intervals(total))

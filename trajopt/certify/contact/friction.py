@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 
 # Error allowed in the length of a unit normal that the user gives.
 UNIT_SLACK = 1e-6
@@ -33,7 +33,7 @@ def cone_margins(wrenches: ArrayLike, normals: ArrayLike, friction: ArrayLike) -
     if not (np.abs(np.linalg.norm(normal, axis=1) - 1) < UNIT_SLACK).all():
         raise InputError("a normal is not of length one", "unit vectors out of the surface")
     if not (mu >= 0).all():
-        raise InputError(f"friction is {friction!r}", "numbers >= 0")
+        raise InputError(f"friction is {shown(friction)}", "numbers >= 0")
     along = np.einsum("ij,ij->i", force, normal)
     margin = mu * along - np.linalg.norm(force - along[:, None] * normal, axis=1)
     return np.where(along < 0, np.minimum(margin, along), margin)

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, UnboundedPositive, checked
-from trajopt.errors import InputError, require_positive
+from trajopt.errors import InputError, require_positive, shown
 
 Quantity = TypeVar("Quantity", float, np.ndarray, ca.SX)
 
@@ -185,7 +185,7 @@ def _number(name: str, value: Any) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise InputError(f"{name} of a drive is {value!r}", "allowed: a number") from None
+        raise InputError(f"{name} of a drive is {shown(value)}", "allowed: a number") from None
     if math.isnan(number):
         raise InputError(f"{name} of a drive is NaN", "allowed: a number")
     return number

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.errors import InputError, is_number
+from trajopt.errors import InputError, is_number, shown
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solution.output import check_output, replacing
 from trajopt.solution.solution import Solution
@@ -152,9 +152,9 @@ class Shots:
         named = {"--fps": self.fps, "start": self.start, "end": self.end, "time": self.time}
         for name, value in named.items():
             if value is not None and not is_number(value):
-                raise InputError(f"{name} is {value!r}", "allowed: a finite number")
+                raise InputError(f"{name} is {shown(value)}", "allowed: a finite number")
         if self.strip is not None and not (isinstance(self.strip, int) and 2 <= self.strip <= MOST_STRIP):
-            raise InputError(f"a strip of {self.strip!r} pictures", f"allowed: 2 to {MOST_STRIP}")
+            raise InputError(f"a strip of {shown(self.strip)} pictures", f"allowed: 2 to {MOST_STRIP}")
 
     def _check_use(self) -> None:
         """Check that every given value applies to this kind of file."""
@@ -176,7 +176,7 @@ class Shots:
     def _check_size(self) -> None:
         pair = isinstance(self.pixels, Sequence) and len(self.pixels) == 2
         if not pair or not all(isinstance(side, int) for side in self.pixels):
-            raise InputError(f"size is {self.size!r}", "allowed: (width, height) in whole pixels")
+            raise InputError(f"size is {shown(self.size)}", "allowed: (width, height) in whole pixels")
         width, height = self.pixels
         allowed = f"allowed: WIDTHxHEIGHT, each {LEAST_SIDE} to {MOST_SIDE} pixels, as in 1280x720"
         if not (LEAST_SIDE <= width <= MOST_SIDE and LEAST_SIDE <= height <= MOST_SIDE):

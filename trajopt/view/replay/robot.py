@@ -108,17 +108,21 @@ class _JointTree(MeshcatVisualizer):
 
 
 def _draw_meshes(vis: Any, model: pin.Model, visuals: DescribedGeometry) -> DrawnRobot:
-    loader, drawn, unreadable = _JointTree(model, None, visuals.geometry), DrawnRobot(), []
+    loader, drawn = _JointTree(model, None, visuals.geometry), DrawnRobot()
+    unreadable, not_shown = [], []
     loader.meshes = visuals.meshes
     loader.initViewer(viewer=vis)
     for entry in visuals.geometry.geometryObjects:
+        try:
+            vertices = _points(entry, entry.name in visuals.meshes)
+        except InputError as error:
+            unreadable.append(f"{entry.name} ({error.what})")
+            continue
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            vertices = _points(entry, entry.name in visuals.meshes)
-            if vertices is not None:
-                loader.loadViewerGeometryObject(entry, pin.GeometryType.VISUAL)
-        if vertices is None or any(issubclass(warning.category, UserWarning) for warning in caught):
-            unreadable.append(entry.name)
+            loader.loadViewerGeometryObject(entry, pin.GeometryType.VISUAL)
+        if any(issubclass(warning.category, UserWarning) for warning in caught):
+            not_shown.append(entry.name)
             continue
         node = vis[loader.getViewerNodeName(entry, pin.GeometryType.VISUAL)]
         scale = np.diag([*entry.meshScale, 1.0])
@@ -127,19 +131,16 @@ def _draw_meshes(vis: Any, model: pin.Model, visuals: DescribedGeometry) -> Draw
         placed_points = spread @ entry.placement.rotation.T + entry.placement.translation
         drawn.points[entry.parentJoint].append(placed_points)
     reasons = {"mesh files that are not found": sorted(set(visuals.missing.values()))}
-    reasons["geometry that Meshcat cannot show"] = unreadable
+    reasons |= {"geometry that Meshcat cannot show": not_shown, "meshes": unreadable}
     parts = [f"without {what}: {', '.join(names)}" for what, names in reasons.items() if names]
     drawn.note = f"the robot is drawn {'; '.join(parts)}" if parts else ""
     return drawn
 
 
-def _points(entry: Any, is_mesh: bool) -> np.ndarray | None:
-    """Points (k, 3) that span a geometry, in its own frame, scaled, m; None for an unreadable file."""
+def _points(entry: Any, is_mesh: bool) -> np.ndarray:
+    """Points (k, 3) that span a geometry, in its own frame, scaled, m. Raises `InputError`."""
     if is_mesh:
-        try:
-            return mesh_points(entry.meshPath, entry.meshScale, np.asarray(entry.meshColor)[:3])
-        except InputError:
-            return None
+        return mesh_points(entry.meshPath, entry.meshScale, np.asarray(entry.meshColor)[:3])
     geometry = entry.geometry
     if isinstance(geometry, coal.Sphere):
         return geometry.radius * _round_probes()

@@ -1,0 +1,79 @@
+"""Joints that no motion can be found for: limits of 0, and joints that move no inertia."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS
+from trajopt.errors import InputError
+from trajopt.robot.building import reach
+
+if TYPE_CHECKING:
+    from trajopt.robot.robot import Robot
+
+Limit = Literal["velocity", "torque"]
+
+# Inertia about a joint's axis below this part of (mass that it moves) x (reach of the robot)^2 is none: a
+# million times less than that of a finger on a humanoid, and above rounding.
+NO_INERTIA = 1e-12
+# A mass may lie on a joint's axis in one posture: rad or m from there to the other.
+BESIDE = 0.3
+REMEDIES = {
+    "velocity": "the actuator's in <limit velocity=...>, or lock the joint",
+    "torque": "the actuator's in <limit effort=...>, lock the joint, or state it as passive",
+}
+
+
+def require_moving(robot: Robot, *limits: Limit) -> None:
+    """Raise `InputError` that names joints whose limits are 0: of "velocity", "torque", default both."""
+    rows, model = robot.actuated_rows, robot.model
+    owners = [str(model.names[joint.id]) for joint in model.joints[1:] for _ in range(joint.nv)]
+    for limit in limits or ("velocity", "torque"):
+        values = robot.velocity_limit[rows] if limit == "velocity" else robot.torque_limit
+        still = [] if values is None else [owners[row] for row in rows[values[: len(rows)] == 0]]
+        if still:
+            raise InputError(
+                f"the {limit} limit of {_named(still, robot)} is 0", f"allowed: {REMEDIES[limit]}"
+            )
+
+
+def require_inertia(robot: Robot) -> None:
+    """Raise `InputError` that names joints without inertia: no torque determines how they accelerate."""
+    joints = joints_without_inertia(robot)
+    if joints:
+        raise InputError(
+            f"no inertia is moved by {_named(joints, robot)}, so that torques do not determine how it moves",
+            "allowed: lock it (locked=), give its link an <inertial>, or the joint an armature",
+        )
+
+
+def joints_without_inertia(robot: Robot) -> list[str]:
+    """Joints beyond the base that move no inertia, in the reference posture and in one beside it."""
+    beside = np.full(robot.nv, BESIDE)
+    beside[: BASE_ROWS[robot.base]] = 0.0
+    there = np.asarray(pin.integrate(robot.model, robot.reference, beside))
+    return [
+        joint for joint in _without_inertia(robot, robot.reference) if joint in _without_inertia(robot, there)
+    ]
+
+
+def _without_inertia(robot: Robot, q: np.ndarray) -> list[str]:
+    """Joints whose block of the mass matrix is singular at ``q``."""
+    model, data, found = robot.model, robot.model.createData(), []
+    matrix, square = pin.crba(model, data, q), (reach(model) or 1.0) ** 2
+    pin.computeSubtreeMasses(model, data)
+    for joint in model.joints[BASE_JOINT[robot.base] + 1 :]:
+        rows = slice(joint.idx_v, joint.idx_v + joint.nv)
+        least = NO_INERTIA * data.mass[joint.id] * square
+        if joint.nv and np.linalg.eigvalsh(matrix[rows, rows], UPLO="U")[0] <= least:
+            found.append(str(model.names[joint.id]))
+    return found
+
+
+def _named(joints: list[str], robot: Robot) -> str:
+    known = list(dict.fromkeys(joints))
+    more = f" and {len(known) - 1} more" if len(known) > 1 else ""
+    return f"joint '{known[0]}'{more} of '{robot.name}'"
