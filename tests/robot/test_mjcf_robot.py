@@ -185,7 +185,7 @@ def test_report_names_what_the_model_does_not_use(tmp_path: Path):
     notes = robot_report(Robot.from_mjcf(written(tmp_path, text))).notes
     for what in (
         "tendons: t, s",
-        "actuators other than of hinges and slides: pull",
+        "actuators other than of hinges, slides and thrusters on the base: pull",
         "springs of joints: ja",
         "gravity compensation of bodies: a",
         "fluid forces: density",

@@ -163,8 +163,12 @@ def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:
     ):
         owners = [robot.model.names[j.id] for j in list(robot.model.joints)[1:] for _ in range(j.nv)]
         names = list(dict.fromkeys(owners[row] for row in np.flatnonzero(values)))
-        if names:
-            notes.append(f"{what} of the file is not part of the dynamics: {listed(names)}")
+        if names and not robot.joint_forces:
+            notes.append(f"{what} of the file counts with Robot.with_joint_forces() alone: {listed(names)}")
+    if robot.mimics:
+        notes.append("followed: " + listed([f"'{one.joint}' after '{one.mimics}'" for one in robot.mimics]))
+    if robot.thrusters:
+        notes.append("thrusters: " + listed([thruster.name for thruster in robot.thrusters]))
     try:
         unused = unused_parts(robot)
     except InputError:  # said below, of shapes

@@ -17,21 +17,23 @@ def unused_parts(robot: Robot) -> dict[str, list[str]]:
     if source is None or not source.urdf.is_file():
         return {}
     for coupling in couplings_of(source):
-        locked = ", which are followed" if moving.intersection(coupling.needed) else ", which are locked"
-        found.setdefault(f"couplings of joints{locked}", []).append(coupling.what)
+        if not moving.intersection(coupling.needed):
+            found.setdefault("couplings of joints, which are locked", []).append(coupling.what)
     if source.is_mjcf:
-        return found | _of_mjcf(compile_mjcf(source.urdf))
+        return found | _of_mjcf(compile_mjcf(source.urdf), {thruster.name for thruster in robot.thrusters})
     root = require_xml(source.urdf)
     guarded = [each for each in root.findall("joint") if each.find("safety_controller") is not None]
     parts = {"transmissions": root.findall("transmission"), "safety controllers": guarded}
     return found | {what: [each.get("name", "") for each in these] for what, these in parts.items()}
 
 
-def _of_mjcf(compiled: Any) -> dict[str, list[str]]:
+def _of_mjcf(compiled: Any, thrusters: set[str]) -> dict[str, list[str]]:
+    actuation = actuation_of(compiled)
+    idle = [thruster.name for thruster in actuation.thrusters if thruster.name not in thrusters]
     joints, bodies = np.array(joint_names(compiled)), np.array(body_names(compiled))
     limited = (compiled.jnt_type == BALL) & compiled.jnt_limited.astype(bool)
     return {
-        "actuators other than of hinges and slides": list(actuation_of(compiled).others),
+        "actuators other than of hinges, slides and thrusters on the base": [*actuation.others, *idle],
         "tendons": [compiled.tendon(index).name or f"tendon{index}" for index in range(compiled.ntendon)],
         "flexes": [f"flex{index}" for index in range(compiled.nflex)],
         "springs of joints": joints[compiled.jnt_stiffness != 0].tolist(),

@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import Base, base_of, position_limits
+from trajopt.dynamics.base_joint import BASE_JOINT, Base, base_of, position_limits
 from trajopt.dynamics.rerooting import Body
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
 from trajopt.errors import InputError
+from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.building import sagittal
 from trajopt.robot.mjcf_actuators import BALL, FREE, HINGE, SLIDE, actuation_of
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
@@ -32,13 +33,14 @@ class MjcfRobot(NamedTuple):
     """What a file says of a robot: the ``model`` on its base, ``passive`` joints if others have actuators.
 
     home: its keyframe as a reference for `Robot.from_model`; None without one within the limits. joints: the
-    same by name, for hinges and slides.
+    same by name, for hinges and slides. thrusters: on its base.
     """
 
     model: pin.Model
     passive: tuple[str, ...]
     home: np.ndarray | None
     joints: dict[str, float]
+    thrusters: tuple[Thruster, ...]
 
 
 def compile_mjcf(path: str | Path) -> Any:
@@ -76,12 +78,26 @@ def read_mjcf(path: str | Path, compiled: Any, base: Base | None) -> MjcfRobot:
         model, still = virtual_model(model), np.zeros(plain.nv)
         if kind == "freeflyer" and home is not None:
             home = from_free_flyer(DEFAULT_ORDER, home, still, still)[0]
-    driven = actuation_of(compiled).driven
-    idle = ~driven & driven.any() & (compiled.jnt_type != FREE)
+    actuation, free = actuation_of(compiled), BASE_JOINT[base_of(model)]
+    driven, flies = actuation.driven, base_of(model) in ("freeflyer", "planar")
+    carried = {frame.name for frame in model.frames if flies and frame.parentJoint == free}
+    thrusters = tuple(one for one in actuation.thrusters if one.frame in carried)
+    idle = ~driven & (compiled.nu > 0) & (compiled.jnt_type != FREE)
     named, values = zip(joint_names(compiled), compiled.jnt_type, compiled.jnt_qposadr, strict=True), {}
     if qpos is not None:
         values = {name: float(qpos[entry]) for name, kind, entry in named if kind in (SLIDE, HINGE)}
-    return MjcfRobot(model, tuple(np.array(joint_names(compiled))[idle].tolist()), home, values)
+    passive = tuple(np.array(joint_names(compiled))[idle].tolist())
+    return MjcfRobot(model, passive, home, values, thrusters)
+
+
+def joint_springs(compiled: Any) -> dict[str, tuple[float, float]]:
+    """Stiffness, N m/rad or N/m, and rest position of hinges and slides that have springs."""
+    springs = {}
+    for index, name in enumerate(joint_names(compiled)):
+        stiffness = float(compiled.jnt_stiffness[index])
+        if stiffness and compiled.jnt_type[index] in (SLIDE, HINGE):
+            springs[name] = stiffness, float(compiled.qpos_spring[compiled.jnt_qposadr[index]])
+    return springs
 
 
 def mjcf_model(compiled: Any, root: Any = None) -> pin.Model:

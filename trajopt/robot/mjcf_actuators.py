@@ -4,22 +4,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trajopt.robot.actuators.actuation import Thruster
+
 # Of MuJoCo's mjtJoint, mjtTrn (a joint in its own or its parent's axes), mjtGain, mjtBias and mjtDyn.
 FREE, BALL, SLIDE, HINGE = range(4)
 ON_JOINT = (0, 1)
+AT_SITE, PARALLEL = 4, 1e-9
 FIXED_GAIN, MUSCLE, NO_BIAS, INTEGRATOR = 0, 2, 0, 1
 
 
 class JointActuation(NamedTuple):
     """Of each joint (njnt,): its torque limit, N m or N, inf without one, and whether it is ``driven``.
 
-    armature: reflected inertia of its actuators, kg m^2 or kg. others: names of actuators that are none of a
-    hinge's or slide's, or a muscle.
+    armature: reflected inertia of its actuators, kg m^2 or kg. thrusters: that push along an axis of a site.
+    others: names of actuators that are none of a hinge's or slide's, or a muscle.
     """
 
     effort: np.ndarray
     armature: np.ndarray
     driven: np.ndarray
+    thrusters: tuple[Thruster, ...]
     others: tuple[str, ...]
 
 
@@ -32,12 +36,15 @@ def actuation_of(compiled: Any) -> JointActuation:
     outputs = getattr(compiled, "actuator_outadr", np.arange(count))  # MuJoCo 3 has one each
     rotor = getattr(compiled, "actuator_armature", np.zeros(count))
     ranges, armature = np.zeros((compiled.njnt, 2)), np.zeros(compiled.njnt)
-    driven, others = np.zeros(compiled.njnt, dtype=bool), []
+    driven, thrusters, others = np.zeros(compiled.njnt, dtype=bool), [], []
     for index in range(count):
         joint, gear = int(compiled.actuator_trnid[index, 0]), compiled.actuator_gear[outputs[index], 0]
         plain = compiled.actuator_trntype[index] in ON_JOINT and compiled.actuator_gaintype[index] != MUSCLE
         if not plain or compiled.jnt_type[joint] not in (SLIDE, HINGE):
-            others.append(compiled.actuator(index).name or f"actuator{index}")
+            name = compiled.actuator(index).name or f"actuator{index}"
+            thruster = _thruster(compiled, index, name, compiled.actuator_gear[outputs[index]])
+            others += [name] if thruster is None else []
+            thrusters += [] if thruster is None else [thruster]
             continue
         driven[joint] = True
         armature[joint] += gear**2 * rotor[index]
@@ -45,7 +52,23 @@ def actuation_of(compiled: Any) -> JointActuation:
     ranges[~driven] = -np.inf, np.inf
     clamped = compiled.jnt_actfrclimited.astype(bool)
     ranges[clamped] = np.clip(ranges[clamped], *compiled.jnt_actfrcrange[clamped].T[..., None])
-    return JointActuation(np.abs(ranges).min(axis=1, initial=np.inf), armature, driven, tuple(others))
+    return JointActuation(
+        np.abs(ranges).min(axis=1, initial=np.inf), armature, driven, tuple(thrusters), tuple(others)
+    )
+
+
+def _thruster(compiled: Any, index: int, name: str, gear: np.ndarray) -> Thruster | None:
+    """The thruster of an actuator at a site that pushes one way, with a moment about its axis alone."""
+    site, reference = (int(number) for number in compiled.actuator_trnid[index])
+    size = float(np.linalg.norm(gear[:3]))
+    if compiled.actuator_trntype[index] != AT_SITE or reference >= 0 or not size > 0:
+        return None
+    axis, (least, most) = gear[:3] / size, size * _force_range(compiled, index)
+    drag = float(gear[3:] @ axis) / size
+    if least < 0 or np.abs(gear[3:] - size * drag * axis).max() > PARALLEL * size:
+        return None
+    frame = compiled.site(site).name
+    return Thruster(name=name, frame=frame, axis=tuple(axis.tolist()), drag=drag, least=least, most=most)
 
 
 def _force_range(compiled: Any, index: int) -> np.ndarray:

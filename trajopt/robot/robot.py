@@ -27,7 +27,7 @@ from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, d
 from trajopt.robot.contact import Contact, require_frame
 from trajopt.robot.coupling import following, mjcf_couplings, urdf_couplings
 from trajopt.robot.data import VisualSource, package_directories
-from trajopt.robot.mjcf import compile_mjcf, read_mjcf
+from trajopt.robot.mjcf import compile_mjcf, joint_springs, read_mjcf
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.reading import read_urdf
 from trajopt.robot.validation import (
@@ -284,13 +284,16 @@ class Robot:
         """Return this robot with springs, damping and dry friction at joints, in place of those it has.
 
         Args:
-            forces: of joints; default the damping and dry friction of its description.
+            forces: of joints; default damping, dry friction and (of MJCF) springs of its description.
 
         Raises:
             InputError: for an unknown joint, or one of several degrees of freedom.
         """
-        given = described_forces(self.model) if forces is None else forces
-        return replace(self, joint_forces=tuple(given))
+        if forces is not None:
+            return replace(self, joint_forces=tuple(forces))
+        is_mjcf = self.visual is not None and self.visual.is_mjcf
+        springs = joint_springs(compile_mjcf(self.visual.urdf)) if self.visual and is_mjcf else {}
+        return replace(self, joint_forces=described_forces(self.model, springs))
 
     @checked
     def with_series_springs(self, stiffness: Mapping[str, float]) -> Robot:
@@ -485,6 +488,8 @@ class Robot:
         if mimics:
             driven = [mimic.joint for mimic, has_motor in mimics.items() if has_motor]
             robot = robot.with_mimics(list(mimics), driven).with_locked(locked)
+        if read.thrusters:
+            robot = robot.with_thrusters(read.thrusters)
         if reference is not None or read.home is None:
             return robot
         standing = building.put_on_ground(robot.model, robot.base, robot.contacts, robot.reference)

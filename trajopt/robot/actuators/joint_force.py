@@ -9,6 +9,7 @@ Torques are those of the actuators: a spring carries its part of the load beside
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -90,15 +91,19 @@ def joint_force(model: pin.Model, forces: Sequence[JointForce], q: np.ndarray, v
     return total
 
 
-def described_forces(model: pin.Model) -> tuple[JointForce, ...]:
-    """Damping and dry friction that a description states for joints of one degree of freedom."""
+def described_forces(
+    model: pin.Model, springs: Mapping[str, tuple[float, float]] = MappingProxyType({})
+) -> tuple[JointForce, ...]:
+    """Damping and dry friction of a model's joints of one degree of freedom, and ``springs`` by joint."""
     forces = []
     for joint in list(model.joints)[1:]:
         if joint.nv == 1:
+            name = model.names[joint.id]
+            stiffness, rest = springs.get(name, (0.0, 0.0))
             damping, dry = model.damping[joint.idx_v], model.upperDryFrictionLimit[joint.idx_v]
-            if damping > 0 or dry > 0:
-                name = model.names[joint.id]
-                forces.append(JointForce(joint=name, damping=float(damping), dry_friction=float(dry)))
+            if damping > 0 or dry > 0 or stiffness > 0:
+                given = {"damping": float(damping), "dry_friction": float(dry)}
+                forces.append(JointForce(joint=name, stiffness=stiffness, rest=rest, **given))
     return tuple(forces)
 
 
