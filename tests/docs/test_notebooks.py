@@ -20,6 +20,8 @@ from trajopt.view.notebook import plots, show
 from trajopt.view.replay.browser import FLAGS
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+# Those that solve and check a motion.
+MOTIONS = ("arm", "gait", "jump")
 # Bytes of a notebook in the repository: without outputs, which are made by running it.
 LARGEST = 200_000
 
@@ -29,8 +31,8 @@ def solution() -> Solution:
     return trajopt.solve(reach(), intervals=4)
 
 
-def test_there_is_a_notebook_for_an_arm_a_jump_and_a_gait() -> None:
-    assert [path.stem for path in NOTEBOOKS] == ["arm", "gait", "jump"]
+def test_there_are_notebooks_for_motions_control_and_walking() -> None:
+    assert [path.stem for path in NOTEBOOKS] == ["arm", "control", "gait", "jump", "walking"]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -58,10 +60,11 @@ def test_notebook_runs(path: Path, tmp_path: Path) -> None:
     outputs = [output for cell in done.cells for output in cell.get("outputs", ())]
     assert not [output for output in outputs if output.output_type == "error"]
     kinds = [set(output.get("data", ())) for output in outputs]
-    assert sum("text/html" in kind for kind in kinds) == 2, "a replay, and two motions in one"
     assert sum("image/png" in kind for kind in kinds) >= 2
-    printed = "".join(output.get("text", "") for output in outputs)
-    assert "within all tolerances" in printed
+    if path.stem in MOTIONS:
+        assert sum("text/html" in kind for kind in kinds) == 2, "a replay, and two motions in one"
+        printed = "".join(output.get("text", "") for output in outputs)
+        assert "within all tolerances" in printed
 
 
 def test_a_replay_is_a_frame_that_holds_its_whole_page(solution: Solution) -> None:
