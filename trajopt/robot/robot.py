@@ -18,11 +18,11 @@ from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
 from trajopt.errors import InputError, expanded
 from trajopt.kinds import ArrayShape
-from trajopt.robot import building
+from trajopt.robot import building, changes
 from trajopt.robot.actuators.actuation import Actuation, Thruster
 from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.actuators.joint_force import SPRING, JointForce, described_forces, with_spring_joints
-from trajopt.robot.actuators.mimic import MimicJoint, followed, require_mimics
+from trajopt.robot.actuators.joint_force import JointForce, described_forces
+from trajopt.robot.actuators.mimic import MimicJoint, require_mimics
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
 from trajopt.robot.contact import Contact, require_frame
 from trajopt.robot.coupling import following, mjcf_couplings, urdf_couplings
@@ -109,7 +109,7 @@ class Robot:
         position = self.position_lower, self.position_upper
         others = {
             "velocity_limit": (np.arange(self.nv), self.velocity_limit),
-            "torque_limit": (self._rows_of_inputs, self.torque_limit),
+            "torque_limit": (self.rows_of_inputs, self.torque_limit),
         }
         require_contacts(self.name, self.model, self.contacts)
         require_thrusters(self.name, self.model, self.thrusters)
@@ -119,7 +119,7 @@ class Robot:
         require_limits(self.name, self.model, self.given_length, position, others)
         require_reference(self.name, self.model, self.reference, position)
         if self.drives is not None:
-            require_drives(self.name, self.model, self._rows_of_inputs, self.drives)
+            require_drives(self.name, self.model, self.rows_of_inputs, self.drives)
 
     @property
     def nq(self) -> int:
@@ -148,7 +148,7 @@ class Robot:
         return Actuation.of(self.model, self.actuated_rows, self.thrusters, self.mimics, unit)
 
     @property
-    def _rows_of_inputs(self) -> np.ndarray:
+    def rows_of_inputs(self) -> np.ndarray:
         """Row of v of every input (nu,), -1 of a thruster."""
         return np.append(self.actuated_rows, np.full(len(self.thrusters), -1))
 
@@ -258,7 +258,7 @@ class Robot:
         Raises `InputError` for a joint that is unknown or not actuated, `UnsupportedJointError` for one
         of several degrees of freedom.
         """
-        rows = self._rows_of_inputs
+        rows = self.rows_of_inputs
         chosen = drives_by_row(self.name, self.model, rows, self.drives or (None,) * self.nu, drives)
         return replace(self, **drive_fields(self.model, rows, self.torque_limit, self.velocity_limit, chosen))
 
@@ -269,15 +269,7 @@ class Robot:
         Raises `InputError` for a frame that is unknown or not on the base, a base that is not "freeflyer" or
         "planar", or two thrusters of the same name.
         """
-        joints = len(self.actuated_rows)
-        limit = np.full(joints, np.inf) if self.torque_limit is None else self.torque_limit[:joints]
-        limit = np.append(limit, [thruster.most for thruster in thrusters])
-        return replace(
-            self,
-            thrusters=tuple(thrusters),
-            torque_limit=limit if np.isfinite(limit).any() else None,
-            drives=None if self.drives is None else (*self.drives[:joints], *[None] * len(thrusters)),
-        )
+        return replace(self, **changes.thrusters(self, thrusters))
 
     @checked
     def with_joint_forces(self, forces: Sequence[JointForce] | None = None) -> Robot:
@@ -309,28 +301,7 @@ class Robot:
         Raises:
             InputError: for a joint that is unknown, has no armature or several degrees of freedom.
         """
-        known = list(self.model.names)[1:]
-        for name in stiffness:
-            if name not in known:
-                raise InputError(
-                    f"joint '{name}' of a series spring is unknown", "one of " + ", ".join(known)
-                )
-        model = with_spring_joints(self.model, list(stiffness))
-        q, v = building.joint_entries(model, known)
-        changed = {"reference": pin.neutral(model), "velocity_limit": np.full(model.nv, np.inf)}
-        changed["position_lower"], changed["position_upper"] = position_limits(model)
-        for name, entries in (("velocity_limit", v), ("reference", q), ("position_lower", q)):
-            changed[name][entries] = getattr(self, name)
-        changed["position_upper"][q] = self.position_upper
-        springs = [JointForce(joint=name + SPRING, stiffness=k) for name, k in stiffness.items()]
-        return replace(
-            self,
-            model=model,
-            passive=(*self.passive, *(spring.joint for spring in springs)),
-            joint_forces=(*self.joint_forces, *springs),
-            given_length=self.length,
-            **changed,
-        )
+        return replace(self, **changes.series_springs(self, stiffness))
 
     @checked
     def with_mimics(self, mimics: Sequence[MimicJoint], driven: Sequence[str] = ()) -> Robot:
@@ -345,32 +316,7 @@ class Robot:
         Raises:
             InputError: for joints that are unknown, have several coordinates, or follow one that follows.
         """
-        require_mimics(self.name, self.model, mimics)
-        idle = [mimic.joint for mimic in mimics if mimic.joint not in driven]
-        passive = tuple(dict.fromkeys((*self.passive, *idle)))
-        lost = building.joint_entries(self.model, passive)[1]
-        kept = np.flatnonzero(~np.isin(self._rows_of_inputs, lost))
-        lower, upper, fastest = (
-            a.copy() for a in (self.position_lower, self.position_upper, self.velocity_limit)
-        )
-        for mimic in mimics:  # limits of one are limits of the other
-            (one, two), ratio = mimic.joints(self.model), mimic.ratio
-            ends = (np.array([lower[one.idx_q], upper[one.idx_q]]) - mimic.offset) / (ratio or np.nan)
-            lower[two.idx_q] = np.nanmax([lower[two.idx_q], np.min(ends)])
-            upper[two.idx_q] = np.nanmin([upper[two.idx_q], np.max(ends)])
-            fastest[two.idx_v] = np.nanmin([fastest[two.idx_v], fastest[one.idx_v] / (abs(ratio) or np.nan)])
-        at = followed(self.model, mimics, np.clip(self.reference, lower, upper))
-        return replace(
-            self,
-            mimics=tuple(mimics),
-            passive=passive,
-            reference=at,
-            position_lower=lower,
-            position_upper=upper,
-            velocity_limit=fastest,
-            torque_limit=None if self.torque_limit is None else self.torque_limit[kept],
-            drives=None if self.drives is None else tuple(self.drives[int(row)] for row in kept),
-        )
+        return replace(self, **changes.mimics(self, mimics, driven))
 
     def least_torque(self, limit: np.ndarray) -> np.ndarray:
         """Least inputs (nu,) that go with the largest ones ``limit``: of joints their negative."""
