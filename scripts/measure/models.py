@@ -10,8 +10,8 @@ import click
 import numpy as np
 import pinocchio as pin
 
-from scripts.measure.shared import NOISE, head, row, solver_option
-from trajopt import Problem, Schedule, Solution, check, solve
+from scripts.measure.shared import NOISE, PASSES, head, row, sizes, solver_option, verdict
+from trajopt import Problem, Schedule, Solution, solve
 from trajopt.dynamics.base_joint import virtual_order
 from trajopt.dynamics.virtual_base import to_free_flyer
 from trajopt.motion.energy_use import cost_of_transport
@@ -23,10 +23,18 @@ from trajopt_library import problems
 ORDERS = ("ZYX", "YXZ")
 # What is compared, which model of it, and a function that builds its problem.
 Model = tuple[str, str, Callable[[], Problem]]
-PASSES = "passes"
 SEEDS = (0, 1, 2)
 RESTS = (0.3, REST_OF_LINEAR, 0.03, 0.01)
 ROUNDINGS = (0.3, 0.1, 0.03, 0.01)
+# Of the arm: goal, payload in kg, rotors over links.
+TRANSFERS = (
+    ("effort", 8.0, 0.75),
+    ("effort", 0.0, 0.75),
+    ("time", 8.0, 0.75),
+    ("time", 0.0, 0.75),
+    ("time", 8.0, 0.5),
+    ("time", 8.0, 1.0),
+)
 # Of the jump: m, m, degrees.
 DISTANCES, HEIGHTS, TURNS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5), (0.0, 0.1, 0.2), (0.0, 22.5, 45.0)
 
@@ -85,22 +93,13 @@ def free_durations(name: str, share: float) -> Problem:
 @click.option("--only", default="", help="Rows whose first column has this text.")
 @solver_option
 def models(only: str, solver: str) -> None:
-    """Every pair of models: size, iterations, time, optimum, check."""
+    """Every pair of models on its problem's own mesh: size, iterations, time, optimum, check."""
     head("compared", "model", "variables", "rows", "iterations", "solver s", "objective", "check")
     for what, model, build in all_models():
         if only.lower() in what.lower():
-            found = solve(build(), solver=solver)
-            objective = f"{found.statistics.objective:.5g}" if found.success else found.statistics.status
-            row(what, model, *_sizes(found), objective, _verdict(found))
-
-
-def _sizes(found: Solution) -> list[str]:
-    counts = [str(getattr(found.statistics, key)) for key in ("variables", "constraints", "iterations")]
-    return [*counts, f"{found.statistics.wall_time_s:.2f}"]
-
-
-def _verdict(found: Solution) -> str:
-    return ", ".join(check(found).failures()) or PASSES
+            found = solve(build(), solver=solver, fixed_mesh=True)
+            objective = f"{found.statistics.objective:.5g}" if found.converged else found.statistics.status
+            row(what, model, *sizes(found), objective, verdict(found))
 
 
 @click.command()
@@ -126,7 +125,7 @@ def bases(yaw: float, transcription: str, intervals: int, solver: str) -> None:
             apart = np.linalg.norm(paths[-1] - paths[0], axis=1).max()
             margin = found.statistics.gimbal_margin
             figures = [f"{found.statistics.objective:.6f}", "" if margin is None else f"{margin:.3f}"]
-            row(name, base, *_sizes(found), *figures, f"{condition(found):.1e}", f"{apart:.1e}",
+            row(name, base, *sizes(found), *figures, f"{condition(found):.1e}", f"{apart:.1e}",
                 found.statistics.status)  # fmt: skip
 
 
@@ -146,20 +145,50 @@ def base_path(solution: Solution) -> np.ndarray:
 
 @click.command()
 def goals() -> None:
-    """The effect of the remaining effort cost and of the rounding of power, on the hopper."""
+    """The effect of the remaining effort cost, on the hopper, to the grade; iterations of all meshes."""
     head("goal", "rest of effort", "reached", "root mean square torque, N m", "check", "iterations")
     for goal in ("height", "distance", "time"):
         for rest in RESTS:
-            found = _solutions(with_rest(problems.load("hopper-hop", goal=goal), rest))
+            found = _solutions(with_rest(problems.load("hopper-hop", goal=goal), rest), fixed_mesh=False)
             torque = np.sqrt((found[0].tau ** 2).mean())
-            figures = f"{rest:g}", reached(goal, found[0]), f"{torque:.0f}", _verdict(found[0])
+            figures = f"{rest:g}", reached(goal, found[0]), f"{torque:.0f}", verdict(found[0])
             row(goal, *figures, _counts(found))
-    click.echo()
-    head("rounding", "cost of transport", "iterations")
+
+
+@click.command()
+def smoothing() -> None:
+    """Cost of transport against the smoothing of power, on the hopper; in the first line of least effort."""
+    head("smoothing s", "cost of transport", "iterations")
+    least = solve(problems.load("hopper-gait"), fixed_mesh=True)
+    row("least effort", f"{cost_of_transport(least):.3f}", least.statistics.iterations)
     for rounding in ROUNDINGS:
-        found = _solutions(rounded(problems.load("hopper-gait", goal="transport"), rounding))
+        found = _solutions(rounded(problems.load("hopper-gait", goal="transport"), rounding), fixed_mesh=True)
         row(f"{rounding:g}", ", ".join(f"{cost_of_transport(own):.3f}" for own in found), _counts(found))
-    click.echo(f"\nof least effort: {cost_of_transport(solve(problems.load('hopper-gait'))):.3f}")
+
+
+@click.command()
+def transfers() -> None:
+    """Transfers of the IRB 1600: largest torques and speeds over their limits, by axis."""
+    head("goal", "payload", "motor inertia", "mesh", "iterations", "duration", "torques", "speeds", "check")
+    for goal, payload, inertia in TRANSFERS:
+        found = solve(problems.load("irb1600-transfer", goal=goal, payload=payload, motor_inertia=inertia))
+        limits = problems.load("irb1600-transfer", motor_inertia=inertia).robot
+        shares = (
+            np.abs(found.tau).max(axis=0) / limits.torque_limit,
+            np.abs(found.v).max(axis=0) / limits.velocity_limit,
+        )
+        mesh = f"`{found.statistics.transcription}`, {found.n_intervals}"
+        figures = (" ".join(f"{share:.2f}" for share in each) for each in shares)
+        row(
+            goal,
+            f"{payload:g} kg",
+            inertia,
+            mesh,
+            _counts([found]),
+            f"{found.t[-1]:.3f} s",
+            *figures,
+            verdict(found),
+        )
 
 
 def with_rest(problem: Problem, rest: float) -> Problem:
@@ -180,16 +209,16 @@ def rounded(problem: Problem, smoothing: float) -> Problem:
     return replace(problem, terms=tuple(terms))
 
 
-def _solutions(problem: Problem) -> list[Solution]:
+def _solutions(problem: Problem, *, fixed_mesh: bool) -> list[Solution]:
     """From the default guess, then from perturbed ones."""
-    return [solve(problem), *(solve(problem, perturb=NOISE, seed=seed) for seed in SEEDS)]
+    starts = ({}, *({"perturb": NOISE, "seed": seed} for seed in SEEDS))
+    return [solve(problem, fixed_mesh=fixed_mesh, **start) for start in starts]
 
 
 def _counts(found: Sequence[Solution]) -> str:
-    """Iterations of every start; in brackets where it was not solved."""
-    return ", ".join(
-        f"{s.statistics.iterations}" if s.success else f"({s.statistics.iterations})" for s in found
-    )
+    """Iterations of every start on all its meshes; in brackets where the solver did not converge."""
+    counts = (sum(each.iterations for each in s.statistics.rounds) for s in found)
+    return ", ".join(f"{n}" if s.converged else f"({n})" for n, s in zip(counts, found, strict=True))
 
 
 def reached(goal: str, solution: Solution) -> str:
@@ -207,8 +236,8 @@ def jump_range(solver: str) -> None:
     for distance, height, turn in cases:
         yaw = math.radians(turn)
         found = solve(problems.load("solo12-jump", distance=distance, height=height, yaw=yaw), solver=solver)
-        statistics, verdict = found.statistics, _verdict(found)
-        passed += found.success and verdict == PASSES
-        figures = statistics.status, statistics.iterations, f"{statistics.objective:.4f}", verdict
+        statistics, said = found.statistics, verdict(found)
+        passed += found.success and said == PASSES
+        figures = statistics.status, statistics.iterations, f"{statistics.objective:.4f}", said
         row(distance, height, turn, *figures)
     click.echo(f"\n{passed} of {len(cases)} are solved and pass the check")

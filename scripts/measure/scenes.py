@@ -7,7 +7,7 @@ import click
 import numpy as np
 import pinocchio as pin
 
-from scripts.measure.shared import head, row, solver_option
+from scripts.measure.shared import head, row, solver_option, verdict
 from trajopt import Contact, Phase, Problem, Robot, Schedule, check, solve
 from trajopt.robot.building import reference_posture
 from trajopt.robot.data import VisualSource, package_directories, robot_file
@@ -136,7 +136,8 @@ def scenes(solver: str) -> None:
     for name, intervals, members in variants():
         for what, problem, made in members:
             found = solve(problem, intervals=intervals, solver=solver)
-            statistics, report = found.statistics, check(found if made is None else made.lift(found))
+            whole = found if made is None else made.lift(found)
+            statistics, report = found.statistics, check(whole)
             row(name, what, statistics.variables, statistics.constraints, statistics.iterations,
                 f"{statistics.wall_time_s:.2f}", f"{statistics.objective:.8f}", statistics.status,
-                f"{report.base_residual or 0.0:.0e}", ", ".join(report.failures()) or "passes")  # fmt: skip
+                f"{report.base_residual or 0.0:.0e}", verdict(whole))  # fmt: skip

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import click
 import numpy as np
 
+from trajopt import Solution, check
 from trajopt.solvers.drivers import SOLVERS, run_solver
 from trajopt.solvers.result import Result, StoppingCriteria
 from trajopt.solvers.status import Status
@@ -17,6 +18,7 @@ from trajopt.solving.solving import PreparedProblem
 NOISE = 0.1
 # Natural units: at this violation the open-loop error is that of the grid.
 FEASIBLE = 1e-3
+PASSES = "passes"
 
 solver_option = click.option("--solver", type=click.Choice(list(SOLVERS)), default="ipopt", show_default=True)
 
@@ -54,6 +56,20 @@ def timed(
     result = run_solver(prepared.nlp, first, solver, stop or StoppingCriteria(), {}, watch, prepared.warm)
     seconds = time.process_time() - begun
     return Timed(result=result, seconds=seconds, feasible=seen[0] if seen else None)
+
+
+def verdict(solution: Solution) -> str:
+    """What the check says of a solution: "passes", or the worst figure over its tolerance."""
+    report = check(solution)
+    name, used = report.worst()
+    return f"{used:.2g} times `{name}`" if report.failures() else PASSES
+
+
+def sizes(solution: Solution) -> list[str]:
+    """Variables, rows, and of all rounds iterations and time in s."""
+    statistics, rounds = solution.statistics, solution.statistics.rounds
+    counts = statistics.variables, statistics.constraints, sum(each.iterations for each in rounds)
+    return [*map(str, counts), f"{sum(each.wall_time_s for each in rounds):.2f}"]
 
 
 def median(values: Sequence[float]) -> float:

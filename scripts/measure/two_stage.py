@@ -4,8 +4,8 @@ import time
 
 import click
 
-from scripts.measure.shared import head, row, solver_option
-from trajopt import Problem, check, solve
+from scripts.measure.shared import head, row, solver_option, verdict
+from trajopt import Problem, solve
 from trajopt.reduced.two_stage import base_rows_problem, recover_torques
 from trajopt.reduced.wrench_distribution import redistribute_wrenches
 from trajopt.solving.solving import PreparedProblem, prepare
@@ -20,32 +20,34 @@ CASES = (
     ("biped-walk", {"torque_share": 0.6}),
 )
 TITLES = (
-    "", "variables", "rows", "SX instructions", "iterations", "time s", "ms an iteration", "functions",
-    "cost", "torque furthest beyond its limit", "status",
+    "problem", "model", "variables", "rows", "SX instructions", "iterations", "time s",
+    "ms an iteration", "in functions", "cost", "torque furthest beyond its limit", "check",
 )  # fmt: skip
 
 
 @click.command()
 @solver_option
 def two_stage(solver: str) -> None:
-    """The full problem, stage one, and stage one with its wrenches redistributed.
+    """The full problem, stage one, and stage one with its wrenches redistributed, on their own mesh.
 
     Costs are the full problem's objective at each solution. SX instructions are those of values, first and
-    second derivatives of the largest point function; functions is their part of an iteration, ms.
+    second derivatives of the largest point function.
     """
+    head(*TITLES)
     for name, parameters in CASES:
-        click.echo(f"\n{name} {' '.join(f'{key}={value}' for key, value in parameters.items())}\n")
-        compare(problems.load(name, **parameters), solver)
+        title = " ".join([name, *(f"{key}={value}" for key, value in parameters.items())])
+        compare(title, problems.load(name, **parameters), solver)
 
 
-def compare(problem: Problem, solver: str) -> None:
-    """Print the table of one problem."""
+def compare(title: str, problem: Problem, solver: str) -> None:
+    """Print the lines of one problem."""
     full, first = (prepare(each) for each in (problem, base_rows_problem(problem)))
-    whole, motion = (solve(each, solver=solver) for each in (problem, base_rows_problem(problem)))
+    whole, motion = (
+        solve(each, solver=solver, fixed_mesh=True) for each in (problem, base_rows_problem(problem))
+    )
     begun = time.perf_counter()
     shared = redistribute_wrenches(problem, motion)
     sharing = time.perf_counter() - begun
-    head(*TITLES)
     for name, prepared, found, more in (
         ("full", full, whole, 0.0),
         ("stage one", first, motion, 0.0),
@@ -57,11 +59,12 @@ def compare(problem: Problem, solver: str) -> None:
         unknowns = warm_start(full.transcription, found).x
         cost = full.nlp.engine.f(unknowns) * full.transcription.objective_unit
         row(
-            name, statistics.variables, statistics.constraints, instructions(prepared), statistics.iterations,
-            f"{statistics.wall_time_s + more:.2f}", f"{each[0]:.1f}", f"{each[1]:.2f}", f"{cost:.4f}",
-            f"{worst.excess:+.1%} {worst.joint} at {worst.time:.2f} s ({worst.phase})", statistics.status,
+            f"`{title}`", name, statistics.variables, statistics.constraints, instructions(prepared),
+            statistics.iterations, f"{statistics.wall_time_s + more:.2f}", f"{each[0]:.1f}", f"{each[1]:.2f}",
+            f"{cost:.4f}",
+            f"{worst.excess:+.1%} {worst.joint} at {worst.time:.2f} s ({worst.phase})",
+            verdict(found),
         )  # fmt: skip
-    click.echo(f"\ncheck of the redistributed wrenches: {', '.join(check(shared).failures()) or 'passes'}")
 
 
 def instructions(prepared: PreparedProblem) -> str:

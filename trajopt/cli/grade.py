@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from trajopt.solution.solution import Solution
     from trajopt.solving.graded import Graded
     from trajopt.solving.monitoring import Watch
+    from trajopt.transcription.mesh import Mesh
 
 grade_options = option_group(
     click.option("--draft", is_flag=True, help="Solve on the first, coarse mesh only."),
@@ -42,6 +43,16 @@ def wants_grade(arguments: dict[str, Any]) -> bool:
     if other:
         del arguments["draft"], arguments["fixed_mesh"]
     return not other
+
+
+def mesh_at_first(problem: Problem, arguments: dict[str, Any]) -> Mesh:
+    """The mesh on which a solve with these arguments begins: the one that is named, or that of the grade."""
+    from trajopt.solving.graded import first_mesh
+    from trajopt.transcription.transcription import chosen_mesh
+
+    if _names_mesh(arguments) or arguments["ladder"] is not None or arguments["compare"]:
+        return chosen_mesh(problem, arguments["transcription"], arguments["intervals"])
+    return first_mesh(problem, arguments["accuracy"] is not None)
 
 
 def _names_mesh(arguments: dict[str, Any]) -> bool:

@@ -10,7 +10,7 @@ import click
 from trajopt.cli.aim import aim_options, solve_aimed, wants_aim
 from trajopt.cli.check import diagnose_option, diagnosis_of
 from trajopt.cli.commands import GroupedCommand
-from trajopt.cli.grade import grade_options, solve_to_grade, solve_whole, wants_grade
+from trajopt.cli.grade import grade_options, mesh_at_first, solve_to_grade, solve_whole, wants_grade
 from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
@@ -127,8 +127,7 @@ def solve_command(
     if smallest or explain or keep:
         from trajopt.scenes.smallest_scene import smallest as smallest_scene
 
-        grid = {name: arguments[name] for name in ("transcription", "intervals")}
-        scene = smallest_scene(loaded, keep=keep, **grid)
+        scene = smallest_scene(loaded, keep=keep, mesh=mesh_at_first(loaded, arguments))
         if explain and not as_json:
             say(str(scene.report))
     extra: dict[str, Any] = {"scene": scene.report.to_dict()} if scene else {}

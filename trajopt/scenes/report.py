@@ -48,7 +48,7 @@ class Decision:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneReport:
-    """All decisions of one scene, the sizes before and after, and the grid these are for."""
+    """All decisions of one scene, the sizes before and after, and the mesh these are for."""
 
     problem: str
     robot: str
@@ -107,13 +107,11 @@ def modelled(problem: Problem, whole: Problem, needs: Mapping[str, str]) -> tupl
     return tuple(lines)
 
 
-def remarks(problem: Problem, whole: Problem, grid: tuple[str | None, int | None]) -> Iterator[Decision]:
+def remarks(problem: Problem, whole: Problem, mesh: Mesh) -> Iterator[Decision]:
     """Rows and variables that are never built, with the reason, and what could be left out on request.
 
-    Numbers are for a ``grid`` (transcription, intervals) that defaults to the problem's.
+    Numbers are for a mesh.
     """
-    name, total = grid[0] or problem.default_transcription, grid[1] or problem.default_intervals
-    mesh = Mesh.uniform(name, problem.schedule.intervals(total))
     points = [phase.count * phase.method.s for phase in mesh.phases]
     for what, why in _never_modelled(problem, whole, points):
         yield Decision(kind=EXACT, what=what, why=why)

@@ -25,7 +25,8 @@ from trajopt.scenes.soles import Soles, with_soles
 from trajopt.scenes.terms import reduced_problem
 from trajopt.solution.solution import Solution
 from trajopt.terms.interfaces import Cost
-from trajopt.transcription.transcription import transcribe
+from trajopt.transcription.mesh import Mesh
+from trajopt.transcription.transcription import chosen_mesh, transcribe
 
 Plane = Literal["auto", True, False]
 
@@ -69,6 +70,7 @@ def smallest(
     torques: bool = False,
     transcription: str | None = None,
     intervals: int | None = None,
+    mesh: Mesh | None = None,
 ) -> Scene:
     """Return the smallest problem with the task of ``problem``; nothing is solved.
 
@@ -81,31 +83,30 @@ def smallest(
         torques: Model torques although no term uses them.
         transcription: Scheme that sizes are reported for; default: the problem's.
         intervals: Number of intervals that sizes are reported for; default: the problem's.
+        mesh: Mesh that sizes are reported for, instead of both.
 
     Raises:
         InputError: For an unknown joint, and with ``plane=True`` where robot or task is not symmetric; the
             message says what is not.
     """
-    search = _Smallest(problem, tuple(keep), plane, (transcription, intervals))
+    search = _Smallest(problem, tuple(keep), plane, chosen_mesh(problem, transcription, intervals, mesh))
     return search.build(tuple(lock), soles, torques)
 
 
 @checked
-def size_of(problem: Problem, transcription: str | None = None, intervals: int | None = None) -> ProblemSize:
+def size_of(problem: Problem, mesh: Mesh) -> ProblemSize:
     """Variables and rows of a problem's transcription."""
-    made = transcribe(problem, transcription, intervals)
+    made = transcribe(problem, mesh=mesh)
     return ProblemSize(variables=made.layout.n_unknowns, rows=made.n_rows)
 
 
 class _Smallest:
-    def __init__(
-        self, problem: Problem, keep: tuple[str, ...], plane: Plane, grid: tuple[str | None, int | None]
-    ) -> None:
-        self.original, self.keep, self.plane, self.grid = problem, keep, plane, grid
+    def __init__(self, problem: Problem, keep: tuple[str, ...], plane: Plane, mesh: Mesh) -> None:
+        self.original, self.keep, self.plane, self.mesh = problem, keep, plane, mesh
         self.whole = problem
         self.problem = problem
         self.decisions: list[Decision] = []
-        self.size = self.before = size_of(problem, *grid)
+        self.size = self.before = size_of(problem, mesh)
         self.reduction = lock_joints(problem.robot, (), problem.initial_q)
 
     def build(self, lock: tuple[str, ...], soles: bool, torques: bool) -> Scene:
@@ -123,7 +124,7 @@ class _Smallest:
             self.halve()
         if not torques:
             self.drop_torques()
-        self.decisions += remarks(self.problem, self.whole, self.grid)
+        self.decisions += remarks(self.problem, self.whole, self.mesh)
         return Scene(
             original=self.original,
             problem=self.problem,
@@ -134,7 +135,7 @@ class _Smallest:
 
     def note(self, kind: str, what: str, why: str) -> None:
         """Record a decision with what it saved."""
-        size = size_of(self.problem, *self.grid)
+        size = size_of(self.problem, self.mesh)
         variables, rows = self.size.variables - size.variables, self.size.rows - size.rows
         saved = ProblemSize(variables=variables, rows=rows)
         self.decisions.append(Decision(kind=kind, what=what, why=why, saved=saved))
@@ -238,7 +239,7 @@ class _Smallest:
             self.note(EXACT, "joint torques", "no term limits, prices or uses them: accelerations are inputs")
 
     def report(self) -> SceneReport:
-        made = transcribe(self.problem, *self.grid)
+        made = transcribe(self.problem, mesh=self.mesh)
         return SceneReport(
             problem=self.original.name,
             robot=self.original.robot.name,
