@@ -107,8 +107,8 @@ def _module(name: str) -> ModuleType:
             raise InputError(f"robot file {path} does not exist")
         return _from_file(path, path.stat().st_mtime_ns)
     if name.endswith((".urdf", ".xml")):
-        made = "trajopt robot FILE.urdf --write FILE.py makes one of a URDF"
-        raise InputError(f"'{name}' is a description, not a robot", f"a .py file with build(): {made}")
+        made = f"a .py file with build(): trajopt robot {name} --write FILE.py makes one"
+        raise InputError(f"'{name}' is a description, not a robot", made)
     if name not in names():
         raise InputError(
             f"robot '{name}' is unknown", "a .py file with build(), or one of " + ", ".join(names())

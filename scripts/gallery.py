@@ -23,6 +23,7 @@ from PIL import Image
 
 from scripts import gallery_videos
 from scripts.gallery_videos import Video
+from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.solution.solution import Solution
@@ -33,6 +34,7 @@ from trajopt.view.replay.show import replay
 # Title, page of docs/problems, and patterns of names: the first that fits counts.
 GROUPS = (
     ("Arms", "arms.md", ("arm-*", "ur5-*", "irb1600-*")),
+    ("Multirotors", "multirotors.md", ("quadrotor-*",)),
     ("Jumps and flips", "jumps.md", ("*-jump", "quadruped-jump-*", "*flip", "*-barrel-roll", "*-stand-up")),
     ("Terrain", "terrain.md", ("*-box-*", "*-gap", "*-slope", "*-stairs", "*-steps", "*-stones", "*-waves")),
     ("Gaits", "gaits.md", ("quadruped-*",)),
@@ -40,7 +42,7 @@ GROUPS = (
     ("Hoppers and classics", "classics.md", ("*",)),
 )
 # Pictures of a strip, pixels of each (taken larger, for smooth edges), and bytes of a strip at most.
-PICTURES, WIDTH, HEIGHT, LARGER, MOST_BYTES = 3, 400, 400, 1.3, 38_000
+PICTURES, WIDTH, HEIGHT, LARGER, MOST_BYTES = 3, 400, 400, 1.3, 33_000
 # The camera follows a motion that is this many times as long as the robot, else a picture shows it all.
 FOLLOWED = 1.6
 # How much larger than in the page a robot is, as what matters is in the middle; not if it is higher than this
@@ -137,7 +139,8 @@ def zoom_of(facts: Mapping[str, Any]) -> float:
 def strip_of(browser: Chromium, page: Path, solution: Solution, facts: Mapping[str, Any]) -> Image.Image:
     """Pictures of a solution in its page side by side, `WIDTH` by `HEIGHT` each, framed on the robot."""
     with browser.opened(page, (round(LARGER * WIDTH), round(LARGER * HEIGHT)), "bare") as view:
-        view.camera(camera_of(facts, view.cameras))
+        moving = base_of(solution.model) != "fixed"
+        view.camera(camera_of(facts, view.cameras if moving else ("overview",)))
         view.evaluate(CLOSER, zoom_of(facts))
         for name in set(HIDDEN) & set(view.layers):
             view.layer(name, False)

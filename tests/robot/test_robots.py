@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from trajopt.errors import InputError
+from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import legs_only
 from trajopt.robot.robot import Robot
 from trajopt_library import robots
@@ -288,3 +289,29 @@ def test_unknown_names_kinds_and_tools_are_refused_with_what_is_allowed(tmp_path
         robots.names("snake")
     with pytest.raises(InputError, match="panda"):
         robots.tool_frame("a1")
+
+
+def _turned(angles):
+    """Solo12 with joints of its standing posture turned by ``angles`` rad, by name."""
+    solo = robots.load("solo12")
+    model = solo.model
+    standing = {name: solo.reference[model.joints[i].idx_q] for i, name in enumerate(model.names) if i > 1}
+    by_name = {name: angle + angles.get(name, 0.0) for name, angle in standing.items()}
+    return Robot.from_model(model, base="freeflyer", contacts=solo.contacts, reference=by_name), by_name
+
+
+def _gaps(robot):
+    heights = contact_positions(robot, robot.reference)
+    return np.array([heights[contact.name][2] - contact.radius for contact in robot.contacts])
+
+
+def test_feet_of_a_rounded_posture_are_on_the_ground():
+    robot, given = _turned({"FL_HFE": 4e-4, "HR_KFE": -5e-4})
+    assert np.abs(_gaps(robot)).max() < 1e-9
+    assert np.abs(robot.reference[7:] - list(given.values())).max() < 1e-3
+
+
+def test_a_raised_foot_stays_raised():
+    robot, given = _turned({"FL_KFE": -0.2})
+    assert _gaps(robot).max() > 5e-3
+    np.testing.assert_allclose(robot.reference[7:], list(given.values()), atol=1e-15)

@@ -14,6 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+import trajopt
 from tests.support.plots import arm, drawn, jump, lines, panels, track_of
 from tests.support.problems import one_joint_arm, planar_hopper
 from tests.support.synthetic_motions import arm_motion, sampled, tumbling_flight, with_meta
@@ -44,9 +45,16 @@ def many_joints() -> Solution:
     return sampled(robot, [tumbling_flight(robot, 0.05)], 2)
 
 
+@lru_cache
+def flight() -> Solution:
+    """A quadrotor, which has thrusters and no joints."""
+    return trajopt.solve(trajopt.load("quadrotor-window"), draft=True)
+
+
 @pytest.mark.parametrize(
     ("solution", "names"),
     [
+        (flight, {"summary", "base", "momentum", "clearance", "accuracy"}),
         (jump, {"summary", "limits", "joints", "forces", "soles", "base", "momentum", "accuracy"}),
         (arm, {"summary", "limits", "joints", "drives", "momentum", "accuracy"}),
         (many_joints, {"summary", "limits", "joints", "base", "momentum", "accuracy"}),
@@ -117,6 +125,14 @@ DEFICIENCIES = {
         [1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]
     ],
 }  # fmt: skip
+
+
+def test_forces_of_thrusters_are_drawn_between_their_limits() -> None:
+    (figure,) = drawn(flight(), "base")
+    (axes,) = (axes for axes in panels(figure) if axes.get_ylabel() == "force u [N]")
+    assert {f"rotor_{i}" for i in range(4)} <= {line.get_label() for line in axes.lines}
+    levels = {float(line.get_ydata()[0]) for line in axes.lines if len(set(line.get_ydata())) == 1}
+    assert {0.0, flight().description.thrusters[0].most} <= levels
 
 
 @pytest.mark.parametrize("kind", DEFICIENCIES)

@@ -128,10 +128,14 @@ def starter(robot: Robot, target: Path) -> str:
         end = tool_joint(robot.model)
         last = [f.name for f in robot.model.frames if f.parentJoint == end > 0]
         tool = f'KIND, TOOL = "arm", "{last[-1]}"\n' if last else ""
-    contacts = ", ".join(
+    balls = any(contact.radius for contact in robot.contacts)
+    contacts = [
         f'Contact(frame="{c.frame}", radius={c.radius:g})' if c.radius else f'"{c.frame}"'
         for c in robot.contacts
-    )
+    ]
+    listed = ", ".join(contacts)
+    if balls:
+        listed = "".join(f"\n            {contact}," for contact in contacts) + "\n        "
     return TEMPLATE.format(
         name=robot.name,
         kind=reader.upper(),
@@ -141,8 +145,8 @@ def starter(robot: Robot, target: Path) -> str:
         source=urdf.name,
         tool=tool,
         base=robot.base,
-        contacts=f"[{contacts}]",
-        imported="Contact, Robot" if any(c.radius for c in robot.contacts) else "Robot",
+        contacts=f"[{listed}]",
+        imported="Contact, Robot" if balls else "Robot",
         reference="\n".join(_entries(robot)),
     )
 

@@ -22,9 +22,13 @@ from trajopt.dynamics.base_joint import (
 from trajopt.dynamics.rerooting import Body, copy_bodies
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.robot.contact import Contact
+from trajopt.terrain.surface import SAME_PLANE
 
 # A base lower than this part of the reach does not stand on its contacts: it lies, or hangs.
 STANDING_PART = 0.05
+
+# Feet that are less above the ground, m, are meant to be on it; so many steps of Newton's method level them.
+ROUNDED, LEVELLING = 1e-3, 4
 
 # A plane counts as one of the world's coordinate planes up to rounding of description files.
 ALIGNED = 1e-12
@@ -157,7 +161,8 @@ def reference_posture(
     ``posture`` is a whole configuration (nq,), taken as it is; or the joints behind the base
     (nq - base) in order or by name (joints not named stay at neutral), or None for neutral
     within the limits. Then the base is level, at x = y = 0, at the height at which the lowest of the contacts
-    touches level ground at height 0.
+    touches level ground at height 0. Angles are often rounded: feet that are less than `ROUNDED` higher than
+    that are brought onto it, too, by the least change of the joints.
     """
     if posture is not None and not isinstance(posture, Mapping):
         given = np.array(posture, dtype=float)
@@ -171,7 +176,7 @@ def reference_posture(
         q = np.concatenate([pin.neutral(model)[: BASE_COORDINATES[base]], given])
     else:
         q = _named_posture(model, posture or {})
-    return put_on_ground(model, base, contacts, q)
+    return with_level_feet(model, base, contacts, put_on_ground(model, base, contacts, q))
 
 
 def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
@@ -204,6 +209,26 @@ def put_on_ground(model: pin.Model, base: Base, contacts: Sequence[Contact], q: 
     )
     upright[height] -= lowest / up
     return upright
+
+
+def with_level_feet(model: pin.Model, base: Base, contacts: Sequence[Contact], q: np.ndarray) -> np.ndarray:
+    """Return ``q`` with contacts that are less than `ROUNDED` above height 0 on it, else as it is."""
+    if base == "fixed" or not contacts:
+        return q
+    data, first, level = model.createData(), BASE_ROWS[base], q
+    for step in range(LEVELLING):
+        pin.computeJointJacobians(model, data, level)
+        frames = [model.getFrameId(contact.frame) for contact in contacts]
+        pin.updateFramePlacements(model, data)
+        heights = [data.oMf[frame].translation[2] for frame in frames]
+        gaps = np.array([height - contact.radius for height, contact in zip(heights, contacts, strict=True)])
+        if step == 0 and not SAME_PLANE < np.abs(gaps).max() < ROUNDED:
+            return q
+        world = (pin.getFrameJacobian(model, data, f, pin.LOCAL_WORLD_ALIGNED)[2, first:] for f in frames)
+        moved = np.linalg.lstsq(np.array(list(world)), -gaps, rcond=None)[0]
+        level = pin.integrate(model, level, np.concatenate([np.zeros(first), moved]))
+    lower, upper = position_limits(model)
+    return level if np.all((lower <= level) & (level <= upper)) and np.abs(gaps).max() < SAME_PLANE else q
 
 
 def reach(model: pin.Model) -> float:

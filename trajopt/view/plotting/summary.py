@@ -24,7 +24,7 @@ def summary_pages(tracks: Tracks) -> list[PlotPage]:
     rows: list[PlotRow | None] = [contacts.stance_row(tracks), shares]
     moving = base.has_base(tracks)
     if moving:
-        rows.append(joints.torque_row(tracks))
+        rows += [joints.torque_row(tracks), base.thrust_row(tracks)]
         rows += [base.vector_row(tracks, name) for name in ("base position", "base orientation")]
     else:
         limbs = joints.limbs(tracks)

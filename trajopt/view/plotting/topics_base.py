@@ -1,7 +1,10 @@
 """Pages about the whole body: base, centre of mass, momentum, power, clearances."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +15,9 @@ from trajopt.view.plotting.joints import JointAxis
 from trajopt.view.plotting.motion import PlottedMotion
 from trajopt.view.plotting.topics_joints import limbs
 from trajopt.view.plotting.track import MotionQuantity
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # For a planar robot, a component that moves less than this (SI units) is out of its plane.
 STILL = 1e-9
@@ -69,8 +75,29 @@ def has_base(tracks: Tracks) -> bool:
 def base_pages(tracks: Tracks) -> list[PlotPage]:
     """Return position, orientation and velocities of a base that moves."""
     names = [name for name in VECTORS if name.startswith("base")] if has_base(tracks) else []
-    rows = [vector_row(tracks, name) for name in names]
+    rows = [*(vector_row(tracks, name) for name in names), thrust_row(tracks)]
     return page_of("base", "base", rows, note="Angles continue past half a turn.")
+
+
+def thrust_row(tracks: Tracks) -> PlotRow | None:
+    """Return the forces of the thrusters between their limits; None without thrusters."""
+    thrusters = tracks[0].solution.description.thrusters
+    if not thrusters:
+        return None
+    first = tracks[0].solution.tau.shape[1] - len(thrusters)
+    curves = draw.numbered(
+        (thruster.name, draw.column(lambda motion: motion.solution.tau, first + i))
+        for i, thruster in enumerate(thrusters)
+    )
+    limits = {limit for thruster in thrusters for limit in (thruster.least, thruster.most)}
+
+    def scale(axes: Axes) -> None:
+        draw.fit(axes, zero=True)
+        for limit in limits:
+            axes.axhline(limit, **draw.LIMIT)
+
+    title = "forces of the thrusters and their limits"
+    return draw.curve_row("thrust", title, "force u [N]", draw.told_apart(tracks, curves), scale)
 
 
 def momentum_pages(tracks: Tracks) -> list[PlotPage]:
