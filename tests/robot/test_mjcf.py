@@ -138,6 +138,14 @@ def test_free_bodies_besides_the_robot_are_refused_by_name(tmp_path: Path):
         Robot.from_mjcf(written(tmp_path, arm(scene=scene)))
 
 
+def test_a_free_body_beside_a_fixed_robot_is_refused_with_the_joints_of_the_robot(tmp_path: Path):
+    scene = '<body name="box"><freejoint/><geom size="0.1"/></body>'
+    with pytest.raises(
+        InputError, match=r"joints besides the free body 'box': .*; a file of the robot alone"
+    ):
+        Robot.from_mjcf(written(tmp_path, arm(scene=scene)))
+
+
 def test_missing_mujoco_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
     with pytest.raises(InputError, match=r"reading MJCF needs MuJoCo.*trajopt-contacts\[mujoco\]"):

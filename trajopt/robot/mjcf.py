@@ -1,7 +1,6 @@
 """MJCF files: MuJoCo compiles them, and a `pin.Model` is built from what it compiled.
 
-Coordinates are MuJoCo's qpos, joint by joint in its order; only quaternions are (x, y, z, w). The tree of the
-free joint comes first, as a base does.
+Coordinates are MuJoCo's qpos, joint by joint in its order; only quaternions are (x, y, z, w).
 """
 
 from collections.abc import Sequence
@@ -64,6 +63,11 @@ def read_mjcf(path: str | Path, compiled: Any, base: Base | None) -> MjcfRobot:
     if len(free) > 1:
         others = ", ".join(f"'{names[body]}'" for body in free[1:])
         raise InputError(f"{path} has free bodies besides '{names[free[0]]}': {others}", "one free joint")
+    trees = compiled.body_rootid[compiled.jnt_bodyid]
+    if len(free) and len(set(trees)) > 1:
+        beside = (name for name, tree in zip(joint_names(compiled), trees, strict=True) if tree != free[0])
+        what = f"{path} has joints besides the free body '{names[free[0]]}': {', '.join(beside)}"
+        raise InputError(what, "a file of the robot alone")
     model = plain = mjcf_model(compiled)
     kind, qpos = base_of(plain), _keyframe(compiled, plain)
     home = None if qpos is None else configuration(compiled, plain, qpos)
@@ -112,8 +116,7 @@ def mjcf_model(compiled: Any, root: Any = None) -> pin.Model:
         own = unique("root_joint", {*names, *joints})
         rooted = Body(model.addJoint(0, root, pin.SE3.Identity(), own), pin.SE3.Identity())
         model.addJointFrame(rooted.joint, 0)
-    free = compiled.body_rootid[compiled.jnt_bodyid[compiled.jnt_type == FREE]]
-    for body in sorted(range(1, compiled.nbody), key=lambda body: compiled.body_rootid[body] not in free):
+    for body in range(1, compiled.nbody):
         parent = int(compiled.body_parentid[body])
         on = _add_joints(compiled, model, body, rooted if parent == 0 and body in moving else bodies[parent])
         bodies[body] = on
