@@ -118,3 +118,29 @@ def test_without_any_effort_limit_nothing_is_locked(tmp_path: Path) -> None:
 def test_the_command_says_what_is_locked() -> None:
     shown = invoke("robot", str(robot_file("tiago_description/robots/tiago_no_hand.urdf")))
     assert "guess: wheels, locked and not taken as feet: wheel_left_joint, wheel_right_joint" in shown.stdout
+
+
+CART = """<mujoco><worldbody><body name="cart" pos="0 0 0.2"><freejoint/><geom type="box" size="0.3 0.2 0.1"/>
+{wheels}<body name="mast" pos="0 0 0.1"><joint name="pan" axis="0 0 1"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.5" size="0.03"/></body></body></worldbody>
+<actuator><motor joint="pan" forcerange="-1 1" forcelimited="true"/></actuator></mujoco>"""
+WHEEL = """<body name="wheel_{n}" pos="{x} {y} -0.1" euler="90 0 0">
+<joint name="wheel_{n}_joint" axis="0 0 1"/><geom type="cylinder" size="0.1 0.02"/></body>"""
+
+
+def test_wheels_of_an_mjcf_file_are_no_feet(tmp_path: Path) -> None:
+    places = [(0.2, 0.2), (0.2, -0.2), (-0.2, 0.2), (-0.2, -0.2)]
+    wheels = "".join(WHEEL.format(n=n, x=x, y=y) for n, (x, y) in enumerate(places))
+    path = tmp_path / "cart.xml"
+    path.write_text(CART.format(wheels=wheels), encoding="utf-8")
+    robot = guessed(path)
+    assert (robot.base, robot.nu, robot.contacts) == ("freeflyer", 1, ())
+    assert "wheels, locked and not taken as feet: wheel_0_joint" in invoke("robot", str(path)).output
+
+
+@pytest.mark.parametrize("joint", ["", "<freejoint/>"])
+def test_a_single_wheel_is_a_flywheel(joint: str, tmp_path: Path) -> None:
+    path, wheel = tmp_path / "one.xml", WHEEL.format(n=0, x=0, y=0)
+    body = f'<body name="box">{joint}<geom size="0.1"/>{wheel}</body>'
+    path.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>", encoding="utf-8")
+    assert "wheel_0_joint" in guessed(path).model.names

@@ -1,4 +1,4 @@
-"""What a URDF's tree of joints is: an arm whose fingers branch at its end, wheels, joints without drive."""
+"""What a description's joints are: an arm whose fingers branch at its end, wheels, joints without drive."""
 
 from dataclasses import dataclass
 
@@ -45,6 +45,7 @@ def find_limbs(model: pin.Model) -> Limbs:
     low = min((heights[tip] for tip in tips), default=0.0) + LOW * np.ptp(heights)
     bottom = {tip for tip in tips if heights[tip] <= low}
     wheels = {joint for joint in bottom if _is_wheel(model, data, joint)}
+    wheels = wheels if len(wheels) > 1 else set()  # one alone is a flywheel
     is_arm = _is_arm(data, children, wheels)
     undriven: set[int] = set()
     for joint in reversed(joints):
@@ -84,10 +85,12 @@ def _is_arm(data: pin.Data, children: list[list[int]], wheels: set[int]) -> bool
 def _is_wheel(model: pin.Model, data: pin.Data, joint: int) -> bool:
     """Whether a tip turns about a level axis through its body's centre, without limits."""
     kind, inertia = model.joints[joint], model.inertias[joint]
-    endless = kind.nq == 2 or model.lowerPositionLimit[kind.idx_q] == model.upperPositionLimit[kind.idx_q]
+    span = model.upperPositionLimit[kind.idx_q] - model.lowerPositionLimit[kind.idx_q]
+    endless = kind.nq == 2 or not 0 < span < UNLIMITED
     if kind.nv != 1 or not endless or inertia.mass <= 0:
         return False
-    axis = np.array(data.J[3:, kind.idx_v])  # world; zero where it slides
+    jacobian = np.reshape(data.J, (6, model.nv), order="F")  # of one column it is flat
+    axis = jacobian[3:, kind.idx_v]  # world; zero where it slides
     off = np.linalg.norm(np.cross(axis, data.oMi[joint].rotation @ inertia.lever))
     radius = np.sqrt(np.linalg.eigvalsh(inertia.inertia)[-1] / inertia.mass)
     return bool(axis.any() and abs(axis[2]) < LEVEL and off <= CENTRED * radius)

@@ -84,12 +84,17 @@ def guessed(path: Path, base: Base | None = None) -> Robot:
 
 
 def limbs_of(path: Path) -> Limbs:
-    """Limbs of a URDF file without its coupled joints; none are looked for in an MJCF file."""
+    """Limbs of a URDF or MJCF file without its coupled joints, on a fixed base."""
     source = VisualSource(urdf=path)
+    locked = _coupled(source)
     if source.is_mjcf:
-        return Limbs(wheels=(), undriven=(), is_fixed=False)
-    model = read_urdf(path, "fixed")
-    return find_limbs(locked_model(model, _coupled(source), pin.neutral(model)))
+        robot = Robot.from_mjcf(path, locked=locked)
+        if robot.base == "fixed":
+            return Limbs(wheels=(), undriven=(), is_fixed=True)
+        model, locked = robot.model, (robot.model.names[1],)
+    else:
+        model = read_urdf(path, "fixed")
+    return find_limbs(locked_model(model, locked, pin.neutral(model)))
 
 
 def _coupled(source: VisualSource) -> tuple[str, ...]:

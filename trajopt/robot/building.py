@@ -161,7 +161,7 @@ def reference_posture(
     ``posture`` is a whole configuration (nq,), taken as it is; or the joints behind the base
     (nq - base) in order or by name (joints not named stay at neutral), or None for neutral
     within the limits. Then the base is level, at x = y = 0, at the height at which the lowest of the contacts
-    touches level ground at height 0. Angles are often rounded: feet that are less than `ROUNDED` higher than
+    touches level ground at height 0. Angles are often rounded: points that are less than `ROUNDED` higher than
     that are brought onto it, too, by the least change of the joints.
     """
     if posture is not None and not isinstance(posture, Mapping):
@@ -212,8 +212,8 @@ def put_on_ground(model: pin.Model, base: Base, contacts: Sequence[Contact], q: 
 
 
 def with_level_feet(model: pin.Model, base: Base, contacts: Sequence[Contact], q: np.ndarray) -> np.ndarray:
-    """Return ``q`` with contacts that are less than `ROUNDED` above height 0 on it, else as it is."""
-    if base == "fixed" or not contacts:
+    """Return ``q`` with points that are less than `ROUNDED` above height 0 on it, else as it is."""
+    if base == "fixed" or any(contact.kind != "point" for contact in contacts) or not contacts:
         return q
     data, first, level = model.createData(), BASE_ROWS[base], q
     for step in range(LEVELLING):
