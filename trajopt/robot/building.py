@@ -161,8 +161,8 @@ def reference_posture(
     ``posture`` is a whole configuration (nq,), taken as it is; or the joints behind the base
     (nq - base) in order or by name (joints not named stay at neutral), or None for neutral
     within the limits. Then the base is level, at x = y = 0, at the height at which the lowest of the contacts
-    touches level ground at height 0. Angles are often rounded: points that are less than `ROUNDED` higher than
-    that are brought onto it, too, by the least change of the joints.
+    touches level ground at height 0. Angles are often rounded: points that are less than `ROUNDED` higher
+    are brought onto it, too, by the least change of the joints.
     """
     if posture is not None and not isinstance(posture, Mapping):
         given = np.array(posture, dtype=float)
