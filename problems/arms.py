@@ -12,6 +12,7 @@ import pinocchio as pin
 from trajopt.errors import InputError
 from trajopt.problem import Parameter, Problem
 from trajopt.robot import Posture, Robot, frame_pose, inverse_kinematics, require_moving
+from trajopt.robot.units import Units
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import DriveLimits, FramePose, Term, TerminalRest, TorqueLimits
 from trajopt_library import robots
@@ -155,6 +156,8 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool
     travel = np.abs(steps).sum(axis=0)
     by_rate = PEAK_RATE * travel / robot.velocity_limit
     if robot.torque_limit is None:
+        if np.isinf(robot.velocity_limit).all():  # accelerations of one in natural units
+            return float(np.sqrt(PEAK_ACCELERATION * travel.max()) * Units(robot).time)
         return float(by_rate.max())
     held = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
     # If the motors cannot hold a posture, the problem is infeasible whatever the guess.

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pinocchio as pin
+from scipy.optimize import lsq_linear
 
 from trajopt.collision import BoxObstacle, Obstacle
 from trajopt.dynamics import gravity_of
@@ -26,6 +27,8 @@ BAR, MARGIN = 0.1, 0.02
 UNHURRIED = 4.0
 # A flip's default duration, and the rise in its guess, for a free fall over this part of the duration.
 FLIP, FALL = 0.9, 0.5
+# Largest force and moment left of the weight in hovering, of the weight (times 1 m).
+HOVERING = 1e-6
 # The body is upside down in the middle within this angle, on its side a quarter before and after.
 WITHIN = math.pi / 3
 
@@ -33,7 +36,12 @@ WITHIN = math.pi / 3
 def _quadrotor(name: str) -> Robot:
     robot = robots.load(name)
     if robot.base != "freeflyer" or not robot.thrusters:
-        raise InputError(f"robot '{name}' cannot fly", "allowed: a free base with thrusters")
+        raise InputError(f"robot '{robot.name}' cannot fly", "allowed: a free base with thrusters")
+    weight = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), robot.reference)
+    most = np.inf if robot.torque_limit is None else robot.torque_limit
+    inputs = lsq_linear(robot.actuation.matrix, weight, (robot.least_torque(np.full(robot.nu, np.inf)), most))
+    if np.abs(inputs.fun).max() > HOVERING * robot.weight:
+        raise InputError(f"robot '{robot.name}' cannot hover level", "thrusters that balance its weight")
     return robot
 
 

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.repository import ROOT
-from trajopt.control import ContactForceTask, FrameTask, PostureTask, TaskSpaceController
+from trajopt.control import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, TaskSpaceController
+from trajopt.control.tasks import Task
 from trajopt.errors import InputError
 from trajopt.robot import Contact, frame_pose
 from trajopt_library import robots
@@ -89,6 +90,41 @@ def test_what_cannot_be_is_said_in_one_line():
         TaskSpaceController(replace(robot, contacts=(Contact(frame="tool0"),))).torque(
             robot.reference, np.zeros(6), [press], contacts=["tool0"]
         )
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        (FrameTask(frame="tool0", pose=np.eye(4), bandwidth=5.0), "pose of FrameTask .* pinocchio.SE3"),
+        (FrameTask(frame="tool0", pose=pin.SE3.Identity(), bandwidth=-1.0), "bandwidth of FrameTask is -1"),
+        (
+            FrameTask(frame="tool0", pose=pin.SE3.Identity(), velocity=np.zeros(3), bandwidth=1.0),
+            r"velocity of FrameTask .* shape \(6,\)",
+        ),
+        (CenterOfMassTask(position=np.zeros(2), bandwidth=1.0), r"position of CenterOfMassTask .* \(3,\)"),
+        (PostureTask(q=np.zeros(4), bandwidth=1.0), r"q of PostureTask .* shape \(6,\)"),
+        (PostureTask(q=np.zeros(6), bandwidth=1.0, weight=-1.0), "weight of PostureTask is -1"),
+        (PostureTask(q=np.zeros(6), bandwidth=1.0, weight=float("nan")), "weight of PostureTask is nan"),
+        (PostureTask(q=np.full(6, np.nan), bandwidth=1.0), "q of PostureTask .* finite"),
+        (ContactForceTask(wanted=np.zeros((1, 6))), "'ur5' has no contact, which ContactForceTask needs"),
+    ],
+)
+def test_a_task_that_cannot_act_is_refused_by_name(task: Task, message: str) -> None:
+    robot = robots.load("ur5")
+    with pytest.raises(InputError, match=message):
+        TaskSpaceController(robot).torque(robot.reference, np.zeros(6), [task])
+
+
+def test_a_contact_twice_a_name_for_a_robot_and_a_step_back_are_refused() -> None:
+    robot = robots.load("solo12")
+    controller, state = TaskSpaceController(robot), (robot.reference, np.zeros(robot.nv))
+    with pytest.raises(InputError, match="contacts are FL_FOOT, FL_FOOT; allowed: each once"):
+        controller.torque(*state, [], contacts=["FL_FOOT", "FL_FOOT"])
+    with pytest.raises(InputError, match="robot"):
+        TaskSpaceController("go1")  # type: ignore[arg-type]
+    controller.torque(*state, [PostureTask(q=robot.reference, bandwidth=5.0)])
+    with pytest.raises(InputError, match="dt"):
+        controller.step(*state, -0.01)
 
 
 def test_a_cart_with_a_passive_pole_is_controlled_by_its_cart_alone():

@@ -181,6 +181,6 @@ def test_every_link_is_seen(kind: str, tmp_path: Path) -> None:
 def test_missing_mujoco_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = plan_to_export("an arm")
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    words = "MuJoCo, which is not installed; pip install 'trajopt-contacts[mujoco]'"
+    words = "MuJoCo, which is not installed; pip install mujoco, or the extra 'mujoco'"
     assert_refused_in_one_line(lambda: export_motion(plan, "mujoco", tmp_path / "a"), words)
     assert list(tmp_path.iterdir()) == []

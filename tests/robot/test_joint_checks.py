@@ -14,7 +14,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.joint_checks import joints_without_inertia, require_inertia, require_moving
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import TorqueCost, TorqueLimits, VelocityLimits
+from trajopt.terms import TorqueCost
 from trajopt_library import robots
 
 SMALL = 1e-7  # kg m^2, of a finger's last link
@@ -77,18 +77,6 @@ def test_a_problem_with_torques_needs_inertia() -> None:
     assert "\n" not in str(refused.value)
     assert still(robot, actuation="acceleration").robot is robot
     assert still(robot.with_locked(["j1"]), TorqueCost(weight=1.0)).robot.nv == 1
-
-
-def test_limits_of_zero_name_the_joint_where_they_are_imposed() -> None:
-    robot = chain(BAR, BAR, BAR)
-    slow = replace(robot, velocity_limit=np.array([3.0, 0.0, 0.0]))
-    with pytest.raises(InputError, match="velocity limit of joint 'j1' and 1 more of 'chain' is 0; allowed"):
-        still(slow, VelocityLimits())
-    weak = replace(robot, torque_limit=np.array([50.0, 50.0, 0.0]))
-    with pytest.raises(InputError, match=r"torque limit of joint 'j2' of 'chain' is 0; .*passive"):
-        still(weak, TorqueLimits())
-    assert still(slow).robot is slow
-    assert still(weak, TorqueLimits(limit=np.array([1.0, 1.0, 0.0])), VelocityLimits()).robot is weak
 
 
 def test_a_report_says_which_joints_move_nothing() -> None:

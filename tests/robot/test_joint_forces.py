@@ -12,6 +12,7 @@ import trajopt
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.problem import Problem
 from trajopt.robot import Drive, JointForce, Robot
+from trajopt.robot.actuators.joint_force import SPRING
 from trajopt.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
 from trajopt.terms import TerminalRest, TerminalState, TorqueCost, effort_costs
@@ -195,3 +196,18 @@ def test_springs_hold_in_mujoco() -> None:
     simulated = trajopt.simulate(trajopt.solve(problem))
     assert simulated.report.passed, simulated.report.failures
     assert simulated.report.saturated == 0.0
+
+
+def test_series_springs_stay_with_the_friction_of_the_description() -> None:
+    robot = robots.load("ur5")
+    model = robot.model.copy()
+    model.armature[:], model.upperDryFrictionLimit[:] = 0.1, 0.2
+    robot, name = replace(robot, model=model), model.names[2]
+    elastic = robot.with_series_springs({name: 300.0})
+    again = elastic.with_joint_forces()
+    assert elastic.joint_forces[0] in again.joint_forces
+    assert len(again.joint_forces) == 1 + len(robot.with_joint_forces().joint_forces) == 7
+    softer = elastic.with_joint_forces([JointForce(joint=name + SPRING, stiffness=10.0)])
+    assert [force.stiffness for force in softer.joint_forces] == [10.0]
+    with pytest.raises(InputError, match=f"stiffness of the series spring of joint '{name}' is 0.0; above 0"):
+        robot.with_series_springs({name: 0.0})

@@ -194,3 +194,31 @@ def test_thrusters_contacts_and_followers_keep_their_places() -> None:
     with_foot = Robot.from_model(robot.model, contacts=[Contact(frame="tool0")]).with_mimics(robot.mimics)
     assert with_foot.actuation.inverse.shape == (5, 6)
     assert with_foot.with_mimics([]).nu == 5
+
+
+def test_a_joint_with_a_motor_leads_in_an_equality_of_an_mjcf_file(tmp_path):
+    joints = "".join(
+        f'<body name="b{n}" pos="{n} 0 0"><joint name="j{n}" axis="0 1 0"/><geom size="0.1" mass="1"/></body>'
+        for n in (1, 2)
+    )
+    rule = '<equality><joint joint1="j1" joint2="j2" polycoef="0.1 2 0 0 0"/></equality>'
+    path = tmp_path / "pair.xml"
+    path.write_text(
+        f'<mujoco><worldbody>{joints}</worldbody>{rule}<actuator><motor joint="j1"/></actuator></mujoco>',
+        encoding="utf-8",
+    )
+    robot = Robot.from_mjcf(path)
+    assert robot.mimics == (MimicJoint(joint="j2", mimics="j1", ratio=0.5, offset=-0.05),)
+    assert (robot.nu, robot.passive) == (1, ("j2",))
+
+
+def test_only_a_joint_that_follows_and_has_a_motor_can_be_driven_beside():
+    robot = robots.load("panda")
+    leader, follower = list(robot.model.names)[1:3]
+    pair = MimicJoint(joint=follower, mimics=leader)
+    for name in ("nonsense", leader):
+        with pytest.raises(InputError, match=f"driven joint '{name}' follows no other"):
+            robot.with_mimics([pair], driven=[name])
+    passive = robot.with_mimics([pair])
+    with pytest.raises(InputError, match=f"driven joint '{follower}' is passive"):
+        passive.with_mimics([pair], driven=[follower])

@@ -148,7 +148,7 @@ def test_a_free_body_beside_a_fixed_robot_is_refused_with_the_joints_of_the_robo
 
 def test_missing_mujoco_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
-    with pytest.raises(InputError, match=r"reading MJCF needs MuJoCo.*trajopt-contacts\[mujoco\]"):
+    with pytest.raises(InputError, match=r"reading MJCF needs MuJoCo.*the extra 'mujoco'"):
         Robot.from_mjcf(written(tmp_path, arm()))
 
 

@@ -141,5 +141,12 @@ def test_a_leg_with_a_passive_knee_keeps_its_row_of_the_dynamics():
     hopper = robots.load("hopper")
     robot = Robot.from_model(hopper.model, passive=["knee"], contacts=hopper.contacts)
     assert robot.unactuated_rows.tolist() == [0, 1, 2, 4]
-    with pytest.raises(InputError, match="cannot fly"):
+    with pytest.raises(InputError, match="robot 'hopper' cannot fly"):
         problems.load("quadrotor-flip", robot="hopper")
+
+
+def test_thrusters_that_push_down_do_not_hover():
+    iris = robots.load("iris")
+    down = iris.with_thrusters([replace(thruster, axis=(0.0, 0.0, -1.0)) for thruster in iris.thrusters])
+    with pytest.raises(InputError, match="robot 'iris' cannot hover level"):
+        problems.load("quadrotor-window", robot=down)

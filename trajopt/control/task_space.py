@@ -17,8 +17,16 @@ from trajopt.control.inverse_dynamics import (
 )
 from trajopt.control.limits import JointRange, limits_with_drives
 from trajopt.control.robot_state import RobotState
-from trajopt.control.tasks import RegularisationTask, Task
-from trajopt.errors import InputError
+from trajopt.control.tasks import (
+    AngularMomentumTask,
+    CenterOfMassTask,
+    ContactForceTask,
+    FrameTask,
+    PostureTask,
+    RegularisationTask,
+    Task,
+)
+from trajopt.errors import InputError, shown
 from trajopt.robot.contact import Contact
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
@@ -29,7 +37,6 @@ SMALL = 1e-8
 UP = np.array([0.0, 0.0, 1.0])
 
 
-@checked
 class TaskSpaceController:
     """Torques for tasks; units, limits, drives and contacts are those of the robot.
 
@@ -44,6 +51,7 @@ class TaskSpaceController:
     ``state`` has inertia, frames and the centre of mass of the last tick, ``last`` its result.
     """
 
+    @checked
     def __init__(
         self,
         robot: Robot,
@@ -85,11 +93,15 @@ class TaskSpaceController:
             contacts: names of those that stand; default all of a robot that moves, none of a fixed one.
 
         Raises:
-            InputError: for a state that is not finite or has another shape, unknown contacts, and where no
-                torques within the limits exist.
+            InputError: for a state or a task that is not finite or has another shape, unknown contacts, and
+                where no torques within the limits exist.
         """
         robot, drives = self.robot, self.robot.drives or (None,) * self.robot.nu
         names = [c.name for c in robot.contacts if robot.base != "fixed"] if contacts is None else contacts
+        if len(set(names)) < len(names):
+            raise InputError(f"contacts are {', '.join(names)}", "allowed: each once")
+        for task in tasks:
+            require_task(task, robot)
         self.state.update(q, v)
         rate = robot.actuation.rates(v)
         friction = [
@@ -107,6 +119,7 @@ class TaskSpaceController:
             raise InputError(what, "another state, or other contacts")
         return self.last.torque
 
+    @checked
     def step(self, q: np.ndarray, v: np.ndarray, dt: Positive) -> tuple[np.ndarray, np.ndarray]:
         """State a time dt in s later under the last result's acceleration, semi-implicit Euler."""
         if self.last is None:
@@ -123,3 +136,31 @@ class TaskSpaceController:
             friction=self.friction,
             half_size=(contact.half_length, contact.half_width),
         )
+
+
+def require_task(task: Task, robot: Robot) -> None:
+    """Raise `InputError` for a task of the library with a value that is not finite or of another shape."""
+    model, name = robot.model, type(task).__name__
+    three, six, rates = (3,), (6,), (model.nv,)
+    kinds: dict[type, dict[str, tuple[int, ...] | None]] = {
+        CenterOfMassTask: {"position": three, "velocity": three, "acceleration": three},
+        AngularMomentumTask: {"momentum": three, "rate": three},
+        FrameTask: {"velocity": six, "acceleration": six},
+        PostureTask: {"q": (model.nq,), "v": rates, "a": rates},
+        ContactForceTask: {"wanted": None},  # a row for each contact that stands, which its rows say
+    }
+    for key, shape in kinds.get(type(task), {}).items():
+        value = getattr(task, key)
+        if value is None:
+            continue
+        if np.shape(value) != (shape or np.shape(value)) or not np.isfinite(value).all():
+            what = f"of shape {shape}" if shape else "numbers"
+            raise InputError(f"{key} of {name} is {shown(value)}", f"allowed: finite, {what}")
+    if isinstance(task, ContactForceTask) and not robot.contacts:
+        raise InputError(f"robot '{robot.name}' has no contact, which {name} needs")
+    if isinstance(task, FrameTask) and not isinstance(task.pose, pin.SE3):
+        raise InputError(f"pose of {name} is {shown(task.pose)}", "allowed: pinocchio.SE3")
+    if not 0 <= task.weight < np.inf:
+        raise InputError(f"weight of {name} is {task.weight}", "allowed: 0 and more")
+    if not 0 < getattr(task, "bandwidth", 1.0) < np.inf:
+        raise InputError(f"bandwidth of {name} is {shown(getattr(task, 'bandwidth', None))}", "above 0, 1/s")

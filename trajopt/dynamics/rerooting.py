@@ -24,6 +24,7 @@ BASE_FRAME = "floating_base"
 JOINT_ROWS = (
     "armature", "rotorInertia", "rotorGearRatio", "damping",
     "upperEffortLimit", "lowerEffortLimit", "upperVelocityLimit", "lowerVelocityLimit",
+    "upperDryFrictionLimit", "lowerDryFrictionLimit",
 )  # fmt: skip
 
 

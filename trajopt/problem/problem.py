@@ -19,13 +19,13 @@ from trajopt.problem.validation import (
     require_actuation,
     require_following,
     require_modes,
-    require_movable,
     require_no_impacts,
     require_payloads,
     require_phases,
     require_start,
     require_terms,
 )
+from trajopt.robot.joint_checks import require_inertia
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.payload import Payload, loaded
 from trajopt.robot.robot import Robot
@@ -118,7 +118,8 @@ class Problem:
         object.__setattr__(self, "terms", tuple(self.terms))
         require_terms(self.name, self.terms)
         require_actuation(robot, schedule, self.actuation, self.initial_v)
-        require_movable(robot, self.terms, self.actuation)
+        if self.actuation == "torque":
+            require_inertia(robot)
         require_phases(self.name, robot, schedule)
         if robot.mimics:
             require_following(self.name, robot, schedule, self.initial_q, self.initial_v)

@@ -14,17 +14,16 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.errors import InputError, not_among, shown
 from trajopt.robot.actuators.mimic import followed
-from trajopt.robot.joint_checks import require_inertia, require_moving
 from trajopt.robot.payload import Payload
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.schedule.moment import Moment
 from trajopt.schedule.schedule import Schedule
-from trajopt.terms.context_symbols import ACTUATIONS, Actuation
+from trajopt.terms.context_symbols import ACTUATIONS
 from trajopt.terms.costs import NodeCost
 from trajopt.terms.interfaces import DuringPhases, NodeConstraint, NodePlace, PointConstraint, Term, nodes_of
-from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
+from trajopt.terms.limits import PositionLimits
 
 # A start may exceed a limit by what a check allows: this fraction of it, at least this much, rad, m, rad/s,
 # m/s.
@@ -262,16 +261,6 @@ def _require_within(
             f"{where} joint '{joint.name}' {how} {values[row]:.9g}, beyond its {term}",
             f"allowed: {lower[row]:.9g} to {upper[row]:.9g}",
         )
-
-
-def require_movable(robot: Robot, terms: Sequence[Term], actuation: Actuation) -> None:
-    """Raise `InputError` for joints with limits of 0 that terms impose, or without inertia under torques."""
-    if any(isinstance(term, VelocityLimits) for term in terms):
-        require_moving(robot, "velocity")
-    if any(isinstance(term, TorqueLimits) and term.limit is None for term in terms):
-        require_moving(robot, "torque")
-    if actuation == "torque":
-        require_inertia(robot)
 
 
 def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> None:

@@ -5,6 +5,7 @@ The argument `robot` is a `Robot`, whose methods call these.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -39,6 +40,9 @@ def series_springs(robot: Any, stiffness: Mapping[str, float]) -> Fields:
     for name in stiffness:
         if name not in known:
             raise InputError(f"joint '{name}' of a series spring is unknown", "one of " + ", ".join(known))
+        if not 0 < stiffness[name] < math.inf:
+            what = f"stiffness of the series spring of joint '{name}' is {stiffness[name]}"
+            raise InputError(what, "above 0, N m/rad or N/m")
     model = with_spring_joints(robot.model, list(stiffness))
     q, v = building.joint_entries(model, known)
     changed = {"reference": pin.neutral(model), "velocity_limit": np.full(model.nv, np.inf)}
@@ -64,7 +68,12 @@ def mimics(robot: Any, given: Sequence[MimicJoint], driven: Sequence[str]) -> Fi
     """With joints that follow others in place of those it has. Raises `InputError`."""
     model = robot.model
     require_mimics(robot.name, model, given)
-    idle = [mimic.joint for mimic in given if mimic.joint not in driven]
+    followers = [mimic.joint for mimic in given]
+    for name in driven:
+        if name not in followers or name in robot.passive:
+            what = "is passive" if name in followers else "follows no other"
+            raise InputError(f"driven joint '{name}' {what}", "joints that follow others and have a motor")
+    idle = [name for name in followers if name not in driven]
     passive = tuple(dict.fromkeys((*robot.passive, *idle)))
     kept = np.flatnonzero(~np.isin(robot.rows_of_inputs, building.joint_entries(model, passive)[1]))
     names = ("position_lower", "position_upper", "velocity_limit")

@@ -23,7 +23,8 @@ WRAP_JOINT, WRAP_SITE, WRAP_GEOMS = 1, 3, (4, 5)
 class Coupling(NamedTuple):
     """A constraint: ``what`` it is, its ``joints``, and those ``needed`` to be locked to free the others.
 
-    mimic: by which one of two joints follows the other; None of other constraints. driven: both have motors.
+    mimic: by which one of two joints follows the other; None of other constraints. driven: the one that
+    follows has a motor.
     """
 
     what: str
@@ -48,7 +49,12 @@ def following(
             if leader is not None:
                 ratio, offset = mimic.ratio * leader.ratio, mimic.ratio * leader.offset + mimic.offset
                 mimics[name] = replace(mimic, mimics=leader.mimics, ratio=ratio, offset=offset)
-    broken = [each for each in couplings if each.mimic is None and not set(each.needed) <= set(locked)]
+    twice = Counter(each.mimic.joint for each in couplings if each.mimic)
+    broken = [
+        each
+        for each in couplings
+        if (each.mimic is None or twice[each.mimic.joint] > 1) and not set(each.needed) <= set(locked)
+    ]
     if broken:
         joints = list(dict.fromkeys(joint for each in broken for joint in each.joints))
         what = "; ".join(each.what for each in broken)
@@ -83,7 +89,7 @@ def urdf_couplings(path: str | Path) -> tuple[Coupling, ...]:
 
 def mjcf_couplings(compiled: Any) -> tuple[Coupling, ...]:
     """Active equality constraints of a compiled MJCF file between joints that move."""
-    found, names = [], joint_names(compiled)
+    found, names, motors = list[Coupling](), joint_names(compiled), actuation_of(compiled).driven
     for index in np.flatnonzero(compiled.eq_active0).tolist():
         kind = mujoco_package().mjtEq(int(compiled.eq_type[index])).name.removeprefix("mjEQ_").lower()
         objects = [int(compiled.eq_obj1id[index]), int(compiled.eq_obj2id[index])]
@@ -93,8 +99,11 @@ def mjcf_couplings(compiled: Any) -> tuple[Coupling, ...]:
             name = f" '{compiled.equality(index).name}'" if compiled.equality(index).name else ""
             what = f"equality {kind}{name} of {', '.join(joints)}"
             rule = _mimic(compiled, index, joints) if kind == "joint" and len(joints) == 2 else None
-            driven = rule is not None and bool(actuation_of(compiled).driven[objects].all())
-            found.append(Coupling(what, joints, joints, rule, driven))
+            has_motor = dict(zip(joints, motors[objects].tolist(), strict=True)) if rule else {}
+            followers = {each.mimic.joint for each in found if each.mimic}
+            if rule and has_motor[rule.joint] > has_motor[rule.mimics] and not {rule.mimics} <= followers:
+                rule = rule.swapped() or rule  # the one with a motor leads
+            found.append(Coupling(what, joints, joints, rule, rule is not None and has_motor[rule.joint]))
     return tuple(found)
 
 

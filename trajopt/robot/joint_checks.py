@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 Limit = Literal["velocity", "torque"]
 
-# Inertia about a joint's axis below this part of (mass that it moves) x (reach of the robot)^2 is none: a
+# Inertia about a joint's axis below this part of (mass that it moves) x (reach of the robot)^2 is none: ten
 # million times less than that of a finger on a humanoid, and above rounding.
-NO_INERTIA = 1e-12
+NO_INERTIA = 1e-13
 # A mass may lie on a joint's axis in one posture: rad or m from there to the other.
 BESIDE = 0.3
 REMEDIES = {

@@ -10,14 +10,14 @@ from trajopt.robot.actuators.actuation import Thruster
 FREE, BALL, SLIDE, HINGE = range(4)
 ON_JOINT = (0, 1)
 AT_SITE, PARALLEL = 4, 1e-9
-FIXED_GAIN, MUSCLE, NO_BIAS, INTEGRATOR = 0, 2, 0, 1
+FIXED_GAIN, AFFINE_GAIN, MUSCLE, NO_BIAS, INTEGRATOR = 0, 1, 2, 0, 1
 
 
 class JointActuation(NamedTuple):
     """Of each joint (njnt,): its torque limit, N m or N, inf without one, and whether it is ``driven``.
 
     armature: reflected inertia of its actuators, kg m^2 or kg. thrusters: that push along an axis of a site.
-    others: names of actuators that are none of a hinge's or slide's, or a muscle.
+    others: names of actuators that are none of a hinge's or slide's, a muscle or a damper.
     """
 
     effort: np.ndarray
@@ -39,7 +39,7 @@ def actuation_of(compiled: Any) -> JointActuation:
     driven, thrusters, others = np.zeros(compiled.njnt, dtype=bool), [], []
     for index in range(count):
         joint, gear = int(compiled.actuator_trnid[index, 0]), compiled.actuator_gear[outputs[index], 0]
-        plain = compiled.actuator_trntype[index] in ON_JOINT and compiled.actuator_gaintype[index] != MUSCLE
+        plain = compiled.actuator_trntype[index] in ON_JOINT and not _is_muscle_or_damper(compiled, index)
         if not plain or compiled.jnt_type[joint] not in (SLIDE, HINGE):
             name = compiled.actuator(index).name or f"actuator{index}"
             thruster = _thruster(compiled, index, name, compiled.actuator_gear[outputs[index]])
@@ -55,6 +55,12 @@ def actuation_of(compiled: Any) -> JointActuation:
     return JointActuation(
         np.abs(ranges).min(axis=1, initial=np.inf), armature, driven, tuple(thrusters), tuple(others)
     )
+
+
+def _is_muscle_or_damper(compiled: Any, index: int) -> bool:
+    """Whether the force of an actuator is a muscle's, or a multiple of the rate alone."""
+    kind, gain = compiled.actuator_gaintype[index], compiled.actuator_gainprm[index]
+    return bool(kind == MUSCLE or (kind == AFFINE_GAIN and not gain[:2].any()))
 
 
 def _thruster(compiled: Any, index: int, name: str, gear: np.ndarray) -> Thruster | None:

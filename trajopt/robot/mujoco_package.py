@@ -6,7 +6,7 @@ from typing import Any
 
 from trajopt.errors import InputError
 
-PACKAGE_MISSING = "pip install 'trajopt-contacts[mujoco]'"
+PACKAGE_MISSING = "pip install mujoco, or the extra 'mujoco'"
 
 
 def mujoco_package(purpose: str = "simulating") -> Any:

@@ -81,5 +81,6 @@ def existing_file(path: str | Path, kind: str) -> Path:
     """Return the absolute path of a file. Raises `InputError` if it does not exist."""
     source = expanded(path).absolute()
     if not source.is_file():
-        raise InputError(f"{kind} file {source} does not exist")
+        what = "is a folder" if source.is_dir() else "does not exist"
+        raise InputError(f"{kind} file {source} {what}")
     return source

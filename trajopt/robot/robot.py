@@ -21,7 +21,7 @@ from trajopt.kinds import ArrayShape
 from trajopt.robot import building, changes
 from trajopt.robot.actuators.actuation import Actuation, Thruster
 from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.actuators.joint_force import JointForce, described_forces
+from trajopt.robot.actuators.joint_force import SPRING, JointForce, described_forces
 from trajopt.robot.actuators.mimic import MimicJoint, require_mimics
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
 from trajopt.robot.contact import Contact, require_frame
@@ -275,17 +275,21 @@ class Robot:
     def with_joint_forces(self, forces: Sequence[JointForce] | None = None) -> Robot:
         """Return this robot with springs, damping and dry friction at joints, in place of those it has.
 
+        Springs in series stay unless their joints, ``JOINT_spring``, are among those given.
+
         Args:
             forces: of joints; default damping, dry friction and (of MJCF) springs of its description.
 
         Raises:
             InputError: for an unknown joint, or one of several degrees of freedom.
         """
-        if forces is not None:
-            return replace(self, joint_forces=tuple(forces))
-        is_mjcf = self.visual is not None and self.visual.is_mjcf
-        springs = joint_springs(compile_mjcf(self.visual.urdf)) if self.visual and is_mjcf else {}
-        return replace(self, joint_forces=described_forces(self.model, springs))
+        if forces is None:
+            is_mjcf = self.visual is not None and self.visual.is_mjcf
+            springs = joint_springs(compile_mjcf(self.visual.urdf)) if self.visual and is_mjcf else {}
+            forces = described_forces(self.model, springs)
+        named = {force.joint for force in forces}
+        kept = (f for f in self.joint_forces if f.joint.endswith(SPRING) and f.joint not in named)
+        return replace(self, joint_forces=(*forces, *kept))
 
     @checked
     def with_series_springs(self, stiffness: Mapping[str, float]) -> Robot:

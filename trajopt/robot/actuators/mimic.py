@@ -56,6 +56,17 @@ class MimicJoint:
                 raise UnsupportedJointError(name, joint.shortname(), "mimic joints of one coordinate")
         return tuple(model.joints[model.getJointId(name)] for name in (self.joint, self.mimics))
 
+    def swapped(self) -> "MimicJoint | None":
+        """The same rule with the other joint following; None where it does not say where that is."""
+        if self.ratio == 0:
+            return None
+        return MimicJoint(
+            joint=self.mimics,
+            mimics=self.joint,
+            ratio=1 / self.ratio,
+            offset=(0.0 - self.offset) / self.ratio,
+        )
+
     def apart(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
         """How far (...,) the joint is from where it has to be at configurations (..., nq), rad or m."""
         joint, leader = self.joints(model)
