@@ -96,3 +96,13 @@ def test_a_first_file_locks_joints_that_mimic_others(tmp_path):
 ARM = f"""<transmission name="t"/><link name="hand">{BODY}</link><joint name="hand_joint" type="revolute">
 <parent link="palm"/><child link="hand"/><axis xyz="0 1 0"/>
 <limit lower="-1" upper="1" effort="9" velocity="1"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "two"])
+def test_numbers_that_parsers_would_leave_out_name_their_link_or_joint(value: str, tmp_path):
+    path = gripper(tmp_path / "gripper.urdf", body=BODY.replace('value="1"', f'value="{value}"'))
+    with pytest.raises(InputError, match=f"value of <mass> of link 'left' is '{value}'; allowed: a finite"):
+        Robot.from_urdf(path)
+    path = gripper(path, f'<mimic joint="left_joint" multiplier="{value}"/>')
+    with pytest.raises(InputError, match=f"multiplier of <mimic> of joint 'right_joint' is '{value}'"):
+        Robot.from_urdf(path)

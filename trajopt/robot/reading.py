@@ -1,5 +1,6 @@
 """URDF files as numeric `pin.Model`s."""
 
+import math
 import os
 import sys
 import tempfile
@@ -74,7 +75,26 @@ def require_xml(source: Path) -> ElementTree.Element:
         target = source.with_suffix("").stem if source.suffix == XACRO else f"{source.stem}_expanded"
         command = f"xacro {source.name} > {target}.urdf"
         raise InputError(f"{source} is a Xacro file, not yet a URDF", f"expand it: {command}")
+    require_numbers(source, root)
     return root
+
+
+def require_numbers(source: Path, root: ElementTree.Element) -> None:
+    """Raise `InputError` for masses, inertias and mimic rules that are no numbers: parsers leave them out."""
+    for owner in (*root.iter("link"), *root.iter("joint")):
+        for path in ("inertial/mass", "inertial/inertia", "mimic"):
+            element = owner.find(path)
+            for key, value in () if element is None else element.items():
+                if key != "joint" and not _is_number(value):
+                    what = f"{key} of <{path.split('/')[-1]}> of {owner.tag} '{owner.get('name')}'"
+                    raise InputError(f"{source}: {what} is '{value}'", "allowed: a finite number")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 def existing_file(path: str | Path, kind: str) -> Path:
