@@ -5,7 +5,6 @@ from functools import partial
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import lsq_linear
 
 from trajopt.collision import BoxObstacle, Obstacle
 from trajopt.dynamics import gravity_of
@@ -34,6 +33,8 @@ WITHIN = math.pi / 3
 
 
 def _quadrotor(name: str) -> Robot:
+    from scipy.optimize import lsq_linear  # not for a list of problems
+
     robot = robots.load(name)
     if robot.base != "freeflyer" or not robot.thrusters:
         raise InputError(f"robot '{robot.name}' cannot fly", "allowed: a free base with thrusters")
