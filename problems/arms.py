@@ -12,7 +12,6 @@ import pinocchio as pin
 from trajopt.errors import InputError
 from trajopt.problem import Parameter, Problem
 from trajopt.robot import Posture, Robot, frame_pose, inverse_kinematics, require_moving
-from trajopt.robot.units import Units
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import DriveLimits, FramePose, Term, TerminalRest, TorqueLimits
 from trajopt_library import robots
@@ -157,7 +156,7 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool
     by_rate = PEAK_RATE * travel / robot.velocity_limit
     if robot.torque_limit is None:
         if np.isinf(robot.velocity_limit).all():  # accelerations of one in natural units
-            return float(np.sqrt(PEAK_ACCELERATION * travel.max()) * Units(robot).time)
+            return float(np.sqrt(PEAK_ACCELERATION * travel.max()) * common.natural_time(robot))
         return float(by_rate.max())
     held = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
     # If the motors cannot hold a posture, the problem is infeasible whatever the guess.
