@@ -1,9 +1,12 @@
 """Limits at a tick: torques of drives, and accelerations that keep joints in their ranges."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import UNLIMITED, position_limits
+from trajopt.robot.actuators.actuation import least_inputs
 from trajopt.robot.actuators.drive import Drive
 from trajopt.solution.solution import Solution
 
@@ -14,10 +17,7 @@ def torque_limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
     given = plan.description.effort_limit
     if given is not None and plan.description.actuation == "torque":
         limit = _numbers(given)
-    least = -limit
-    for row, thruster in enumerate(plan.description.thrusters, len(plan.actuated_rows)):
-        least[row] = thruster.least
-    return least, limit
+    return least_inputs(limit, plan.description.thrusters), limit
 
 
 def limits_with_drives(
@@ -30,6 +30,13 @@ def limits_with_drives(
             torques = drive.torque_range(float(rate[row]))
             low[row], high[row] = float(torques[0]), float(max(torques[0], torques[1]))
     return low, high
+
+
+def friction_of_drives(drives: Sequence[Drive | None], rate: np.ndarray) -> np.ndarray:
+    """Friction torques (nu,) that drives overcome at rates (nu,), 0 without a drive."""
+    return np.array(
+        [0.0 if d is None else float(d.friction_torque(r)) for d, r in zip(drives, rate, strict=True)]
+    )
 
 
 class JointRange:

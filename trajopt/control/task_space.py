@@ -15,7 +15,7 @@ from trajopt.control.inverse_dynamics import (
     TickLimits,
     TickResult,
 )
-from trajopt.control.limits import JointRange, limits_with_drives
+from trajopt.control.limits import JointRange, friction_of_drives, limits_with_drives
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import (
     AngularMomentumTask,
@@ -104,13 +104,10 @@ class TaskSpaceController:
             require_task(task, robot)
         self.state.update(q, v)
         rate = robot.actuation.rates(v)
-        friction = [
-            0.0 if d is None else float(d.friction_torque(r)) for d, r in zip(drives, rate, strict=True)
-        ]
         limits = TickLimits(
             torque=limits_with_drives(drives, rate, self._low, self._high),
             acceleration=self._range.bounds(q, v[robot.actuated_rows]),
-            friction=np.array(friction),
+            friction=friction_of_drives(drives, rate),
         )
         standing = [self._active(robot.contact(name)) for name in names]
         self.last = self._program.solve(standing, [*tasks, self._small], limits)

@@ -11,7 +11,7 @@ import pinocchio as pin
 from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.control.gains import TrackerGains
 from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, TickLimits, TickResult
-from trajopt.control.limits import JointRange, limits_with_drives, torque_limits
+from trajopt.control.limits import JointRange, friction_of_drives, limits_with_drives, torque_limits
 from trajopt.control.measured_contacts import MeasuredContacts
 from trajopt.control.plan_targets import PlanTargets, plan_targets, tracking_model
 from trajopt.control.plan_tasks import PlanTasks
@@ -163,10 +163,7 @@ class Tracker:
         low, high, friction = self._low, self._high, np.zeros(len(rate))
         if any(drive is not None for drive in drives):
             low, high = limits_with_drives(drives, rate, low, high)
-            torques = [
-                0.0 if d is None else float(d.friction_torque(r)) for d, r in zip(drives, rate, strict=True)
-            ]
-            friction = np.array(torques)
+            friction = friction_of_drives(drives, rate)
         return TickLimits(
             torque=(low, high),
             acceleration=self._range.bounds(q, rate[: len(self._range.index)]),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.dynamics.base_joint import UNLIMITED
 from trajopt.inspection.faults import listed
 
 # A hand weighs at most this part of what its arm's first joint moves, a joint of it without drive moves at
@@ -13,7 +14,6 @@ HAND, TINY = 0.25, 0.02
 # Of a wheel: sine of its axis's angle to the ground, how far its centre of mass is from the axis over its
 # radius of gyration, and how high its axis is at most over the lowest joint, of the height of all joints.
 LEVEL, CENTRED, LOW = 0.1, 0.2, 0.1
-UNLIMITED = 1e20  # parsers write "no limit" as the largest double
 
 
 @dataclass(frozen=True, kw_only=True)

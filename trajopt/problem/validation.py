@@ -113,7 +113,7 @@ def require_following(problem: str, robot: Robot, schedule: Schedule, q: np.ndar
     ):
         pairs = ", ".join(f"'{mimic.joint}' after '{mimic.mimics}'" for mimic in robot.mimics)
         raise InputError(f"the start of problem '{problem}' has joints apart that follow others", pairs)
-    if robot.mimics and any(phase.impact for phase in schedule.phases):
+    if any(phase.impact for phase in schedule.phases):
         raise InputError(
             f"robot '{robot.name}' has joints that follow others, and a phase begins with an impact",
             "allowed: landings at zero velocity",

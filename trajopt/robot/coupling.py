@@ -77,19 +77,18 @@ def urdf_couplings(path: str | Path) -> tuple[Coupling, ...]:
         if mimic is not None and name in moving:
             other = mimic.get("joint", "")
             pair = tuple(each for each in (other, name) if each in moving)
-            numbers = (float(mimic.get(key, usual)) for key, usual in (("multiplier", 1.0), ("offset", 0.0)))
+            ratio, offset = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
             rule = None
             if len(pair) == 2 and joint.get("type") != "continuous":
-                rule = MimicJoint(
-                    joint=name, mimics=other, **dict(zip(("ratio", "offset"), numbers, strict=True))
-                )
+                rule = MimicJoint(joint=name, mimics=other, ratio=ratio, offset=offset)
             found.append(Coupling(f"'{name}' mimics '{other}'", pair, (name,), rule))
     return tuple(found)
 
 
 def mjcf_couplings(compiled: Any) -> tuple[Coupling, ...]:
     """Active equality constraints of a compiled MJCF file between joints that move."""
-    found, names, motors = list[Coupling](), joint_names(compiled), actuation_of(compiled).driven
+    found, followers = list[Coupling](), set[str]()
+    names, motors = joint_names(compiled), actuation_of(compiled).driven
     for index in np.flatnonzero(compiled.eq_active0).tolist():
         kind = mujoco_package().mjtEq(int(compiled.eq_type[index])).name.removeprefix("mjEQ_").lower()
         objects = [int(compiled.eq_obj1id[index]), int(compiled.eq_obj2id[index])]
@@ -99,11 +98,11 @@ def mjcf_couplings(compiled: Any) -> tuple[Coupling, ...]:
             name = f" '{compiled.equality(index).name}'" if compiled.equality(index).name else ""
             what = f"equality {kind}{name} of {', '.join(joints)}"
             rule = _mimic(compiled, index, joints) if kind == "joint" and len(joints) == 2 else None
-            has_motor = dict(zip(joints, motors[objects].tolist(), strict=True)) if rule else {}
-            followers = {each.mimic.joint for each in found if each.mimic}
-            if rule and has_motor[rule.joint] > has_motor[rule.mimics] and not {rule.mimics} <= followers:
-                rule = rule.swapped() or rule  # the one with a motor leads
-            found.append(Coupling(what, joints, joints, rule, rule is not None and has_motor[rule.joint]))
+            follows, leads = motors[objects].tolist() if rule else (False, False)
+            if rule and follows and not leads and rule.ratio and rule.mimics not in followers:
+                rule, follows = rule.swapped(), False  # the one with a motor leads
+            followers |= {rule.joint} if rule else set()
+            found.append(Coupling(what, joints, joints, rule, follows))
     return tuple(found)
 
 

@@ -19,11 +19,10 @@ from trajopt.robot.building import sagittal
 from trajopt.robot.mjcf_actuators import BALL, FREE, HINGE, SLIDE, actuation_of
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.robot.reading import existing_file
+from trajopt.robot.validation import LIMIT_SLACK
 
 # An axis is a coordinate axis up to the rounding of its normalisation.
 ALIGNED = 1e-15
-# A keyframe may be at a limit, up to the rounding of files, rad or m.
-LIMIT_SLACK = 1e-6
 HOME = "home"
 SPHERE = 2  # of MuJoCo's mjtGeom
 
@@ -111,14 +110,15 @@ def mjcf_model(compiled: Any, root: Any = None) -> pin.Model:
     off = compiled.opt.disableflags & mujoco_package().mjtDisableBit.mjDSBL_GRAVITY
     model.gravity = pin.Motion(np.zeros(3) if off else compiled.opt.gravity.copy(), np.zeros(3))
     bodies = {0: Body(0, pin.SE3.Identity())}
-    moving, rooted = robot_bodies(compiled), bodies[0]
+    moving, rooted, bodies_by_name = robot_bodies(compiled), bodies[0], set(names)
     if root is not None:
         own = unique("root_joint", {*names, *joints})
         rooted = Body(model.addJoint(0, root, pin.SE3.Identity(), own), pin.SE3.Identity())
         model.addJointFrame(rooted.joint, 0)
     for body in range(1, compiled.nbody):
         parent = int(compiled.body_parentid[body])
-        on = _add_joints(compiled, model, body, rooted if parent == 0 and body in moving else bodies[parent])
+        above = rooted if parent == 0 and body in moving else bodies[parent]
+        on = _add_joints(compiled, model, body, above, joints, bodies_by_name)
         bodies[body] = on
         model.addFrame(pin.Frame(names[body], on.joint, 0, on.placement, pin.FrameType.BODY))
         inertia = pin.Inertia(compiled.body_mass[body], np.zeros(3), np.diag(compiled.body_inertia[body]))
@@ -129,9 +129,11 @@ def mjcf_model(compiled: Any, root: Any = None) -> pin.Model:
     return model
 
 
-def _add_joints(compiled: Any, model: pin.Model, body: int, on: Body) -> Body:
-    """Add the joints of a body in series; returns where the body is."""
-    joint, names, joints = on.joint, body_names(compiled), joint_names(compiled)
+def _add_joints(
+    compiled: Any, model: pin.Model, body: int, on: Body, joints: Sequence[str], bodies: set[str]
+) -> Body:
+    """Add the joints of a body in series, of all ``joints`` and ``bodies`` by name; returns where it is."""
+    joint = on.joint
     place = on.placement * placement(compiled.body_pos[body], compiled.body_quat[body])
     start = int(compiled.body_jntadr[body])
     for index in range(start, start + int(compiled.body_jntnum[body])):
@@ -147,7 +149,7 @@ def _add_joints(compiled: Any, model: pin.Model, body: int, on: Body) -> Body:
         else:
             moved, at = _along("Revolute", axis), at * pin.SE3(pin.exp3(-zero * axis), np.zeros(3))
         joint = model.addJoint(joint, moved, at, joints[index])
-        if joints[index] not in names:
+        if joints[index] not in bodies:
             model.addJointFrame(joint, 0)
         place = pin.SE3(np.eye(3), -anchor)
     return Body(joint, place)
@@ -186,10 +188,11 @@ def _add_points(compiled: Any, model: pin.Model, bodies: dict[int, Body]) -> Non
     balls = touching & (compiled.geom_type == SPHERE) & np.isin(compiled.geom_bodyid, robot_bodies(compiled))
     points = [("ball", compiled.geom(int(index))) for index in np.flatnonzero(balls)]
     points += [("site", site) for site in map(compiled.site, range(compiled.nsite)) if site.name]
-    taken = {frame.name for frame in model.frames} | set(body_names(compiled))
+    names = body_names(compiled)
+    taken = {frame.name for frame in model.frames} | set(names)
     for kind, point in points:
         body, free = int(point.bodyid[0]), point.name and point.name not in taken
-        owner = point.name or body_names(compiled)[body]
+        owner = point.name or names[body]
         name = unique(point.name if free else f"{owner}_{kind}", taken)
         place = bodies[body].placement * placement(point.pos, point.quat)
         model.addFrame(pin.Frame(name, bodies[body].joint, 0, place, pin.FrameType.OP_FRAME))

@@ -19,7 +19,7 @@ from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtua
 from trajopt.errors import InputError, expanded
 from trajopt.kinds import ArrayShape
 from trajopt.robot import building, changes
-from trajopt.robot.actuators.actuation import Actuation, Thruster
+from trajopt.robot.actuators.actuation import Actuation, Thruster, least_inputs
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import SPRING, JointForce, described_forces
 from trajopt.robot.actuators.mimic import MimicJoint, require_mimics
@@ -324,9 +324,7 @@ class Robot:
 
     def least_torque(self, limit: np.ndarray) -> np.ndarray:
         """Least inputs (nu,) that go with the largest ones ``limit``: of joints their negative."""
-        least = -limit
-        least[len(self.actuated_rows) :] = [thruster.least for thruster in self.thrusters]
-        return least
+        return least_inputs(limit, self.thrusters)
 
     def with_virtual_base(self, order: str = DEFAULT_ORDER) -> Robot:
         """Return this free-flyer robot with six virtual joints as its base: x, y, z, then three angles.

@@ -16,7 +16,7 @@ TRANSCRIPTION, INTERVALS = "legendre:3", 60
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class OptimumResult:
     """What was found for a published optimum. apart: relative difference. seconds: of the solver."""
 
     name: str
@@ -41,12 +41,12 @@ class Comparison:
         return {**asdict(self), "agrees": self.agrees}
 
 
-def compared(optima: Sequence[PublishedOptimum]) -> Iterator[Comparison]:
+def compared(optima: Sequence[PublishedOptimum]) -> Iterator[OptimumResult]:
     """Solve each and compare its value."""
     for optimum in optima:
         solution = solve(optimum.build(), transcription=TRANSCRIPTION, intervals=INTERVALS)
         found = optimum.value(solution)
-        yield Comparison(
+        yield OptimumResult(
             name=optimum.name,
             quantity=optimum.quantity,
             published=optimum.published,
@@ -61,7 +61,7 @@ def compared(optima: Sequence[PublishedOptimum]) -> Iterator[Comparison]:
         )
 
 
-def comparison_table(comparisons: Sequence[Comparison]) -> Table:
+def comparison_table(comparisons: Sequence[OptimumResult]) -> Table:
     """One line for each."""
     rows = [
         {

@@ -152,8 +152,7 @@ class ContactDynamics:
     The same equations as `forward_dynamics`, without its report. Points are held by Pinocchio's proximal
     algorithm. By a projection are soles, of which it would hold the spatial, not the classical acceleration,
     and where it does not converge, as with rows that contradict each other, or with joints that follow others
-    (``independent``, E (nv, ny) of v = E y). NaN where the mass matrix is not
-    positive definite.
+    (``independent``, E (nv, ny) of v = E y). NaN where the mass matrix is not positive definite.
     """
 
     def __init__(self, model: pin.Model, contacts: ContactSet, independent: np.ndarray | None = None) -> None:
@@ -191,17 +190,17 @@ class ContactDynamics:
 
     def _projected(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         model, data, contacts = self.model, self._data, self.contacts
-        # Rates y of v = E y; without joints that follow others these are v.
-        e = np.eye(model.nv) if self.independent is None else self.independent
-        mass = pin.crba(model, data, q)
-        mass = np.triu(mass) + np.triu(mass, 1).T if self.independent is not None else mass.T
-        lower, failed = dpotrf(mass if self.independent is None else e.T @ mass @ e, lower=1)
+        e, mass = self.independent, pin.crba(model, data, q).T
+        force = generalized_force - pin.nle(model, data, q, v)
+        if e is not None:  # for the rates y of v = E y
+            mass, force = e.T @ (np.tril(mass) + np.tril(mass, -1).T) @ e, e.T @ force
+        lower, failed = dpotrf(mass, lower=1)
         if failed:
             return np.full(model.nv, np.nan)
-        free = dpotrs(lower, e.T @ (generalized_force - pin.nle(model, data, q, v)), lower=1)[0]
-        if not contacts.n_rows:
-            return np.asarray(e @ free)
-        rows = contact_kinematics(model, data, q, v, contacts)
-        jacobian = rows.jacobian @ e
-        wanted = -contacts.scale * (rows.drift + jacobian @ free)
-        return np.asarray(e @ (free + contact_response(lower, contacts, jacobian).least_change(wanted)))
+        change = dpotrs(lower, force, lower=1)[0]
+        if contacts.n_rows:
+            rows = contact_kinematics(model, data, q, v, contacts)
+            jacobian = rows.jacobian if e is None else rows.jacobian @ e
+            wanted = -contacts.scale * (rows.drift + jacobian @ change)
+            change = change + contact_response(lower, contacts, jacobian).least_change(wanted)
+        return np.asarray(change if e is None else e @ change)

@@ -91,6 +91,11 @@ class Thruster:
         return np.asarray(jacobian.T @ np.concatenate([axis, self.drag * axis]))
 
 
+def least_inputs(limit: np.ndarray, thrusters: Sequence[Thruster]) -> np.ndarray:
+    """Least inputs (nu,) that go with the largest ones ``limit``: of joints their negative."""
+    return np.append(-limit[: len(limit) - len(thrusters)], [thruster.least for thruster in thrusters])
+
+
 @dataclass(frozen=True, eq=False)
 class Actuation:
     """The map S^T (nv, nu) of a robot; arrays of forces, inputs and rates have them along their last axis.

@@ -56,10 +56,8 @@ class MimicJoint:
                 raise UnsupportedJointError(name, joint.shortname(), "mimic joints of one coordinate")
         return tuple(model.joints[model.getJointId(name)] for name in (self.joint, self.mimics))
 
-    def swapped(self) -> "MimicJoint | None":
-        """The same rule with the other joint following; None where it does not say where that is."""
-        if self.ratio == 0:
-            return None
+    def swapped(self) -> "MimicJoint":
+        """The same rule, of a ratio other than 0, with the other joint following."""
         return MimicJoint(
             joint=self.mimics,
             mimics=self.joint,
