@@ -16,6 +16,12 @@ def gravity_of(model: pin.Model) -> float:
     return float(np.linalg.norm(model.gravity.linear)) or STANDARD_GRAVITY
 
 
+def joints_of_rows(model: pin.Model) -> list[str]:
+    """Name of the joint of every row of v (nv,)."""
+    moving = list(model.joints)[1:]  # not the universe
+    return [str(model.names[joint.id]) for joint in moving for _ in range(joint.nv)]
+
+
 def mass_of(model: pin.Model) -> float:
     """Total mass of the moving bodies in kg."""
     return float(sum(inertia.mass for inertia in list(model.inertias)[1:]))

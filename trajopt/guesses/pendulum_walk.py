@@ -17,7 +17,7 @@ from trajopt.control.contact_forces import ActiveContact
 from trajopt.control.inverse_dynamics import TaskSpaceInverseDynamics, TickLimits
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import ContactForceTask, PostureTask
-from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.dynamics.model_quantities import gravity_of, joints_of_rows
 from trajopt.errors import InputError
 from trajopt.guesses.body_guess import FootMotion, guess_from_lip
 from trajopt.problem.problem import Problem
@@ -315,9 +315,9 @@ class _Samples:
         rows, model, most = self.robot.actuated_rows, self.robot.model, self.robot.velocity_limit
         row = rows[np.argmax(np.abs(v[rows]) - most[rows])]
         if abs(v[row]) > most[row]:
-            names = [n for n, joint in zip(model.names, model.joints, strict=True) for _ in range(joint.nv)]
-            joint = f"joint '{names[row]}' of '{self.robot.name}' turns at {abs(v[row]):.3g} rad/s"
-            raise _OutOfReachError(f"at {t:.2f} s {joint}", f"{most[row]:.3g} rad/s; {SHORTER}")
+            joint = f"joint '{joints_of_rows(model)[row]}' of '{self.robot.name}'"
+            turns = f"{joint} turns at {abs(v[row]):.3g} rad/s"
+            raise _OutOfReachError(f"at {t:.2f} s {turns}", f"{most[row]:.3g} rad/s; {SHORTER}")
 
     def _statistics(self, feasible: bool) -> SolveStatistics:
         return SolveStatistics(

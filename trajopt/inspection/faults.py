@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from trajopt.collision.description import robot_shapes
 from trajopt.dynamics.base_joint import BASE_JOINT
-from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.dynamics.model_quantities import contact_jacobian, joints_of_rows
 from trajopt.errors import InputError
 from trajopt.inspection.standing import StandingPosture
 from trajopt.robot.building import reach
@@ -137,13 +137,12 @@ def _reference(robot: Robot, standing: StandingPosture) -> _Lines:
         yield f"the reference posture is at a position limit of {listed(near)}"
     if robot.torque_limit is None or not standing.balanced:
         return
-    over = np.flatnonzero(np.abs(standing.effort) > robot.torque_limit)
-    owners = [robot.model.names[j.id] for j in list(robot.model.joints)[1:] for _ in range(j.nv)]
+    over = np.flatnonzero(np.abs(standing.effort) > robot.torque_limit[: len(standing.effort)])
     if len(over):
         worst = max(over, key=lambda row: round(float(abs(standing.effort[row])), DIGITS))
         yield (
             f"the reference posture takes {abs(standing.effort[worst]):.3g} at joint"
-            f" '{owners[robot.actuated_rows[worst]]}', beyond its torque limit"
+            f" '{joints_of_rows(robot.model)[robot.actuated_rows[worst]]}', beyond its torque limit"
             f" {robot.torque_limit[worst]:.3g}"
         )
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.dynamics.base_joint import BASE_ROWS
+from trajopt.dynamics.model_quantities import joints_of_rows
 from trajopt.errors import InputError
 from trajopt.inspection.faults import find_faults, listed
 from trajopt.inspection.shape_facts import ShapeFacts, shape_facts
@@ -157,11 +158,11 @@ def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:
         lifted = [contact.name for contact in robot.contacts if contact.name not in rest.feet]
         if lifted:
             notes.append(f"off the ground in the reference posture: {listed(lifted)}")
+    owners = joints_of_rows(robot.model)
     for what, values in (
         ("damping", robot.model.damping),
         ("dry friction", robot.model.upperDryFrictionLimit),
     ):
-        owners = [robot.model.names[j.id] for j in list(robot.model.joints)[1:] for _ in range(j.nv)]
         names = list(dict.fromkeys(owners[row] for row in np.flatnonzero(values)))
         if names and not robot.joint_forces:
             notes.append(f"{what} of the file counts with Robot.with_joint_forces() alone: {listed(names)}")

@@ -64,11 +64,10 @@ def guessed(path: Path, base: Base | None = None) -> Robot:
 
     base: by default that of an MJCF file; of a URDF file, fixed for an arm, a chain with a light hand or
     none, and on wheels, else free. Wheels, and joints of hands without drive, are locked (`find_limbs`), as
-    are joints that follow others
-    without a motor of their own, and those they follow. Feet are the tips at the bottom with joints at zero,
-    or as near as limits allow; the posture bends the legs, with the feet's middle under the centre of mass,
-    where inverse kinematics finds a way. The keyframe of an MJCF file goes before both. Raises `InputError`
-    for a file that is neither.
+    are joints that follow others without a motor of their own, and those they follow. Feet are the tips at
+    the bottom with joints at zero, or as near as limits allow; the posture bends the legs, with the feet's
+    middle under the centre of mass, where inverse kinematics finds a way. The keyframe of an MJCF file goes
+    before both. Raises `InputError` for a file that is neither.
     """
     source, limbs = VisualSource(urdf=path), limbs_of(path)
     locked = (*_coupled(source), *limbs.wheels, *limbs.undriven)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.dynamics.model_quantities import joints_of_rows
 from trajopt.solution.solution import Solution
 
 
@@ -74,7 +75,7 @@ def joints_of(plan: Solution) -> list[tuple[Any, str]]:
 
 def names_of_rows(plan: Solution) -> list[str]:
     """Joint of every row of v (nv,)."""
-    return [name for joint, name in joints_of(plan) for _ in range(joint.nv)]
+    return joints_of_rows(plan.model)
 
 
 def names_of_inputs(plan: Solution) -> list[str]:

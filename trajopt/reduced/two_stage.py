@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
-from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.dynamics.model_quantities import contact_jacobian, joints_of_rows
 from trajopt.errors import InputError
 from trajopt.motion.samples import sample_quantities
 from trajopt.problem.problem import Problem
@@ -211,9 +211,8 @@ def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, T
     base = np.abs((forces - robot.actuation.force(torque))[solution.collocation])
     bounds = torque_bounds(problem, solution.v)
     excess = np.maximum(torque - bounds.upper, bounds.lower - torque) / bounds.scale
-    moved = [joint for joint in list(robot.model.joints)[1:] if joint.idx_v in robot.actuated_rows]
-    names = [robot.model.names[joint.id] for joint in moved for _ in range(joint.nv)]
-    names += [thruster.name for thruster in robot.thrusters]
+    owners = joints_of_rows(robot.model)
+    names = [owners[row] for row in robot.actuated_rows] + [thruster.name for thruster in robot.thrusters]
     joints = tuple(_joint(solution, names[row], torque[:, row], excess[:, row]) for row in range(robot.nu))
     between = excess[~solution.collocation]
     return torque, TorqueReport(

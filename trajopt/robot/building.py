@@ -161,8 +161,7 @@ def reference_posture(
     ``posture`` is a whole configuration (nq,), taken as it is; or the joints behind the base
     (nq - base) in order or by name (joints not named stay at neutral), or None for neutral
     within the limits. Then the base is level, at x = y = 0, at the height at which the lowest of the contacts
-    touches level ground at height 0. Angles are often rounded: points that are less than `ROUNDED` higher
-    are brought onto it, too, by the least change of the joints.
+    touches level ground at height 0, see `put_on_ground`.
     """
     if posture is not None and not isinstance(posture, Mapping):
         given = np.array(posture, dtype=float)
@@ -176,7 +175,7 @@ def reference_posture(
         q = np.concatenate([pin.neutral(model)[: BASE_COORDINATES[base]], given])
     else:
         q = _named_posture(model, posture or {})
-    return with_level_feet(model, base, contacts, put_on_ground(model, base, contacts, q))
+    return put_on_ground(model, base, contacts, q)
 
 
 def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
@@ -194,7 +193,11 @@ def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
 
 
 def put_on_ground(model: pin.Model, base: Base, contacts: Sequence[Contact], q: np.ndarray) -> np.ndarray:
-    """Return ``q`` with the base moved up or down until the lowest of ``contacts`` touches height 0."""
+    """Return ``q`` with the base moved up or down until the lowest of ``contacts`` touches height 0.
+
+    Angles are often rounded: points that are less than `ROUNDED` higher are brought onto it, too, by the
+    least change of the joints.
+    """
     if base == "fixed" or not contacts:
         return q
     upright = q.copy()
@@ -208,12 +211,12 @@ def put_on_ground(model: pin.Model, base: Base, contacts: Sequence[Contact], q: 
         data.oMf[model.getFrameId(contact.frame)].translation[2] - contact.radius for contact in contacts
     )
     upright[height] -= lowest / up
-    return upright
+    return _levelled(model, base, contacts, upright)
 
 
-def with_level_feet(model: pin.Model, base: Base, contacts: Sequence[Contact], q: np.ndarray) -> np.ndarray:
+def _levelled(model: pin.Model, base: Base, contacts: Sequence[Contact], q: np.ndarray) -> np.ndarray:
     """Return ``q`` with points that are less than `ROUNDED` above height 0 on it, else as it is."""
-    if base == "fixed" or any(contact.kind != "point" for contact in contacts) or not contacts:
+    if any(contact.kind != "point" for contact in contacts):
         return q
     data, first, level = model.createData(), BASE_ROWS[base], q
     for step in range(LEVELLING):

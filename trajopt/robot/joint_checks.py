@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS
+from trajopt.dynamics.model_quantities import joints_of_rows
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
 
@@ -29,8 +30,7 @@ REMEDIES = {
 
 def require_moving(robot: Robot, *limits: Limit) -> None:
     """Raise `InputError` that names joints whose limits are 0: of "velocity", "torque", default both."""
-    rows, model = robot.actuated_rows, robot.model
-    owners = [str(model.names[joint.id]) for joint in model.joints[1:] for _ in range(joint.nv)]
+    rows, owners = robot.actuated_rows, joints_of_rows(robot.model)
     for limit in limits or ("velocity", "torque"):
         values = robot.velocity_limit[rows] if limit == "velocity" else robot.torque_limit
         still = [] if values is None else [owners[row] for row in rows[values[: len(rows)] == 0]]

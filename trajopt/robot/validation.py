@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.model_quantities import mass_of
+from trajopt.dynamics.model_quantities import joints_of_rows, mass_of
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.errors import InputError, require_positive
 from trajopt.robot.actuators.actuation import Thruster
@@ -92,7 +92,7 @@ def require_limits(
             unit = "m" if joint.shortname().startswith(STRAIGHT) else "rad"
             what = f"position limits of joint '{model.names[joint.id]}' of '{robot}' are {fault}"
             raise InputError(f"{what}: {lower:g} > {upper:g} {unit}", "lower <= upper, or -inf and inf")
-    owners = [model.names[joint.id] for joint in joints for _ in range(joint.nv)]
+    owners = joints_of_rows(model)
     for field, (rows, limits) in others.items():
         for row, limit in zip(rows, [] if limits is None else limits, strict=limits is not None):
             if not limit >= 0:
