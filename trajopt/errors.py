@@ -6,7 +6,7 @@ import difflib
 import math
 import reprlib
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
@@ -98,6 +98,13 @@ class _Shown(reprlib.Repr):
         if isinstance(value, Path):
             return f"'{value}'"
         return f"the class {value.__name__}" if isinstance(value, type) else with_article(type(value))
+
+
+def require_fields(kind: Any, described: Any, what: str) -> None:
+    """Raise `InputError` unless ``described`` has exactly the fields of a dataclass, ``what`` in words."""
+    names = set(kind.__dataclass_fields__)
+    if not isinstance(described, Mapping) or set(described) != names:
+        raise InputError(f"{what} in meta is not an object of its fields", ", ".join(sorted(names)))
 
 
 def with_article(kind: type) -> str:

@@ -9,8 +9,8 @@ vanish.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from trajopt.arguments import NonNegative, UnboundedPositive, checked
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_fields
 from trajopt.robot.actuators.mimic import MimicJoint, independent_rates
 
 # Singular values of the map below this fraction of the largest count as zero.
@@ -60,9 +60,7 @@ class Thruster:
     @classmethod
     def from_meta(cls, meta: Any) -> "Thruster":
         """Thruster of a solution file's description; raises `InputError` where it is not one."""
-        names = {field.name for field in fields(cls)}
-        if not isinstance(meta, Mapping) or set(meta) != names:
-            raise InputError("a thruster in meta is not an object of its fields", ", ".join(sorted(names)))
+        require_fields(cls, meta, "a thruster")
         most = math.inf if meta["most"] is None else meta["most"]
         return cls(**{**meta, "axis": tuple(meta["axis"]), "most": most})
 

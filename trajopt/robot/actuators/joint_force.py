@@ -8,7 +8,7 @@ Torques are those of the actuators: a spring carries its part of the load beside
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.dynamics.rerooting import Body, copy_bodies, joint_motion
-from trajopt.errors import InputError, UnsupportedJointError
+from trajopt.errors import InputError, UnsupportedJointError, require_fields
 from trajopt.robot.actuators.drive import COULOMB_SPEED
 
 # Ending of the name of a series spring's joint.
@@ -49,11 +49,7 @@ class JointForce:
     @classmethod
     def from_meta(cls, meta: Any) -> "JointForce":
         """The one of a solution file's description; raises `InputError` where it is not one."""
-        names = {field.name for field in fields(cls)}
-        if not isinstance(meta, Mapping) or set(meta) != names:
-            raise InputError(
-                "a joint's force in meta is not an object of its fields", ", ".join(sorted(names))
-            )
+        require_fields(cls, meta, "a joint's force")
         return cls(**meta)
 
     def to_meta(self) -> dict[str, Any]:

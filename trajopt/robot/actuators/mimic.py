@@ -5,15 +5,15 @@
 The force that couples the joints does no work (Featherstone, Rigid Body Dynamics Algorithms, 2008, sec. 3.2).
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError, UnsupportedJointError
+from trajopt.errors import InputError, UnsupportedJointError, require_fields
 
 
 @checked
@@ -36,9 +36,7 @@ class MimicJoint:
     @classmethod
     def from_meta(cls, meta: Any) -> "MimicJoint":
         """The one of a solution file's description; raises `InputError` where it is not one."""
-        names = {field.name for field in fields(cls)}
-        if not isinstance(meta, Mapping) or set(meta) != names:
-            raise InputError("a mimic joint in meta is not an object of its fields", ", ".join(sorted(names)))
+        require_fields(cls, meta, "a mimic joint")
         return cls(**meta)
 
     def to_meta(self) -> dict[str, Any]:
