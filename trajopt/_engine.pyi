@@ -103,8 +103,84 @@ class Nlp:
 
         The output is cost, rows, gradient, jacobian or hessian.
         """
+    def set_group(
+        self,
+        group: int,
+        gather_data: Reals,
+        p: Reals,
+        cost_weight: Reals,
+        jac_coef: Reals,
+        hess_coef: Reals,
+    ) -> None:
+        """Other numbers of a group at the same places. Raises ValueError for other sizes."""
+    def set_linear(self, a_data: Reals, jac_const: Reals) -> None:
+        """Other coefficients of the linear rows at the same places. Raises ValueError for other sizes."""
     def timings(self) -> dict[str, tuple[float, int]]:
         """Seconds and evaluations of value, first and second since the last solve began."""
+
+class Iterate(TypedDict):
+    """Variables, slacks of inequalities, multipliers of rows, and of the bounds of variables and slacks."""
+
+    x: Reals
+    s: Reals
+    y: Reals
+    lower_x: Reals
+    upper_x: Reals
+    lower_s: Reals
+    upper_s: Reals
+
+class StepReport(TypedDict):
+    """Residuals before a step, and what it did: steps are zero where no matrix could be factorised."""
+
+    primal: float
+    dual: float
+    complementarity: float
+    primal_step: float
+    dual_step: float
+    regularization: float
+    factorizations: int
+
+class InteriorPoint:
+    """Steps of a primal-dual interior-point method at a fixed barrier; see engine/interior_point.hpp.
+
+    Bounds that are equal fix a variable or make an equality, the same in all calls. ``stage`` as in
+    `solve_ipopt`. Raises ValueError for what does not fit.
+    """
+
+    def __init__(
+        self, nlp: Nlp, lbx: Reals, ubx: Reals, lbg: Reals, ubg: Reals, stage: Indices, /
+    ) -> None: ...
+    @property
+    def n_slacks(self) -> int: ...
+    def complete(
+        self,
+        x: Reals,
+        y: Reals,
+        lbx: Reals,
+        ubx: Reals,
+        lbg: Reals,
+        ubg: Reals,
+        barrier: float,
+        push: float,
+    ) -> Iterate:
+        """An iterate of these variables and multipliers of rows, at least ``push`` inside its bounds."""
+    def steps(
+        self,
+        iterate: Iterate,
+        lbx: Reals,
+        ubx: Reals,
+        lbg: Reals,
+        ubg: Reals,
+        compliance: Reals,
+        barrier: float,
+        fraction: float = 0.995,
+        steps: int = 1,
+        seconds: float = 0.0,
+    ) -> tuple[Iterate, list[StepReport]]:
+        """Newton steps at a barrier; ``compliance`` of each row, 0 for a hard one.
+
+        ``seconds``: no step begins after so many; 0 is no limit.
+        """
 
 # Instead of the stage of a variable that is in one row only, with positive curvature of its own: a slack.
 ALONE: int

@@ -84,6 +84,13 @@ class Parameters:
         return ca.vertcat(*self._parameters) if self._parameters else ca.SX(0, 1)
 
     @property
+    def varying_columns(self) -> tuple[tuple[Callable[[float], np.ndarray], slice], ...]:
+        """Functions of time among the parameters, and the columns of their values."""
+        ends = np.cumsum([0, *[symbol.numel() for symbol in self._parameters]]).tolist()
+        spans = zip(self._values, ends[:-1], ends[1:], strict=True)
+        return tuple((value, slice(begin, end)) for value, begin, end in spans if callable(value))
+
+    @property
     def parameter_values(self) -> np.ndarray:
         """Their numeric values; of varying ones those at the schedule's start."""
         return self.parameter_values_at(0.0)

@@ -24,11 +24,15 @@ from trajopt.transcription.timeline import NodeLayout
 
 @dataclass(frozen=True)
 class StageTerms:
-    """A point function with its rows' names, bounds and units, and its parameters' values at a time, s."""
+    """A point function with its rows' names, bounds and units, and its parameters' values at a time, s.
+
+    ``varying``: as of `Parameters.varying_columns`.
+    """
 
     function: PointFunction
     blocks: tuple[tuple[str, Rows], ...]
     parameters_at: Callable[[float], np.ndarray]
+    varying: tuple[tuple[Callable[[float], np.ndarray], slice], ...] = ()
 
     @property
     def row_scale(self) -> np.ndarray:
@@ -242,7 +246,7 @@ def _stage_terms(
 ) -> StageTerms:
     blocks = tuple((label, rows) for label, rows in named if rows is not None and rows.expression.numel())
     function = point_function(name, context, cost, [rows.expression for _, rows in blocks])
-    return StageTerms(function, blocks, context.parameter_values_at)
+    return StageTerms(function, blocks, context.parameter_values_at, context.varying_columns)
 
 
 def _plain(name: str, z: ca.SX, parts: Sequence[ca.SX]) -> PointFunction:

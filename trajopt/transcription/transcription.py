@@ -5,7 +5,7 @@ x_(k+1); the rows of each collocation point, or of an impact; the rows at node k
 is measured in its natural unit, so that one tolerance means the same everywhere.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +32,8 @@ class FunctionGroup:
 
     ``gather`` (n_z, window) maps a window's scaled variables to z; ``stages`` (n,) are the intervals or
     nodes; ``rows`` (n, n_rows) are row indices of the NLP; ``row_scale`` (n_rows,); ``parameters``
-    (n, n_p); ``cost_weight`` (n,).
+    (n, n_p); ``cost_weight`` (n,). ``fraction``: of the intervals, where the points are. ``varying``: functions
+    of time among the parameters, and their columns.
     """
 
     point: PointFunction
@@ -42,6 +43,8 @@ class FunctionGroup:
     row_scale: np.ndarray
     parameters: np.ndarray
     cost_weight: np.ndarray
+    fraction: float = 0.0
+    varying: tuple[tuple[Callable[[float], np.ndarray], slice], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,6 +212,8 @@ class Transcriber:
                         row_scale=terms.row_scale,
                         parameters=self._parameters(terms, stages, method.c[i]),
                         cost_weight=self.layout.steps[stages] * method.b1[i] / self.time,
+                        fraction=float(method.c[i]),
+                        varying=terms.varying,
                     )
                 )
 

@@ -6,6 +6,7 @@
 #include <map>
 
 #include "dispatch.hpp"
+#include "require.hpp"
 
 namespace trajopt {
 
@@ -234,6 +235,30 @@ void Nlp::scatter_entries(Kind kind, Reals& out) const {
       }
     }
   }
+}
+
+void Nlp::set_group(int index, GroupNumbers numbers) {
+  const Lock lock(mutex_);
+  require(0 <= index && index < static_cast<int>(problem_.groups.size()), "there is no such group");
+  Group& group = problem_.groups[index];
+  const std::pair<Reals*, Reals*> pairs[] = {{&numbers.gather, &group.gather.coefficient},
+                                             {&numbers.p, &group.p},
+                                             {&numbers.cost_weight, &group.cost_weight},
+                                             {&numbers.jacobian, &group.jacobian.coefficient},
+                                             {&numbers.hessian, &group.hessian.coefficient}};
+  for (const auto& [from, to] : pairs)
+    require(from->size() == to->size(), "the numbers of a group have other sizes than those that it was made with");
+  for (const auto& [from, to] : pairs) to->swap(*from);
+  valid_[kValue] = valid_[kFirst] = false;
+}
+
+void Nlp::set_linear(Reals coefficient, Reals jac_constant) {
+  const Lock lock(mutex_);
+  require(coefficient.size() == problem_.linear.coefficient.size() && jac_constant.size() == problem_.jac_constant.size(),
+          "the numbers of linear rows have other sizes than those that they were made with");
+  problem_.linear.coefficient = std::move(coefficient);
+  problem_.jac_constant = std::move(jac_constant);
+  valid_[kValue] = valid_[kFirst] = false;
 }
 
 double Nlp::f(const double* x) {

@@ -46,6 +46,11 @@ struct Problem {
   std::vector<Group> groups;
 };
 
+// What may change in a group without its structure.
+struct GroupNumbers {
+  Reals gather, p, cost_weight, jacobian, hessian;
+};
+
 // Where a function value or derivative is not finite.
 struct NonFinite {
   int group, stage, index;
@@ -71,6 +76,10 @@ class Nlp {
   std::optional<NonFinite> first_nonfinite(const double* x);
 
   const Problem& problem() const { return problem_; }
+  // Other numbers at the same places: of the maps and functions of a group, and of the linear rows. Throws
+  // std::invalid_argument for other sizes.
+  void set_group(int group, GroupNumbers numbers);
+  void set_linear(Reals coefficient, Reals jac_constant);
   void reset_timings();
   double function_seconds() const;
   Timing timing(int kind) const;

@@ -14,6 +14,7 @@
 #include <memory>
 #include <stdexcept>
 
+#include "interior_point.hpp"
 #include "read.hpp"
 #include "solve.hpp"
 #include "stage_kkt.hpp"
@@ -233,6 +234,19 @@ void bind_nlp(nb::module_& module) {
              if (!found) return nb::none();
              return nb::make_tuple(found->group, found->stage, found->output, found->index);
            })
+      .def(
+          "set_group",
+          [](Nlp& nlp, int group, const RealArray& gather, const RealArray& p, const RealArray& cost_weight,
+             const RealArray& jacobian, const RealArray& hessian) {
+            nlp.set_group(group, {reals(gather), reals(p), reals(cost_weight), reals(jacobian), reals(hessian)});
+          },
+          "group"_a, "gather_data"_a, "p"_a, "cost_weight"_a, "jac_coef"_a, "hess_coef"_a)
+      .def(
+          "set_linear",
+          [](Nlp& nlp, const RealArray& a_data, const RealArray& jac_const) {
+            nlp.set_linear(reals(a_data), reals(jac_const));
+          },
+          "a_data"_a, "jac_const"_a)
       .def("timings", &timings);
 }
 
@@ -267,6 +281,88 @@ std::optional<std::pair<Output, int>> solve_kkt(int n_x, int n_equal, int n_uneq
   return std::make_pair(to_numpy(solution), kkt.negative_eigenvalues());
 }
 
+nb::dict to_dict(const Iterate& it) {
+  nb::dict result;
+  for (const auto& [name, values] : {std::pair{"x", &it.x}, {"s", &it.s}, {"y", &it.y}, {"lower_x", &it.lower_x},
+                                     {"upper_x", &it.upper_x}, {"lower_s", &it.lower_s}, {"upper_s", &it.upper_s}})
+    result[name] = to_numpy(*values);
+  return result;
+}
+
+Iterate to_iterate(const nb::dict& given, const InteriorPoint& solver) {
+  const auto n = static_cast<std::size_t>(solver.n_x()), m = static_cast<std::size_t>(solver.n_g()),
+             k = static_cast<std::size_t>(solver.n_s());
+  auto read = [&given](const char* name, std::size_t size) {
+    RealArray array;
+    require(given.contains(name) && nb::try_cast(given[name], array) && array.size() == size,
+            std::string("an iterate needs '") + name + "' with " + std::to_string(size) + " entries");
+    return reals(array);
+  };
+  return {read("x", n), read("s", k), read("y", m), read("lower_x", n), read("upper_x", n), read("lower_s", k),
+          read("upper_s", k)};
+}
+
+nb::list to_list(const std::vector<StepReport>& reports) {
+  nb::list result;
+  for (const StepReport& report : reports) {
+    nb::dict one;
+    one["primal"] = report.primal;
+    one["dual"] = report.dual;
+    one["complementarity"] = report.complementarity;
+    one["primal_step"] = report.primal_step;
+    one["dual_step"] = report.dual_step;
+    one["regularization"] = report.regularization;
+    one["factorizations"] = report.factorizations;
+    result.append(one);
+  }
+  return result;
+}
+
+void bind_interior_point(nb::module_& module) {
+  nb::class_<InteriorPoint>(module, "InteriorPoint")
+      .def("__init__",
+           [](InteriorPoint* self, std::shared_ptr<Nlp> nlp, const RealArray& lbx, const RealArray& ubx,
+              const RealArray& lbg, const RealArray& ubg, const IndexArray& stage) {
+             const Bounds bounds = to_bounds(*nlp, lbx, ubx, lbg, ubg);
+             const Indices stages = stages_of(stage, nlp->problem().n_x);
+             new (self) InteriorPoint(std::move(nlp), bounds, stages);
+           })
+      .def_prop_ro("n_slacks", &InteriorPoint::n_s)
+      .def(
+          "complete",
+          [](const InteriorPoint& solver, const RealArray& x, const RealArray& y, const RealArray& lbx,
+             const RealArray& ubx, const RealArray& lbg, const RealArray& ubg, double barrier, double push) {
+            const Nlp& nlp = solver.nlp();
+            Iterate it;
+            point(nlp, x);
+            require(y.size() == static_cast<std::size_t>(solver.n_g()), "y has a wrong size");
+            it.x = reals(x);
+            it.y = reals(y);
+            solver.complete(it, to_bounds(nlp, lbx, ubx, lbg, ubg), barrier, push);
+            return to_dict(it);
+          },
+          "x"_a, "y"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "barrier"_a, "push"_a)
+      .def(
+          "steps",
+          [](InteriorPoint& solver, const nb::dict& iterate, const RealArray& lbx,
+             const RealArray& ubx, const RealArray& lbg, const RealArray& ubg, const RealArray& compliance,
+             double barrier, double fraction, int steps, double seconds) {
+            Iterate it = to_iterate(iterate, solver);
+            const Bounds bounds = to_bounds(solver.nlp(), lbx, ubx, lbg, ubg);
+            require(compliance.size() == static_cast<std::size_t>(solver.n_g()), "compliance has a wrong size");
+            require(barrier > 0 && 0 < fraction && fraction < 1, "barrier must be positive, fraction between 0 and 1");
+            const Reals soft = reals(compliance);
+            std::vector<StepReport> reports;
+            {
+              nb::gil_scoped_release unlock;
+              reports = solver.steps(it, bounds, soft, {barrier, fraction, seconds, steps});
+            }
+            return std::make_pair(to_dict(it), to_list(reports));
+          },
+          "iterate"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "compliance"_a, "barrier"_a, "fraction"_a = 0.995,
+          "steps"_a = 1, "seconds"_a = 0.0);
+}
+
 void bind_solvers(nb::module_& module) {
   module.attr("ALONE") = kAlone;
   module.def("solve_kkt", &solve_kkt, "n_x"_a, "n_equal"_a, "n_unequal"_a, "stage"_a, "row"_a, "column"_a, "value"_a,
@@ -295,5 +391,6 @@ void bind_solvers(nb::module_& module) {
 NB_MODULE(_engine, module) {
   bind_tape(module);
   bind_nlp(module);
+  bind_interior_point(module);
   bind_solvers(module);
 }

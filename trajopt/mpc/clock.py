@@ -1,0 +1,175 @@
+"""The clock of a gait: which contacts stand now and next, and for how long; changes of gait; late contacts."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+from trajopt.mpc.commands import STAND
+from trajopt.schedule.gaits import Gait
+
+# Between two gaits the robot stands, and before its first swing, for this part of the new period.
+SETTLE = 0.2
+# Modes looked at after now: more than any horizon has, so that every swing's end is known.
+AHEAD = 24
+# A contact that is late keeps the clock waiting for at most this part of the period.
+LATEST = 0.15
+# The clock does not run below this part of a period before a touchdown that was not measured.
+WAITING = 0.03
+
+
+@dataclass(frozen=True)
+class Mode:
+    """Contacts that stand for a duration in s; without end where the robot stands."""
+
+    contacts: tuple[str, ...]
+    duration: float
+
+
+@dataclass(frozen=True)
+class Swing:
+    """A swing of one contact from ``begin`` to ``end``, s from now; the begin may be past."""
+
+    begin: float
+    end: float
+
+
+class GaitClock:
+    """Modes of a commanded gait from now on.
+
+    Args:
+        contacts: names of all feet.
+        gaits: by name, with their periods in s.
+    """
+
+    def __init__(self, contacts: Sequence[str], gaits: Mapping[str, tuple[Gait, float]]) -> None:
+        self.contacts, self.gaits = tuple(contacts), dict(gaits)
+        self.gait, self.remaining, self.waited = STAND, math.inf, 0.0
+        self._queue: list[Mode] = [self._stance(math.inf)]
+        self._cycle: tuple[Mode, ...] = (self._stance(math.inf),)
+        self._index = 0
+        self._lifted = dict.fromkeys(self.contacts, 0.0)  # how long each has been in the air, s
+
+    def copy(self) -> GaitClock:
+        """A clock that goes on from here, apart."""
+        twin = copy.copy(self)
+        twin._queue, twin._lifted = list(self._queue), dict(self._lifted)
+        return twin
+
+    @property
+    def period(self) -> float:
+        """Period of the gait, s; of a stance, the shortest of the gaits."""
+        if self.gait in self.gaits:
+            return self.gaits[self.gait][1]
+        return min(period for _, period in self.gaits.values())
+
+    @property
+    def whole(self) -> float:
+        """Duration of the present mode from its begin, s."""
+        return self._queue[0].duration
+
+    def request(self, gait: str) -> None:
+        """Change to another gait, or to a stance, after the present mode."""
+        if gait == self.gait:
+            return
+        standing = len(self._queue[0].contacts) == len(self.contacts) and math.isinf(self.remaining)
+        self.gait, self._index, self._queue = gait, 0, self._queue[:1]
+        self._cycle = self.cycle_of(gait)
+        if gait != STAND:
+            settle = self._stance(SETTLE * self.period)
+            if standing:
+                self._queue, self.remaining = [settle], settle.duration
+            else:
+                self._queue.append(settle)
+
+    def cycle_of(self, gait: str) -> tuple[Mode, ...]:
+        """Modes of a gait's period from the one with most contacts on; of a stance one without end."""
+        if gait == STAND:
+            return (self._stance(math.inf),)
+        pattern, period = self.gaits[gait]
+        modes = [Mode(phase.contacts, phase.duration) for phase in pattern.phases(period)]
+        first = max(range(len(modes)), key=lambda i: len(modes[i].contacts))
+        return (*modes[first:], *modes[:first])
+
+    def modes(self) -> Iterator[Mode]:
+        """Modes from now on, the first with what remains of it."""
+        yield Mode(self._queue[0].contacts, self.remaining)
+        yield from self._queue[1:]
+        index = self._index
+        while True:
+            yield self._cycle[index]
+            index = (index + 1) % len(self._cycle)
+
+    def horizon(self, span: float) -> tuple[Mode, ...]:
+        """Modes from now on, until those after the present one last ``span`` s or longer."""
+        taken: list[Mode] = []
+        total = 0.0
+        for mode in self.modes():
+            taken.append(Mode(mode.contacts, min(mode.duration, span)))
+            total += mode.duration if len(taken) > 1 or math.isinf(mode.duration) else 0.0
+            if total >= span * (1 - 1e-9):
+                return tuple(taken)
+        raise AssertionError("a clock has modes without end")
+
+    def swings(self) -> dict[str, list[Swing]]:
+        """Swings of every contact from now on, the present one first."""
+        result: dict[str, list[Swing]] = {name: [] for name in self.contacts}
+        begun = {name: -self._lifted[name] for name in self.contacts if name not in self._queue[0].contacts}
+        time = 0.0
+        for mode in islice(self.modes(), AHEAD):
+            for name in self.contacts:
+                if name in mode.contacts and name in begun:
+                    result[name].append(Swing(begun.pop(name), time))
+                elif name not in mode.contacts:
+                    begun.setdefault(name, time)
+            if math.isinf(mode.duration):
+                return result
+            time += mode.duration
+        for name, begin in begun.items():
+            result[name].append(Swing(begin, time))
+        return result
+
+    def landing(self) -> tuple[str, ...]:
+        """Contacts that land at the end of the present mode."""
+        following = next(islice(self.modes(), 1, None)).contacts
+        return tuple(name for name in following if name not in self._queue[0].contacts)
+
+    def advance(self, time: float, touching: Mapping[str, bool]) -> None:
+        """Let ``time`` s pass. The present mode ends early where all that land with its end touch in its last
+        third, and waits for those that are late.
+        """
+        mode, landing = self._queue[0], self.landing()
+        for name in self.contacts:
+            self._lifted[name] = 0.0 if name in mode.contacts else self._lifted[name] + time
+        if math.isinf(self.remaining):
+            return
+        self.remaining -= time
+        down = all(touching[name] for name in landing)
+        if landing and down and self.remaining < mode.duration / 3:
+            self.remaining = min(self.remaining, 0.0)
+        least = WAITING * self.period
+        if landing and not down and self.remaining < least and self.waited < LATEST * self.period:
+            self.waited += least - self.remaining
+            self.remaining = least
+        if self.remaining <= 1e-9:
+            self._next()
+
+    def skip(self) -> None:
+        """Go to the begin of the next mode; a stance without end stays."""
+        if math.isfinite(self.remaining):
+            self.remaining = 0.0
+            self._next()
+
+    def _next(self) -> None:
+        late, self.waited = self.remaining, 0.0
+        self._queue.pop(0)
+        if not self._queue:
+            self._queue.append(self._cycle[self._index])
+            self._index = (self._index + 1) % len(self._cycle)
+        self.remaining = self._queue[0].duration + (late if math.isfinite(late) else 0.0)
+
+    def _stance(self, duration: float) -> Mode:
+        return Mode(self.contacts, duration)

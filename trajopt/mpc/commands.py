@@ -1,0 +1,95 @@
+"""Commands of a driver: gait, speeds and height, and scripts of them over time."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from trajopt.arguments import checked
+from trajopt.errors import InputError
+
+# The gait of a robot that stands.
+STAND = "stand"
+TIME = "time"
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """What a robot on legs is asked to do from now on.
+
+    Args:
+        gait: name of a gait of the robot, or "stand".
+        speed: forward, m/s, in the direction in which the base heads.
+        lateral: to the left, m/s.
+        turn_rate: to the left, rad/s.
+        height: of the base above that of the reference posture, m.
+    """
+
+    gait: str = STAND
+    speed: float = 0.0
+    lateral: float = 0.0
+    turn_rate: float = 0.0
+    height: float = 0.0
+
+
+@dataclass(frozen=True)
+class CommandScript:
+    """Commands, each from its time on, s; the first is at 0."""
+
+    times: tuple[float, ...]
+    commands: tuple[Command, ...]
+
+    def at(self, time: float) -> Command:
+        """The command at a time in s."""
+        begun = [command for begin, command in zip(self.times, self.commands, strict=True) if begin <= time]
+        return begun[-1] if begun else self.commands[0]
+
+
+def read_commands(path: Path, gaits: Sequence[str]) -> CommandScript:
+    """Read a script: a CSV file with the columns time and any of gait, speed, lateral, turn_rate, height.
+
+    A field that is empty keeps the value before. Raises `InputError` with the line for times that do not
+    increase from 0, unknown columns or gaits, and what is not a finite number.
+    """
+    known = [field.name for field in fields(Command)]
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            columns, rows = list(reader.fieldnames or ()), list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path} cannot be read: {error}", "allowed: a CSV file of commands") from None
+    unknown = [name for name in columns if name not in (TIME, *known)]
+    if unknown or TIME not in columns or not rows:
+        cause = f"has the column '{unknown[0]}'" if unknown else "has no column 'time', or no line below it"
+        raise InputError(f"{path} {cause}", f"allowed: {TIME}, and any of {', '.join(known)}")
+    times: list[float] = []
+    commands: list[Command] = []
+    for line, row in enumerate(rows, start=2):
+        where = f"{path}, line {line}"
+        if None in row or None in row.values():
+            raise InputError(f"{where} has another number of fields", f"allowed: {len(columns)}")
+        given = {name: text.strip() for name, text in row.items() if text.strip()}
+        time = _number(f"{where}: {TIME}", given.pop(TIME, ""))
+        if time < 0 or (times and time <= times[-1]) or (not times and time != 0):
+            raise InputError(f"{where}: time is {time:g}", "allowed: the first 0, then increasing, s")
+        gait = given.pop("gait", commands[-1].gait if commands else STAND)
+        if gait not in (STAND, *gaits):
+            raise InputError(f"{where}: gait is '{gait}'", f"allowed: {', '.join((STAND, *gaits))}")
+        numbers = {name: _number(f"{where}: {name}", text) for name, text in given.items()}
+        commands.append(replace(commands[-1] if commands else Command(), gait=gait, **numbers))
+        times.append(time)
+    return CommandScript(tuple(times), tuple(commands))
+
+
+def _number(what: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{what} is '{text}'", "allowed: a finite number")
+    return value

@@ -1,0 +1,159 @@
+"""From the motion of a horizon to torques at each tick of the drives: a quadratic program that follows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.arguments import NonNegative, Positive, checked
+from trajopt.control.contact_forces import ActiveContact
+from trajopt.control.gains import TrackerGains
+from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, TickLimits, TickResult
+from trajopt.control.limits import JointRange, friction_of_drives, limits_with_drives
+from trajopt.control.quadratic_programs import QpSolverName
+from trajopt.control.robot_state import RobotState
+from trajopt.control.tasks import ContactForceTask, PostureTask, RegularisationTask, Task
+from trajopt.mpc.motion import MotionSample
+from trajopt.robot.natural_units import NaturalUnits
+from trajopt.robot.robot import Robot
+
+SMALL = 1e-8
+UP = np.array([0.0, 0.0, 1.0])
+# Joints are braked towards their limits over this time, s.
+HORIZON = 0.02
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class FollowerGains:
+    """Bandwidths in 1 / sqrt(l / g), l the robot's reach, and weights, of what follows a horizon's motion.
+
+    base, joint: bandwidths of base and joints. base_weight, joint_weight, swing_weight, force_weight: of the base,
+    of joints of legs that stand and that swing, and of contact forces.
+    """
+
+    base: NonNegative = 6.0
+    joint: Positive = 20.0
+    base_weight: NonNegative = 10.0
+    joint_weight: NonNegative = 0.01
+    swing_weight: NonNegative = 1.0
+    force_weight: NonNegative = 1e-3
+
+
+class Follower:
+    """Torques that follow samples of a motion; units, limits and drives are those of the robot.
+
+    Args:
+        robot: with a free base.
+        gains: of the feedback.
+        friction: Coulomb's coefficient.
+        solver: of the quadratic programs.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        gains: FollowerGains | None = None,
+        *,
+        friction: float = 0.7,
+        solver: QpSolverName = "piqp",
+    ) -> None:
+        self.robot, self.gains, self.friction = robot, gains or FollowerGains(), friction
+        model, units = robot.model, NaturalUnits.of(robot.model)
+        self.state, self.units = RobotState(model, robot.joint_forces), units
+        self.acceleration_unit = units.acceleration(model)
+        self._program = TaskSpaceInverseDynamics(
+            state=self.state,
+            actuation=robot.actuation,
+            acceleration_unit=self.acceleration_unit,
+            force_units=(units.weight, units.weight * units.length),
+            torque_unit=units.generalized_force(model),
+            damping=TrackerGains().contact / units.time,
+            solver=solver,
+        )
+        self._range = JointRange(robot.limited_model(), robot.actuated_rows, robot.velocity_limit, HORIZON)
+        self._high = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
+        self._low = robot.least_torque(self._high)
+        self._drives = robot.drives or (None,) * robot.nu
+        self._small = RegularisationTask(weight=SMALL, unit=self.acceleration_unit)
+        self._legs = [self._rows_of(contact.frame) for contact in robot.contacts]
+        self.relaxed = [0] * len(RELAXED)
+        self.last: TickResult | None = None
+
+    def _rows_of(self, frame: str) -> np.ndarray:
+        """Rows of v of the joints between the base and a frame."""
+        model = self.robot.model
+        joint = model.frames[model.getFrameId(frame)].parentJoint
+        chain = [model.joints[i] for i in model.supports[joint] if i > 1]
+        return np.array([row for each in chain for row in range(each.idx_v, each.idx_v + each.nv)])
+
+    def torque(self, wanted: MotionSample, q: np.ndarray, v: np.ndarray, active: np.ndarray) -> np.ndarray:
+        """Torques (nu,) for a measured state, with the contacts (nc,) that transmit forces."""
+        self.state.update(q, v)
+        result = self._program.solve(
+            [self._contact(int(i)) for i in np.flatnonzero(active)], self._tasks(wanted, active), self._limits(v, q)
+        )
+        self.relaxed[result.relaxed] += 1
+        self.last = result
+        if RELAXED[result.relaxed] != "everything":
+            return result.torque
+        rows, w = self.robot.actuated_rows, self.gains.joint / self.units.time
+        error = pin.difference(self.state.model, q, wanted.q)[rows]
+        inertia = np.diagonal(self.state.mass)[rows]
+        held = wanted.torque[: len(rows)] + inertia * (w**2 * error + 2 * w * (wanted.v - v)[rows])
+        return np.asarray(np.clip(held, self._low, self._high))
+
+    def _contact(self, number: int) -> ActiveContact:
+        contact = self.robot.contacts[number]
+        return ActiveContact(
+            number=number,
+            frame=contact.frame,
+            dimension=6 if contact.kind == "surface" else 3,
+            normal=UP,
+            friction=self.friction,
+            half_size=(contact.half_length, contact.half_width),
+        )
+
+    def _tasks(self, wanted: MotionSample, active: np.ndarray) -> Sequence[Task]:
+        gains, model, time = self.gains, self.state.model, self.units.time
+        weights = np.full(model.nv, gains.joint_weight)
+        for leg, stands in zip(self._legs, active, strict=True):
+            if not stands:
+                weights[leg] = gains.swing_weight
+        base, joints = np.arange(6), np.arange(6, model.nv)
+        motion = {"q": wanted.q, "v": wanted.v, "a": wanted.a}
+        return [
+            PostureTask(
+                **motion,
+                bandwidth=gains.base / time,
+                rows_of_v=base,
+                weight=gains.base_weight,
+                unit=self.acceleration_unit[base],
+            ),
+            PostureTask(
+                **motion,
+                bandwidth=gains.joint / time,
+                rows_of_v=joints,
+                weights=weights[joints],
+                unit=self.acceleration_unit[joints],
+            ),
+            ContactForceTask(
+                wanted=wanted.forces,
+                weight=gains.force_weight,
+                units=(self.units.weight, self.units.weight * self.units.length),
+            ),
+            self._small,
+        ]
+
+    def _limits(self, v: np.ndarray, q: np.ndarray) -> TickLimits:
+        rate, low, high = self.robot.actuation.rates(v), self._low, self._high
+        friction = np.zeros(len(rate))
+        if any(drive is not None for drive in self._drives):
+            low, high = limits_with_drives(self._drives, rate, low, high)
+            friction = friction_of_drives(self._drives, rate)
+        return TickLimits(
+            torque=(low, high), acceleration=self._range.bounds(q, v[self.robot.actuated_rows]), friction=friction
+        )

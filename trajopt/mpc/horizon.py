@@ -1,0 +1,251 @@
+"""One horizon: the NLP of a pattern of contact modes, its numbers in place of building it anew.
+
+Durations of its phases, the start, the reference, heights of footholds and friction are numbers of one fixed
+structure. The collocation map depends on the step h of an interval by powers of h (docs/mathematics.md, section
+2): what was transcribed for nominal durations is multiplied by powers of the ratio, entry by entry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+
+from trajopt import _engine
+from trajopt.mpc.reference import HorizonWeights, ReferenceCost, reference_layout
+from trajopt.problem.problem import Problem
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms.costs import AccelerationCost, TorqueCost, WrenchCost
+from trajopt.terms.friction import FrictionPyramid, SoleCone
+from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
+from trajopt.terrain.flat import FlatGround
+from trajopt.transcription.compilation import compile_points, entry_key
+from trajopt.transcription.guess import initial_guess
+from trajopt.transcription.mesh import Mesh, PhaseMesh
+from trajopt.transcription.nlp import Nlp, assemble
+from trajopt.transcription.transcription import Transcription, transcribe
+
+# Of violations of rows that may be relaxed: one over the weight of their squares, by the name of the row.
+COMPLIANCE: Mapping[str, float] = MappingProxyType(
+    {
+        "contact_landing": 1e-4,
+        "velocity_limits": 1e-6,
+        "position_limits": 1e-6,
+        "torque_limits": 1e-7,
+        "friction_pyramid": 1e-7,
+        "sole_cone": 1e-7,
+    }
+)
+
+
+# Of a step in an entry of the Hessian: two positions, each with the square, and the one before.
+POWERS = 5
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """What is fixed in a horizon: contacts of its phases, and the number of their intervals."""
+
+    contacts: tuple[tuple[str, ...], ...]
+    intervals: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """Entries for nominal durations, and where in `powers_of` the factor of each is."""
+
+    base: np.ndarray
+    place: np.ndarray
+
+    @classmethod
+    def of(cls, base: np.ndarray, doubled: np.ndarray, phase: np.ndarray | int) -> _Numbers:
+        """From entries for nominal and for doubled durations, each a monomial."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            power = np.where(base == 0, 0.0, np.rint(np.log2(np.abs(doubled / base))))
+        return cls(base, phase * POWERS + np.nan_to_num(power).astype(int))
+
+    def at(self, powers: np.ndarray) -> np.ndarray:
+        """Entries for `powers_of` ratios of durations over the nominal ones."""
+        return np.asarray(self.base * powers[self.place])
+
+
+def powers_of(ratio: np.ndarray) -> np.ndarray:
+    """The powers 0 to 4 of ratios (n_phases,), phase by phase."""
+    return np.asarray(ratio[:, None] ** np.arange(POWERS)).ravel()
+
+
+class Horizon:
+    """The NLP of a pattern.
+
+    Args:
+        robot: on legs, with a free base.
+        pattern: of its contacts.
+        weights: of its cost.
+        friction: Coulomb's coefficient of the ground.
+        scheme: of the transcription.
+        nominal: duration of each phase, s, for which it is transcribed; any may be given later.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        pattern: Pattern,
+        weights: HorizonWeights,
+        *,
+        friction: float = 0.7,
+        scheme: str = "legendre:2",
+        nominal: float = 0.1,
+    ) -> None:
+        self.robot, self.pattern, self.nominal = robot, pattern, nominal
+        self.reference = reference_layout(robot)
+        build = [self._transcription(weights, friction, scheme, factor * nominal) for factor in (1.0, 2.0)]
+        self.transcription: Transcription = build[0]
+        points = {**build[0].points, **build[1].points}
+        compiled, self.compilation = compile_points(points.values())
+        known = {key: compiled[entry_key(point)] for key, point in points.items()}
+        self.nlp, doubled = (assemble(each, known) for each in build)
+        t = self.transcription
+        self.lower_x, self.upper_x = t.lower_x.copy(), t.upper_x.copy()
+        self.lower_g, self.upper_g = t.lower_g.copy(), t.upper_g.copy()
+        self.durations = np.full(len(pattern.contacts), nominal)
+        self._find_numbers(self.nlp, doubled)
+        names = np.array([COMPLIANCE.get(name, 0.0) for name in t.rows.names])
+        self.compliance = names[t.rows.block]
+        self.solver = _engine.InteriorPoint(self.nlp.engine, *self.bounds, t.layout.stage_numbers)
+        self.unequal = np.flatnonzero(t.lower_g != t.upper_g)
+
+    def _transcription(
+        self, weights: HorizonWeights, friction: float, scheme: str, duration: float
+    ) -> Transcription:
+        robot, pattern = self.robot, self.pattern
+        phases = tuple(
+            Phase(name=f"phase_{i}", duration=duration, contacts=contacts)
+            for i, contacts in enumerate(pattern.contacts)
+        )
+        size = self.reference.size
+        touching = {robot.contact(name).kind for contacts in pattern.contacts for name in contacts}
+        cones = [cone for kind, cone in (("point", FrictionPyramid()), ("surface", SoleCone())) if kind in touching]
+        problem = Problem(
+            name="horizon",
+            robot=robot,
+            schedule=Schedule(phases),
+            terrain=FlatGround(friction=friction),
+            terms=(
+                ReferenceCost(weight=1.0, weights=weights, reference=lambda _: np.zeros(size)),
+                TorqueCost(weight=weights.torque),
+                *([WrenchCost(weight=weights.wrench)] if touching else []),
+                AccelerationCost(weight=weights.acceleration, joints_only=True),
+                *cones,
+                TorqueLimits(),
+                VelocityLimits(),
+                PositionLimits(),
+            ),
+            guess=lambda _: robot.reference,
+        )
+        meshes = [PhaseMesh.uniform(scheme, count) for count in pattern.intervals]
+        return transcribe(problem, mesh=Mesh(phases=tuple(meshes)))
+
+    def _find_numbers(self, nlp: Nlp, doubled: Nlp) -> None:
+        """Which entries depend on the duration of which phase, and how."""
+        layout, t = self.layout, self.transcription
+        of_stage = np.append(layout.phase_of, layout.phase_of[-1])
+        self._groups: list[dict[str, _Numbers]] = []
+        for group, one, two in zip(t.groups, nlp.parts["groups"], doubled.parts["groups"], strict=True):
+            phase = int(of_stage[group.stages[0]])
+            names = ("gather_data", "cost_weight", "jac_coef", "hess_coef")
+            self._groups.append({name: _Numbers.of(one[name], two[name], phase) for name in names})
+        csr, rows = t.linear, t.rows.stage
+        of_entries = np.repeat(np.arange(t.n_rows), np.diff(csr.indptr))
+        self._linear = _Numbers.of(csr.data, doubled.parts["a_data"], of_stage[rows[of_entries]])
+        constant, twice = nlp.parts["jac_const"], doubled.parts["jac_const"]
+        self._constant = _Numbers.of(constant, twice, of_stage[rows[nlp.row]])
+        self._parameters = [group.parameters.copy() for group in t.groups]
+
+    @property
+    def layout(self):
+        """Where the variables are."""
+        return self.transcription.layout
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Bounds of variables and rows, scaled: lower and upper of each."""
+        return self.lower_x, self.upper_x, self.lower_g, self.upper_g
+
+    @cached_property
+    def units(self) -> Units:
+        """Scales of the robot."""
+        return Units(self.robot)
+
+    @cached_property
+    def places(self) -> list[tuple[int, np.ndarray, np.ndarray, float, slice]]:
+        """Where the reference goes: group, its stages and phases, fraction of the intervals, columns."""
+        of_stage = self.layout.phase_of
+        return [
+            (number, group.stages, of_stage[group.stages], group.fraction, columns)
+            for number, group in enumerate(self.transcription.groups)
+            for _, columns in group.varying
+        ]
+
+    @cached_property
+    def landings(self) -> list[tuple[int, np.ndarray]]:
+        """For each landing, its phase and the rows of the heights of its contacts, in their order."""
+        rows, t = self.transcription.rows, self.transcription
+        name = rows.names.index("contact_landing") if "contact_landing" in rows.names else -1
+        result = []
+        for phase in range(1, len(self.pattern.contacts)):
+            new = t.problem.schedule.new_contacts(phase)
+            stage = int(self.layout.intervals_of(phase)[0])
+            at = np.flatnonzero((rows.block == name) & (rows.stage == stage))
+            if new:
+                result.append((phase, at[: len(new)]))
+        return result
+
+    def set_durations(self, durations: np.ndarray) -> None:
+        """Durations (n_phases,) of the phases, s."""
+        self.durations = np.array(durations, dtype=float)
+        powers = powers_of(self.durations / self.nominal)
+        for number, numbers in enumerate(self._groups):
+            given = {name: entries.at(powers) for name, entries in numbers.items()}
+            self.nlp.engine.set_group(number, p=self._parameters[number].ravel(), **given)
+        self.nlp.engine.set_linear(self._linear.at(powers), self._constant.at(powers))
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Duration of each interval, s."""
+        return (self.durations / np.array(self.pattern.intervals))[self.layout.phase_of]
+
+    @property
+    def node_times(self) -> np.ndarray:
+        """Time of each node from the start, s."""
+        return np.concatenate([[0.0], np.cumsum(self.steps)])
+
+    def point_times(self) -> list[np.ndarray]:
+        """Times of the points at which the reference is needed, for each of `places`, s."""
+        begin, step = self.node_times, self.steps
+        return [begin[stages] + fraction * step[stages] for _, stages, _, fraction, _ in self.places]
+
+    def set_reference(self, values: list[np.ndarray]) -> None:
+        """The reference (n, size) at the times of `point_times`; takes effect with `set_durations`."""
+        for (number, _, _, _, columns), rows in zip(self.places, values, strict=True):
+            self._parameters[number][:, columns] = rows
+
+    def set_start(self, state: np.ndarray) -> None:
+        """The first node's state, unscaled, which is fixed."""
+        node = self.layout.node(0)
+        self.lower_x[node] = self.upper_x[node] = state / self.transcription.scale[node]
+
+    def set_heights(self, height: float) -> None:
+        """Height of the ground on which feet land, m."""
+        for phase, rows in self.landings:
+            new = self.transcription.problem.schedule.new_contacts(phase)
+            radius = np.array([self.robot.contact(name).radius for name in new])
+            self.lower_g[rows] = self.upper_g[rows] = (height + radius) / self.units.length
+
+    def guess(self) -> np.ndarray:
+        """Scaled variables of the robot at rest in its reference."""
+        return initial_guess(self.transcription)

@@ -1,0 +1,100 @@
+"""The motion of a horizon: at any time of it, state, acceleration, torques and contact forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+from numpy.polynomial import Polynomial
+
+from trajopt.mpc.horizon import Horizon
+from trajopt.transcription.schemes import scheme
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionSample:
+    """Pinocchio's q (nq,), v and a (nv,); torque (nu,); forces (nc, 6), world axes; active (nc,)."""
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    torque: np.ndarray
+    forces: np.ndarray
+    active: np.ndarray
+
+
+@lru_cache(maxsize=16)
+def _polynomials(name: str) -> np.ndarray:
+    """Coefficients (3, s + 2, s), by powers of the fraction, of what y counts in xi'' and xi' / h and xi / h^2."""
+    points = scheme(name).c
+    result = np.zeros((3, len(points) + 2, len(points)))
+    for j, point in enumerate(points):
+        others = np.delete(points, j)
+        basis = Polynomial.fromroots(others) / np.prod(point - others) if len(others) else Polynomial([1.0])
+        for times in range(3):
+            coefficients = (basis.integ(times) if times else basis).coef
+            result[times, : len(coefficients), j] = coefficients
+    return result
+
+
+class HorizonMotion:
+    """Variables of a horizon as a motion from ``begin`` on, s; it knows nothing of later changes of the horizon.
+
+    Beyond its end it goes on at its last velocities.
+    """
+
+    def __init__(self, horizon: Horizon, x: np.ndarray, begin: float) -> None:
+        layout, unscaled = horizon.layout, x * horizon.transcription.scale
+        self.begin, self.robot = begin, horizon.robot
+        self.model, self.data = horizon.robot.model, horizon.robot.model.createData()
+        self.times, self.steps = horizon.node_times, horizon.steps
+        self.phase_of, self.coordinates = layout.phase_of, layout.coordinates
+        self.nodes = np.array([unscaled[layout.node(k)] for k in range(layout.n_stages + 1)])
+        schemes = [layout.scheme_of(phase) for phase in range(len(horizon.pattern.contacts))]
+        self.weights = [_polynomials(each.name) for each in schemes]
+        self.contacts = layout.contacts
+        self.highest: list[np.ndarray] = []
+        self.wrenches: list[np.ndarray] = []
+        for k in range(layout.n_stages):
+            window, phase = unscaled[layout.window(k)], int(self.phase_of[k])
+            points = range(schemes[phase].s)
+            self.highest.append(np.array([window[layout.local_derivative(phase, i)] for i in points]))
+            self.wrenches.append(np.array([window[layout.local_wrench(phase, i)] for i in points]))
+
+    @property
+    def duration(self) -> float:
+        """Its length, s."""
+        return float(self.times[-1])
+
+    def sample(self, time: float) -> MotionSample:
+        """The motion at a time, s; before its begin its first state, without extrapolation."""
+        t = min(max(time - self.begin, 0.0), self.duration)
+        k = min(int(np.searchsorted(self.times, t, side="right")) - 1, len(self.steps) - 1)
+        phase, h, node = int(self.phase_of[k]), float(self.steps[k]), self.nodes[k]
+        c, polynomials = (t - float(self.times[k])) / h, self.weights[phase]
+        n_rotation, nv = 4 * self.coordinates.n_rotations, self.coordinates.nv
+        weights, rate, position = c ** np.arange(polynomials.shape[1]) @ polynomials
+        start = np.zeros(nv)
+        start[self.coordinates.additive_index] = node[n_rotation:-nv]
+        y, first = self.highest[k], node[-nv:]
+        xi = start + h * c * first + h * h * (position @ y)
+        dxi = first + h * (rate @ y)
+        ddxi, wrench = weights @ y, weights @ self.wrenches[k]
+        state = self.coordinates.local_to_pinocchio(node[:n_rotation], xi, dxi, ddxi)
+        q, v, a = (part[0] for part in state)
+        forces, active = np.zeros((len(self.robot.contacts), 6)), np.zeros(len(self.robot.contacts), bool)
+        at = 0
+        load = np.zeros(nv)
+        pin.computeJointJacobians(self.model, self.data, q)
+        for contact in self.contacts[phase]:
+            number, rows = self.robot.contacts.index(contact), list(contact.rows)
+            forces[number, rows] = wrench[at : at + len(rows)]
+            at, active[number] = at + len(rows), True
+            frame = self.model.getFrameId(contact.frame)
+            jacobian = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
+            load += jacobian.T @ forces[number]
+        needed = pin.rnea(self.model, self.data, q, v, a) - load
+        torque = self.robot.actuation.inputs(needed)
+        return MotionSample(q=q, v=v, a=a, torque=torque, forces=forces, active=active)

@@ -1,0 +1,399 @@
+"""Plans a horizon at each of its ticks: from the measured state, with a few steps from the last plan.
+
+Each pattern of contact modes has one `Horizon`, made before it is needed. The variables of the last plan are moved
+on by the time that has passed, on the nodes of the present mode; where a mode has ended, those of the others move
+up by one, and the mode that is new at the end stands still at first.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt import _engine
+from trajopt.arguments import Positive, PositiveCount, checked
+from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.errors import InputError
+from trajopt.mpc.clock import GaitClock, Mode
+from trajopt.mpc.commands import Command
+from trajopt.mpc.horizon import Horizon, Pattern
+from trajopt.mpc.motion import HorizonMotion
+from trajopt.mpc.reference import HorizonWeights
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
+
+# A mode that lasts less than this part of a period is planned as if it lasted that long.
+SHORTEST = 0.01
+# Multipliers of rows above this (over their units) count as a start that was lost: the next plan begins anew.
+LOST = 1e6
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class PlannerSettings:
+    """Settings of a planner.
+
+    Args:
+        scheme: of the transcription, collocation of the acceleration ("legendre:2", "radau:3").
+        intervals: of a whole period of a gait.
+        span: the least length of what follows the present mode, in periods.
+        steps: of the interior point at each tick.
+        changed_steps: at a tick whose pattern of contacts is another than that of the last.
+        barrier: of the interior point.
+        lift: height of swings over the robot's length.
+        weights: of the cost.
+    """
+
+    scheme: str = "legendre:2"
+    intervals: PositiveCount = 8
+    span: Positive = 0.5
+    steps: PositiveCount = 2
+    changed_steps: PositiveCount = 4
+    barrier: Positive = 1e-3
+    lift: Positive = 0.15
+    weights: HorizonWeights = HorizonWeights()
+
+
+@dataclass
+class PlanReport:
+    """Of one plan: seconds in the solver, and of the whole; residuals before the last step; what was relaxed."""
+
+    seconds: float = 0.0
+    solver_seconds: float = 0.0
+    primal: float = math.inf
+    dual: float = math.inf
+    violations: dict[str, float] = field(default_factory=dict)
+    began_anew: bool = False
+
+
+class HorizonPlanner:
+    """Plans motions of a robot on legs with a free base.
+
+    Args:
+        robot: the robot.
+        clock: of its gaits; the planner reads it.
+        settings: of the plans.
+        friction: Coulomb's coefficient that plans count on.
+    """
+
+    def __init__(
+        self, robot: Robot, clock: GaitClock, settings: PlannerSettings, *, friction: float = 0.7
+    ) -> None:
+        if robot.base != "freeflyer":
+            raise InputError(f"robot '{robot.name}' has no free base", "allowed: robots on legs")
+        self.robot, self.clock, self.settings, self.friction = robot, clock, settings, friction
+        self.horizons: dict[Pattern, Horizon] = {}
+        self.report = PlanReport()
+        self._last: tuple[Horizon, _engine.Iterate, float] | None = None
+        self._maps: dict[tuple[Pattern, Pattern], _Map] = {}
+        places, base = contact_positions(robot, robot.reference), robot.reference[:3]
+        self._hips = np.array([places[name] - base for name in clock.contacts])
+        radii = [robot.contact(name).radius for name in clock.contacts]
+        self._radius = np.array(radii)
+        self._standing = float(base[2] - min(p[2] - r for p, r in zip(places.values(), radii, strict=True)))
+
+    def pattern(self, modes: Sequence[Mode], whole: Sequence[Mode]) -> Pattern:
+        """Contacts and intervals of modes; ``whole``: those of the gait, not what remains of them."""
+        step = self.clock.period / self.settings.intervals
+        counts = tuple(max(1, round(min(mode.duration, self._span) / step)) for mode in whole)
+        return Pattern(tuple(mode.contacts for mode in modes), counts)
+
+    @property
+    def _span(self) -> float:
+        return self.settings.span * self.clock.period
+
+    def prepare(self) -> int:
+        """Make the horizons of all gaits and of all changes between them; returns their number."""
+        for first in ("stand", *self.clock.gaits):
+            for then in ("stand", *self.clock.gaits):
+                clock = GaitClock(self.clock.contacts, self.clock.gaits)
+                clock.request(first)
+                self._walk(clock, 3.0)
+                for offset in range(len(clock.cycle_of(first))):
+                    other = clock.copy()
+                    for _ in range(offset):
+                        other.skip()
+                    other.request(then)
+                    self._walk(other, 3.0)
+        return len(self.horizons)
+
+    def _walk(self, clock: GaitClock, periods: float) -> None:
+        """Make the horizons of a clock from now on."""
+        own, self.clock = self.clock, clock
+        passed = 0.0
+        while passed < periods * clock.period:
+            self.horizon()
+            if math.isinf(clock.remaining):
+                break
+            passed += clock.remaining
+            clock.skip()
+        self.clock = own
+
+    def horizon(self) -> tuple[Horizon, tuple[Mode, ...]]:
+        """The horizon of the clock as it is now, and its modes."""
+        modes = self.clock.horizon(self._span)
+        whole = (Mode(modes[0].contacts, self.clock.whole), *modes[1:])
+        pattern = self.pattern(modes, whole)
+        if pattern not in self.horizons:
+            self.horizons[pattern] = Horizon(
+                self.robot,
+                pattern,
+                self.settings.weights,
+                friction=self.friction,
+                scheme=self.settings.scheme,
+            )
+        return self.horizons[pattern], modes
+
+    def plan(
+        self, time_now: float, q: np.ndarray, v: np.ndarray, command: Command, heading: float, ground: float
+    ) -> HorizonMotion:
+        """The motion from a state at ``time_now`` s on; the clock is at that time.
+
+        heading: in which the base should head now, rad. ground: height of the ground, m.
+        """
+        begun = time.perf_counter()
+        horizon, modes = self.horizon()
+        least = SHORTEST * self.clock.period
+        durations = np.array([max(mode.duration, least) for mode in modes])
+        start = horizon.layout.coordinates.node_from_pinocchio(q, self._held(q, v, modes[0].contacts))
+        iterate, steps = self._start(horizon, durations, time_now, start)
+        if iterate is not None:
+            quaternion = iterate["x"][:4]
+            start[:4] *= 1.0 if start[:4] @ quaternion >= 0 else -1.0
+        horizon.set_start(start)
+        horizon.set_heights(ground)
+        horizon.durations = durations
+        horizon.set_reference(self._references(horizon, q, command, heading, ground))
+        horizon.set_durations(durations)
+        barrier = self.settings.barrier
+        if iterate is None:
+            iterate = horizon.solver.complete(
+                self._at_rest(horizon, start), np.zeros(len(horizon.compliance)), *horizon.bounds, barrier, 1e-2
+            )
+        node = horizon.layout.node(0)
+        iterate["x"][node] = horizon.lower_x[node]
+        solving = time.perf_counter()
+        iterate, reports = horizon.solver.steps(
+            iterate, *horizon.bounds, horizon.compliance, barrier, steps=steps
+        )
+        ended = time.perf_counter()
+        worst = max(float(np.abs(iterate["y"]).max()), float(np.abs(iterate["x"]).max()))
+        good = math.isfinite(worst) and worst < LOST and reports[-1]["primal_step"] > 0
+        self._last = (horizon, iterate, time_now) if good else None
+        self.report = PlanReport(
+            seconds=0.0,
+            solver_seconds=ended - solving,
+            primal=reports[-1]["primal"],
+            dual=reports[-1]["dual"],
+            began_anew=not good,
+        )
+        motion = HorizonMotion(horizon, iterate["x"], time_now)
+        self.report.seconds = time.perf_counter() - begun
+        return motion
+
+    def _held(self, q: np.ndarray, v: np.ndarray, contacts: Sequence[str]) -> np.ndarray:
+        """The velocity nearest to v, by kinetic energy, with which the contacts that stand do not move."""
+        if not contacts:
+            return v
+        model = self.robot.model
+        places = [(c.frame, c.rows) for c in map(self.robot.contact, contacts)]
+        jacobian = contact_jacobian(model, q, places)
+        mass = pin.crba(model, model.createData(), q)
+        spread = np.linalg.solve(mass, jacobian.T)
+        inverse = np.linalg.lstsq(jacobian @ spread, jacobian @ v, rcond=1e-8)[0]
+        return np.asarray(v - spread @ inverse)
+
+    def _at_rest(self, horizon: Horizon, start: np.ndarray) -> np.ndarray:
+        """Scaled variables that stand still at the start's configuration, forces as in the reference."""
+        x = horizon.guess() * horizon.transcription.scale
+        still = start.copy()
+        still[-self.robot.nv :] = 0.0
+        for k in range(horizon.layout.n_stages + 1):
+            x[horizon.layout.node(k)] = still
+        x[horizon.layout.node(0)] = start
+        return np.asarray(x / horizon.transcription.scale)
+
+    def _start(
+        self, horizon: Horizon, durations: np.ndarray, now: float, start: np.ndarray
+    ) -> tuple[_engine.Iterate | None, int]:
+        """The last iterate moved on to this horizon, if there is one, and the number of steps to take."""
+        if self._last is None:
+            return None, 4 * self.settings.changed_steps
+        last, iterate, _ = self._last
+        if last is horizon:
+            moved = dict(iterate)
+            moved["x"] = _moved_on(horizon, iterate["x"], durations)
+            return moved, self.settings.steps
+        key = last.pattern, horizon.pattern
+        if key not in self._maps:
+            self._maps[key] = _Map.of(last, horizon)
+        return self._maps[key].apply(last, horizon, iterate, self.settings.barrier, self._at_rest), (
+            self.settings.changed_steps
+        )
+
+    def _references(
+        self, horizon: Horizon, q: np.ndarray, command: Command, heading: float, ground: float
+    ) -> list[np.ndarray]:
+        """The reference (n, size) at the times of each of the horizon's places."""
+        times = horizon.point_times()
+        rows = self._reference(horizon, np.concatenate(times), q, command, heading, ground)
+        return np.split(rows, np.cumsum([len(part) for part in times])[:-1])
+
+    def _reference(
+        self,
+        horizon: Horizon,
+        times: np.ndarray,
+        q: np.ndarray,
+        command: Command,
+        heading: float,
+        ground: float,
+    ) -> np.ndarray:
+        at, n, last = horizon.reference, len(times), float(times.max())
+        swings = self.clock.swings()
+        rows = np.zeros((n, at.size))
+        angle = heading + command.turn_rate * times
+        ahead = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+        velocity = command.speed * ahead + command.lateral * left
+        rows[:, at.velocity.start : at.velocity.start + 2] = velocity
+        rows[:, at.spin.start + 2] = command.turn_rate
+        rows[:, :2] = q[:2] + times[:, None] * velocity
+        rows[:, 2] = ground + self._standing + command.height
+        rows[:, at.quaternion.start + 2] = np.sin(angle / 2)
+        rows[:, at.quaternion.start + 3] = np.cos(angle / 2)
+        rows[:, at.posture] = self.robot.reference[7:]
+        lift = self.settings.lift * self.robot.length
+        for number, name in enumerate(self.clock.contacts):
+            foot, hip = at.foot(number).start, self._hips[number]
+            for swing in swings[name]:
+                if swing.begin > last:
+                    break
+                inside = np.flatnonzero((times >= swing.begin) & (times <= swing.end))
+                s = (times[inside] - swing.begin) / (swing.end - swing.begin)
+                rows[inside, foot + 2] = ground + self._radius[number] + lift * 16 * s**2 * (1 - s) ** 2
+                end = np.array([math.cos(heading + command.turn_rate * swing.end), 0.0])
+                end[1] = math.sin(heading + command.turn_rate * swing.end)
+                across = np.array([-end[1], end[0]])
+                level = command.speed * end + command.lateral * across
+                stance = self.clock.period / 4
+                goal = q[:2] + level * (swing.end + stance) + hip[0] * end + hip[1] * across
+                rows[inside, foot], rows[inside, foot + 1] = goal
+                rows[inside, foot + 3] = rows[inside, foot + 4] = 0.2 * s
+                rows[inside, foot + 5] = 1.0
+        return rows
+
+
+def _moved_on(horizon: Horizon, x: np.ndarray, durations: np.ndarray) -> np.ndarray:
+    """Variables at the new times of nodes and points, where the present mode has become shorter.
+
+    Linear between the nodes of the first phase, as far as they are within it; what that misses, a step mends.
+    """
+    before, after = float(horizon.durations[0]), float(durations[0])
+    layout, count = horizon.layout, horizon.pattern.intervals[0]
+    if after >= before:
+        return x.copy()
+    moved = x.copy()
+    old = np.arange(count + 1) * before / count
+    new = before - after + np.arange(count + 1) * after / count
+    nodes = np.array([x[layout.node(k)] for k in range(count + 1)])
+    controls = np.array([x[layout.window(k)][layout.forms[k].size :] for k in range(count)])
+    for k in range(count):
+        place = min(int(np.searchsorted(old, new[k], side="right")) - 1, count - 1)
+        share = (new[k] - old[place]) / (old[place + 1] - old[place])
+        node = (1 - share) * nodes[place] + share * nodes[place + 1]
+        node[:4] /= np.linalg.norm(node[:4])
+        moved[layout.node(k)] = node
+        middle = (new[k] + new[k + 1]) / 2
+        near = min(int(middle / before * count), count - 1)
+        moved[layout.window(k)][layout.forms[k].size :] = controls[near]
+    return moved
+
+
+@dataclass(frozen=True)
+class _Map:
+    """From the iterate of one horizon to that of another: which of its variables, rows and slacks go where."""
+
+    variables: tuple[np.ndarray, np.ndarray]
+    rows: tuple[np.ndarray, np.ndarray]
+    slacks: tuple[np.ndarray, np.ndarray]
+    kept: int
+
+    @classmethod
+    def of(cls, last: Horizon, horizon: Horizon) -> _Map:
+        """Phases of the last horizon from the second on are those of this one, as far as they are alike."""
+        kept, shift = 0, 1
+        old, new = last.pattern, horizon.pattern
+        for shift in (1, 0):
+            kept = 0
+            for i in range(min(len(old.contacts) - shift, len(new.contacts))):
+                if old.contacts[i + shift] != new.contacts[i] or old.intervals[i + shift] != new.intervals[i]:
+                    break
+                kept += 1
+            if kept:
+                break
+        if not kept:
+            empty = np.zeros(0, dtype=int)
+            return cls((empty, empty), (empty, empty), (empty, empty), 0)
+        first = int(last.layout.intervals_of(shift)[0])
+        stages = sum(new.intervals[:kept])
+        source, target = [], []
+        for k in range(stages):
+            source.append(np.arange(*last.layout.window(first + k).indices(last.layout.n_unknowns)))
+            target.append(np.arange(*horizon.layout.window(k).indices(horizon.layout.n_unknowns)))
+        source.append(np.arange(*last.layout.node(first + stages).indices(last.layout.n_unknowns)))
+        target.append(np.arange(*horizon.layout.node(stages).indices(horizon.layout.n_unknowns)))
+        rows = _rows_alike(last, horizon, first, stages)
+        slack_of = [np.full(each.transcription.n_rows, -1) for each in (last, horizon)]
+        for each, slacks in zip((last, horizon), slack_of, strict=True):
+            slacks[each.unequal] = np.arange(len(each.unequal))
+        both = (slack_of[0][rows[0]] >= 0) & (slack_of[1][rows[1]] >= 0)
+        slacks = slack_of[0][rows[0]][both], slack_of[1][rows[1]][both]
+        return cls((np.concatenate(source), np.concatenate(target)), rows, slacks, stages)
+
+    def apply(self, last, horizon, iterate, barrier, at_rest) -> _engine.Iterate:
+        """The iterate of the horizon: what is new stands still at the end of what was kept."""
+        scale = horizon.transcription.scale
+        old = np.zeros(len(scale))
+        old[self.variables[1]] = iterate["x"][self.variables[0]]
+        end = (old * scale)[horizon.layout.node(self.kept)]
+        if not self.kept:
+            end = (last.transcription.scale * iterate["x"])[last.layout.node(last.layout.n_stages)]
+        x = at_rest(horizon, end)
+        x[self.variables[1]] = iterate["x"][self.variables[0]]
+        y = np.zeros(len(horizon.compliance))
+        y[self.rows[1]] = iterate["y"][self.rows[0]]
+        fresh = horizon.solver.complete(x, y, *horizon.bounds, barrier, 1e-2)
+        for name, (source, target) in (
+            ("lower_x", self.variables), ("upper_x", self.variables),
+            ("s", self.slacks), ("lower_s", self.slacks), ("upper_s", self.slacks),
+        ):
+            fresh[name][target] = iterate[name][source]
+        return fresh
+
+
+def _rows_alike(last: Horizon, horizon: Horizon, first: int, stages: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the last horizon's stages from ``first`` on, and the rows of this one that are alike."""
+
+    def blocks(each: Horizon, shift: int) -> dict[tuple[int, int, str], np.ndarray]:
+        rows = each.transcription.rows
+        at = rows.stage - shift
+        key = np.stack([at, rows.point, rows.block], axis=1)
+        inside = np.flatnonzero((at >= 0) & (at <= stages))
+        order = inside[np.lexsort(key[inside].T[::-1])]
+        cuts = np.flatnonzero(np.any(np.diff(key[order], axis=0) != 0, axis=1)) + 1
+        return {
+            (int(part[0, 0]), int(part[0, 1]), rows.names[int(part[0, 2])]): where
+            for part, where in zip(np.split(key[order], cuts), np.split(order, cuts), strict=True)
+        }
+
+    old, new = blocks(last, first), blocks(horizon, 0)
+    pairs = [
+        (old[key], where) for key, where in new.items() if key in old and len(old[key]) == len(where)
+    ]
+    empty = [(np.zeros(0, dtype=int), np.zeros(0, dtype=int))]
+    return tuple(np.concatenate([pair[i] for pair in pairs or empty]) for i in (0, 1))

@@ -1,0 +1,124 @@
+"""The reference of a horizon: motion of the base, joints and feet at its points, as parameters of one cost.
+
+Weights are over natural units (see `trajopt.robot.Units`); the running cost of a horizon is
+
+    sum_i w_i e_i^2,      e = (p - p*) / l,  turn(R*, R),  (p' - v*) / sqrt(g l),  (omega - w*) sqrt(l / g),
+                              q_j - q_j*,  q_j' sqrt(l / g),  s (p_f - p_f*) / l of feet in the air
+
+with s a factor for each axis of each foot, and the cost of torques, forces and accelerations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from typing_extensions import override
+
+from trajopt.arguments import NonNegative, checked
+from trajopt.dynamics.rotations import quaternion_product
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.terms.context import Context
+from trajopt.terms.interfaces import Cost
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class HorizonWeights:
+    """Weights of a horizon's cost, dimensionless.
+
+    height, tilt, heading, velocity, rise, spin: of the base's height, of roll and pitch, of yaw, of its level and
+    vertical velocity, of its angular velocity. joints, rates: of posture and rates of joints. feet: of feet in the
+    air. torque, wrench, acceleration: of torques, contact forces and accelerations of joints.
+    """
+
+    height: NonNegative = 20.0
+    tilt: NonNegative = 10.0
+    heading: NonNegative = 10.0
+    velocity: NonNegative = 4.0
+    rise: NonNegative = 1.0
+    spin: NonNegative = 0.5
+    joints: NonNegative = 0.05
+    rates: NonNegative = 0.01
+    feet: NonNegative = 10.0
+    torque: NonNegative = 0.02
+    wrench: NonNegative = 0.02
+    acceleration: NonNegative = 0.002
+
+
+@dataclass(frozen=True)
+class ReferenceLayout:
+    """Places of a point's reference: base (13,), joints (nj,), feet (nc, 3) and their factors (nc, 3)."""
+
+    joints: int
+    contacts: int
+
+    @cached_property
+    def size(self) -> int:
+        """Numbers of one point."""
+        return 13 + self.joints + 6 * self.contacts
+
+    position = slice(0, 3)
+    quaternion = slice(3, 7)
+    velocity = slice(7, 10)
+    spin = slice(10, 13)
+
+    @property
+    def posture(self) -> slice:
+        """Of the joints."""
+        return slice(13, 13 + self.joints)
+
+    def foot(self, contact: int) -> slice:
+        """Place of a foot, then its factors."""
+        first = 13 + self.joints + 6 * contact
+        return slice(first, first + 6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceCost(Cost):
+    """Weighted squares of distances from the reference of the module, which is a parameter.
+
+    reference: a function of time of that size; its values are replaced point by point.
+    """
+
+    weights: HorizonWeights
+    reference: Callable[[float], np.ndarray]
+
+    @override
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        robot, w = context.robot, self.weights
+        at = ReferenceLayout(robot.nv - 6, len(robot.contacts))
+        r = context.varying(self.reference, at.size)
+        conjugate = r[at.quaternion] * ca.SX([-1, -1, -1, 1])
+        turn = 2 * quaternion_product(conjugate, context.q[3:7])[:3]
+        level, spin = [w.velocity, w.velocity, w.rise], [w.spin] * 3
+        parts: list[tuple[ca.SX, list[float]]] = [
+            ((context.xi[:3] - r[at.position]) / units.length, [0.0, 0.0, w.height]),
+            (turn, [w.tilt, w.tilt, w.heading]),
+            ((context.dxi[:3] - r[at.velocity]) / units.velocity[0], level),
+            ((context.dxi[3:6] - r[at.spin]) * units.time, spin),
+            (context.xi[6:] - r[at.posture], [w.joints] * at.joints),
+            (context.dxi[6:] * units.time, [w.rates] * at.joints),
+        ]
+        for number, contact in enumerate(robot.contacts):
+            if contact not in context.contacts:
+                goal, factor = ca.vertsplit(r[at.foot(number)], 3)
+                away = factor * (context.frame(contact.frame).position - goal) / units.length
+                parts.append((away, [w.feet] * 3))
+        weights = context.parameter(np.concatenate([weights for _, weights in parts]))
+        return ca.sqrt(weights) * ca.vertcat(*[error for error, _ in parts])
+
+    @override
+    def value(self, context: Context, units: Units) -> ca.SX:
+        residual = self.residual(context, units)
+        context.square(residual, ca.SX(self.weight))
+        return self.weight * ca.sumsqr(residual)
+
+
+def reference_layout(robot: Robot) -> ReferenceLayout:
+    """Places of the reference of a robot with a free base."""
+    return ReferenceLayout(robot.nv - 6, len(robot.contacts))
