@@ -16,7 +16,7 @@ SETTLE = 0.2
 # Modes looked at after now: more than any horizon has, so that every swing's end is known.
 AHEAD = 24
 # A contact that is late keeps the clock waiting for at most this part of the period.
-LATEST = 0.15
+LATEST = 0.0
 # The clock does not run below this part of a period before a touchdown that was not measured.
 WAITING = 0.03
 

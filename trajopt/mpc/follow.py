@@ -15,13 +15,15 @@ from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, 
 from trajopt.control.limits import JointRange, friction_of_drives, limits_with_drives
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.robot_state import RobotState
-from trajopt.control.tasks import ContactForceTask, PostureTask, RegularisationTask, Task
+from trajopt.control.tasks import ContactForceTask, FrameTask, PostureTask, RegularisationTask, Task
 from trajopt.mpc.motion import MotionSample
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 
 SMALL = 1e-8
 UP = np.array([0.0, 0.0, 1.0])
+# A contact that should stand but does not touch is pressed down at this part of sqrt(g l), with this weight.
+PRESSED, PRESSING = 0.15, 10.0
 # Joints are braked towards their limits over this time, s.
 HORIZON = 0.02
 
@@ -146,7 +148,21 @@ class Follower:
                 units=(self.units.weight, self.units.weight * self.units.length),
             ),
             self._small,
+            *(self._pressing(int(i)) for i in np.flatnonzero(wanted.active & ~active)),
         ]
+
+    def _pressing(self, number: int) -> FrameTask:
+        """A contact that is late moves down."""
+        frame, speed = self.robot.contacts[number].frame, PRESSED * self.units.length / self.units.time
+        return FrameTask(
+            frame=frame,
+            pose=self.state.frame(frame).placement,
+            velocity=np.array([0.0, 0.0, -speed, 0.0, 0.0, 0.0]),
+            bandwidth=self.gains.joint / self.units.time,
+            selection=np.eye(6)[2:3],
+            units=(self.units.gravity, self.units.gravity / self.units.length),
+            weight=PRESSING,
+        )
 
     def _limits(self, v: np.ndarray, q: np.ndarray) -> TickLimits:
         rate, low, high = self.robot.actuation.rates(v), self._low, self._high

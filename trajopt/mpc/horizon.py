@@ -43,6 +43,7 @@ COMPLIANCE: Mapping[str, float] = MappingProxyType(
 )
 
 
+SOFTEST = 1.0
 # Of a step in an entry of the Hessian: two positions, each with the square, and the one before.
 POWERS = 5
 
@@ -205,6 +206,15 @@ class Horizon:
                 result.append((phase, at[: len(new)]))
         return result
 
+    @cached_property
+    def first_landing(self) -> np.ndarray:
+        """Rows of the landing with which the second phase begins."""
+        rows = self.transcription.rows
+        if len(self.pattern.contacts) < 2 or "contact_landing" not in rows.names:
+            return np.zeros(0, dtype=int)
+        stage = int(self.layout.intervals_of(1)[0])
+        return np.flatnonzero((rows.block == rows.names.index("contact_landing")) & (rows.stage == stage))
+
     def set_durations(self, durations: np.ndarray) -> None:
         """Durations (n_phases,) of the phases, s."""
         self.durations = np.array(durations, dtype=float)
@@ -245,6 +255,11 @@ class Horizon:
             new = self.transcription.problem.schedule.new_contacts(phase)
             radius = np.array([self.robot.contact(name).radius for name in new])
             self.lower_g[rows] = self.upper_g[rows] = (height + radius) / self.units.length
+
+    def soften_landing(self, share: float) -> None:
+        """Soften the rows of the first landing where the present mode lasts less than that share of 1."""
+        usual = COMPLIANCE["contact_landing"]
+        self.compliance[self.first_landing] = min(usual * max(1.0, 1.0 / share) ** 3, SOFTEST)
 
     def guess(self) -> np.ndarray:
         """Scaled variables of the robot at rest in its reference."""

@@ -29,6 +29,10 @@ from trajopt.robot.robot import Robot
 
 # A mode that lasts less than this part of a period is planned as if it lasted that long.
 SHORTEST = 0.01
+# Feet land at this part of the robot's length below the ground: they arrive with some velocity.
+SUNK = 0.01
+# In this part of a period before a touchdown its rows become softer: what is left cannot be braked.
+SOFT = 0.1
 # Multipliers of rows above this (over their units) count as a start that was lost: the next plan begins anew.
 LOST = 1e6
 
@@ -54,7 +58,7 @@ class PlannerSettings:
     span: Positive = 0.5
     steps: PositiveCount = 2
     changed_steps: PositiveCount = 4
-    barrier: Positive = 1e-3
+    barrier: Positive = 1e-4
     lift: Positive = 0.15
     weights: HorizonWeights = HorizonWeights()
 
@@ -69,6 +73,7 @@ class PlanReport:
     dual: float = math.inf
     violations: dict[str, float] = field(default_factory=dict)
     began_anew: bool = False
+    steps: list = field(default_factory=list)
 
 
 class HorizonPlanner:
@@ -161,19 +166,22 @@ class HorizonPlanner:
         least = SHORTEST * self.clock.period
         durations = np.array([max(mode.duration, least) for mode in modes])
         start = horizon.layout.coordinates.node_from_pinocchio(q, self._held(q, v, modes[0].contacts))
+        if self._last is not None and self._last[0] is not horizon:
+            horizon.durations = durations
         iterate, steps = self._start(horizon, durations, time_now, start)
         if iterate is not None:
             quaternion = iterate["x"][:4]
             start[:4] *= 1.0 if start[:4] @ quaternion >= 0 else -1.0
         horizon.set_start(start)
-        horizon.set_heights(ground)
+        horizon.set_heights(ground - SUNK * self.robot.length)
+        horizon.soften_landing(durations[0] / (SOFT * self.clock.period))
         horizon.durations = durations
         horizon.set_reference(self._references(horizon, q, command, heading, ground))
         horizon.set_durations(durations)
         barrier = self.settings.barrier
         if iterate is None:
             iterate = horizon.solver.complete(
-                self._at_rest(horizon, start), np.zeros(len(horizon.compliance)), *horizon.bounds, barrier, 1e-2
+                self._gliding(horizon, start, 0), np.zeros(len(horizon.compliance)), *horizon.bounds, barrier, 1e-2
             )
         node = horizon.layout.node(0)
         iterate["x"][node] = horizon.lower_x[node]
@@ -191,6 +199,7 @@ class HorizonPlanner:
             primal=reports[-1]["primal"],
             dual=reports[-1]["dual"],
             began_anew=not good,
+            steps=reports,
         )
         motion = HorizonMotion(horizon, iterate["x"], time_now)
         self.report.seconds = time.perf_counter() - begun
@@ -208,14 +217,17 @@ class HorizonPlanner:
         inverse = np.linalg.lstsq(jacobian @ spread, jacobian @ v, rcond=1e-8)[0]
         return np.asarray(v - spread @ inverse)
 
-    def _at_rest(self, horizon: Horizon, start: np.ndarray) -> np.ndarray:
-        """Scaled variables that stand still at the start's configuration, forces as in the reference."""
-        x = horizon.guess() * horizon.transcription.scale
-        still = start.copy()
-        still[-self.robot.nv :] = 0.0
+    def _gliding(self, horizon: Horizon, start: np.ndarray, begin: int) -> np.ndarray:
+        """Scaled variables that go on from node ``begin`` at the base's velocity, with joints that stand still."""
+        x, nv = horizon.guess() * horizon.transcription.scale, self.robot.nv
+        glide = start.copy()
+        glide[-nv + 3 :] = 0.0
+        times = horizon.node_times
         for k in range(horizon.layout.n_stages + 1):
-            x[horizon.layout.node(k)] = still
-        x[horizon.layout.node(0)] = start
+            node = x[horizon.layout.node(k)]
+            node[:] = glide
+            node[4:7] += max(times[k] - times[begin], 0.0) * glide[-nv : -nv + 3]
+        x[horizon.layout.node(begin)] = start
         return np.asarray(x / horizon.transcription.scale)
 
     def _start(
@@ -232,7 +244,7 @@ class HorizonPlanner:
         key = last.pattern, horizon.pattern
         if key not in self._maps:
             self._maps[key] = _Map.of(last, horizon)
-        return self._maps[key].apply(last, horizon, iterate, self.settings.barrier, self._at_rest), (
+        return self._maps[key].apply(last, horizon, iterate, self.settings.barrier, self._gliding), (
             self.settings.changed_steps
         )
 
@@ -355,15 +367,15 @@ class _Map:
         slacks = slack_of[0][rows[0]][both], slack_of[1][rows[1]][both]
         return cls((np.concatenate(source), np.concatenate(target)), rows, slacks, stages)
 
-    def apply(self, last, horizon, iterate, barrier, at_rest) -> _engine.Iterate:
-        """The iterate of the horizon: what is new stands still at the end of what was kept."""
+    def apply(self, last, horizon, iterate, barrier, gliding) -> _engine.Iterate:
+        """The iterate of the horizon: what is new goes on from the end of what was kept."""
         scale = horizon.transcription.scale
         old = np.zeros(len(scale))
         old[self.variables[1]] = iterate["x"][self.variables[0]]
         end = (old * scale)[horizon.layout.node(self.kept)]
         if not self.kept:
             end = (last.transcription.scale * iterate["x"])[last.layout.node(last.layout.n_stages)]
-        x = at_rest(horizon, end)
+        x = gliding(horizon, end, self.kept)
         x[self.variables[1]] = iterate["x"][self.variables[0]]
         y = np.zeros(len(horizon.compliance))
         y[self.rows[1]] = iterate["y"][self.rows[0]]

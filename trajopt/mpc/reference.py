@@ -39,7 +39,7 @@ class HorizonWeights:
     height: NonNegative = 20.0
     tilt: NonNegative = 10.0
     heading: NonNegative = 10.0
-    velocity: NonNegative = 4.0
+    velocity: NonNegative = 20.0
     rise: NonNegative = 1.0
     spin: NonNegative = 0.5
     joints: NonNegative = 0.05
