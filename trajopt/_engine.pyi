@@ -119,7 +119,7 @@ class Nlp:
         """Seconds and evaluations of value, first and second since the last solve began."""
 
 class Iterate(TypedDict):
-    """Variables, slacks of inequalities, multipliers of rows, and of the bounds of variables and slacks."""
+    """Variables, slacks of inequalities, multipliers of rows and of bounds; the next step's barrier."""
 
     x: Reals
     s: Reals
@@ -128,6 +128,7 @@ class Iterate(TypedDict):
     upper_x: Reals
     lower_s: Reals
     upper_s: Reals
+    barrier: float
 
 class StepReport(TypedDict):
     """Residuals before a step, and what it did: steps are zero where no matrix could be factorised."""
@@ -138,10 +139,11 @@ class StepReport(TypedDict):
     primal_step: float
     dual_step: float
     regularization: float
+    barrier: float
     factorizations: int
 
 class InteriorPoint:
-    """Steps of a primal-dual interior-point method at a fixed barrier; see engine/interior_point.hpp.
+    """Steps of a primal-dual interior-point method; see engine/interior_point.hpp.
 
     Bounds that are equal fix a variable or make an equality, the same in all calls. ``stage`` as in
     `solve_ipopt`. Raises ValueError for what does not fit.
@@ -173,13 +175,17 @@ class InteriorPoint:
         ubg: Reals,
         compliance: Reals,
         barrier: float,
+        most_barrier: float,
         fraction: float = 0.995,
-        steps: int = 1,
+        tolerance: float = 0.0,
         seconds: float = 0.0,
+        steps: int = 1,
+        least_steps: int = 1,
     ) -> tuple[Iterate, list[StepReport]]:
-        """Newton steps at a barrier; ``compliance`` of each row, 0 for a hard one.
+        """Newton steps; ``compliance`` of each row, 0 for a hard one.
 
-        ``seconds``: no step begins after so many; 0 is no limit.
+        ``barrier``: the least, from which short steps go away, up to ``most_barrier``. No step begins after
+        ``seconds`` (0: no limit), nor where residuals are below ``tolerance`` after ``least_steps``.
         """
 
 # Instead of the stage of a variable that is in one row only, with positive curvature of its own: a slack.

@@ -46,9 +46,11 @@ class PlannerSettings:
         scheme: of the transcription, collocation of the acceleration ("legendre:2", "radau:3").
         intervals: of a whole period of a gait.
         span: the least length of what follows the present mode, in periods.
-        steps: of the interior point at each tick.
-        changed_steps: at a tick whose pattern of contacts is another than that of the last.
-        barrier: of the interior point.
+        steps: of the interior point at each tick, at least.
+        most_steps: where residuals stay above ``tolerance``.
+        changed_steps: at most, where the pattern of contacts is another than that of the last tick.
+        tolerance: of rows and optimality, over their units, with which a tick ends.
+        barrier: of the interior point; most_barrier: to which short steps raise it.
         lift: height of swings over the robot's length.
         weights: of the cost.
     """
@@ -57,8 +59,11 @@ class PlannerSettings:
     intervals: PositiveCount = 8
     span: Positive = 0.5
     steps: PositiveCount = 2
-    changed_steps: PositiveCount = 4
+    most_steps: PositiveCount = 4
+    changed_steps: PositiveCount = 6
+    tolerance: Positive = 1e-2
     barrier: Positive = 1e-4
+    most_barrier: Positive = 1e-2
     lift: Positive = 0.15
     weights: HorizonWeights = HorizonWeights()
 
@@ -187,7 +192,14 @@ class HorizonPlanner:
         iterate["x"][node] = horizon.lower_x[node]
         solving = time.perf_counter()
         iterate, reports = horizon.solver.steps(
-            iterate, *horizon.bounds, horizon.compliance, barrier, steps=steps
+            iterate,
+            *horizon.bounds,
+            horizon.compliance,
+            barrier,
+            self.settings.most_barrier,
+            tolerance=self.settings.tolerance,
+            steps=steps,
+            least_steps=self.settings.steps,
         )
         ended = time.perf_counter()
         worst = max(float(np.abs(iterate["y"]).max()), float(np.abs(iterate["x"]).max()))
@@ -240,7 +252,7 @@ class HorizonPlanner:
         if last is horizon:
             moved = dict(iterate)
             moved["x"] = _moved_on(horizon, iterate["x"], durations)
-            return moved, self.settings.steps
+            return moved, self.settings.most_steps
         key = last.pattern, horizon.pattern
         if key not in self._maps:
             self._maps[key] = _Map.of(last, horizon)
@@ -385,6 +397,7 @@ class _Map:
             ("s", self.slacks), ("lower_s", self.slacks), ("upper_s", self.slacks),
         ):
             fresh[name][target] = iterate[name][source]
+        fresh["barrier"] = iterate["barrier"]
         return fresh
 
 

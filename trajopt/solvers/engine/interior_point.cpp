@@ -13,6 +13,8 @@ namespace {
 constexpr double kFirst = 1e-4, kGrowth = 8, kDecay = 1.0 / 3, kLeast = 1e-9, kMost = 1e8;
 // Multipliers of bounds stay within this factor of barrier / distance (IPOPT's kappa_sigma).
 constexpr double kNear = 1e10;
+// Steps shorter than this raise the barrier by a factor, others lower it by one.
+constexpr double kShort = 0.4, kRaise = 5, kLower = 0.2;
 
 bool bounded(double bound) { return std::isfinite(bound); }
 
@@ -88,6 +90,7 @@ void InteriorPoint::require_structure(const Bounds& bounds) const {
 
 void InteriorPoint::complete(Iterate& it, const Bounds& bounds, double barrier, double push) const {
   const Reals g = nlp_->g(it.x.data());
+  it.barrier = barrier;
   // strictly between two bounds: half of what is between them where that is less than twice the push
   auto inside = [push](double value, double low, double high) {
     const double room = std::min(push, bounded(low) && bounded(high) ? (high - low) / 4 : push);
@@ -201,7 +204,7 @@ bool InteriorPoint::factorize(StepReport& report) {
 }
 
 void InteriorPoint::advance(Iterate& it, const Bounds& bounds, const StepSettings& settings, StepReport& report) {
-  const double barrier = settings.barrier;
+  const double barrier = it.barrier;
   const KktSizes sizes{static_cast<int>(free_.size()), static_cast<int>(equal_.size()), n_s()};
   double primal = 1, dual = 1;
   // the step of a bounded quantity's two multipliers, and how far both and the distances let the steps be
@@ -255,6 +258,8 @@ void InteriorPoint::advance(Iterate& it, const Bounds& bounds, const StepSetting
   for (std::size_t i = 0; i < equal_.size(); ++i) it.y[equal_[i]] += primal * rhs_[sizes.equality() + i];
   report.primal_step = primal;
   report.dual_step = dual;
+  const double next = it.barrier * (std::min(primal, dual) < kShort ? kRaise : kLower);
+  it.barrier = std::clamp(next, settings.barrier, std::max(settings.barrier, settings.most_barrier));
 }
 
 std::vector<StepReport> InteriorPoint::steps(Iterate& it, const Bounds& bounds, const Reals& compliance,
@@ -266,8 +271,11 @@ std::vector<StepReport> InteriorPoint::steps(Iterate& it, const Bounds& bounds, 
     const std::chrono::duration<double> passed = std::chrono::steady_clock::now() - start;
     if (k > 0 && settings.seconds > 0 && passed.count() > settings.seconds) break;
     StepReport report;
+    report.barrier = it.barrier;
     set_values(it, bounds, compliance);
-    set_rhs(it, bounds, compliance, settings.barrier, report);
+    set_rhs(it, bounds, compliance, it.barrier, report);
+    if (k >= settings.least_steps && std::max({report.primal, report.dual, report.complementarity}) < settings.tolerance)
+      break;
     if (factorize(report)) {
       kkt_->solve(rhs_.data());
       if (!all_finite(rhs_)) report.factorizations = 0;

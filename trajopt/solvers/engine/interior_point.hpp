@@ -1,5 +1,4 @@
-// Steps of a primal-dual interior-point method at a fixed barrier, from iterates that are near a solution: one problem
-// of fixed structure after the other, with other bounds and numbers, as a receding horizon has them.
+// Steps of a primal-dual interior-point method from iterates that are near a solution: one problem of fixed structure after the other, with other bounds and numbers, as a receding horizon has them.
 //
 //   minimise  f(x) - mu sum log(bounds of x and of s) + sum |y|^2 compliance / 2
 //   with      g_E(x) - b = compliance y_E        g_I(x) - s = compliance y_I
@@ -16,21 +15,26 @@
 
 namespace trajopt {
 
-// Variables, slacks and multipliers of rows; multipliers of the bounds of variables and of slacks.
+// Variables, slacks and multipliers of rows; multipliers of the bounds of variables and of slacks; the barrier of the
+// next step.
 struct Iterate {
   Reals x, s, y, lower_x, upper_x, lower_s, upper_s;
+  double barrier = 0;
 };
 
 // Residuals before a step: of the rows, of the Lagrangian's gradient and of complementarity, largest entries; what the
 // step did. Zero steps where the matrix could not be factorised.
 struct StepReport {
-  double primal = 0, dual = 0, complementarity = 0, primal_step = 0, dual_step = 0, regularization = 0;
+  double primal = 0, dual = 0, complementarity = 0, primal_step = 0, dual_step = 0, regularization = 0, barrier = 0;
   int factorizations = 0;
 };
 
+// barrier: the least, to which steps that are long return; short ones raise it, up to `most_barrier`, which leads away
+// from the bounds that made them short. fraction: of the distance to a bound that a step may take. tolerance: no step
+// after `least_steps` where all residuals are below it. seconds: begin no step after so many; 0: no limit.
 struct StepSettings {
-  double barrier = 1e-4, fraction = 0.995, seconds = 0;  // seconds: begin no step after so many; 0: no limit
-  int steps = 1;
+  double barrier = 1e-4, most_barrier = 1e-4, fraction = 0.995, tolerance = 0, seconds = 0;
+  int steps = 1, least_steps = 1;
 };
 
 class InteriorPoint {

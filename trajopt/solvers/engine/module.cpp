@@ -286,6 +286,7 @@ nb::dict to_dict(const Iterate& it) {
   for (const auto& [name, values] : {std::pair{"x", &it.x}, {"s", &it.s}, {"y", &it.y}, {"lower_x", &it.lower_x},
                                      {"upper_x", &it.upper_x}, {"lower_s", &it.lower_s}, {"upper_s", &it.upper_s}})
     result[name] = to_numpy(*values);
+  result["barrier"] = it.barrier;
   return result;
 }
 
@@ -298,8 +299,11 @@ Iterate to_iterate(const nb::dict& given, const InteriorPoint& solver) {
             std::string("an iterate needs '") + name + "' with " + std::to_string(size) + " entries");
     return reals(array);
   };
+  double barrier = 0;
+  require(given.contains("barrier") && nb::try_cast(given["barrier"], barrier) && barrier > 0,
+          "an iterate needs a 'barrier' that is positive");
   return {read("x", n), read("s", k), read("y", m), read("lower_x", n), read("upper_x", n), read("lower_s", k),
-          read("upper_s", k)};
+          read("upper_s", k), barrier};
 }
 
 nb::list to_list(const std::vector<StepReport>& reports) {
@@ -312,6 +316,7 @@ nb::list to_list(const std::vector<StepReport>& reports) {
     one["primal_step"] = report.primal_step;
     one["dual_step"] = report.dual_step;
     one["regularization"] = report.regularization;
+    one["barrier"] = report.barrier;
     one["factorizations"] = report.factorizations;
     result.append(one);
   }
@@ -346,7 +351,8 @@ void bind_interior_point(nb::module_& module) {
           "steps",
           [](InteriorPoint& solver, const nb::dict& iterate, const RealArray& lbx,
              const RealArray& ubx, const RealArray& lbg, const RealArray& ubg, const RealArray& compliance,
-             double barrier, double fraction, int steps, double seconds) {
+             double barrier, double most_barrier, double fraction, double tolerance, double seconds, int steps,
+             int least_steps) {
             Iterate it = to_iterate(iterate, solver);
             const Bounds bounds = to_bounds(solver.nlp(), lbx, ubx, lbg, ubg);
             require(compliance.size() == static_cast<std::size_t>(solver.n_g()), "compliance has a wrong size");
@@ -355,12 +361,13 @@ void bind_interior_point(nb::module_& module) {
             std::vector<StepReport> reports;
             {
               nb::gil_scoped_release unlock;
-              reports = solver.steps(it, bounds, soft, {barrier, fraction, seconds, steps});
+              reports = solver.steps(it, bounds, soft, {barrier, most_barrier, fraction, tolerance, seconds, steps, least_steps});
             }
             return std::make_pair(to_dict(it), to_list(reports));
           },
-          "iterate"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "compliance"_a, "barrier"_a, "fraction"_a = 0.995,
-          "steps"_a = 1, "seconds"_a = 0.0);
+          "iterate"_a, "lbx"_a, "ubx"_a, "lbg"_a, "ubg"_a, "compliance"_a, "barrier"_a,
+          "most_barrier"_a, "fraction"_a = 0.995, "tolerance"_a = 0.0, "seconds"_a = 0.0, "steps"_a = 1,
+          "least_steps"_a = 1);
 }
 
 void bind_solvers(nb::module_& module) {
