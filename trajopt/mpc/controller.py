@@ -160,14 +160,14 @@ class Controller:
         self.report.anew += self.planner.report.began_anew
 
     def _predicted(self, time: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The state after the delay: the plan's, with the error of now carried on at its rate."""
+        """The state after the delay: the plan's, with what the follower leaves of the error of now."""
         delay, model = self.settings.delay, self.robot.model
         if self.motion is None or not delay:
             return q, v
         now, then = self.motion.sample(time), self.motion.sample(time + delay)
-        rate = v - now.v
-        error = pin.difference(model, now.q, q) + delay * rate
-        return pin.integrate(model, then.q, error), then.v + rate
+        error, rate, w = pin.difference(model, now.q, q), v - now.v, self.follower.bandwidths(now.active)
+        left, kept = rate + w * error, np.exp(-w * delay)
+        return pin.integrate(model, then.q, kept * (error + delay * left)), then.v + kept * (rate - w * delay * left)
 
     def _active(self, time: float, planned: np.ndarray, touching: np.ndarray) -> np.ndarray:
         """Contacts that transmit forces: planned ones that touch or did lately."""

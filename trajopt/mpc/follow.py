@@ -92,6 +92,14 @@ class Follower:
         chain = [model.joints[i] for i in model.supports[joint] if i > 1]
         return np.array([row for each in chain for row in range(each.idx_v, each.idx_v + each.nv)])
 
+    def bandwidths(self, active: np.ndarray) -> np.ndarray:
+        """Bandwidth (nv,) in 1/s with which errors of each row vanish: joints of legs that stand, with the base."""
+        rates = np.full(self.state.model.nv, self.gains.base)
+        for leg, stands in zip(self._legs, active, strict=True):
+            if not stands:
+                rates[leg] = self.gains.joint
+        return rates / self.units.time
+
     def torque(self, wanted: MotionSample, q: np.ndarray, v: np.ndarray, active: np.ndarray) -> np.ndarray:
         """Torques (nu,) for a measured state, with the contacts (nc,) that transmit forces."""
         self.state.update(q, v)
