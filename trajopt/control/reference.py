@@ -60,15 +60,28 @@ def reference_of(plan: Solution, rate: float, cycles: int = 1, *, hold: float = 
     """
     whole = passes_of(plan, cycles)
     periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * rate * whole
-    if periods > MOST_PERIODS:
-        raise InputError(
-            f"a simulation of {periods:.3g} periods of its controller",
-            f"allowed: {MOST_PERIODS}; a lower --control-rate or fewer --cycles",
-        )
+    _require_few(periods, "a lower --control-rate or fewer --cycles")
     one = _once(plan, rate)
     if whole > 1:
         one = _repeated(plan, one, whole)
     return _with_hold(plan, one, hold)
+
+
+def stance_reference(plan: Solution, rate: float, duration: float) -> ReferenceTrajectory:
+    """The start of a plan at rest, held for ``duration`` s instead of the plan's. Raises `InputError`."""
+    _require_few(duration * rate, "a lower --control-rate or a shorter duration")
+    count = max(1, round(duration * rate))
+    start = _once(plan, 1.0 / float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]))
+    names = ("q", "v", "a", "torque", "f", "active", "phase", "source")
+    held: dict[str, Any] = {name: np.repeat(getattr(start, name), count, axis=0) for name in names}
+    return replace(start, t=np.arange(count) / rate, period=1.0 / rate, **held)
+
+
+def _require_few(periods: float, remedy: str) -> None:
+    if periods > MOST_PERIODS:
+        raise InputError(
+            f"a simulation of {periods:.3g} periods of its controller", f"allowed: {MOST_PERIODS}; {remedy}"
+        )
 
 
 def _once(plan: Solution, rate: float) -> ReferenceTrajectory:

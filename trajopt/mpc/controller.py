@@ -14,8 +14,10 @@ from trajopt.errors import InputError
 from trajopt.mpc.clock import GaitClock
 from trajopt.mpc.commands import STAND, Command
 from trajopt.mpc.follow import Follower, FollowerGains
+from trajopt.mpc.ground import GroundEstimate
 from trajopt.mpc.motion import HorizonMotion
 from trajopt.mpc.planner import HorizonPlanner, PlannerSettings
+from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_of
 from trajopt.robot.units import Units
@@ -85,7 +87,8 @@ class Controller:
         self._heading: float | None = None
         self._now, self._next_plan = 0.0, -math.inf
         self._touched = np.full(len(names), -math.inf)
-        self._ground = 0.0
+        self.ground = GroundEstimate(len(names), robot.length)
+        self._radius = np.array([contact.radius for contact in robot.contacts])
 
     def step(
         self, time: float, q: np.ndarray, v: np.ndarray, contacts: np.ndarray, command: Command
@@ -132,6 +135,9 @@ class Controller:
         self.clock.advance(passed, dict(zip(self.clock.contacts, touching.tolist(), strict=True)))
         self.clock.request(command.gait)
         self._touched = np.where(touching, time, self._touched)
+        places = np.array(list(contact_positions(self.robot, q).values()))
+        places[:, 2] -= self._radius
+        self.ground.touch(places, touching)
         x, y, z, w = q[3:7]
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         if self._heading is None:
@@ -148,7 +154,7 @@ class Controller:
             own.advance(delay, dict.fromkeys(own.contacts, False))
         self.planner.clock = own
         motion = self.planner.plan(
-            time + (delay if self.motion is not None else 0.0), q, v, command, self._heading or 0.0, self._ground
+            time + (delay if self.motion is not None else 0.0), q, v, command, self._heading or 0.0, self.ground
         )
         if self.motion is None:
             self.motion = motion

@@ -7,7 +7,7 @@ structure. The collocation map depends on the step h of an interval by powers of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -199,7 +199,7 @@ class Horizon:
         name = rows.names.index("contact_landing") if "contact_landing" in rows.names else -1
         result = []
         for phase in range(1, len(self.pattern.contacts)):
-            new = t.problem.schedule.new_contacts(phase)
+            new = self.new_contacts(phase)
             stage = int(self.layout.intervals_of(phase)[0])
             at = np.flatnonzero((rows.block == name) & (rows.stage == stage))
             if new:
@@ -249,12 +249,15 @@ class Horizon:
         node = self.layout.node(0)
         self.lower_x[node] = self.upper_x[node] = state / self.transcription.scale[node]
 
-    def set_heights(self, height: float) -> None:
-        """Height of the ground on which feet land, m."""
-        for phase, rows in self.landings:
-            new = self.transcription.problem.schedule.new_contacts(phase)
-            radius = np.array([self.robot.contact(name).radius for name in new])
-            self.lower_g[rows] = self.upper_g[rows] = (height + radius) / self.units.length
+    def set_heights(self, heights: Sequence[Mapping[str, float]]) -> None:
+        """Heights of the frames of contacts that land, m, by name, for each of `landings`."""
+        for (phase, rows), named in zip(self.landings, heights, strict=True):
+            given = np.array([named[name] for name in self.new_contacts(phase)])
+            self.lower_g[rows] = self.upper_g[rows] = given / self.units.length
+
+    def new_contacts(self, phase: int) -> tuple[str, ...]:
+        """Contacts that land as a phase begins."""
+        return self.transcription.problem.schedule.new_contacts(phase)
 
     def soften_landing(self, share: float) -> None:
         """Soften the rows of the first landing where the present mode lasts less than that share of 1."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,8 +19,9 @@ from trajopt import _engine
 from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.mpc.clock import GaitClock, Mode
+from trajopt.mpc.clock import GaitClock, Mode, Swing
 from trajopt.mpc.commands import Command
+from trajopt.mpc.ground import GroundEstimate
 from trajopt.mpc.horizon import Horizon, Pattern
 from trajopt.mpc.motion import HorizonMotion
 from trajopt.mpc.reference import HorizonWeights
@@ -33,6 +34,8 @@ SHORTEST = 0.01
 SUNK = 0.01
 # In this part of a period before a touchdown its rows become softer: what is left cannot be braked.
 SOFT = 0.1
+# A foot in the air is drawn to where it should land by this factor at the end of its swing, over its height.
+PULL = 0.2
 # Multipliers of rows above this (over their units) count as a start that was lost: the next plan begins anew.
 LOST = 1e6
 
@@ -160,11 +163,17 @@ class HorizonPlanner:
         return self.horizons[pattern], modes
 
     def plan(
-        self, time_now: float, q: np.ndarray, v: np.ndarray, command: Command, heading: float, ground: float
+        self,
+        time_now: float,
+        q: np.ndarray,
+        v: np.ndarray,
+        command: Command,
+        heading: float,
+        ground: GroundEstimate,
     ) -> HorizonMotion:
         """The motion from a state at ``time_now`` s on; the clock is at that time.
 
-        heading: in which the base should head now, rad. ground: height of the ground, m.
+        heading: in which the base should head now, rad.
         """
         begun = time.perf_counter()
         horizon, modes = self.horizon()
@@ -178,10 +187,11 @@ class HorizonPlanner:
             quaternion = iterate["x"][:4]
             start[:4] *= 1.0 if start[:4] @ quaternion >= 0 else -1.0
         horizon.set_start(start)
-        horizon.set_heights(ground - SUNK * self.robot.length)
+        ahead = _Ahead(q, command, heading, ground, self.clock.swings())
+        horizon.set_heights(self._landing_heights(horizon, ahead, durations))
         horizon.soften_landing(durations[0] / (SOFT * self.clock.period))
         horizon.durations = durations
-        horizon.set_reference(self._references(horizon, q, command, heading, ground))
+        horizon.set_reference(self._references(horizon, ahead))
         horizon.set_durations(durations)
         barrier = self.settings.barrier
         if iterate is None:
@@ -260,56 +270,96 @@ class HorizonPlanner:
             self.settings.changed_steps
         )
 
-    def _references(
-        self, horizon: Horizon, q: np.ndarray, command: Command, heading: float, ground: float
-    ) -> list[np.ndarray]:
+    def _landing_heights(
+        self, horizon: Horizon, ahead: _Ahead, durations: np.ndarray
+    ) -> list[dict[str, float]]:
+        """Heights at which contacts land, m, by name: where their swings end, below the ground by a little."""
+        begins = np.cumsum(durations)
+        heights = []
+        for phase, _ in horizon.landings:
+            named = {}
+            for name in horizon.new_contacts(phase):
+                number = self.clock.contacts.index(name)
+                ends = [swing.end for swing in ahead.swings[name]]
+                end = min(ends, key=lambda time, at=float(begins[phase - 1]): abs(time - at))
+                place = ahead.ground.height(*self._foothold(ahead, number, end))
+                named[name] = float(place) + self._radius[number] - SUNK * self.robot.length
+            heights.append(named)
+        return heights
+
+    def _foothold(self, ahead: _Ahead, number: int, time: float) -> np.ndarray:
+        """Where (2,) a foot should land at a time from now, m: below its place at the base in mid stance."""
+        along, left = ahead.axes(np.array(time))
+        level = ahead.command.speed * along + ahead.command.lateral * left
+        hip = self._hips[number]
+        goal = ahead.q[:2] + level * (time + self._half_stance) + hip[0] * along + hip[1] * left
+        return np.asarray(goal)
+
+    @property
+    def _half_stance(self) -> float:
+        gait = self.clock.gaits.get(self.clock.gait)
+        return 0.0 if gait is None else 0.5 * gait[0].duty_of(gait[0].feet[0]) * gait[1]
+
+    def _references(self, horizon: Horizon, ahead: _Ahead) -> list[np.ndarray]:
         """The reference (n, size) at the times of each of the horizon's places."""
         times = horizon.point_times()
-        rows = self._reference(horizon, np.concatenate(times), q, command, heading, ground)
+        rows = self._reference(horizon, np.concatenate(times), ahead)
         return np.split(rows, np.cumsum([len(part) for part in times])[:-1])
 
-    def _reference(
-        self,
-        horizon: Horizon,
-        times: np.ndarray,
-        q: np.ndarray,
-        command: Command,
-        heading: float,
-        ground: float,
-    ) -> np.ndarray:
-        at, n, last = horizon.reference, len(times), float(times.max())
-        swings = self.clock.swings()
+    def _reference(self, horizon: Horizon, times: np.ndarray, ahead: _Ahead) -> np.ndarray:
+        at, n, last, command = horizon.reference, len(times), float(times.max()), ahead.command
         rows = np.zeros((n, at.size))
-        angle = heading + command.turn_rate * times
-        ahead = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-        velocity = command.speed * ahead + command.lateral * left
-        rows[:, at.velocity.start : at.velocity.start + 2] = velocity
-        rows[:, at.spin.start + 2] = command.turn_rate
-        rows[:, :2] = q[:2] + times[:, None] * velocity
-        rows[:, 2] = ground + self._standing + command.height
-        rows[:, at.quaternion.start + 2] = np.sin(angle / 2)
-        rows[:, at.quaternion.start + 3] = np.cos(angle / 2)
+        along, left = ahead.axes(times)
+        level = command.speed * along + command.lateral * left
+        rows[:, :2] = ahead.q[:2] + times[:, None] * level
+        rows[:, 2] = ahead.ground.height(rows[:, 0], rows[:, 1]) + self._standing + command.height
+        rows[:, at.velocity] = np.column_stack([level, level @ ahead.ground.slope])
+        rows[:, at.quaternion] = ahead.quaternions(times)
+        rows[:, at.spin.stop - 1] = command.turn_rate
         rows[:, at.posture] = self.robot.reference[7:]
         lift = self.settings.lift * self.robot.length
         for number, name in enumerate(self.clock.contacts):
-            foot, hip = at.foot(number).start, self._hips[number]
-            for swing in swings[name]:
+            foot = at.foot(number).start
+            for swing in ahead.swings[name]:
                 if swing.begin > last:
                     break
                 inside = np.flatnonzero((times >= swing.begin) & (times <= swing.end))
                 s = (times[inside] - swing.begin) / (swing.end - swing.begin)
-                rows[inside, foot + 2] = ground + self._radius[number] + lift * 16 * s**2 * (1 - s) ** 2
-                end = np.array([math.cos(heading + command.turn_rate * swing.end), 0.0])
-                end[1] = math.sin(heading + command.turn_rate * swing.end)
-                across = np.array([-end[1], end[0]])
-                level = command.speed * end + command.lateral * across
-                stance = self.clock.period / 4
-                goal = q[:2] + level * (swing.end + stance) + hip[0] * end + hip[1] * across
+                goal = self._foothold(ahead, number, swing.end)
+                begin = ahead.ground.places[number, 2] if swing.begin <= 0 else ahead.ground.height(*goal)
+                base = begin + s * (ahead.ground.height(*goal) - begin) + self._radius[number]
                 rows[inside, foot], rows[inside, foot + 1] = goal
-                rows[inside, foot + 3] = rows[inside, foot + 4] = 0.2 * s
+                rows[inside, foot + 2] = base + lift * 16 * s**2 * (1 - s) ** 2
+                rows[inside, foot + 3] = rows[inside, foot + 4] = PULL * s
                 rows[inside, foot + 5] = 1.0
         return rows
+
+
+@dataclass(frozen=True)
+class _Ahead:
+    """What a plan counts on: the base now, the command, heading and ground, and the swings of all feet."""
+
+    q: np.ndarray
+    command: Command
+    heading: float
+    ground: GroundEstimate
+    swings: Mapping[str, Sequence[Swing]]
+
+    def axes(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Level axes forward and to the left (..., 2) at times (...) from now, s."""
+        angle = self.heading + self.command.turn_rate * times
+        along = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        return along, np.stack([-along[..., 1], along[..., 0]], axis=-1)
+
+    def quaternions(self, times: np.ndarray) -> np.ndarray:
+        """Orientations of the base (n, 4): along the ground, ahead."""
+        slope = self.ground.slope
+        normal = np.array([-slope[0], -slope[1], 1.0])
+        tilt = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), normal / np.linalg.norm(normal))
+        angle = 0.5 * (self.heading + self.command.turn_rate * times)
+        x, y, _, w = tilt.coeffs()
+        sin, cos = np.sin(angle), np.cos(angle)
+        return np.column_stack([x * cos + y * sin, y * cos - x * sin, w * sin, w * cos])
 
 
 def _moved_on(horizon: Horizon, x: np.ndarray, durations: np.ndarray) -> np.ndarray:

@@ -292,15 +292,26 @@ HOPPER = _by_name(Gait(name="hop", duty=0.5, offsets={"foot": 0.0}))
 
 
 @checked
+def gait_names(robot: Robot) -> tuple[str, ...]:
+    """Names of the gaits for as many feet as a robot has. Raises `InputError` for another number than 1, 2 or 4."""
+    return tuple(_known(robot, len(feet_in_base(robot))))
+
+
+def _known(robot: Robot, feet: int) -> Mapping[str, Gait]:
+    known = {4: QUADRUPED, 2: BIPED, 1: HOPPER}.get(feet)
+    if known is None:
+        raise InputError(f"robot '{robot.name}' has {feet} feet", "allowed: 1, 2 or 4 for a named gait")
+    return known
+
+
+@checked
 def gait_of(robot: Robot, name: str) -> Gait:
     """The gait of that name on the feet of a robot: a quadruped, a biped or a hopper.
 
     Raises `InputError` for another number of feet, or a name that is not a gait for that number of feet.
     """
     feet = feet_in_base(robot)
-    known = {4: QUADRUPED, 2: BIPED, 1: HOPPER}.get(len(feet))
-    if known is None:
-        raise InputError(f"robot '{robot.name}' has {len(feet)} feet", "allowed: 1, 2 or 4 for a named gait")
+    known = _known(robot, len(feet))
     if name not in known:
         raise not_among(known, name, f"gait '{name}' is unknown")
     if known is QUADRUPED:

@@ -1,6 +1,6 @@
 """Figures of a simulation: tracking, contacts, falls, by comparison of the record with the plan."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -187,7 +187,7 @@ def fall_of(
         falls.append(Fall(time=float(reference.t[len(record.feet)]), why="the simulation diverged"))
     if base_of(plan.model) != "fixed":
         n = len(record.feet)
-        actual, wanted = _bases(plan.model, q[:n]), _bases(plan.model, reference.q[:n])
+        actual, wanted = base_poses(plan.model, q[:n]), base_poses(plan.model, reference.q[:n])
         up = -np.array(plan.model.gravity.linear)
         up = up / (np.linalg.norm(up) or 1.0)
         over = _height_over_feet(plan, up)
@@ -204,7 +204,18 @@ def fall_of(
     return min(falls, key=lambda fall: fall.time, default=None)
 
 
-def _bases(model: pin.Model, q: np.ndarray) -> np.ndarray:
+def fall_between(
+    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, world: World, rows: slice
+) -> Fall | None:
+    """The first fall in some periods of a record that may not have ended."""
+    part = replace(record, feet=record.feet[rows], touched=record.touched[rows])
+    wanted = replace(reference, t=reference.t[rows], q=reference.q[rows])
+    if not len(part.feet):
+        return None
+    return fall_of(plan, wanted, part, world.coordinates.from_mujoco(record.qpos[rows]))
+
+
+def base_poses(model: pin.Model, q: np.ndarray) -> np.ndarray:
     """Rotation and position (n, 3, 4) of the base link in the world."""
     data, joint = model.createData(), BASE_JOINT[base_of(model)]
     bases = np.zeros((len(q), 3, 4))
@@ -217,6 +228,6 @@ def _bases(model: pin.Model, q: np.ndarray) -> np.ndarray:
 def _height_over_feet(plan: Solution, up: np.ndarray) -> float:
     """Mean height of the base over the contacts that stand, m; zero where none does."""
     position = contact_places(plan).position
-    base = _bases(plan.model, plan.q)[:, :, 3]
+    base = base_poses(plan.model, plan.q)[:, :, 3]
     over = (base[:, None, :] - position) @ up
     return max(float(over[plan.active].mean()), 0.0) if plan.active.any() else 0.0

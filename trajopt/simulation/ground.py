@@ -76,11 +76,19 @@ class Surroundings:
 
 
 def surroundings_of(
-    plan: Solution, feet: np.ndarray, bodies: np.ndarray, reach: float, settings: SimulationSettings
+    plan: Solution,
+    feet: np.ndarray,
+    bodies: np.ndarray,
+    reach: float,
+    settings: SimulationSettings,
+    beyond: float = 0.0,
 ) -> Surroundings:
-    """The place of a plan with contacts at ``feet`` (K, nc, 3) and joints at ``bodies`` (K, n, 3) m."""
+    """The place of a plan with contacts at ``feet`` (K, nc, 3) and joints at ``bodies`` (K, n, 3) m.
+
+    beyond: m, how far the simulation may leave the plan along the ground.
+    """
     points = np.concatenate([feet.reshape(-1, 3), bodies.reshape(-1, 3)])
-    around = AROUND * reach
+    around = AROUND * reach + np.array([beyond, beyond, 0.0])
     return Surroundings(
         feet=feet,
         radii=plan.description.radii,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -21,7 +21,7 @@ from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.robot.mujoco_package import muted_mujoco
-from trajopt.simulation.figures import fall_of
+from trajopt.simulation.figures import fall_between
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.run import LEAST_LEVEL, SimulationRun
 from trajopt.simulation.settings import Controller, Impulse, SimulationSettings
@@ -257,12 +257,13 @@ class PushTrials:
             if not standing:
                 return False
             pushed = run.branch()
-            pushed.impulse = Impulse(
+            push = Impulse(
                 direction=math.radians(angle),
                 size=size * self.unit,
                 time=self.time,
                 duration=self.duration,
             )
+            pushed.impulses = (push,)
             for first in range(self.begin, self.end, stretch):
                 last = min(first + stretch, self.end)
                 if pushed.advance(record, first, last) < last or self._falls(record, first, last):
@@ -273,10 +274,4 @@ class PushTrials:
 
     def _falls(self, record: SimulationRecord, first: int, last: int) -> bool:
         """Whether the robot has fallen in the periods from ``first`` to before ``last``."""
-        if first == last:
-            return False
-        rows = slice(first, last)
-        part = replace(record, feet=record.feet[rows], touched=record.touched[rows])
-        wanted = replace(self.reference, t=self.reference.t[rows], q=self.reference.q[rows])
-        q = self.world.coordinates.from_mujoco(record.qpos[rows])
-        return fall_of(self.plan, wanted, part, q) is not None
+        return fall_between(self.plan, self.reference, record, self.world, slice(first, last)) is not None

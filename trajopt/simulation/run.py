@@ -10,6 +10,7 @@ holds for the period; the gains are those of `gains`.
 from __future__ import annotations
 
 import copy
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from trajopt.errors import InputError
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.bodies import body_name, write_inertias
 from trajopt.simulation.controllers import TorqueController, controller_of, torque_of
-from trajopt.simulation.gains import gains_of
+from trajopt.simulation.gains import Gains, gains_of
 from trajopt.simulation.hardware import Hardware, Measurement
 from trajopt.simulation.record import RequestRecord, SimulationRecord
 from trajopt.simulation.settings import Impulse, SimulationSettings
@@ -65,13 +66,13 @@ class SimulationRun:
             raise InputError(f"a simulation of {steps} steps", f"allowed: {MOST_STEPS}; a longer --timestep")
         self.model.opt.timestep = reference.period / self.substeps
         self.rows = world.coordinates.rows[plan.actuated_rows]
-        self.gains = gains_of(plan, world, reference, settings)
         self.drives = plan.drives
         self.low, self.high = torque_limits(plan)
         self.controller = controller_of(plan, reference, settings)
         self.tracker = self.controller if isinstance(self.controller, Tracker) else None
         self.touching = reference.active[0]
-        self.impulse, self._force = settings.impulse, np.zeros(3)
+        self.impulses = settings.impulses
+        self._forces: dict[Impulse, np.ndarray] = {}
         self._plan_in_mujoco()
         self.hardware = Hardware(
             self.model,
@@ -81,6 +82,11 @@ class SimulationRun:
             period=reference.period,
             torque=self.torque[0],
         )
+
+    @cached_property
+    def gains(self) -> Gains:
+        """Of the feedback of joints, for every period."""
+        return gains_of(self.plan, self.world, self.reference, self.settings)
 
     def _plan_in_mujoco(self) -> None:
         """The plan and its torques in MuJoCo's coordinates, row by row."""
@@ -99,11 +105,14 @@ class SimulationRun:
 
     def record(self) -> SimulationRecord:
         """The whole plan, from its start."""
-        record, count = self.start(), len(self.reference.t)
-        reached = self.advance(record, 0, count)
-        if reached < count:
+        record = self.start()
+        return self.ended(record, self.advance(record, 0, len(self.reference.t)))
+
+    def ended(self, record: SimulationRecord, reached: int) -> SimulationRecord:
+        """The record with the state after its last period; that of the first ``reached``, if they are not all."""
+        if reached < len(self.reference.t):
             return record.until(reached)
-        record.qpos[count], record.qvel[count] = self.data.qpos, self.data.qvel
+        record.qpos[reached], record.qvel[reached] = self.data.qpos, self.data.qvel
         return record
 
     def start(self) -> SimulationRecord:
@@ -190,15 +199,15 @@ class SimulationRun:
 
     def _push(self, k: int) -> None:
         kind = base_of(self.plan.model)
-        if not (self.settings.push or self.impulse) or kind == "fixed":
+        if not (self.settings.push or self.impulses) or kind == "fixed":
             return
         body, level = self.model.body(body_name(BASE_JOINT[kind])).id, self.forward()
         aside = level if kind == "planar" else np.cross(self.up, level)
         middle = abs(k / self.reference.planned - 0.5) < PUSHED / 2
         scale = self.settings.push / max(float(np.linalg.norm(aside)), LEAST_LEVEL)
         self.data.xfrc_applied[body, :3] = scale * aside if middle else 0.0
-        if self.impulse is not None:
-            self.data.xfrc_applied[body, :3] += self._force_of(self.impulse, k, level)
+        for impulse in self.impulses:
+            self.data.xfrc_applied[body, :3] += self._force_of(impulse, k, level)
 
     def forward(self) -> np.ndarray:
         """Level part (3,) of the base's forward axis in the world."""
@@ -215,8 +224,8 @@ class SimulationRun:
             along = level / max(float(np.linalg.norm(level)), LEAST_LEVEL)
             turned = np.cos(impulse.direction) * along
             turned = turned + np.sin(impulse.direction) * np.cross(self.up, along)
-            self._force = impulse.size / (lasts * period) * turned
-        return self._force if first <= k < first + lasts else np.zeros(3)
+            self._forces = {**self._forces, impulse: impulse.size / (lasts * period) * turned}
+        return self._forces[impulse] if first <= k < first + lasts else np.zeros(3)
 
     def _drive(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Apply the torques of period ``k``; returns them, and where they were cut off."""

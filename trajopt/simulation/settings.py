@@ -1,7 +1,7 @@
 """Settings of a simulation, and the scales from which everything else follows."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
@@ -73,7 +73,7 @@ class SimulationSettings:
     inertias, of which the plan knows nothing. noise: standard deviation of the start's error, in reaches
     (m), rad, and their rates over the natural time. seed: of the noise. cycles: of a periodic plan. push: N,
     level on the base for a tenth of the motion, in its middle, to its left; in a plane to its front.
-    impulse: another push, of any direction and time, see `Impulse`.
+    impulse: another push, of any direction and time, see `Impulse`, or several.
     rolling: contacts with a radius are balls fixed to their links, which roll; otherwise they turn about
     their centres, as in the plan. controller: see `Controller`, or an object with the ``torque`` of a
     `Tracker`, see `TorqueController`; ``kp`` and ``kd`` are of "joints", gains, None for the usual ones, and
@@ -103,7 +103,7 @@ class SimulationSettings:
     controller: Controller | TorqueController = "joints"
     gains: TrackerGains | None = None
     qp_solver: QpSolverName = "piqp"
-    impulse: Impulse | None = None
+    impulse: Impulse | Sequence[Impulse] | None = None
     sensor_noise: float = 0.0
     delay: int = 0
     torque_step: float = 0.0
@@ -132,9 +132,11 @@ class SimulationSettings:
                 str(self.qp_solver),
                 f"qp_solver of a simulation is {shown(self.qp_solver)}",
             )
-        if not isinstance(self.impulse, Impulse | None):
+        if not isinstance(self.impulse, Sequence | Impulse | None) or not all(
+            isinstance(each, Impulse) for each in self.impulses
+        ):
             raise InputError(
-                f"impulse of a simulation is {shown(self.impulse)}", "allowed: an Impulse or None"
+                f"impulse of a simulation is {shown(self.impulse)}", "allowed: an Impulse, several, or None"
             )
         object.__setattr__(self, "com_offset", _com_offset(self.com_offset))
         object.__setattr__(self, "ground_offsets", _ground_offsets(self.ground_offsets))
@@ -166,6 +168,13 @@ class SimulationSettings:
                     f"{name} of a simulation is {shown(value)}, with the controller {other}",
                     f"allowed: with the controller {controller!r}",
                 )
+
+    @property
+    def impulses(self) -> tuple[Impulse, ...]:
+        """All of ``impulse``."""
+        if self.impulse is None or isinstance(self.impulse, Impulse):
+            return () if self.impulse is None else (self.impulse,)
+        return tuple(self.impulse)
 
     def step(self, natural_time: float) -> float:
         """Longest step of the physics in s."""

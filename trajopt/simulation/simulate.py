@@ -61,11 +61,10 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     if unknown:
         raise InputError(f"a simulation has no setting {unknown}", f"allowed: {', '.join(known)}")
     wanted = SimulationSettings(**settings)
-    _require_fitting(wanted, plan)
+    require_fitting(wanted, plan)
     with muted_mujoco():
         reference = reference_of(plan, wanted.control_rate, wanted.cycles)
-        if wanted.impulse is not None:
-            _require_within(wanted.impulse.time, reference)
+        require_within(wanted, reference)
         world = build_world(plan, wanted)
         begin = time.perf_counter()
         record = run_simulation(plan, reference, world, wanted)
@@ -81,14 +80,14 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     )
 
 
-def _require_fitting(settings: SimulationSettings, plan: Solution) -> None:
+def require_fitting(settings: SimulationSettings, plan: Solution) -> None:
     """Raise `InputError` for settings that the robot of a plan does not have."""
     kind = base_of(plan.model)
     if settings.push and kind == "fixed":
         raise InputError(
             f"push of {settings.push:g} N on the base, which is fixed", "allowed: 0 N for an arm"
         )
-    if settings.impulse is not None and kind == "fixed":
+    if settings.impulses and kind == "fixed":
         raise InputError("an impulse on the base, which is fixed", "allowed: none for an arm")
     if any(settings.com_offset) and kind == "fixed":
         raise InputError("com_offset of a robot whose base is fixed", "allowed: none for an arm")
@@ -102,11 +101,12 @@ def _require_fitting(settings: SimulationSettings, plan: Solution) -> None:
             raise not_among(plan.contact_frames, name, f"ground_offsets of a simulation for '{name}'")
 
 
-def _require_within(time: float, reference: ReferenceTrajectory) -> None:
-    """Raise `InputError` unless an impulse begins within the simulation."""
+def require_within(settings: SimulationSettings, reference: ReferenceTrajectory) -> None:
+    """Raise `InputError` unless impulses begin within the simulation."""
     last = reference.period * (len(reference.t) - 1)
-    if not time <= last:
-        raise InputError(f"an impulse at {time:g} s is after the simulation", f"allowed: 0 to {last:g} s")
+    for time in (impulse.time for impulse in settings.impulses):
+        if not time <= last:
+            raise InputError(f"an impulse at {time:g} s is after the simulation", f"allowed: 0 to {last:g} s")
 
 
 def _report(

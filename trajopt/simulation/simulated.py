@@ -8,6 +8,7 @@ at the samples; an interval has one collocation point, in its middle.
 
 import itertools
 from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from trajopt.motion.touched import held_samples
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.figures import loaded_contacts
 from trajopt.simulation.record import SimulationRecord
-from trajopt.simulation.report import SimulationReport
 from trajopt.simulation.world import World
 from trajopt.solution.arrays import rows_of
 from trajopt.solution.description import PlanDescription
@@ -28,15 +28,29 @@ from trajopt.versions import VERSIONED, installed_version
 PERIODS = 4
 
 
+class MotionReport(Protocol):
+    """What a file says of a simulated motion."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the motion is what it should be."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able figures."""
+        ...
+
+
 def simulated_solution(
     plan: Solution,
     reference: ReferenceTrajectory,
     record: SimulationRecord,
     world: World,
-    report: SimulationReport,
+    report: MotionReport,
 ) -> Solution:
     """The record as a solution of the plan's model."""
     n = len(record.feet)
+    steps = round(n * reference.period / world.compiled.opt.timestep)
     chunks = _chunks(reference.phase[:n])
     rows = np.array([[first, first + (end - first) // 2, end] for first, end in chunks]).ravel()
     last = np.minimum(rows, n - 1)  # accelerations and forces are known at the starts of periods
@@ -48,7 +62,7 @@ def simulated_solution(
     own = plan.joint_force(q[last], v[last])  # MuJoCo's friction on joints has it, too
     return Solution(
         description=_description(plan, reference, phase),
-        statistics=_statistics(plan, report),
+        statistics=_statistics(plan, report, steps),
         model=plan.model,
         t=t[rows],
         phase=np.repeat(phase, 3),
@@ -121,7 +135,7 @@ def _description(plan: Solution, reference: ReferenceTrajectory, phase: np.ndarr
     )
 
 
-def _statistics(plan: Solution, report: SimulationReport) -> SolveStatistics:
+def _statistics(plan: Solution, report: MotionReport, steps: int) -> SolveStatistics:
     versions = {name: installed_version(name) for name in VERSIONED}
     return SolveStatistics(
         transcription="simulation",
@@ -129,7 +143,7 @@ def _statistics(plan: Solution, report: SimulationReport) -> SolveStatistics:
         status="simulated",
         success=report.passed,
         converged=plan.converged,
-        iterations=round((report.duration + report.held) / report.timestep),
+        iterations=steps,
         objective=None,
         tolerance=plan.statistics.tolerance,
         wall_time_s=plan.statistics.wall_time_s,

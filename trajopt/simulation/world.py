@@ -95,12 +95,15 @@ class World:
     friction: np.ndarray
 
 
-def build_world(plan: Solution, settings: SimulationSettings) -> World:
-    """Model of a plan for these settings. Raises `InputError` for what MuJoCo cannot express."""
+def build_world(plan: Solution, settings: SimulationSettings, beyond: float = 0.0) -> World:
+    """Model of a plan for these settings. Raises `InputError` for what MuJoCo cannot express.
+
+    beyond: m, how far the simulation may leave the plan along the ground.
+    """
     units, touching = NaturalUnits.of(plan.model), contact_places(plan)
     bodies = build_bodies(plan.model)
     joints = joint_places(plan)
-    place = surroundings_of(plan, touching.position, joints, units.length, settings)
+    place = surroundings_of(plan, touching.position, joints, units.length, settings, beyond)
     buried = _buried(plan, joints, place)
     ground = add_ground(bodies.spec, plan, place)
     feet = _add_feet(bodies, plan, place)

@@ -1,0 +1,255 @@
+"""A drive in lockstep: commands over time, a controller, and MuJoCo, whose time waits for the solver.
+
+A plan is used from the controller's delay on, however long it took: a drive is the same on every machine, but for
+the times in its report.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from trajopt.arguments import Positive, checked
+from trajopt.control.inverse_dynamics import RELAXED
+from trajopt.control.reference import ReferenceTrajectory, stance_reference
+from trajopt.errors import InputError, not_among
+from trajopt.mpc.commands import STAND, CommandScript
+from trajopt.mpc.controller import Controller, ControllerSettings
+from trajopt.mpc.drive_report import DriveReport, TimeFigures, command_errors
+from trajopt.robot.mujoco_package import muted_mujoco
+from trajopt.robot.robot import Robot
+from trajopt.schedule.gaits import gait_names
+from trajopt.simulation.figures import Fall, base_poses, fall_between
+from trajopt.simulation.record import SimulationRecord
+from trajopt.simulation.run import SimulationRun
+from trajopt.simulation.settings import Impulse, SimulationSettings
+from trajopt.simulation.simulate import require_fitting, require_within
+from trajopt.simulation.simulated import simulated_solution
+from trajopt.simulation.world import World, build_world
+from trajopt.solution.solution import Solution
+from trajopt.solving.rest import rest
+from trajopt.solving.solving import solve
+from trajopt.terrain.piecewise import PiecewiseTerrain
+
+# After its last command a drive goes on for this time, s.
+LAST = 2.0
+# Whether the robot has fallen is tested after every stretch of so many s.
+STRETCH = 0.1
+# Settings of the simulation that a drive takes.
+HARDWARE = (
+    *("timestep", "control_rate", "friction_scale", "mass_scale", "com_offset", "ground_offsets", "rolling"),
+    *("noise", "sensor_noise", "seed", "delay", "torque_step", "torque_rate"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """A robot that was driven: report, commands, and everything that was recorded.
+
+    stand: the robot at rest at the start. reference: at every tick the base upright where it was.
+    """
+
+    robot: Robot
+    script: CommandScript
+    controller: Controller
+    settings: SimulationSettings
+    stand: Solution
+    reference: ReferenceTrajectory
+    world: World
+    record: SimulationRecord
+    report: DriveReport
+
+    def as_solution(self) -> Solution:
+        """The motion as a solution of the same model; ``statistics.simulated`` is true."""
+        return self._solution
+
+    @cached_property
+    def _solution(self) -> Solution:
+        return simulated_solution(self.stand, self.reference, self.record, self.world, self.report)
+
+    @property
+    def commanded(self) -> np.ndarray:
+        """Commands (n, 3) at ticks: speed forward and to the left, m/s, and turn rate, rad/s."""
+        given = [self.script.at(t) for t in self.reference.t[: len(self.record.feet)].tolist()]
+        return np.array([[each.speed, each.lateral, each.turn_rate] for each in given])
+
+    @cached_property
+    def velocity(self) -> np.ndarray:
+        """What the base did (n, 3), as of `commanded`, in the direction in which it heads."""
+        return _velocity(self.world, self.stand, self.record)
+
+
+@checked
+def drive(
+    robot: Robot,
+    script: CommandScript,
+    *,
+    duration: Positive | None = None,
+    gaits: Sequence[str] | None = None,
+    settings: ControllerSettings | None = None,
+    pushes: Sequence[Impulse] = (),
+    ground: PiecewiseTerrain | None = None,
+    **hardware: Any,
+) -> Drive:
+    """Drive a robot by a script in MuJoCo; it ends early after a fall.
+
+    Args:
+        robot: with a free base, on feet.
+        script: commands over time.
+        duration: s; default: `LAST` s after the last command.
+        gaits: names of the gaits that the controller prepares; default: those of the script.
+        settings: of the controller.
+        pushes: level impulses on the base.
+        ground: what feet and links touch, of which the controller knows nothing; level at the height 0 where the
+            robot stands. Default: level ground.
+        hardware: any of `HARDWARE`, fields of `SimulationSettings`.
+
+    Raises:
+        InputError: for a robot without a free base or feet, a gait that it does not have, and settings that are
+            not allowed.
+    """
+    unknown = [name for name in hardware if name not in HARDWARE]
+    if unknown:
+        raise not_among(HARDWARE, unknown[0], f"a drive has no setting '{unknown[0]}'")
+    if robot.base != "freeflyer":
+        raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free base, on feet")
+    used = dict.fromkeys(command.gait for command in script.commands if command.gait != STAND)
+    names = tuple(gaits or used or gait_names(robot)[:1])
+    steering = Steering(Controller(robot, names, settings), script)
+    wanted = SimulationSettings(controller=steering, impulse=pushes, **hardware)
+    stand = _stand(robot, ground)
+    require_fitting(wanted, stand)
+    reference = stance_reference(stand, wanted.control_rate, duration or script.times[-1] + LAST)
+    reference = replace(reference, phase_names=("drive",))
+    require_within(wanted, reference)
+    with muted_mujoco():
+        world = build_world(stand, wanted, math.inf)
+        record, fall = _driven(SimulationRun(stand, reference, world, wanted), script)
+    return Drive(
+        robot=robot,
+        script=script,
+        controller=steering.controller,
+        settings=wanted,
+        stand=stand,
+        reference=reference,
+        world=world,
+        record=record,
+        report=_report(steering, reference, record, fall, _velocity(world, stand, record)),
+    )
+
+
+class Steering:
+    """A controller that follows a script, as a simulation asks it for torques.
+
+    slack: largest violation of what was relaxed in a tick, natural units.
+    """
+
+    def __init__(self, controller: Controller, script: CommandScript) -> None:
+        self.controller, self.script, self.slack = controller, script, 0.0
+
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        """Torques (nu,) at ``t`` s, see `Controller.step`."""
+        torque = self.controller.step(t, q, v, touching, self.script.at(t))
+        if self.controller.follower.last is not None:
+            self.slack = max(self.slack, self.controller.follower.last.slack)
+        return torque
+
+
+def _stand(robot: Robot, ground: PiecewiseTerrain | None) -> Solution:
+    """The robot at rest in its reference posture, on ground that differs elsewhere. Raises `InputError`."""
+    stand = solve(rest(robot))
+    about = replace(stand.description, problem="drive")
+    if ground is not None:
+        about = replace(about, terrain=ground, surfaces=(), patches=())
+    return replace(stand, description=about)
+
+
+def _driven(run: SimulationRun, script: CommandScript) -> tuple[SimulationRecord, Fall | None]:
+    """The record up to a fall, if there is one; the reference becomes the base upright where it was."""
+    record, count = run.start(), len(run.reference.t)
+    stretch = max(1, round(STRETCH / run.reference.period))
+    for first in range(0, count, stretch):
+        last = min(first + stretch, count)
+        reached = run.advance(record, first, last)
+        rows = slice(first, reached)
+        heights = [script.at(t).height for t in run.reference.t[rows].tolist()]
+        run.reference.q[rows] = _upright(run.plan, run.world.coordinates.from_mujoco(record.qpos[rows]), heights)
+        fall = fall_between(run.plan, run.reference, record, run.world, rows)
+        if fall is None and reached < last:
+            fall = Fall(time=float(run.reference.t[reached]), why="the simulation diverged")
+        if fall is not None:
+            return run.ended(record, reached), fall
+    return run.ended(record, count), None
+
+
+def _upright(stand: Solution, q: np.ndarray, heights: Sequence[float]) -> np.ndarray:
+    """Configurations (n, nq) of the start, placed and heading as in q (n, nq), at heights (n,) m above it."""
+    result, ground = np.repeat(stand.q[:1], len(q), axis=0), stand.description.ground
+    result[:, :2] = q[:, :2]
+    result[:, 2] += heights
+    if isinstance(ground, PiecewiseTerrain):
+        below = ground.height(q[:, 0], q[:, 1])
+        result[:, 2] += np.where(np.isfinite(below), below, 0.0)
+    x, y, z, w = q[:, 3:7].T
+    half = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) / 2
+    result[:, 3:7] = np.column_stack([np.zeros((len(q), 2)), np.sin(half), np.cos(half)])
+    return result
+
+
+def _velocity(world: World, stand: Solution, record: SimulationRecord) -> np.ndarray:
+    """What the base does at ticks (n, 3): forward and to the left, m/s, and turn rate, rad/s."""
+    qpos, qvel = (rows[: len(record.feet)] for rows in (record.qpos, record.qvel))
+    v = world.coordinates.rates_from_mujoco(qpos, qvel)
+    turns = base_poses(stand.model, world.coordinates.from_mujoco(qpos))[:, :, :3]
+    linear, spin = (np.einsum("nij,nj->ni", turns, part) for part in (v[:, :3], v[:, 3:6]))
+    ahead = turns[:, :2, 0] / np.linalg.norm(turns[:, :2, 0], axis=1, keepdims=True)
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    along = [np.sum(direction * linear[:, :2], axis=1) for direction in (ahead, left)]
+    return np.column_stack([*along, spin[:, 2]])
+
+
+def _report(
+    steering: Steering,
+    reference: ReferenceTrajectory,
+    record: SimulationRecord,
+    fall: Fall | None,
+    velocity: np.ndarray,
+) -> DriveReport:
+    controller, script = steering.controller, steering.script
+    counts, settings = controller.report, controller.settings
+    periods = {name: period for name, (_, period) in controller.clock.gaits.items()}
+    means, values = command_errors(script, velocity, reference.period, periods)
+    steps = record.qpos[:: max(1, round(min(periods.values()) / reference.period)), :2]
+    deadline = settings.delay or settings.period
+    return DriveReport(
+        robot=controller.robot.name,
+        duration=len(reference.t) * reference.period,
+        simulated=len(record.feet) * reference.period,
+        fell=fall is not None,
+        fall_time=None if fall is None else fall.time,
+        fall_reason="" if fall is None else fall.why,
+        distance=float(np.linalg.norm(np.diff(steps, axis=0), axis=1).sum()),
+        mean_errors=means,
+        errors=values,
+        saturated=float(record.saturated.mean()),
+        plans=len(counts.planning),
+        deadline=deadline,
+        missed=sum(time > deadline for time in counts.planning[1:]),
+        begun_anew=counts.anew,
+        plan_violation=(float(np.percentile(counts.primal, 95)), float(np.max(counts.primal))),
+        plan_times=TimeFigures.of(counts.planning[1:]),
+        solver_times=TimeFigures.of(counts.solving[1:]),
+        tick_times=TimeFigures.of(counts.following),
+        relaxed={
+            name: count for name, count in zip(RELAXED, controller.follower.relaxed, strict=True) if count
+        },
+        slack=steering.slack,
+        gaits=periods,
+        script=script,
+        settings=asdict(settings),
+    )

@@ -1,0 +1,157 @@
+"""The figures of a drive: times of ticks, plans, relaxations, tracking of commands, falls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from trajopt.control.inverse_dynamics import RELAXED
+from trajopt.mpc.commands import STAND, CommandScript
+from trajopt.solution.meta import jsonable
+
+# Tracking is judged from this time after a change of command on, s.
+SETTLED = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeFigures:
+    """Mean, median, 95th and 99th percentile of times, s."""
+
+    mean: float
+    median: float
+    p95: float
+    p99: float
+
+    @classmethod
+    def of(cls, times: Sequence[float]) -> TimeFigures:
+        """Figures of times, s; zeros without any."""
+        values = np.array(times or [0.0])
+        median, p95, p99 = np.percentile(values, [50, 95, 99])
+        return cls(mean=float(values.mean()), median=float(median), p95=float(p95), p99=float(p99))
+
+    def __str__(self) -> str:
+        mean, median, p95, p99 = (1e3 * value for value in (self.mean, self.median, self.p95, self.p99))
+        return f"{median:.2f} ms median, {mean:.2f} mean, {p95:.2f} / {p99:.2f} at 95 / 99 %"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandErrors:
+    """Root mean squares of speed forward and to the left, m/s, and turn rate, rad/s, minus the commanded ones.
+
+    They are over the time in which the robot walks, from `SETTLED` s after each change of command on.
+    """
+
+    speed: float
+    lateral: float
+    turn_rate: float
+
+    @classmethod
+    def of(cls, errors: np.ndarray) -> CommandErrors | None:
+        """Of errors (n, 3); None without any."""
+        if not len(errors):
+            return None
+        speed, lateral, turn_rate = np.sqrt((errors**2).mean(axis=0)).tolist()
+        return cls(speed=speed, lateral=lateral, turn_rate=turn_rate)
+
+    def __str__(self) -> str:
+        return f"{self.speed:.3f} m/s, {self.lateral:.3f} m/s, {self.turn_rate:.3f} rad/s"
+
+
+def command_errors(
+    script: CommandScript, velocity: np.ndarray, period: float, periods: Mapping[str, float]
+) -> tuple[CommandErrors | None, CommandErrors | None]:
+    """Errors of the mean over a period of the gait, and of the values themselves.
+
+    Args:
+        script: commands over time.
+        velocity: (n, 3) forward m/s, to the left m/s, turn rate rad/s, at ticks.
+        period: of ticks, s.
+        periods: of the gaits, s.
+    """
+    ends = [*script.times[1:], len(velocity) * period]
+    means, values = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for begin, end, command in zip(script.times, ends, script.commands, strict=True):
+        if command.gait == STAND:
+            continue
+        window = min(round(periods[command.gait] / period), len(velocity))
+        first = round(max(begin + SETTLED, periods[command.gait] / 2) / period)
+        rows = slice(first, max(first, round(end / period) - window // 2))
+        wanted = np.array([command.speed, command.lateral, command.turn_rate])
+        mean = [np.convolve(column, np.full(window, 1 / window), "same")[rows] for column in velocity.T]
+        means.append(np.transpose(mean) - wanted)
+        values.append(velocity[rows] - wanted)
+    return CommandErrors.of(np.concatenate(means)), CommandErrors.of(np.concatenate(values))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveReport:
+    """Figures of a drive in simulated time, and times of this machine.
+
+    duration: s asked for; simulated: s, less after a fall. fell, fall_time s, fall_reason: see
+    `trajopt.simulation.figures.fall_of`; upright is level, at the height that is asked for. distance: m that the
+    base has moved along the ground. mean_errors, errors: of commands, see `command_errors`; None where no time
+    counts. saturated: share of torques that were clipped.
+    plans: number; deadline: s; missed: plans that took longer, which is counted and changes nothing here; begun_anew:
+    those that did not go on from the last one; plan_violation: 95th percentile and largest violation of
+    their rows, scaled. plan_times, solver_times, tick_times: of whole plans, of their solver, and of torques; without
+    the first plan, for which the robot waits. relaxed: ticks by what was relaxed, see
+    `trajopt.control.inverse_dynamics.RELAXED`; slack: their largest violation, natural units.
+    gaits: periods by name, s. script: the commands. settings: of the controller.
+    """
+
+    robot: str
+    duration: float
+    simulated: float
+    fell: bool
+    fall_time: float | None
+    fall_reason: str
+    distance: float
+    mean_errors: CommandErrors | None
+    errors: CommandErrors | None
+    saturated: float
+    plans: int
+    deadline: float
+    missed: int
+    begun_anew: int
+    plan_violation: tuple[float, float]
+    plan_times: TimeFigures
+    solver_times: TimeFigures
+    tick_times: TimeFigures
+    relaxed: Mapping[str, int]
+    slack: float
+    gaits: Mapping[str, float]
+    script: CommandScript
+    settings: Mapping[str, Any]
+
+    @property
+    def passed(self) -> bool:
+        """Whether it did not fall."""
+        return not self.fell
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able figures."""
+        return jsonable({"passed": self.passed, **asdict(self)})
+
+    def table(self) -> str:
+        """Figures for people, one a line."""
+        relaxed = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
+        typical, worst = self.plan_violation
+        lines = [
+            ("driven", f"{self.simulated:.3f} s of {self.duration:.3f} s, {self.distance:.2f} m"),
+            ("speed, lateral, turn, rms", str(self.mean_errors or "-")),
+            ("without a mean over periods", str(self.errors or "-")),
+            ("plans", f"{self.plans}, {self.missed} longer than {1e3 * self.deadline:g} ms"),
+            ("plans begun anew", f"{self.begun_anew}"),
+            ("violation of plans", f"{typical:.1e} at 95 %, {worst:.1e} at most, scaled"),
+            ("time of a plan", str(self.plan_times)),
+            ("of its solver", str(self.solver_times)),
+            ("of a tick's torques", str(self.tick_times)),
+            ("ticks relaxed", f"{', '.join(relaxed) or RELAXED[0]}, slack {self.slack:.2g} in natural units"),
+            ("torques cut off", f"{100 * self.saturated:.2f} %"),
+        ]
+        text = [f"{name:27} {value}" for name, value in lines]
+        end = f"it fell at {self.fall_time:.3f} s: {self.fall_reason}" if self.fell else "it did not fall"
+        return "\n".join([*text, end])

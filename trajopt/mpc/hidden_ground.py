@@ -1,0 +1,55 @@
+"""Ground in front of a robot that its controller is not told of: a slope, or boxes of random heights."""
+
+import math
+
+import numpy as np
+
+from trajopt.arguments import Count, Fraction, checked
+from trajopt.errors import InputError
+from trajopt.robot.robot import Robot
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.piecewise import REACH, PiecewiseTerrain
+
+# Level ground in front of the robot's origin, m.
+AHEAD = 0.5
+# Steepest slope, degrees: far beyond what friction of 0.7 holds.
+STEEPEST = 60.0
+# Boxes along and across, and their sides: this part of the robot's length, at least so many m.
+ALONG, ACROSS, SIDE, LEAST_SIDE = 12, 8, 0.8, 0.25
+
+
+@checked
+def slope_ahead(degrees: float) -> PiecewiseTerrain:
+    """Level ground, and from `AHEAD` m on a slope about the lateral axis.
+
+    Args:
+        degrees: of the slope, negative downwards.
+
+    Raises:
+        InputError: for a slope steeper than `STEEPEST`.
+    """
+    if not abs(degrees) <= STEEPEST:
+        raise InputError(f"slope is {degrees:g} degrees", f"allowed: {-STEEPEST:g} to {STEEPEST:g}")
+    rise = REACH * math.tan(math.radians(degrees))
+    return PiecewiseTerrain.slope(rise, REACH, at=(AHEAD, 0.0))
+
+
+@checked
+def boxes_ahead(robot: Robot, part: Fraction, seed: Count = 0) -> PiecewiseTerrain:
+    """Level ground, and from `AHEAD` m on, for 3 m or more, boxes side by side.
+
+    Args:
+        robot: which walks over them.
+        part: of the robot's length, up to which heights are drawn.
+        seed: of the heights.
+    """
+    side = max(SIDE * robot.length, LEAST_SIDE)
+    heights = np.random.default_rng(seed).uniform(0.0, part * robot.length, (ALONG, ACROSS))
+    ground = Patch.rectangle((0.0, 0.0, 0.0), (2 * REACH, 2 * REACH), name="ground")
+    boxes = [
+        Patch.rectangle(
+            (AHEAD + (i + 0.5) * side, (j + 0.5 - ACROSS / 2) * side, height), (side, side), name=f"box{i}.{j}"
+        )
+        for (i, j), height in np.ndenumerate(heights)
+    ]
+    return PiecewiseTerrain(faces=(ground, *boxes))
