@@ -18,6 +18,7 @@ from trajopt.mpc.ground import GroundEstimate
 from trajopt.mpc.motion import HorizonMotion
 from trajopt.mpc.planner import HorizonPlanner, PlannerSettings
 from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.legs import feet_in_base
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_of
 from trajopt.robot.units import Units
@@ -76,7 +77,7 @@ class Controller:
         self.robot, self.settings = robot, settings or ControllerSettings()
         self.unit = Units(robot).time
         periods = {name: (gait_of(robot, name), PERIODS.get(name, 2.6) * self.unit) for name in gaits}
-        names = [contact.name for contact in robot.contacts]
+        names = list(feet_in_base(robot))
         self.clock = GaitClock(names, periods)
         self.planner = HorizonPlanner(robot, self.clock, self.settings.planner, friction=self.settings.friction)
         self.planner.prepare()
@@ -86,9 +87,10 @@ class Controller:
         self._pending: HorizonMotion | None = None
         self._heading: float | None = None
         self._now, self._next_plan = 0.0, -math.inf
-        self._touched = np.full(len(names), -math.inf)
+        self._touched = np.full(len(robot.contacts), -math.inf)
+        self._feet = [robot.contacts.index(robot.contact(name)) for name in names]
         self.ground = GroundEstimate(len(names), robot.length)
-        self._radius = np.array([contact.radius for contact in robot.contacts])
+        self._radius = np.array([robot.contact(name).radius for name in names])
 
     def step(
         self, time: float, q: np.ndarray, v: np.ndarray, contacts: np.ndarray, command: Command
@@ -132,12 +134,13 @@ class Controller:
     def _pass(self, time: float, q: np.ndarray, touching: np.ndarray, command: Command) -> None:
         """Let time pass for clock, heading and the estimate of the ground."""
         passed, self._now = time - self._now, time
-        self.clock.advance(passed, dict(zip(self.clock.contacts, touching.tolist(), strict=True)))
+        feet = touching[self._feet]
+        self.clock.advance(passed, dict(zip(self.clock.contacts, feet.tolist(), strict=True)))
         self.clock.request(command.gait)
         self._touched = np.where(touching, time, self._touched)
-        places = np.array(list(contact_positions(self.robot, q).values()))
+        places = np.array(list(contact_positions(self.robot, q).values()))[self._feet]
         places[:, 2] -= self._radius
-        self.ground.touch(places, touching)
+        self.ground.touch(places, feet)
         x, y, z, w = q[3:7]
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         if self._heading is None:

@@ -104,10 +104,12 @@ class HorizonPlanner:
         self.report = PlanReport()
         self._last: tuple[Horizon, _engine.Iterate, float] | None = None
         self._maps: dict[tuple[Pattern, Pattern], _Map] = {}
-        places, base = contact_positions(robot, robot.reference), robot.reference[:3]
+        known, base = contact_positions(robot, robot.reference), robot.reference[:3]
+        places = {name: known[name] for name in clock.contacts}
         self._hips = np.array([places[name] - base for name in clock.contacts])
         radii = [robot.contact(name).radius for name in clock.contacts]
         self._radius = np.array(radii)
+        self._numbers = [robot.contacts.index(robot.contact(name)) for name in clock.contacts]
         self._standing = float(base[2] - min(p[2] - r for p, r in zip(places.values(), radii, strict=True)))
 
     def pattern(self, modes: Sequence[Mode], whole: Sequence[Mode]) -> Pattern:
@@ -319,7 +321,7 @@ class HorizonPlanner:
         rows[:, at.posture] = self.robot.reference[7:]
         lift = self.settings.lift * self.robot.length
         for number, name in enumerate(self.clock.contacts):
-            foot = at.foot(number).start
+            foot = at.foot(self._numbers[number]).start
             for swing in ahead.swings[name]:
                 if swing.begin > last:
                     break

@@ -3,7 +3,8 @@
 Weights are over natural units (see `trajopt.robot.Units`); the running cost of a horizon is
 
     sum_i w_i e_i^2,      e = (p - p*) / l,  turn(R*, R),  (p' - v*) / sqrt(g l),  (omega - w*) sqrt(l / g),
-                              q_j - q_j*,  q_j' sqrt(l / g),  s (p_f - p_f*) / l of feet in the air
+                              q_j - q_j*,  q_j' sqrt(l / g),  s (p_f - p_f*) / l of feet in the air, and of soles
+                              what keeps them level, along the base
 
 with s a factor for each axis of each foot, and the cost of torques, forces and accelerations.
 """
@@ -19,7 +20,7 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import NonNegative, checked
-from trajopt.dynamics.rotations import quaternion_product
+from trajopt.dynamics.rotations import quaternion_product, rotation_matrix
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -33,7 +34,7 @@ class HorizonWeights:
 
     height, tilt, heading, velocity, rise, spin: of the base's height, of roll and pitch, of yaw, of its level and
     vertical velocity, of its angular velocity. joints, rates: of posture and rates of joints. feet: of feet in the
-    air. torque, wrench, acceleration: of torques, contact forces and accelerations of joints.
+    air; soles: of their tilt and heading. torque, wrench, acceleration: of torques, contact forces and accelerations of joints.
     """
 
     height: NonNegative = 20.0
@@ -45,6 +46,7 @@ class HorizonWeights:
     joints: NonNegative = 0.05
     rates: NonNegative = 0.01
     feet: NonNegative = 10.0
+    soles: NonNegative = 1.0
     torque: NonNegative = 0.02
     wrench: NonNegative = 0.02
     acceleration: NonNegative = 0.002
@@ -107,8 +109,13 @@ class ReferenceCost(Cost):
         for number, contact in enumerate(robot.contacts):
             if contact not in context.contacts:
                 goal, factor = ca.vertsplit(r[at.foot(number)], 3)
-                away = factor * (context.frame(contact.frame).position - goal) / units.length
+                frame = context.frame(contact.frame)
+                away = factor * (frame.position - goal) / units.length
                 parts.append((away, [w.feet] * 3))
+                if contact.kind == "surface":
+                    left = rotation_matrix(r[at.quaternion])[:, 1]
+                    twisted = ca.vertcat(frame.rotation[2, :2].T, ca.dot(left, frame.rotation[:, 0]))
+                    parts.append((factor[2] * twisted, [w.soles] * 3))
         weights = context.parameter(np.concatenate([weights for _, weights in parts]))
         return ca.sqrt(weights) * ca.vertcat(*[error for error, _ in parts])
 
