@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import time as clocks
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.errors import InputError
@@ -15,13 +14,14 @@ from trajopt.mpc.clock import GaitClock
 from trajopt.mpc.commands import STAND, Command
 from trajopt.mpc.follow import Follower, FollowerGains
 from trajopt.mpc.ground import GroundEstimate
-from trajopt.mpc.motion import HorizonMotion
+from trajopt.mpc.motion import HorizonMotion, predicted
 from trajopt.mpc.planner import HorizonPlanner, PlannerSettings
+from trajopt.mpc.plans import ControllerReport, Make, Plans
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import feet_in_base
 from trajopt.robot.robot import Robot
-from trajopt.schedule.gaits import gait_of
 from trajopt.robot.units import Units
+from trajopt.schedule.gaits import gait_of
 
 # Periods of gaits over sqrt(l / g).
 PERIODS = {"trot": 2.6, "walk": 4.0, "pace": 2.6, "bound": 2.4, "pronk": 2.4}
@@ -39,6 +39,7 @@ class ControllerSettings:
     Args:
         period: of plans, s.
         delay: after which a plan is ready, s; the state is predicted over it.
+        live: plans are made by a thread, and used when they are ready; otherwise each tick waits for its own.
         planner: settings of plans.
         gains: of what follows them.
         friction: Coulomb's coefficient that it counts on.
@@ -46,20 +47,10 @@ class ControllerSettings:
 
     period: Positive = 0.01
     delay: NonNegative = 0.01
+    live: bool = False
     planner: PlannerSettings = PlannerSettings()
     gains: FollowerGains = FollowerGains()
     friction: Positive = 0.6
-
-
-@dataclass
-class ControllerReport:
-    """Of all ticks: seconds of plans and of torques, plans begun anew, residuals of the rows of plans."""
-
-    planning: list[float] = field(default_factory=list)
-    solving: list[float] = field(default_factory=list)
-    following: list[float] = field(default_factory=list)
-    primal: list[float] = field(default_factory=list)
-    anew: int = 0
 
 
 class Controller:
@@ -79,14 +70,15 @@ class Controller:
         periods = {name: (gait_of(robot, name), PERIODS.get(name, 2.6) * self.unit) for name in gaits}
         names = list(feet_in_base(robot))
         self.clock = GaitClock(names, periods)
-        self.planner = HorizonPlanner(robot, self.clock, self.settings.planner, friction=self.settings.friction)
+        self.planner = HorizonPlanner(
+            robot, self.clock, self.settings.planner, friction=self.settings.friction
+        )
         self.planner.prepare()
         self.follower = Follower(robot, self.settings.gains, friction=self.settings.friction)
-        self.report = ControllerReport()
-        self.motion: HorizonMotion | None = None
-        self._pending: HorizonMotion | None = None
+        self.plans = Plans(self.settings.period, self.settings.delay, live=self.settings.live)
+        self.planner.report = self.plans.report
         self._heading: float | None = None
-        self._now, self._next_plan = 0.0, -math.inf
+        self._now = 0.0
         self._touched = np.full(len(robot.contacts), -math.inf)
         self._feet = [robot.contacts.index(robot.contact(name)) for name in names]
         self.ground = GroundEstimate(len(names), robot.length)
@@ -112,14 +104,9 @@ class Controller:
             raise InputError(f"gait is '{command.gait}'", f"allowed: {allowed}")
         touching = np.asarray(contacts, dtype=bool)
         self._pass(time, q, touching, command)
-        if self._pending is not None and time >= self._pending.begin - 1e-9:
-            self.motion, self._pending = self._pending, None
-        if time >= self._next_plan - 1e-9 and self._pending is None:
-            self._plan(time, q, v, command)
-            self._next_plan = time + self.settings.period
-        assert self.motion is not None
+        motion = self.plans.update(time, self._maker(time, q, v, command))
         begun = clocks.perf_counter()
-        wanted = self.motion.sample(time)
+        wanted = motion.sample(time)
         active = self._active(time, wanted.active, touching)
         torque = self.follower.torque(wanted, q, v, active)
         self.report.following.append(clocks.perf_counter() - begun)
@@ -149,34 +136,33 @@ class Controller:
         away = math.remainder(self._heading - yaw, 2 * math.pi)
         self._heading = yaw + min(max(away, -FARTHEST), FARTHEST)
 
-    def _plan(self, time: float, q: np.ndarray, v: np.ndarray, command: Command) -> None:
-        begun, delay = clocks.perf_counter(), self.settings.delay
-        q, v = self._predicted(time, q, v)
-        own = self.clock.copy()
-        if self.motion is not None and delay:
-            own.advance(delay, dict.fromkeys(own.contacts, False))
-        self.planner.clock = own
-        motion = self.planner.plan(
-            time + (delay if self.motion is not None else 0.0), q, v, command, self._heading or 0.0, self.ground
-        )
-        if self.motion is None:
-            self.motion = motion
-        else:
-            self._pending = motion
-        self.report.planning.append(clocks.perf_counter() - begun)
-        self.report.solving.append(self.planner.report.solver_seconds)
-        self.report.primal.append(self.planner.report.primal)
-        self.report.anew += self.planner.report.began_anew
+    @property
+    def report(self) -> ControllerReport:
+        """What happened until now."""
+        return self.plans.report
 
-    def _predicted(self, time: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The state after the delay: the plan's, with what the follower leaves of the error of now."""
-        delay, model = self.settings.delay, self.robot.model
-        if self.motion is None or not delay:
+    def _maker(self, time: float, q: np.ndarray, v: np.ndarray, command: Command) -> Make:
+        """What makes a plan from the state at ``time`` s, apart from all that goes on meanwhile."""
+
+        def make(begin: float) -> HorizonMotion:
+            delay = begin - time
+            clock.advance(delay, dict.fromkeys(clock.contacts, False))
+            self.planner.clock = clock
+            state = self._predicted(motion, time, q, v, delay)
+            return self.planner.plan(begin, *state, command, heading, ground)
+
+        clock, ground, motion = self.clock.copy(), self.ground.copy(), self.plans.motion
+        heading = self._heading or 0.0
+        return make
+
+    def _predicted(
+        self, motion: HorizonMotion | None, time: float, q: np.ndarray, v: np.ndarray, delay: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The state after a delay: the plan's, with what the follower leaves of the error of now."""
+        if motion is None or not delay:
             return q, v
-        now, then = self.motion.sample(time), self.motion.sample(time + delay)
-        error, rate, w = pin.difference(model, now.q, q), v - now.v, self.follower.bandwidths(now.active)
-        left, kept = rate + w * error, np.exp(-w * delay)
-        return pin.integrate(model, then.q, kept * (error + delay * left)), then.v + kept * (rate - w * delay * left)
+        rates = self.follower.bandwidths(motion.sample(time).active)
+        return predicted(motion, time, delay, (q, v), rates)
 
     def _active(self, time: float, planned: np.ndarray, touching: np.ndarray) -> np.ndarray:
         """Contacts that transmit forces: planned ones that touch or did lately."""

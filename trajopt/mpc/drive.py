@@ -178,7 +178,9 @@ def _driven(run: SimulationRun, script: CommandScript) -> tuple[SimulationRecord
         reached = run.advance(record, first, last)
         rows = slice(first, reached)
         heights = [script.at(t).height for t in run.reference.t[rows].tolist()]
-        run.reference.q[rows] = _upright(run.plan, run.world.coordinates.from_mujoco(record.qpos[rows]), heights)
+        run.reference.q[rows] = _upright(
+            run.plan, run.world.coordinates.from_mujoco(record.qpos[rows]), heights
+        )
         fall = fall_between(run.plan, run.reference, record, run.world, rows)
         if fall is None and reached < last:
             fall = Fall(time=float(run.reference.t[reached]), why="the simulation diverged")

@@ -104,7 +104,9 @@ class Follower:
         """Torques (nu,) for a measured state, with the contacts (nc,) that transmit forces."""
         self.state.update(q, v)
         result = self._program.solve(
-            [self._contact(int(i)) for i in np.flatnonzero(active)], self._tasks(wanted, active), self._limits(v, q)
+            [self._contact(int(i)) for i in np.flatnonzero(active)],
+            self._tasks(wanted, active),
+            self._limits(v, q),
         )
         self.relaxed[result.relaxed] += 1
         self.last = result
@@ -179,5 +181,7 @@ class Follower:
             low, high = limits_with_drives(self._drives, rate, low, high)
             friction = friction_of_drives(self._drives, rate)
         return TickLimits(
-            torque=(low, high), acceleration=self._range.bounds(q, v[self.robot.actuated_rows]), friction=friction
+            torque=(low, high),
+            acceleration=self._range.bounds(q, v[self.robot.actuated_rows]),
+            friction=friction,
         )

@@ -48,7 +48,9 @@ def boxes_ahead(robot: Robot, part: Fraction, seed: Count = 0) -> PiecewiseTerra
     ground = Patch.rectangle((0.0, 0.0, 0.0), (2 * REACH, 2 * REACH), name="ground")
     boxes = [
         Patch.rectangle(
-            (AHEAD + (i + 0.5) * side, (j + 0.5 - ACROSS / 2) * side, height), (side, side), name=f"box{i}.{j}"
+            (AHEAD + (i + 0.5) * side, (j + 0.5 - ACROSS / 2) * side, height),
+            (side, side),
+            name=f"box{i}.{j}",
         )
         for (i, j), height in np.ndenumerate(heights)
     ]

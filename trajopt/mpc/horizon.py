@@ -1,8 +1,8 @@
 """One horizon: the NLP of a pattern of contact modes, its numbers in place of building it anew.
 
-Durations of its phases, the start, the reference, heights of footholds and friction are numbers of one fixed
-structure. The collocation map depends on the step h of an interval by powers of h (docs/mathematics.md, section
-2): what was transcribed for nominal durations is multiplied by powers of the ratio, entry by entry.
+Durations of its phases, the start, the reference and heights of footholds are numbers of one fixed structure.
+The collocation map depends on the step h of an interval by powers of h (docs/mathematics.md, section 2): what
+was transcribed for nominal durations is multiplied by powers of the ratio, entry by entry.
 """
 
 from __future__ import annotations
@@ -15,14 +15,11 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt import _engine
-from trajopt.mpc.reference import HorizonWeights, ReferenceCost, reference_layout
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms.costs import AccelerationCost, TorqueCost, WrenchCost
-from trajopt.terms.friction import FrictionPyramid, SoleCone
-from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
+from trajopt.terms.interfaces import Term
 from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.compilation import compile_points, entry_key
 from trajopt.transcription.guess import initial_guess
@@ -33,6 +30,7 @@ from trajopt.transcription.transcription import Transcription, transcribe
 # Of violations of rows that may be relaxed: one over the weight of their squares, by the name of the row.
 COMPLIANCE: Mapping[str, float] = MappingProxyType(
     {
+        "near_links": 1e-4,
         "contact_landing": 1e-4,
         "velocity_limits": 1e-6,
         "position_limits": 1e-6,
@@ -57,14 +55,26 @@ class Pattern:
 
 
 @dataclass(frozen=True)
-class _Numbers:
+class Numbers:
+    """A parameter of terms that a horizon replaces at each tick, by name: zero until then."""
+
+    name: str
+    size: int
+
+    def __call__(self, time: float) -> np.ndarray:
+        """Zeros (size,)."""
+        return np.zeros(self.size)
+
+
+@dataclass(frozen=True)
+class _Entries:
     """Entries for nominal durations, and where in `powers_of` the factor of each is."""
 
     base: np.ndarray
     place: np.ndarray
 
     @classmethod
-    def of(cls, base: np.ndarray, doubled: np.ndarray, phase: np.ndarray | int) -> _Numbers:
+    def of(cls, base: np.ndarray, doubled: np.ndarray, phase: np.ndarray | int) -> _Entries:
         """From entries for nominal and for doubled durations, each a monomial."""
         with np.errstate(divide="ignore", invalid="ignore"):
             power = np.where(base == 0, 0.0, np.rint(np.log2(np.abs(doubled / base))))
@@ -84,9 +94,9 @@ class Horizon:
     """The NLP of a pattern.
 
     Args:
-        robot: on legs, with a free base.
+        robot: the robot.
         pattern: of its contacts.
-        weights: of its cost.
+        terms: costs and constraints, with `Numbers` as parameters that vary.
         friction: Coulomb's coefficient of the ground.
         scheme: of the transcription.
         nominal: duration of each phase, s, for which it is transcribed; any may be given later.
@@ -96,15 +106,14 @@ class Horizon:
         self,
         robot: Robot,
         pattern: Pattern,
-        weights: HorizonWeights,
+        terms: Sequence[Term],
         *,
         friction: float = 0.7,
         scheme: str = "legendre:2",
         nominal: float = 0.1,
     ) -> None:
         self.robot, self.pattern, self.nominal = robot, pattern, nominal
-        self.reference = reference_layout(robot)
-        build = [self._transcription(weights, friction, scheme, factor * nominal) for factor in (1.0, 2.0)]
+        build = [self._transcription(terms, friction, scheme, factor * nominal) for factor in (1.0, 2.0)]
         self.transcription: Transcription = build[0]
         points = {**build[0].points, **build[1].points}
         compiled, self.compilation = compile_points(points.values())
@@ -121,31 +130,19 @@ class Horizon:
         self.unequal = np.flatnonzero(t.lower_g != t.upper_g)
 
     def _transcription(
-        self, weights: HorizonWeights, friction: float, scheme: str, duration: float
+        self, terms: Sequence[Term], friction: float, scheme: str, duration: float
     ) -> Transcription:
         robot, pattern = self.robot, self.pattern
         phases = tuple(
             Phase(name=f"phase_{i}", duration=duration, contacts=contacts)
             for i, contacts in enumerate(pattern.contacts)
         )
-        size = self.reference.size
-        touching = {robot.contact(name).kind for contacts in pattern.contacts for name in contacts}
-        cones = [cone for kind, cone in (("point", FrictionPyramid()), ("surface", SoleCone())) if kind in touching]
         problem = Problem(
             name="horizon",
             robot=robot,
             schedule=Schedule(phases),
             terrain=FlatGround(friction=friction),
-            terms=(
-                ReferenceCost(weight=1.0, weights=weights, reference=lambda _: np.zeros(size)),
-                TorqueCost(weight=weights.torque),
-                *([WrenchCost(weight=weights.wrench)] if touching else []),
-                AccelerationCost(weight=weights.acceleration, joints_only=True),
-                *cones,
-                TorqueLimits(),
-                VelocityLimits(),
-                PositionLimits(),
-            ),
+            terms=tuple(terms),
             guess=lambda _: robot.reference,
         )
         meshes = [PhaseMesh.uniform(scheme, count) for count in pattern.intervals]
@@ -155,16 +152,16 @@ class Horizon:
         """Which entries depend on the duration of which phase, and how."""
         layout, t = self.layout, self.transcription
         of_stage = np.append(layout.phase_of, layout.phase_of[-1])
-        self._groups: list[dict[str, _Numbers]] = []
+        self._groups: list[dict[str, _Entries]] = []
         for group, one, two in zip(t.groups, nlp.parts["groups"], doubled.parts["groups"], strict=True):
             phase = int(of_stage[group.stages[0]])
             names = ("gather_data", "cost_weight", "jac_coef", "hess_coef")
-            self._groups.append({name: _Numbers.of(one[name], two[name], phase) for name in names})
+            self._groups.append({name: _Entries.of(one[name], two[name], phase) for name in names})
         csr, rows = t.linear, t.rows.stage
         of_entries = np.repeat(np.arange(t.n_rows), np.diff(csr.indptr))
-        self._linear = _Numbers.of(csr.data, doubled.parts["a_data"], of_stage[rows[of_entries]])
+        self._linear = _Entries.of(csr.data, doubled.parts["a_data"], of_stage[rows[of_entries]])
         constant, twice = nlp.parts["jac_const"], doubled.parts["jac_const"]
-        self._constant = _Numbers.of(constant, twice, of_stage[rows[nlp.row]])
+        self._constant = _Entries.of(constant, twice, of_stage[rows[nlp.row]])
         self._parameters = [group.parameters.copy() for group in t.groups]
 
     @property
@@ -183,19 +180,20 @@ class Horizon:
         return Units(self.robot)
 
     @cached_property
-    def places(self) -> list[tuple[int, np.ndarray, np.ndarray, float, slice]]:
-        """Where the reference goes: group, its stages and phases, fraction of the intervals, columns."""
-        of_stage = self.layout.phase_of
-        return [
-            (number, group.stages, of_stage[group.stages], group.fraction, columns)
-            for number, group in enumerate(self.transcription.groups)
-            for _, columns in group.varying
-        ]
+    def places(self) -> dict[str, list[tuple[int, np.ndarray, float, slice]]]:
+        """Where `Numbers` go, by name: group, its stages, fraction of the intervals, columns."""
+        result: dict[str, list[tuple[int, np.ndarray, float, slice]]] = {}
+        for number, group in enumerate(self.transcription.groups):
+            for function, columns in group.varying:
+                if isinstance(function, Numbers):
+                    place = number, group.stages, group.fraction, columns
+                    result.setdefault(function.name, []).append(place)
+        return result
 
     @cached_property
     def landings(self) -> list[tuple[int, np.ndarray]]:
         """For each landing, its phase and the rows of the heights of its contacts, in their order."""
-        rows, t = self.transcription.rows, self.transcription
+        rows = self.transcription.rows
         name = rows.names.index("contact_landing") if "contact_landing" in rows.names else -1
         result = []
         for phase in range(1, len(self.pattern.contacts)):
@@ -234,15 +232,17 @@ class Horizon:
         """Time of each node from the start, s."""
         return np.concatenate([[0.0], np.cumsum(self.steps)])
 
-    def point_times(self) -> list[np.ndarray]:
-        """Times of the points at which the reference is needed, for each of `places`, s."""
+    def point_times(self, name: str) -> np.ndarray:
+        """Times (n,) of all points at which `Numbers` are needed, s."""
         begin, step = self.node_times, self.steps
-        return [begin[stages] + fraction * step[stages] for _, stages, _, fraction, _ in self.places]
+        return np.concatenate([begin[at] + part * step[at] for _, at, part, _ in self.places[name]])
 
-    def set_reference(self, values: list[np.ndarray]) -> None:
-        """The reference (n, size) at the times of `point_times`; takes effect with `set_durations`."""
-        for (number, _, _, _, columns), rows in zip(self.places, values, strict=True):
-            self._parameters[number][:, columns] = rows
+    def set_numbers(self, name: str, rows: np.ndarray) -> None:
+        """`Numbers` (n, size) at the times of `point_times`; they take effect with `set_durations`."""
+        first = 0
+        for number, stages, _, columns in self.places[name]:
+            self._parameters[number][:, columns] = rows[first : first + len(stages)]
+            first += len(stages)
 
     def set_start(self, state: np.ndarray) -> None:
         """The first node's state, unscaled, which is fixed."""
@@ -263,6 +263,16 @@ class Horizon:
         """Soften the rows of the first landing where the present mode lasts less than that share of 1."""
         usual = COMPLIANCE["contact_landing"]
         self.compliance[self.first_landing] = min(usual * max(1.0, 1.0 / share) ** 3, SOFTEST)
+
+    def violations(self, y: np.ndarray) -> dict[str, float]:
+        """Largest violation of each kind of soft rows, over their units, for multipliers (n_rows,)."""
+        rows = self.transcription.rows
+        beyond = self.compliance * np.abs(y)
+        return {
+            name: float(beyond[rows.block == number].max(initial=0.0))
+            for number, name in enumerate(rows.names)
+            if name in COMPLIANCE
+        }
 
     def guess(self) -> np.ndarray:
         """Scaled variables of the robot at rest in its reference."""

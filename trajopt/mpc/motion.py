@@ -40,10 +40,7 @@ def _polynomials(name: str) -> np.ndarray:
 
 
 class HorizonMotion:
-    """Variables of a horizon as a motion from ``begin`` on, s; it knows nothing of later changes of the horizon.
-
-    Beyond its end it goes on at its last velocities.
-    """
+    """Variables of a horizon as a motion from ``begin`` on, s; it knows nothing of later changes of the horizon."""
 
     def __init__(self, horizon: Horizon, x: np.ndarray, begin: float) -> None:
         layout, unscaled = horizon.layout, x * horizon.transcription.scale
@@ -68,8 +65,8 @@ class HorizonMotion:
         """Its length, s."""
         return float(self.times[-1])
 
-    def sample(self, time: float) -> MotionSample:
-        """The motion at a time, s; before its begin its first state, without extrapolation."""
+    def _state(self, time: float) -> tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Phase, Pinocchio's q, v, a and the wrenches at a time, s."""
         t = min(max(time - self.begin, 0.0), self.duration)
         k = min(int(np.searchsorted(self.times, t, side="right")) - 1, len(self.steps) - 1)
         phase, h, node = int(self.phase_of[k]), float(self.steps[k]), self.nodes[k]
@@ -81,9 +78,18 @@ class HorizonMotion:
         y, first = self.highest[k], node[-nv:]
         xi = start + h * c * first + h * h * (position @ y)
         dxi = first + h * (rate @ y)
-        ddxi, wrench = weights @ y, weights @ self.wrenches[k]
-        state = self.coordinates.local_to_pinocchio(node[:n_rotation], xi, dxi, ddxi)
+        state = self.coordinates.local_to_pinocchio(node[:n_rotation], xi, dxi, weights @ y)
         q, v, a = (part[0] for part in state)
+        return phase, q, v, a, weights @ self.wrenches[k]
+
+    def configuration(self, time: float) -> np.ndarray:
+        """The configuration (nq,) at a time, s."""
+        return self._state(time)[1]
+
+    def sample(self, time: float) -> MotionSample:
+        """The motion at a time, s; before its begin its first state, beyond its end its last."""
+        phase, q, v, a, wrench = self._state(time)
+        nv = self.coordinates.nv
         forces, active = np.zeros((len(self.robot.contacts), 6)), np.zeros(len(self.robot.contacts), bool)
         at = 0
         load = np.zeros(nv)
@@ -98,3 +104,22 @@ class HorizonMotion:
         needed = pin.rnea(self.model, self.data, q, v, a) - load
         torque = self.robot.actuation.inputs(needed)
         return MotionSample(q=q, v=v, a=a, torque=torque, forces=forces, active=active)
+
+
+def predicted(
+    motion: HorizonMotion,
+    time: float,
+    delay: float,
+    state: tuple[np.ndarray, np.ndarray],
+    bandwidth: np.ndarray | float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The state (nq,), (nv,) a delay in s after ``time``: that of a motion, with what is left of the error of now.
+
+    Feedback takes errors out as dd e = -2 w de - w^2 e, with the bandwidth w of each row, 1/s.
+    """
+    model, w = motion.model, bandwidth
+    now, then = motion.sample(time), motion.sample(time + delay)
+    error, rate = pin.difference(model, now.q, state[0]), state[1] - now.v
+    left, kept = rate + w * error, np.exp(-w * delay)
+    q = pin.integrate(model, then.q, kept * (error + delay * left))
+    return q, then.v + kept * (rate - w * delay * left)

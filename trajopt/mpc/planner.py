@@ -8,9 +8,9 @@ up by one, and the mode that is new at the end stands still at first.
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import time as clocks
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +24,8 @@ from trajopt.mpc.commands import Command
 from trajopt.mpc.ground import GroundEstimate
 from trajopt.mpc.horizon import Horizon, Pattern
 from trajopt.mpc.motion import HorizonMotion
-from trajopt.mpc.reference import HorizonWeights
+from trajopt.mpc.plans import FRESH, ControllerReport, SolverSettings, is_lost
+from trajopt.mpc.reference import REFERENCE, HorizonWeights, leg_terms, reference_layout
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
@@ -36,8 +37,6 @@ SUNK = 0.01
 SOFT = 0.1
 # A foot in the air is drawn to where it should land by this factor at the end of its swing, over its height.
 PULL = 0.2
-# Multipliers of rows above this (over their units) count as a start that was lost: the next plan begins anew.
-LOST = 1e6
 
 
 @checked
@@ -49,11 +48,7 @@ class PlannerSettings:
         scheme: of the transcription, collocation of the acceleration ("legendre:2", "radau:3").
         intervals: of a whole period of a gait.
         span: the least length of what follows the present mode, in periods.
-        steps: of the interior point at each tick, at least.
-        most_steps: where residuals stay above ``tolerance``.
-        changed_steps: at most, where the pattern of contacts is another than that of the last tick.
-        tolerance: of rows and optimality, over their units, with which a tick ends.
-        barrier: of the interior point; most_barrier: to which short steps raise it.
+        solver: its steps at each tick.
         lift: height of swings over the robot's length.
         weights: of the cost.
     """
@@ -61,27 +56,9 @@ class PlannerSettings:
     scheme: str = "legendre:2"
     intervals: PositiveCount = 8
     span: Positive = 0.5
-    steps: PositiveCount = 2
-    most_steps: PositiveCount = 4
-    changed_steps: PositiveCount = 6
-    tolerance: Positive = 1e-2
-    barrier: Positive = 1e-4
-    most_barrier: Positive = 1e-2
+    solver: SolverSettings = SolverSettings()
     lift: Positive = 0.15
     weights: HorizonWeights = HorizonWeights()
-
-
-@dataclass
-class PlanReport:
-    """Of one plan: seconds in the solver, and of the whole; residuals before the last step; what was relaxed."""
-
-    seconds: float = 0.0
-    solver_seconds: float = 0.0
-    primal: float = math.inf
-    dual: float = math.inf
-    violations: dict[str, float] = field(default_factory=dict)
-    began_anew: bool = False
-    steps: list = field(default_factory=list)
 
 
 class HorizonPlanner:
@@ -101,14 +78,15 @@ class HorizonPlanner:
             raise InputError(f"robot '{robot.name}' has no free base", "allowed: robots on legs")
         self.robot, self.clock, self.settings, self.friction = robot, clock, settings, friction
         self.horizons: dict[Pattern, Horizon] = {}
-        self.report = PlanReport()
-        self._last: tuple[Horizon, _engine.Iterate, float] | None = None
+        self.report = ControllerReport()
+        self._last: tuple[Horizon, _engine.Iterate] | None = None
         self._maps: dict[tuple[Pattern, Pattern], _Map] = {}
         known, base = contact_positions(robot, robot.reference), robot.reference[:3]
         places = {name: known[name] for name in clock.contacts}
         self._hips = np.array([places[name] - base for name in clock.contacts])
         radii = [robot.contact(name).radius for name in clock.contacts]
         self._radius = np.array(radii)
+        self._layout = reference_layout(robot)
         self._numbers = [robot.contacts.index(robot.contact(name)) for name in clock.contacts]
         self._standing = float(base[2] - min(p[2] - r for p, r in zip(places.values(), radii, strict=True)))
 
@@ -155,36 +133,31 @@ class HorizonPlanner:
         whole = (Mode(modes[0].contacts, self.clock.whole), *modes[1:])
         pattern = self.pattern(modes, whole)
         if pattern not in self.horizons:
-            self.horizons[pattern] = Horizon(
-                self.robot,
-                pattern,
-                self.settings.weights,
-                friction=self.friction,
-                scheme=self.settings.scheme,
-            )
+            terms = leg_terms(self.robot, self.settings.weights, pattern.contacts)
+            settings = {"friction": self.friction, "scheme": self.settings.scheme}
+            self.horizons[pattern] = Horizon(self.robot, pattern, terms, **settings)
         return self.horizons[pattern], modes
 
     def plan(
         self,
-        time_now: float,
+        time: float,
         q: np.ndarray,
         v: np.ndarray,
         command: Command,
         heading: float,
         ground: GroundEstimate,
     ) -> HorizonMotion:
-        """The motion from a state at ``time_now`` s on; the clock is at that time.
+        """The motion from a state at ``time`` s on; the clock is at that time.
 
         heading: in which the base should head now, rad.
         """
-        begun = time.perf_counter()
         horizon, modes = self.horizon()
         least = SHORTEST * self.clock.period
         durations = np.array([max(mode.duration, least) for mode in modes])
         start = horizon.layout.coordinates.node_from_pinocchio(q, self._held(q, v, modes[0].contacts))
         if self._last is not None and self._last[0] is not horizon:
             horizon.durations = durations
-        iterate, steps = self._start(horizon, durations, time_now, start)
+        iterate, steps = self._start(horizon, durations)
         if iterate is not None:
             quaternion = iterate["x"][:4]
             start[:4] *= 1.0 if start[:4] @ quaternion >= 0 else -1.0
@@ -193,41 +166,17 @@ class HorizonPlanner:
         horizon.set_heights(self._landing_heights(horizon, ahead, durations))
         horizon.soften_landing(durations[0] / (SOFT * self.clock.period))
         horizon.durations = durations
-        horizon.set_reference(self._references(horizon, ahead))
+        horizon.set_numbers(REFERENCE, self._reference(horizon.point_times(REFERENCE), ahead))
         horizon.set_durations(durations)
-        barrier = self.settings.barrier
+        solver = self.settings.solver
         if iterate is None:
-            iterate = horizon.solver.complete(
-                self._gliding(horizon, start, 0), np.zeros(len(horizon.compliance)), *horizon.bounds, barrier, 1e-2
-            )
-        node = horizon.layout.node(0)
-        iterate["x"][node] = horizon.lower_x[node]
-        solving = time.perf_counter()
-        iterate, reports = horizon.solver.steps(
-            iterate,
-            *horizon.bounds,
-            horizon.compliance,
-            barrier,
-            self.settings.most_barrier,
-            tolerance=self.settings.tolerance,
-            steps=steps,
-            least_steps=self.settings.steps,
-        )
-        ended = time.perf_counter()
-        worst = max(float(np.abs(iterate["y"]).max()), float(np.abs(iterate["x"]).max()))
-        good = math.isfinite(worst) and worst < LOST and reports[-1]["primal_step"] > 0
-        self._last = (horizon, iterate, time_now) if good else None
-        self.report = PlanReport(
-            seconds=0.0,
-            solver_seconds=ended - solving,
-            primal=reports[-1]["primal"],
-            dual=reports[-1]["dual"],
-            began_anew=not good,
-            steps=reports,
-        )
-        motion = HorizonMotion(horizon, iterate["x"], time_now)
-        self.report.seconds = time.perf_counter() - begun
-        return motion
+            iterate = solver.fresh(horizon, self._gliding(horizon, start, 0))
+        solving = clocks.perf_counter()
+        iterate, reports = solver.solve(horizon, iterate, steps)
+        self.report.solving.append(clocks.perf_counter() - solving)
+        self.report.note(horizon, iterate, reports)
+        self._last = None if is_lost(iterate, reports) else (horizon, iterate)
+        return HorizonMotion(horizon, iterate["x"], time)
 
     def _held(self, q: np.ndarray, v: np.ndarray, contacts: Sequence[str]) -> np.ndarray:
         """The velocity nearest to v, by kinetic energy, with which the contacts that stand do not move."""
@@ -254,23 +203,24 @@ class HorizonPlanner:
         x[horizon.layout.node(begin)] = start
         return np.asarray(x / horizon.transcription.scale)
 
-    def _start(
-        self, horizon: Horizon, durations: np.ndarray, now: float, start: np.ndarray
-    ) -> tuple[_engine.Iterate | None, int]:
-        """The last iterate moved on to this horizon, if there is one, and the number of steps to take."""
+    def _start(self, horizon: Horizon, durations: np.ndarray) -> tuple[_engine.Iterate | None, int]:
+        """The last iterate moved on to this horizon, if there is one, and the number of steps to take at most."""
+        solver = self.settings.solver
         if self._last is None:
-            return None, 4 * self.settings.changed_steps
-        last, iterate, _ = self._last
+            return None, FRESH * solver.changed_steps
+        last, iterate = self._last
         if last is horizon:
-            moved = dict(iterate)
-            moved["x"] = _moved_on(horizon, iterate["x"], durations)
-            return moved, self.settings.most_steps
+            before, after = float(horizon.durations[0]), float(durations[0])
+            if after >= before:
+                return iterate, solver.most_steps
+            parts = np.linspace(0.0, 1.0, horizon.pattern.intervals[0] + 1)
+            x = resampled(horizon, iterate["x"], before * parts, before - after + after * parts)
+            return {**iterate, "x": x}, solver.most_steps
         key = last.pattern, horizon.pattern
         if key not in self._maps:
             self._maps[key] = _Map.of(last, horizon)
-        return self._maps[key].apply(last, horizon, iterate, self.settings.barrier, self._gliding), (
-            self.settings.changed_steps
-        )
+        glide = self._gliding
+        return self._maps[key].apply(last, horizon, iterate, solver, glide), solver.changed_steps
 
     def _landing_heights(
         self, horizon: Horizon, ahead: _Ahead, durations: np.ndarray
@@ -302,14 +252,9 @@ class HorizonPlanner:
         gait = self.clock.gaits.get(self.clock.gait)
         return 0.0 if gait is None else 0.5 * gait[0].duty_of(gait[0].feet[0]) * gait[1]
 
-    def _references(self, horizon: Horizon, ahead: _Ahead) -> list[np.ndarray]:
-        """The reference (n, size) at the times of each of the horizon's places."""
-        times = horizon.point_times()
-        rows = self._reference(horizon, np.concatenate(times), ahead)
-        return np.split(rows, np.cumsum([len(part) for part in times])[:-1])
-
-    def _reference(self, horizon: Horizon, times: np.ndarray, ahead: _Ahead) -> np.ndarray:
-        at, n, last, command = horizon.reference, len(times), float(times.max()), ahead.command
+    def _reference(self, times: np.ndarray, ahead: _Ahead) -> np.ndarray:
+        """The reference (n, size) at times (n,) from now, s."""
+        at, n, last, command = self._layout, len(times), float(times.max()), ahead.command
         rows = np.zeros((n, at.size))
         along, left = ahead.axes(times)
         level = command.speed * along + command.lateral * left
@@ -364,28 +309,23 @@ class _Ahead:
         return np.column_stack([x * cos + y * sin, y * cos - x * sin, w * sin, w * cos])
 
 
-def _moved_on(horizon: Horizon, x: np.ndarray, durations: np.ndarray) -> np.ndarray:
-    """Variables at the new times of nodes and points, where the present mode has become shorter.
+def resampled(horizon: Horizon, x: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Variables of the first intervals, whose nodes were at times ``old`` (n + 1,), at times ``new``.
 
-    Linear between the nodes of the first phase, as far as they are within it; what that misses, a step mends.
+    Linear between nodes, and where new times are beyond the last old one as there; what that misses, a step mends.
     """
-    before, after = float(horizon.durations[0]), float(durations[0])
-    layout, count = horizon.layout, horizon.pattern.intervals[0]
-    if after >= before:
-        return x.copy()
-    moved = x.copy()
-    old = np.arange(count + 1) * before / count
-    new = before - after + np.arange(count + 1) * after / count
+    layout, count, moved = horizon.layout, len(old) - 1, x.copy()
     nodes = np.array([x[layout.node(k)] for k in range(count + 1)])
     controls = np.array([x[layout.window(k)][layout.forms[k].size :] for k in range(count)])
+    n_rotation = 4 * layout.coordinates.n_rotations
     for k in range(count):
         place = min(int(np.searchsorted(old, new[k], side="right")) - 1, count - 1)
-        share = (new[k] - old[place]) / (old[place + 1] - old[place])
+        share = min((new[k] - old[place]) / (old[place + 1] - old[place]), 1.0)
         node = (1 - share) * nodes[place] + share * nodes[place + 1]
-        node[:4] /= np.linalg.norm(node[:4])
+        if n_rotation:
+            node[:n_rotation] /= np.linalg.norm(node[:n_rotation])
         moved[layout.node(k)] = node
-        middle = (new[k] + new[k + 1]) / 2
-        near = min(int(middle / before * count), count - 1)
+        near = min(int(np.searchsorted(old, (new[k] + new[k + 1]) / 2, side="right")) - 1, count - 1)
         moved[layout.window(k)][layout.forms[k].size :] = controls[near]
     return moved
 
@@ -431,7 +371,14 @@ class _Map:
         slacks = slack_of[0][rows[0]][both], slack_of[1][rows[1]][both]
         return cls((np.concatenate(source), np.concatenate(target)), rows, slacks, stages)
 
-    def apply(self, last, horizon, iterate, barrier, gliding) -> _engine.Iterate:
+    def apply(
+        self,
+        last: Horizon,
+        horizon: Horizon,
+        iterate: _engine.Iterate,
+        solver: SolverSettings,
+        gliding: Callable[[Horizon, np.ndarray, int], np.ndarray],
+    ) -> _engine.Iterate:
         """The iterate of the horizon: what is new goes on from the end of what was kept."""
         scale = horizon.transcription.scale
         old = np.zeros(len(scale))
@@ -441,14 +388,12 @@ class _Map:
             end = (last.transcription.scale * iterate["x"])[last.layout.node(last.layout.n_stages)]
         x = gliding(horizon, end, self.kept)
         x[self.variables[1]] = iterate["x"][self.variables[0]]
-        y = np.zeros(len(horizon.compliance))
-        y[self.rows[1]] = iterate["y"][self.rows[0]]
-        fresh = horizon.solver.complete(x, y, *horizon.bounds, barrier, 1e-2)
-        for name, (source, target) in (
-            ("lower_x", self.variables), ("upper_x", self.variables),
-            ("s", self.slacks), ("lower_s", self.slacks), ("upper_s", self.slacks),
-        ):
-            fresh[name][target] = iterate[name][source]
+        fresh = solver.fresh(horizon, x)
+        fresh["y"][self.rows[1]] = iterate["y"][self.rows[0]]
+        for name in ("lower_x", "upper_x"):
+            fresh[name][self.variables[1]] = iterate[name][self.variables[0]]  # type: ignore[literal-required]
+        for name in ("s", "lower_s", "upper_s"):
+            fresh[name][self.slacks[1]] = iterate[name][self.slacks[0]]  # type: ignore[literal-required]
         fresh["barrier"] = iterate["barrier"]
         return fresh
 
@@ -469,8 +414,6 @@ def _rows_alike(last: Horizon, horizon: Horizon, first: int, stages: int) -> tup
         }
 
     old, new = blocks(last, first), blocks(horizon, 0)
-    pairs = [
-        (old[key], where) for key, where in new.items() if key in old and len(old[key]) == len(where)
-    ]
+    pairs = [(old[key], where) for key, where in new.items() if key in old and len(old[key]) == len(where)]
     empty = [(np.zeros(0, dtype=int), np.zeros(0, dtype=int))]
     return tuple(np.concatenate([pair[i] for pair in pairs or empty]) for i in (0, 1))

@@ -11,7 +11,7 @@ with s a factor for each axis of each foot, and the cost of torques, forces and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,10 +21,16 @@ from typing_extensions import override
 
 from trajopt.arguments import NonNegative, checked
 from trajopt.dynamics.rotations import quaternion_product, rotation_matrix
+from trajopt.mpc.horizon import Numbers
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import Cost
+from trajopt.terms.costs import AccelerationCost, TorqueCost, WrenchCost
+from trajopt.terms.friction import FrictionPyramid, SoleCone
+from trajopt.terms.interfaces import Cost, Term
+from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
+
+REFERENCE = "reference"
 
 
 @checked
@@ -82,19 +88,15 @@ class ReferenceLayout:
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceCost(Cost):
-    """Weighted squares of distances from the reference of the module, which is a parameter.
-
-    reference: a function of time of that size; its values are replaced point by point.
-    """
+    """Weighted squares of distances from the reference of the module, `Numbers` of that name."""
 
     weights: HorizonWeights
-    reference: Callable[[float], np.ndarray]
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:
         robot, w = context.robot, self.weights
-        at = ReferenceLayout(robot.nv - 6, len(robot.contacts))
-        r = context.varying(self.reference, at.size)
+        at = reference_layout(robot)
+        r = context.varying(Numbers(REFERENCE, at.size), at.size)
         conjugate = r[at.quaternion] * ca.SX([-1, -1, -1, 1])
         turn = 2 * quaternion_product(conjugate, context.q[3:7])[:3]
         level, spin = [w.velocity, w.velocity, w.rise], [w.spin] * 3
@@ -124,6 +126,22 @@ class ReferenceCost(Cost):
         residual = self.residual(context, units)
         context.square(residual, ca.SX(self.weight))
         return self.weight * ca.sumsqr(residual)
+
+
+def leg_terms(robot: Robot, weights: HorizonWeights, contacts: Sequence[Sequence[str]]) -> tuple[Term, ...]:
+    """Costs and hard limits of a robot on legs, whose contacts in each phase are these."""
+    kinds = {robot.contact(name).kind for names in contacts for name in names}
+    cones = (("point", FrictionPyramid()), ("surface", SoleCone()))
+    return (
+        ReferenceCost(weight=1.0, weights=weights),
+        TorqueCost(weight=weights.torque),
+        *([WrenchCost(weight=weights.wrench)] if kinds else []),
+        AccelerationCost(weight=weights.acceleration, joints_only=True),
+        *(cone for kind, cone in cones if kind in kinds),
+        TorqueLimits(),
+        VelocityLimits(),
+        PositionLimits(),
+    )
 
 
 def reference_layout(robot: Robot) -> ReferenceLayout:

@@ -1,0 +1,292 @@
+"""Manipulators: a tool follows a target that moves, with limits, links and obstacles kept, plan after plan.
+
+The cost of a horizon, over natural units, e the error of the tool's frame against the target that goes on at its
+velocity, is
+
+    sum over the horizon of  w_p |e_p / l|^2 + w_r |e_r|^2 + w_v |q' sqrt(l / g)|^2 + costs of torques, accelerations
+
+Pairs of bodies keep apart by rows n . (x_i(q) - x_j(q)) >= margin along the normal n between the points x_i, x_j at
+which they come nearest in the last plan (Schulman et al., Int. J. Robotics Research 33, 2014, sec. V), at all points.
+"""
+
+from __future__ import annotations
+
+import time as clocks
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+from typing_extensions import override
+
+from trajopt import _engine
+from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
+from trajopt.collision.description import robot_shapes
+from trajopt.collision.near import CollisionScene, ShapePair
+from trajopt.collision.shapes import Obstacle
+from trajopt.control.limits import friction_of_drives, limits_with_drives
+from trajopt.errors import InputError
+from trajopt.mpc.horizon import Horizon, Numbers, Pattern
+from trajopt.mpc.motion import HorizonMotion, predicted
+from trajopt.mpc.planner import resampled
+from trajopt.mpc.plans import FRESH, ControllerReport, Plans, SolverSettings, is_lost
+from trajopt.robot.contact import require_frame
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.terms.context import Context
+from trajopt.terms.costs import AccelerationCost, TorqueCost
+from trajopt.terms.interfaces import Cost, PointConstraint, Rows
+from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
+
+TARGET, NEAR = "target", "near"
+# A point's pair of bodies: normal, nearest point of the first and of the second in its frame, least distance.
+PAIR = 10
+# Pairs farther apart than this part of the robot's length have no row at a tick.
+WITHIN = 0.1
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class ArmSettings:
+    """Settings of an arm's controller.
+
+    Args:
+        period: of plans, s; delay: after which a plan is ready, s.
+        span: of the horizon, s; intervals: of it; scheme: of the transcription.
+        solver: its steps at each tick.
+        live: as of `ControllerSettings`.
+        margin: least distance of links from each other and from obstacles, m.
+        position, rotation: weights of the tool's errors; rates, posture, torque, acceleration: of joints.
+        bandwidth: of the feedback of joints, 1/s.
+    """
+
+    period: Positive = 0.01
+    delay: NonNegative = 0.01
+    span: Positive = 0.6
+    intervals: PositiveCount = 6
+    scheme: str = "legendre:2"
+    solver: SolverSettings = SolverSettings()
+    live: bool = False
+    margin: NonNegative = 0.02
+    position: NonNegative = 200.0
+    rotation: NonNegative = 5.0
+    rates: NonNegative = 0.1
+    posture: NonNegative = 0.01
+    torque: NonNegative = 0.01
+    acceleration: NonNegative = 0.002
+    bandwidth: Positive = 40.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """Where the tool should be: position (3,) m and rotation (3, 3) in the world, and its velocity (3,) m/s.
+
+    Without a rotation the tool may turn.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetCost(Cost):
+    """The cost of the module on a frame; its `Numbers` are p (3,), R (9,) by columns and a factor of e_r."""
+
+    frame: str
+    settings: ArmSettings
+    posture: np.ndarray
+
+    @override
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        given, w = context.varying(Numbers(TARGET, 13), 13), self.settings
+        frame, goal = context.frame(self.frame), ca.reshape(given[3:12], 3, 3)
+        turn = ca.mtimes(goal.T, frame.rotation)
+        twist = ca.vertcat(turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]) / 2
+        parts = [
+            (w.position, (frame.position - given[:3]) / units.length),
+            (w.rotation, given[12] * twist),
+            (w.rates, context.dxi * units.time),
+            (w.posture, context.xi - context.parameter(self.posture)),
+        ]
+        weights = context.parameter(np.concatenate([np.full(part.numel(), each) for each, part in parts]))
+        return ca.sqrt(weights) * ca.vertcat(*[part for _, part in parts])
+
+    @override
+    def value(self, context: Context, units: Units) -> ca.SX:
+        residual = self.residual(context, units)
+        context.square(residual, ca.SX(self.weight))
+        return self.weight * ca.sumsqr(residual)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NearLinks(PointConstraint):
+    """Rows of pairs of bodies, see the module. carriers: frames of each pair; None for what does not move."""
+
+    carriers: tuple[tuple[str | None, str | None], ...]
+
+    @override
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        size = PAIR * len(self.carriers)
+        given = context.varying(Numbers(NEAR, size), size)
+        apart = []
+        for pair, (first, second) in zip(ca.vertsplit(given, PAIR), self.carriers, strict=True):
+            normal, least = pair[:3], pair[9]
+            places = [
+                at
+                if name is None
+                else context.frame(name).position + ca.mtimes(context.frame(name).rotation, at)
+                for name, at in ((first, pair[3:6]), (second, pair[6:9]))
+            ]
+            apart.append(ca.dot(normal, places[0] - places[1]) - least)
+        return Rows.create(ca.vertcat(*apart), 0.0, np.inf, units.length) if apart else None
+
+
+class ArmController:
+    """Receding-horizon control of a robot on a fixed base whose tool follows a target.
+
+    Args:
+        robot: with a fixed base.
+        tool: the frame that follows; default the last frame of the model.
+        obstacles: placed in the world.
+        settings: of plans and feedback.
+
+    Raises:
+        InputError: for another base or frame.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        tool: str | None = None,
+        obstacles: Sequence[Obstacle] = (),
+        settings: ArmSettings | None = None,
+    ) -> None:
+        if robot.base != "fixed":
+            raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a fixed base, an arm")
+        self.robot, self.settings = robot, settings or ArmSettings()
+        self.tool = tool or robot.model.frames[robot.model.nframes - 1].name
+        require_frame(robot.model, self.tool, "the tool")
+        self.scene: CollisionScene = robot_shapes(robot).scene(robot.model, None, obstacles)
+        moving = {shape.name: shape.frame for shape in self.scene.moving}
+        self.pairs: tuple[ShapePair, ...] = self.scene.pairs
+        frames = tuple((moving.get(a), moving.get(b)) for a, b in self.pairs)
+        self._least = self._margins()
+        w = self.settings
+        terms = (
+            TargetCost(weight=1.0, frame=self.tool, settings=w, posture=robot.reference),
+            TorqueCost(weight=w.torque),
+            AccelerationCost(weight=w.acceleration),
+            TorqueLimits(),
+            VelocityLimits(),
+            PositionLimits(),
+            *([NearLinks(carriers=frames)] if frames else []),
+        )
+        pattern = Pattern(((),), (w.intervals,))
+        self.horizon = Horizon(robot, pattern, terms, scheme=w.scheme, nominal=w.span)
+        self._frames = frames
+        self.plans = Plans(w.period, w.delay, live=w.live)
+        self._iterate: _engine.Iterate | None = None
+        self._begin = 0.0
+        self._data = robot.model.createData()
+        self._high = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
+        self._drives = robot.drives or (None,) * robot.nu
+
+    def _margins(self) -> np.ndarray:
+        """Least distance (n,) of each pair, m: of links no more than in the reference posture."""
+        usual = np.full(len(self.pairs), self.settings.margin)
+        own = slice(self.scene.n_outer, None)
+        usual[own] = np.minimum(usual[own], self.scene.distances(self.robot.reference)[0, own])
+        return usual
+
+    def step(self, time: float, q: np.ndarray, v: np.ndarray, target: Target) -> np.ndarray:
+        """Torques (nu,) for a tick at ``time`` s, with the measured state (nq,), (nv,)."""
+        motion = self.plans.motion
+
+        def make(begin: float) -> HorizonMotion:
+            state = q, v
+            if motion is not None and begin > time:
+                state = predicted(motion, time, begin - time, state, self.settings.bandwidth)
+            return self._plan(begin, *state, target, motion)
+
+        motion_now = self.plans.update(time, make)
+        begun = clocks.perf_counter()
+        wanted, w, model = motion_now.sample(time), self.settings.bandwidth, self.robot.model
+        error, rate = pin.difference(model, q, wanted.q), wanted.v - v
+        rows, force = (
+            self.robot.actuation,
+            pin.rnea(model, self._data, q, v, wanted.a + w**2 * error + 2 * w * rate),
+        )
+        rates, low, high = rows.rates(v), self.robot.least_torque(self._high), self._high
+        torque = rows.inputs(force)
+        if any(drive is not None for drive in self._drives):
+            low, high = limits_with_drives(self._drives, rates, low, high)
+            torque = torque + friction_of_drives(self._drives, rates)
+        self.report.following.append(clocks.perf_counter() - begun)
+        return np.asarray(np.clip(torque, low, high))
+
+    @property
+    def report(self) -> ControllerReport:
+        """What happened until now."""
+        return self.plans.report
+
+    def _plan(
+        self, begin: float, q: np.ndarray, v: np.ndarray, target: Target, last: HorizonMotion | None
+    ) -> HorizonMotion:
+        horizon, solver = self.horizon, self.settings.solver
+        horizon.set_start(horizon.layout.coordinates.node_from_pinocchio(q, v))
+        horizon.set_numbers(TARGET, self._targets(target, horizon.point_times(TARGET)))
+        if self.pairs:
+            horizon.set_numbers(NEAR, self._near(horizon.point_times(NEAR), begin, q, last))
+        horizon.set_durations(horizon.durations)
+        if self._iterate is None:
+            x, node = horizon.guess(), horizon.layout.node(0)
+            for k in range(1, horizon.layout.n_stages + 1):
+                x[horizon.layout.node(k)][: len(q)] = horizon.lower_x[node][: len(q)]
+            iterate, most = solver.fresh(horizon, x), FRESH * solver.changed_steps
+        else:
+            old = horizon.node_times
+            x = resampled(horizon, self._iterate["x"], old, old + begin - self._begin)
+            iterate, most = {**self._iterate, "x": x}, solver.most_steps
+        solving = clocks.perf_counter()
+        iterate, reports = solver.solve(horizon, iterate, most)
+        self.report.solving.append(clocks.perf_counter() - solving)
+        self.report.note(horizon, iterate, reports)
+        lost = is_lost(iterate, reports)
+        self._iterate, self._begin = (None if lost else iterate), begin
+        if lost and last is not None:
+            return last
+        return HorizonMotion(horizon, iterate["x"], begin)
+
+    def _targets(self, target: Target, times: np.ndarray) -> np.ndarray:
+        rows = np.zeros((len(times), 13))
+        velocity = np.zeros(3) if target.velocity is None else target.velocity
+        rows[:, :3] = target.position + times[:, None] * velocity
+        rows[:, 3:12] = (np.eye(3) if target.rotation is None else target.rotation).T.ravel()
+        rows[:, 12] = target.rotation is not None
+        return rows
+
+    def _near(self, times: np.ndarray, begin: float, q: np.ndarray, last: HorizonMotion | None) -> np.ndarray:
+        """Rows of pairs (n, PAIR times the pairs) at times (n,) of the plan to be made, from the last plan."""
+        if last is None:
+            configurations = np.tile(q, (len(times), 1))
+        else:
+            configurations = np.array([last.configuration(begin + time) for time in times])
+        rows = np.zeros((len(times), len(self.pairs), PAIR))
+        rows[:, :, 9] = -self.robot.length
+        within = WITHIN * self.robot.length
+        distances = self.scene.distances(configurations, within)
+        model, data = self.robot.model, self._data
+        for pair in np.flatnonzero((distances < within).any(axis=0)):
+            nearest = int(distances[:, pair].argmin())
+            witness = self.scene.witness(configurations[nearest], self.pairs[pair])
+            pin.framesForwardKinematics(model, data, configurations[nearest])
+            entry = np.append(witness.normal, np.zeros(PAIR - 3))
+            entry[9] = self._least[pair]
+            places = ((3, witness.first_point), (6, witness.second_point))
+            for (first, place), name in zip(places, self._frames[pair], strict=True):
+                frame = None if name is None else data.oMf[model.getFrameId(name)]
+                entry[first : first + 3] = place if frame is None else frame.actInv(place)
+            rows[:, pair] = entry
+        return rows.reshape(len(times), -1)
