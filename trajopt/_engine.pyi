@@ -131,7 +131,7 @@ class Iterate(TypedDict):
     barrier: float
 
 class StepReport(TypedDict):
-    """Residuals before a step, and what it did: steps are zero where no matrix could be factorised."""
+    """Residuals before a step, what it did, and rows ``after`` it; steps are zero without a factorisation."""
 
     primal: float
     dual: float
@@ -140,6 +140,7 @@ class StepReport(TypedDict):
     dual_step: float
     regularization: float
     barrier: float
+    after: float
     factorizations: int
 
 class InteriorPoint:

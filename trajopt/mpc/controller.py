@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time as clocks
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from trajopt.schedule.gaits import gait_of
 PERIODS = {"trot": 2.6, "walk": 4.0, "pace": 2.6, "bound": 2.4, "pronk": 2.4}
 # A contact that is lost for less than this part of sqrt(l / g) goes on transmitting forces.
 CHATTER = 0.05
+# Speeds follow commands at this part of g, and turns at this over l / g.
+FASTEST, FASTEST_TURN = 0.3, 0.4
 # The commanded heading leads that of the base by at most so much, rad.
 FARTHEST = 0.3
 
@@ -78,6 +80,7 @@ class Controller:
         self.plans = Plans(self.settings.period, self.settings.delay, live=self.settings.live)
         self.planner.report = self.plans.report
         self._heading: float | None = None
+        self._asked = Command()
         self._now = 0.0
         self._touched = np.full(len(robot.contacts), -math.inf)
         self._feet = [robot.contacts.index(robot.contact(name)) for name in names]
@@ -104,7 +107,7 @@ class Controller:
             raise InputError(f"gait is '{command.gait}'", f"allowed: {allowed}")
         touching = np.asarray(contacts, dtype=bool)
         self._pass(time, q, touching, command)
-        motion = self.plans.update(time, self._maker(time, q, v, command))
+        motion = self.plans.update(time, self._maker(time, q, v, self._asked))
         begun = clocks.perf_counter()
         wanted = motion.sample(time)
         active = self._active(time, wanted.active, touching)
@@ -130,11 +133,27 @@ class Controller:
         self.ground.touch(places, feet)
         x, y, z, w = q[3:7]
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        self._asked = self._nearer(self._asked, command, passed)
         if self._heading is None:
             self._heading = yaw
-        self._heading += command.turn_rate * passed
+        self._heading += self._asked.turn_rate * passed
         away = math.remainder(self._heading - yaw, 2 * math.pi)
         self._heading = yaw + min(max(away, -FARTHEST), FARTHEST)
+
+    def _nearer(self, now: Command, command: Command, passed: float) -> Command:
+        """What is asked for after some time on the way to a command: speeds change at bounded rates."""
+        length = self.robot.length
+        rates = {
+            "speed": FASTEST * length / self.unit**2,
+            "lateral": FASTEST * length / self.unit**2,
+            "turn_rate": FASTEST_TURN / self.unit**2,
+            "height": length / self.unit / 4,
+        }
+        moved = {}
+        for name, rate in rates.items():
+            before, wanted, most = getattr(now, name), getattr(command, name), rate * passed
+            moved[name] = before + min(max(wanted - before, -most), most)
+        return replace(command, **moved)
 
     @property
     def report(self) -> ControllerReport:

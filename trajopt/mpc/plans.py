@@ -77,7 +77,7 @@ def is_lost(iterate: _engine.Iterate, reports: list[_engine.StepReport]) -> bool
 class ControllerReport:
     """Of all ticks: seconds of plans, of their solver alone and of torques; what happened to plans.
 
-    steps: of the solver. primal: residuals of the rows of plans before their last step. missed: plans that were
+    steps: of the solver. primal: residuals of the rows of plans. missed: plans that were
     not ready in time. anew: plans that lost their start. relaxed: plans whose rows are violated by more than
     `RELAXED` of their units, by the name of the rows; violations: the largest.
     """
@@ -95,7 +95,7 @@ class ControllerReport:
     def note(self, horizon: Horizon, iterate: _engine.Iterate, reports: list[_engine.StepReport]) -> None:
         """Count a plan."""
         self.steps.append(len(reports))
-        self.primal.append(reports[-1]["primal"])
+        self.primal.append(reports[-1]["after"])
         self.anew += is_lost(iterate, reports)
         for name, violation in horizon.violations(iterate["y"]).items():
             self.relaxed[name] = self.relaxed.get(name, 0) + (violation > RELAXED)

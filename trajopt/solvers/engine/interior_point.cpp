@@ -13,6 +13,9 @@ namespace {
 constexpr double kFirst = 1e-4, kGrowth = 8, kDecay = 1.0 / 3, kLeast = 1e-9, kMost = 1e8;
 // Multipliers of bounds stay within this factor of barrier / distance (IPOPT's kappa_sigma).
 constexpr double kNear = 1e10;
+// A step after which rows are missed by more than so many times, and so much more, is halved, so often at most.
+constexpr double kWorse = 2, kMore = 0.1;
+constexpr int kHalvings = 3;
 // Steps shorter than this raise the barrier by a factor, others lower it by one.
 constexpr double kShort = 0.4, kRaise = 5, kLower = 0.2;
 
@@ -203,7 +206,20 @@ bool InteriorPoint::factorize(StepReport& report) {
   return false;
 }
 
-void InteriorPoint::advance(Iterate& it, const Bounds& bounds, const StepSettings& settings, StepReport& report) {
+// Largest residual of the rows.
+double InteriorPoint::primal(const Iterate& it, const Bounds& bounds, const Reals& compliance) const {
+  const Reals g = nlp_->g(it.x.data());
+  double worst = 0;
+  for (std::size_t r = 0; r < g.size(); ++r) {
+    const double wanted = slack_of_[r] < 0 ? bounds.lower_g[r] : it.s[slack_of_[r]];
+    const double miss = std::abs(g[r] - wanted - compliance[r] * it.y[r]);
+    if (!(miss <= worst)) worst = miss;  // written this way, a NaN is the worst
+  }
+  return worst;
+}
+
+void InteriorPoint::advance(Iterate& it, const Bounds& bounds, const Reals& compliance, const StepSettings& settings,
+                            StepReport& report) {
   const double barrier = it.barrier;
   const KktSizes sizes{static_cast<int>(free_.size()), static_cast<int>(equal_.size()), n_s()};
   double primal = 1, dual = 1;
@@ -235,12 +251,24 @@ void InteriorPoint::advance(Iterate& it, const Bounds& bounds, const StepSetting
     limit(it.s[i], rhs_[sizes.slack() + i], bounds.lower_g[r], bounds.upper_g[r], it.lower_s[i], it.upper_s[i],
           step.lower_s[i], step.upper_s[i]);
   }
+  const Iterate start = it;
+  auto move = [&](double by) {
+    for (std::size_t i = 0; i < free_.size(); ++i) it.x[free_[i]] = start.x[free_[i]] + by * rhs_[i];
+    for (std::size_t i = 0; i < equal_.size(); ++i)
+      it.y[equal_[i]] = start.y[equal_[i]] + by * rhs_[sizes.equality() + i];
+    for (int i = 0; i < n_s(); ++i) {
+      it.s[i] = start.s[i] + by * rhs_[sizes.slack() + i];
+      it.y[unequal_[i]] = start.y[unequal_[i]] + by * rhs_[sizes.inequality() + i];
+    }
+    report.after = this->primal(it, bounds, compliance);
+  };
+  move(primal);
+  for (int k = 0; k < kHalvings && !(report.after <= kWorse * report.primal + kMore); ++k) move(primal /= 2);
   auto near = [barrier](double multiplier, double distance) {
     return std::clamp(multiplier, barrier / distance / kNear, barrier / distance * kNear);
   };
   for (std::size_t i = 0; i < free_.size(); ++i) {
     const int v = free_[i];
-    it.x[v] += primal * rhs_[i];
     if (bounded(bounds.lower_x[v]))
       it.lower_x[v] = near(it.lower_x[v] + dual * step.lower_x[i], it.x[v] - bounds.lower_x[v]);
     if (bounded(bounds.upper_x[v]))
@@ -248,14 +276,11 @@ void InteriorPoint::advance(Iterate& it, const Bounds& bounds, const StepSetting
   }
   for (int i = 0; i < n_s(); ++i) {
     const int r = unequal_[i];
-    it.s[i] += primal * rhs_[sizes.slack() + i];
     if (bounded(bounds.lower_g[r]))
       it.lower_s[i] = near(it.lower_s[i] + dual * step.lower_s[i], it.s[i] - bounds.lower_g[r]);
     if (bounded(bounds.upper_g[r]))
       it.upper_s[i] = near(it.upper_s[i] + dual * step.upper_s[i], bounds.upper_g[r] - it.s[i]);
-    it.y[r] += primal * rhs_[sizes.inequality() + i];
   }
-  for (std::size_t i = 0; i < equal_.size(); ++i) it.y[equal_[i]] += primal * rhs_[sizes.equality() + i];
   report.primal_step = primal;
   report.dual_step = dual;
   const double next = it.barrier * (std::min(primal, dual) < kShort ? kRaise : kLower);
@@ -279,7 +304,7 @@ std::vector<StepReport> InteriorPoint::steps(Iterate& it, const Bounds& bounds, 
     if (factorize(report)) {
       kkt_->solve(rhs_.data());
       if (!all_finite(rhs_)) report.factorizations = 0;
-      else advance(it, bounds, settings, report);
+      else advance(it, bounds, compliance, settings, report);
     }
     reports.push_back(report);
     if (report.primal_step == 0) break;

@@ -23,9 +23,10 @@ struct Iterate {
 };
 
 // Residuals before a step: of the rows, of the Lagrangian's gradient and of complementarity, largest entries; what the
-// step did. Zero steps where the matrix could not be factorised.
+// step did, and the residual of the rows after it. Zero steps where the matrix could not be factorised.
 struct StepReport {
-  double primal = 0, dual = 0, complementarity = 0, primal_step = 0, dual_step = 0, regularization = 0, barrier = 0;
+  double primal = 0, dual = 0, complementarity = 0, primal_step = 0, dual_step = 0, regularization = 0, barrier = 0,
+         after = 0;
   int factorizations = 0;
 };
 
@@ -54,6 +55,7 @@ class InteriorPoint {
   int n_s() const { return static_cast<int>(unequal_.size()); }
 
  private:
+  // Steps of the multipliers of bounds.
   struct Step {
     Reals lower_x, upper_x, lower_s, upper_s;
   };
@@ -62,7 +64,9 @@ class InteriorPoint {
   void set_values(const Iterate& it, const Bounds& bounds, const Reals& compliance);
   void set_rhs(const Iterate& it, const Bounds& bounds, const Reals& compliance, double barrier, StepReport& report);
   bool factorize(StepReport& report);
-  void advance(Iterate& it, const Bounds& bounds, const StepSettings& settings, StepReport& report);
+  double primal(const Iterate& it, const Bounds& bounds, const Reals& compliance) const;
+  void advance(Iterate& it, const Bounds& bounds, const Reals& compliance, const StepSettings& settings,
+               StepReport& report);
 
   std::shared_ptr<Nlp> nlp_;
   Indices free_, equal_, unequal_;              // variables and rows by kind

@@ -317,6 +317,7 @@ nb::list to_list(const std::vector<StepReport>& reports) {
     one["dual_step"] = report.dual_step;
     one["regularization"] = report.regularization;
     one["barrier"] = report.barrier;
+    one["after"] = report.after;
     one["factorizations"] = report.factorizations;
     result.append(one);
   }
