@@ -7,6 +7,7 @@ import time as clocks
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.errors import InputError
@@ -29,6 +30,8 @@ PERIODS = {"trot": 2.6, "walk": 4.0, "pace": 2.6, "bound": 2.4, "pronk": 2.4}
 CHATTER = 0.05
 # Speeds follow commands at this part of g, and turns at this over l / g.
 FASTEST, FASTEST_TURN = 0.3, 0.4
+# What speeds lack is integrated at this rate over sqrt(l / g), where it is below a part of sqrt(g l), up to one.
+STEADY, SMALL, MOST = 0.3, 0.2, 0.15
 # The commanded heading leads that of the base by at most so much, rad.
 FARTHEST = 0.3
 
@@ -81,6 +84,7 @@ class Controller:
         self.planner.report = self.plans.report
         self._heading: float | None = None
         self._asked = Command()
+        self._lacking = np.zeros(2)
         self._now = 0.0
         self._touched = np.full(len(robot.contacts), -math.inf)
         self._feet = [robot.contacts.index(robot.contact(name)) for name in names]
@@ -106,8 +110,8 @@ class Controller:
             allowed = ", ".join((STAND, *self.clock.gaits))
             raise InputError(f"gait is '{command.gait}'", f"allowed: {allowed}")
         touching = np.asarray(contacts, dtype=bool)
-        self._pass(time, q, touching, command)
-        motion = self.plans.update(time, self._maker(time, q, v, self._asked))
+        self._pass(time, q, v, touching, command)
+        motion = self.plans.update(time, self._maker(time, q, v, self._corrected))
         begun = clocks.perf_counter()
         wanted = motion.sample(time)
         active = self._active(time, wanted.active, touching)
@@ -121,7 +125,9 @@ class Controller:
 
     commands = None
 
-    def _pass(self, time: float, q: np.ndarray, touching: np.ndarray, command: Command) -> None:
+    def _pass(
+        self, time: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, command: Command
+    ) -> None:
         """Let time pass for clock, heading and the estimate of the ground."""
         passed, self._now = time - self._now, time
         feet = touching[self._feet]
@@ -134,11 +140,31 @@ class Controller:
         x, y, z, w = q[3:7]
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         self._asked = self._nearer(self._asked, command, passed)
+        self._integrate(passed, q, v, yaw)
         if self._heading is None:
             self._heading = yaw
         self._heading += self._asked.turn_rate * passed
         away = math.remainder(self._heading - yaw, 2 * math.pi)
         self._heading = yaw + min(max(away, -FARTHEST), FARTHEST)
+
+    def _integrate(self, passed: float, q: np.ndarray, v: np.ndarray, yaw: float) -> None:
+        """What the level speeds of a gait lack on average, which an error of the model leaves."""
+        x, y, z, w = q[3:7]
+        level = (pin.Quaternion(w, x, y, z).toRotationMatrix() @ v[:3])[:2]
+        turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+        lacks = np.array([self._asked.speed, self._asked.lateral]) - turn @ level
+        unit = self.robot.length / self.unit
+        if self.clock.gait == STAND:
+            self._lacking[:] = 0.0
+        elif np.linalg.norm(lacks) < SMALL * unit:
+            moved = self._lacking + passed * STEADY / self.unit * lacks
+            self._lacking = np.clip(moved, -MOST * unit, MOST * unit)
+
+    @property
+    def _corrected(self) -> Command:
+        """What is asked for, with what was lacking."""
+        speed, lateral = self._asked.speed + self._lacking[0], self._asked.lateral + self._lacking[1]
+        return replace(self._asked, speed=float(speed), lateral=float(lateral))
 
     def _nearer(self, now: Command, command: Command, passed: float) -> Command:
         """What is asked for after some time on the way to a command: speeds change at bounded rates."""

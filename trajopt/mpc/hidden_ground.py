@@ -14,8 +14,8 @@ from trajopt.terrain.piecewise import REACH, PiecewiseTerrain
 AHEAD = 0.5
 # Steepest slope, degrees: far beyond what friction of 0.7 holds.
 STEEPEST = 60.0
-# Boxes along and across, and their sides: this part of the robot's length, at least so many m.
-ALONG, ACROSS, SIDE, LEAST_SIDE = 12, 8, 0.8, 0.25
+# Boxes along and across; their sides: this part of the robot's length, at least so many m; gaps over sides.
+ALONG, ACROSS, SIDE, LEAST_SIDE, GAP = 10, 6, 0.8, 0.25, 0.2
 
 
 @checked
@@ -36,7 +36,7 @@ def slope_ahead(degrees: float) -> PiecewiseTerrain:
 
 @checked
 def boxes_ahead(robot: Robot, part: Fraction, seed: Count = 0) -> PiecewiseTerrain:
-    """Level ground, and from `AHEAD` m on, for 3 m or more, boxes side by side.
+    """Level ground, and from `AHEAD` m on, for 3 m or more, boxes in rows.
 
     Args:
         robot: which walks over them.
@@ -44,11 +44,12 @@ def boxes_ahead(robot: Robot, part: Fraction, seed: Count = 0) -> PiecewiseTerra
         seed: of the heights.
     """
     side = max(SIDE * robot.length, LEAST_SIDE)
+    pitch = (1 + GAP) * side
     heights = np.random.default_rng(seed).uniform(0.0, part * robot.length, (ALONG, ACROSS))
     ground = Patch.rectangle((0.0, 0.0, 0.0), (2 * REACH, 2 * REACH), name="ground")
     boxes = [
         Patch.rectangle(
-            (AHEAD + (i + 0.5) * side, (j + 0.5 - ACROSS / 2) * side, height),
+            (AHEAD + (i + 0.5) * pitch, (j + 0.5 - ACROSS / 2) * pitch, height),
             (side, side),
             name=f"box{i}.{j}",
         )

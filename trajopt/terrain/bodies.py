@@ -167,14 +167,27 @@ def _is_ground(tops: np.ndarray, terrain: PiecewiseTerrain) -> bool:
 
 def _is_covered(polygon: np.ndarray, slope: np.ndarray, level: float, terrain: PiecewiseTerrain) -> bool:
     """Whether a polygon (k, 3) in the plane z = slope @ p + level is nowhere above the terrain."""
-    left = [polygon]
-    for face in terrain.faces:
-        its_slope, its_level = _height_of(face)
+    low, high = polygon[:, :2].min(axis=0), polygon[:, :2].max(axis=0)
+    near = [
+        face
+        for face in terrain.faces
+        if (face.vertices[:, :2].min(axis=0) < high).all() and (face.vertices[:, :2].max(axis=0) > low).all()
+    ]
+    above, waiting = 0.0, [(polygon, 0)]
+    while waiting and above < CRACK_AREA:  # parts one after the other: most often an early one is above
+        part, count = waiting.pop()
+        if count == len(near):
+            x, y = part[:, 0], part[:, 1]
+            above += 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+            continue
+        its_slope, its_level = _height_of(near[count])
         higher = (its_slope - slope, level - its_level - SAME)
-        region = [*_edges(face.vertices), higher]
-        left = [part for piece in left for part in _outside(piece, region)]
-    corners = [(part[:, 0], part[:, 1]) for part in left]
-    return sum(0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) for x, y in corners) < CRACK_AREA
+        if (part @ higher[0] <= higher[1]).all():
+            waiting.append((part, count + 1))
+            continue
+        region = [*_edges(near[count].vertices), higher]
+        waiting += [(each, count + 1) for each in _outside(part, region)]
+    return above < CRACK_AREA
 
 
 def _outside(polygon: np.ndarray, region: list[_HalfPlane]) -> list[np.ndarray]:
