@@ -128,6 +128,25 @@ solver_options = option_group(
 controller_option = choice_option(
     "--controller", ["joints", "whole-body"], "Feedback of single joints, or of the whole body."
 )
+hardware_options = option_group(
+    value_option("--timestep", "S", "Longest step of the physics.  [default: derived]", float),
+    default_option("--control-rate", 1000.0, "HZ", "Rate of the controller."),
+    default_option("--friction-scale", 1.0, "X", "Factor on friction."),
+    default_option("--mass-scale", 1.0, "X", "Factor on masses and inertias."),
+    default_option("--noise", 0.0, "SIGMA", "Noise on the initial state, natural units."),
+    default_option("--sensor-noise", 0.0, "SIGMA", "Noise on the state measured at each tick, natural units."),
+    default_option("--seed", 0, "K", "Seed of what is random.", kind=COUNT),
+    default_option("--delay", 0, "TICKS", "Whole ticks by which measurements are late.", kind=COUNT),
+    default_option("--torque-step", 0.0, "NM", "Torques are rounded to multiples of this; 0: they are not."),
+    default_option("--torque-rate", 0.0, "NM/S", "Fastest change of a torque; 0: no limit."),
+    default_option(
+        "--com-offset",
+        (0.0, 0.0, 0.0),
+        "X Y Z",
+        "Offset of the robot's centre of mass, base frame, m.",
+        kind=click.Tuple([float, float, float]),
+    ),
+)
 layout_options = option_group(
     click.option(
         "--side-by-side",

@@ -13,6 +13,7 @@ from trajopt.cli.input import (
     choice_option,
     controller_option,
     default_option,
+    hardware_options,
     is_given,
     json_option,
     load_plan,
@@ -40,23 +41,7 @@ if TYPE_CHECKING:
 @default_option("--cycles", 1, "N", "Cycles of a periodic plan.", kind=COUNT)
 @default_option("--kp", 1.0, "X", "Factor on position gains.")
 @default_option("--kd", 1.0, "X", "Factor on velocity gains.")
-@click.option("--timestep", type=float, metavar="S", help="Longest step of the physics.  [default: derived]")
-@default_option("--control-rate", 1000.0, "HZ", "Rate of the controller.")
-@default_option("--friction-scale", 1.0, "X", "Factor on friction.")
-@default_option("--mass-scale", 1.0, "X", "Factor on masses and inertias.")
-@default_option("--noise", 0.0, "SIGMA", "Noise on the initial state, natural units.")
-@default_option("--sensor-noise", 0.0, "SIGMA", "Noise on the state measured at each tick, natural units.")
-@default_option("--seed", 0, "K", "Seed of --noise and --sensor-noise.", kind=COUNT)
-@default_option("--delay", 0, "TICKS", "Whole ticks by which measurements are late.", kind=COUNT)
-@default_option("--torque-step", 0.0, "NM", "Torques are rounded to multiples of this; 0: they are not.")
-@default_option("--torque-rate", 0.0, "NM/S", "Fastest change of a torque; 0: no limit.")
-@default_option(
-    "--com-offset",
-    (0.0, 0.0, 0.0),
-    "X Y Z",
-    "Offset of the robot's centre of mass, base frame, m.",
-    kind=click.Tuple([float, float, float]),
-)
+@hardware_options
 @value_option(
     "--ground-offset", "FRAME=M", "Ground under a contact is higher by this, m. Repeatable.", multiple=True
 )

@@ -26,9 +26,9 @@ from trajopt.collision.description import robot_shapes
 from trajopt.collision.near import CollisionScene, ShapePair
 from trajopt.collision.shapes import Obstacle
 from trajopt.control.limits import friction_of_drives, limits_with_drives
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array
 from trajopt.mpc.horizon import Horizon, Numbers, Pattern
-from trajopt.mpc.motion import HorizonMotion, predicted
+from trajopt.mpc.motion import HorizonMotion, predicted, require_state
 from trajopt.mpc.planner import resampled
 from trajopt.mpc.plans import FRESH, ControllerReport, Plans, SolverSettings, is_lost
 from trajopt.robot.contact import require_frame
@@ -88,6 +88,14 @@ class Target:
     position: np.ndarray
     rotation: np.ndarray | None = None
     velocity: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        finite_array("position of a target", self.position, unit="m")
+        if self.velocity is not None:
+            finite_array("velocity of a target", self.velocity, unit="m/s")
+        turn = np.eye(3) if self.rotation is None else np.asarray(self.rotation, dtype=float)
+        if turn.shape != (3, 3) or not np.allclose(turn.T @ turn, np.eye(3), rtol=0, atol=1e-6):
+            raise InputError("rotation of a target is no rotation matrix", "allowed: (3, 3), orthonormal")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +209,8 @@ class ArmController:
         return usual
 
     def step(self, time: float, q: np.ndarray, v: np.ndarray, target: Target) -> np.ndarray:
-        """Torques (nu,) for a tick at ``time`` s, with the measured state (nq,), (nv,)."""
+        """Torques (nu,) for a tick at ``time`` s, with the measured state (nq,), (nv,). Raises `InputError`."""
+        require_state(self.robot, time, q, v)
         motion = self.plans.motion
 
         def make(begin: float) -> HorizonMotion:

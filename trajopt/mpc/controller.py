@@ -15,7 +15,7 @@ from trajopt.mpc.clock import GaitClock
 from trajopt.mpc.commands import STAND, Command
 from trajopt.mpc.follow import Follower, FollowerGains
 from trajopt.mpc.ground import GroundEstimate
-from trajopt.mpc.motion import HorizonMotion, predicted
+from trajopt.mpc.motion import HorizonMotion, predicted, require_state
 from trajopt.mpc.planner import HorizonPlanner, PlannerSettings
 from trajopt.mpc.plans import ControllerReport, Make, Plans
 from trajopt.robot.kinematics import contact_positions
@@ -104,12 +104,19 @@ class Controller:
             command: from now on.
 
         Raises:
-            InputError: for a gait that was not named, and a state that is not finite or has another shape.
+            InputError: for a gait that was not named, a time that is not finite or runs back, and a state that
+                is not finite or has another shape.
         """
+        require_state(self.robot, time, q, v)
+        if not time >= self._now:
+            raise InputError(f"time is {time:g} s after {self._now:g} s", "allowed: increasing")
         if command.gait != STAND and command.gait not in self.clock.gaits:
             allowed = ", ".join((STAND, *self.clock.gaits))
             raise InputError(f"gait is '{command.gait}'", f"allowed: {allowed}")
         touching = np.asarray(contacts, dtype=bool)
+        if touching.shape != (len(self.robot.contacts),):
+            allowed = f"allowed: ({len(self.robot.contacts)},), one for each contact"
+            raise InputError(f"contacts have shape {touching.shape}", allowed)
         self._pass(time, q, v, touching, command)
         motion = self.plans.update(time, self._maker(time, q, v, self._corrected))
         begun = clocks.perf_counter()
@@ -118,12 +125,6 @@ class Controller:
         torque = self.follower.torque(wanted, q, v, active)
         self.report.following.append(clocks.perf_counter() - begun)
         return torque
-
-    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        """`step` with the command of `commands`, as a simulation asks for it."""
-        return self.step(t, q, v, touching, self.commands.at(t))
-
-    commands = None
 
     def _pass(
         self, time: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, command: Command

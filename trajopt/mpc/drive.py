@@ -107,7 +107,7 @@ def drive(
         pushes: level impulses on the base.
         ground: what feet and links touch, of which the controller knows nothing; level at the height 0 where the
             robot stands. Default: level ground.
-        hardware: any of `HARDWARE`, fields of `SimulationSettings`.
+        hardware: any of `HARDWARE`, fields of `SimulationSettings`; feet with a radius roll by default.
 
     Raises:
         InputError: for a robot without a free base or feet, a gait that it does not have, and settings that are
@@ -121,7 +121,7 @@ def drive(
     used = dict.fromkeys(command.gait for command in script.commands if command.gait != STAND)
     names = tuple(gaits or used or gait_names(robot)[:1])
     steering = Steering(Controller(robot, names, settings), script)
-    wanted = SimulationSettings(controller=steering, impulse=pushes, **hardware)
+    wanted = SimulationSettings(controller=steering, impulse=pushes, **{"rolling": True, **hardware})
     stand = _stand(robot, ground)
     require_fitting(wanted, stand)
     reference = stance_reference(stand, wanted.control_rate, duration or script.times[-1] + LAST)

@@ -264,15 +264,13 @@ class Horizon:
         usual = COMPLIANCE["contact_landing"]
         self.compliance[self.first_landing] = min(usual * max(1.0, 1.0 / share) ** 3, SOFTEST)
 
-    def violations(self, y: np.ndarray) -> dict[str, float]:
-        """Largest violation of each kind of soft rows, over their units, for multipliers (n_rows,)."""
-        rows = self.transcription.rows
-        beyond = self.compliance * np.abs(y)
-        return {
-            name: float(beyond[rows.block == number].max(initial=0.0))
-            for number, name in enumerate(rows.names)
-            if name in COMPLIANCE
-        }
+    def violations(self, x: np.ndarray) -> dict[str, float]:
+        """Largest violation of each kind of rows at scaled variables x (n_unknowns,), over their units."""
+        rows, g = self.transcription.rows, self.nlp.engine.g(x)
+        beyond = np.maximum(np.maximum(self.lower_g - g, g - self.upper_g), 0.0)
+        worst = np.zeros(len(rows.names))
+        np.maximum.at(worst, rows.block, beyond)
+        return dict(zip(rows.names, worst.tolist(), strict=True))
 
     def guess(self) -> np.ndarray:
         """Scaled variables of the robot at rest in its reference."""

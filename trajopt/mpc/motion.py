@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -9,7 +10,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.polynomial import Polynomial
 
+from trajopt.errors import InputError
 from trajopt.mpc.horizon import Horizon
+from trajopt.robot.robot import Robot
 from trajopt.transcription.schemes import scheme
 
 
@@ -123,3 +126,15 @@ def predicted(
     left, kept = rate + w * error, np.exp(-w * delay)
     q = pin.integrate(model, then.q, kept * (error + delay * left))
     return q, then.v + kept * (rate - w * delay * left)
+
+
+def require_state(robot: Robot, time: float, q: np.ndarray, v: np.ndarray) -> None:
+    """Raise `InputError` for a time or a measured state that is not finite, or has another shape."""
+    if not math.isfinite(time):
+        raise InputError(f"time of a tick is {time}", "allowed: finite, s")
+    for name, given, size in (("q", q, robot.nq), ("v", v, robot.nv)):
+        if np.shape(given) != (size,):
+            raise InputError(f"{name} of a state has shape {np.shape(given)}", f"allowed: ({size},)")
+        if not np.isfinite(given).all():
+            index = int(np.flatnonzero(~np.isfinite(given))[0])
+            raise InputError(f"{name}[{index}] of a state is {given[index]}", "allowed: finite numbers")

@@ -80,7 +80,7 @@ class HorizonPlanner:
         self.horizons: dict[Pattern, Horizon] = {}
         self.report = ControllerReport()
         self._last: tuple[Horizon, _engine.Iterate] | None = None
-        self._maps: dict[tuple[Pattern, Pattern], _Map] = {}
+        self._maps: dict[tuple[Pattern, Pattern], IterateMap] = {}
         known, base = contact_positions(robot, robot.reference), robot.reference[:3]
         places = {name: known[name] for name in clock.contacts}
         self._hips = np.array([places[name] - base for name in clock.contacts])
@@ -162,7 +162,7 @@ class HorizonPlanner:
             quaternion = iterate["x"][:4]
             start[:4] *= 1.0 if start[:4] @ quaternion >= 0 else -1.0
         horizon.set_start(start)
-        ahead = _Ahead(q, command, heading, ground, self.clock.swings())
+        ahead = Ahead(q, command, heading, ground, self.clock.swings())
         horizon.set_heights(self._landing_heights(horizon, ahead, durations))
         horizon.soften_landing(durations[0] / (SOFT * self.clock.period))
         horizon.durations = durations
@@ -218,12 +218,12 @@ class HorizonPlanner:
             return {**iterate, "x": x}, solver.most_steps
         key = last.pattern, horizon.pattern
         if key not in self._maps:
-            self._maps[key] = _Map.of(last, horizon)
+            self._maps[key] = IterateMap.of(last, horizon)
         glide = self._gliding
         return self._maps[key].apply(last, horizon, iterate, solver, glide), solver.changed_steps
 
     def _landing_heights(
-        self, horizon: Horizon, ahead: _Ahead, durations: np.ndarray
+        self, horizon: Horizon, ahead: Ahead, durations: np.ndarray
     ) -> list[dict[str, float]]:
         """Heights at which contacts land, m, by name: where their swings end, below the ground by a little."""
         begins = np.cumsum(durations)
@@ -239,7 +239,7 @@ class HorizonPlanner:
             heights.append(named)
         return heights
 
-    def _foothold(self, ahead: _Ahead, number: int, time: float) -> np.ndarray:
+    def _foothold(self, ahead: Ahead, number: int, time: float) -> np.ndarray:
         """Where (2,) a foot should land at a time from now, m: below its place at the base in mid stance."""
         along, left = ahead.axes(np.array(time))
         level = ahead.command.speed * along + ahead.command.lateral * left
@@ -252,7 +252,7 @@ class HorizonPlanner:
         gait = self.clock.gaits.get(self.clock.gait)
         return 0.0 if gait is None else 0.5 * gait[0].duty_of(gait[0].feet[0]) * gait[1]
 
-    def _reference(self, times: np.ndarray, ahead: _Ahead) -> np.ndarray:
+    def _reference(self, times: np.ndarray, ahead: Ahead) -> np.ndarray:
         """The reference (n, size) at times (n,) from now, s."""
         at, n, last, command = self._layout, len(times), float(times.max()), ahead.command
         rows = np.zeros((n, at.size))
@@ -283,7 +283,7 @@ class HorizonPlanner:
 
 
 @dataclass(frozen=True)
-class _Ahead:
+class Ahead:
     """What a plan counts on: the base now, the command, heading and ground, and the swings of all feet."""
 
     q: np.ndarray
@@ -331,7 +331,7 @@ def resampled(horizon: Horizon, x: np.ndarray, old: np.ndarray, new: np.ndarray)
 
 
 @dataclass(frozen=True)
-class _Map:
+class IterateMap:
     """From the iterate of one horizon to that of another: which of its variables, rows and slacks go where."""
 
     variables: tuple[np.ndarray, np.ndarray]
@@ -340,7 +340,7 @@ class _Map:
     kept: int
 
     @classmethod
-    def of(cls, last: Horizon, horizon: Horizon) -> _Map:
+    def of(cls, last: Horizon, horizon: Horizon) -> IterateMap:
         """Phases of the last horizon from the second on are those of this one, as far as they are alike."""
         kept, shift = 0, 1
         old, new = last.pattern, horizon.pattern

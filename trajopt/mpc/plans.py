@@ -97,7 +97,7 @@ class ControllerReport:
         self.steps.append(len(reports))
         self.primal.append(reports[-1]["after"])
         self.anew += is_lost(iterate, reports)
-        for name, violation in horizon.violations(iterate["y"]).items():
+        for name, violation in horizon.violations(iterate["x"]).items():
             self.relaxed[name] = self.relaxed.get(name, 0) + (violation > RELAXED)
             self.violations[name] = max(self.violations.get(name, 0.0), violation)
 

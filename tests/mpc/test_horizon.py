@@ -1,0 +1,144 @@
+"""A horizon: numbers in place equal building anew, a shifted optimum stays one, limits are hard."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from trajopt.mpc.clock import GaitClock
+from trajopt.mpc.commands import Command
+from trajopt.mpc.ground import GroundEstimate
+from trajopt.mpc.horizon import COMPLIANCE, Horizon, Pattern
+from trajopt.mpc.motion import HorizonMotion
+from trajopt.mpc.planner import Ahead, HorizonPlanner, IterateMap, PlannerSettings
+from trajopt.mpc.plans import SolverSettings
+from trajopt.mpc.reference import HorizonWeights, leg_terms
+from trajopt.robot import Robot
+from trajopt.schedule.gaits import gait_of
+from trajopt_library import robots
+
+PERIOD = 0.5
+WEIGHTS = HorizonWeights()
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return robots.load("go2")
+
+
+def pairs(robot: Robot) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    first, second = (phase.contacts for phase in gait_of(robot, "trot").phases(PERIOD))
+    return first, second
+
+
+def horizon_of(robot: Robot, *contacts: tuple[str, ...], count: int = 3, **settings: float) -> Horizon:
+    terms = leg_terms(robot, WEIGHTS, contacts)
+    return Horizon(robot, Pattern(contacts, (count,) * len(contacts)), terms, **settings)
+
+
+def at(horizon: Horizon, durations: list[float]) -> None:
+    horizon.set_durations(np.array(durations))
+
+
+def values(horizon: Horizon, x: np.ndarray) -> list[np.ndarray]:
+    engine = horizon.nlp.engine
+    multipliers = np.cos(np.arange(len(horizon.compliance)))
+    return [
+        np.array([engine.f(x)]),
+        engine.g(x),
+        engine.gradient(x),
+        engine.jacobian(x),
+        engine.hessian(x, 1.0, multipliers),
+    ]
+
+
+@pytest.mark.long
+def test_durations_in_place_equal_building_anew(robot: Robot) -> None:
+    """Bit by bit for the same nominal durations, whatever was set before; to rounding for others."""
+    contacts, durations = pairs(robot), [0.137, 0.25]
+    used, fresh = horizon_of(robot, *contacts), horizon_of(robot, *contacts)
+    other = horizon_of(robot, *contacts, nominal=0.2)
+    generator = np.random.default_rng(0)
+    x = used.guess() + 0.1 * generator.standard_normal(used.layout.n_unknowns)
+    at(used, [0.01, 0.4])
+    used.nlp.engine.hessian(x, 1.0, np.ones(len(used.compliance)))
+    for horizon in (used, fresh, other):
+        at(horizon, durations)
+    for own, anew, apart in zip(*(values(each, x) for each in (used, fresh, other)), strict=True):
+        assert_array_equal(own, anew)
+        assert_allclose(own, apart, rtol=1e-9, atol=1e-9 * max(1.0, float(np.abs(own).max())))
+    assert_allclose(used.node_times[[0, 3, 6]], [0.0, 0.137, 0.387])
+
+
+def solved(horizon: Horizon, planner: HorizonPlanner, start: np.ndarray):
+    """The optimum of a horizon at the smallest barrier of its planner."""
+    solver = SolverSettings(tolerance=1e-9, most_steps=80, steps=80)
+    iterate = solver.fresh(horizon, planner._gliding(horizon, start, 0))
+    return solver.solve(horizon, iterate, 80)
+
+
+@pytest.mark.long
+def test_a_shifted_optimum_changes_by_no_more_than_the_solver_leaves(robot: Robot) -> None:
+    """Bellman: what is left of an optimal motion after its first phase is optimal from there."""
+    first, second = pairs(robot)
+    clock = GaitClock(tuple(gait_of(robot, "trot").feet), {"trot": (gait_of(robot, "trot"), PERIOD)})
+    planner = HorizonPlanner(robot, clock, PlannerSettings())
+    whole, rest = horizon_of(robot, first, second, first), horizon_of(robot, second, first)
+    start = whole.layout.coordinates.node_from_pinocchio(robot.reference, np.zeros(robot.nv))
+    command, ground = Command(gait="trot", speed=0.3), GroundEstimate(4, robot.length)
+    for horizon, durations in ((whole, [0.2, 0.25, 0.25]), (rest, [0.25, 0.25])):
+        at(horizon, durations)
+        heights = [dict.fromkeys(clock.contacts, 0.022) for _ in horizon.landings]
+        horizon.set_heights(heights)
+    clock.request("trot")
+    ahead = Ahead(robot.reference, command, 0.0, ground, clock.swings())
+    times = whole.point_times("reference")
+    whole.set_numbers("reference", planner._reference(times, ahead))
+    at(whole, [0.2, 0.25, 0.25])
+    whole.set_start(start)
+    iterate, reports = solved(whole, planner, start)
+    assert max(reports[-1][key] for key in ("primal", "dual", "complementarity")) < 1e-9
+    rest.set_numbers("reference", planner._reference(rest.point_times("reference") + 0.2, ahead))
+    at(rest, [0.25, 0.25])
+    node = (iterate["x"] * whole.transcription.scale)[whole.layout.node(3)]
+    rest.set_start(node)
+    moved = IterateMap.of(whole, rest).apply(whole, rest, iterate, SolverSettings(), planner._gliding)
+    after, reports = SolverSettings(steps=1).solve(rest, moved, 1)
+    assert reports[0]["primal"] < 1e-8
+    assert reports[0]["dual"] < 1e-7
+    assert_allclose(after["x"], moved["x"], atol=1e-7)
+
+
+@pytest.mark.long
+def test_plans_keep_their_limits_and_say_what_they_relax(robot: Robot) -> None:
+    """From a start so high that the feet that land cannot reach the ground: their landing gives way."""
+    clock = GaitClock(tuple(gait_of(robot, "trot").feet), {"trot": (gait_of(robot, "trot"), PERIOD)})
+    planner = HorizonPlanner(robot, clock, PlannerSettings())
+    clock.request("trot")
+    clock.skip()
+    ground = GroundEstimate(4, robot.length)
+    motion = planner.plan(0.0, robot.reference, np.zeros(robot.nv), Command(gait="trot"), 0.0, ground)
+    assert isinstance(motion, HorizonMotion)
+    limit = robot.torque_limit
+    assert limit is not None
+    for time in np.linspace(0.0, motion.duration, 40):
+        sample = motion.sample(float(time))
+        assert (np.abs(sample.torque) <= 1.02 * limit).all()
+        assert sample.forces[~sample.active] == pytest.approx(0.0)
+    assert max(planner.report.violations.values()) < planner.settings.solver.tolerance
+    high = robot.reference.copy()
+    high[2] += robot.length
+    planner.plan(0.01, high, np.zeros(robot.nv), Command(gait="trot"), 0.0, ground)
+    assert set(COMPLIANCE) & set(planner.report.violations)
+    assert planner.report.relaxed["contact_landing"] >= 1
+
+
+def test_a_horizon_samples_its_own_nodes(robot: Robot) -> None:
+    horizon = horizon_of(robot, *pairs(robot), count=2)
+    at(horizon, [0.1, 0.2])
+    horizon.set_start(horizon.layout.coordinates.node_from_pinocchio(robot.reference, np.zeros(robot.nv)))
+    motion = HorizonMotion(horizon, horizon.guess(), 1.0)
+    first = motion.sample(0.0)
+    assert_allclose(first.q, robot.reference, atol=1e-12)
+    assert motion.duration == pytest.approx(0.3)
+    assert first.active.tolist() == [contact.name in pairs(robot)[0] for contact in robot.contacts]
+    assert motion.sample(9.0).q.shape == (robot.nq,)
