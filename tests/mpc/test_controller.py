@@ -110,7 +110,7 @@ def test_plans_made_by_a_thread_are_used_when_they_are_ready(robot: Robot) -> No
 def test_a_gait_that_was_not_prepared_and_states_that_are_none_are_refused(robot: Robot) -> None:
     controller = Controller(robot, ("trot",))
     q, v, touching = robot.reference, np.zeros(robot.nv), np.ones(4, dtype=bool)
-    with pytest.raises(InputError, match="gait is 'pace'.*trot"):
+    with pytest.raises(InputError, match=r"gait is 'pace'.*trot"):
         controller.step(0.0, q, v, touching, Command(gait="pace"))
     with pytest.raises(InputError, match="q of a state"):
         controller.step(0.0, q[:-1], v, touching, Command())

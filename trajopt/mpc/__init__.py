@@ -1,4 +1,9 @@
 """Steering while the robot moves: commands to horizons, horizons to motions, motions to torques.
 
-`Controller.step` knows no simulator; `trajopt.simulation` and the command ``trajopt drive`` run it.
+`Controller.step` and `ArmController.step` know no simulator; `drive` and the command ``trajopt drive`` run
+them.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,19 +1,23 @@
 """Manipulators: a tool follows a target that moves, with limits, links and obstacles kept, plan after plan.
 
-The cost of a horizon, over natural units, e the error of the tool's frame against the target that goes on at its
+The cost of a horizon, over natural units, e the error of the tool's frame against the target that goes on at
+its
 velocity, is
 
-    sum over the horizon of  w_p |e_p / l|^2 + w_r |e_r|^2 + w_v |q' sqrt(l / g)|^2 + costs of torques, accelerations
+    sum over the horizon of  w_p |e_p / l|^2 + w_r |e_r|^2 + w_v |q' sqrt(l / g)|^2 + costs of torques,
+    accelerations
 
-Pairs of bodies keep apart by rows n . (x_i(q) - x_j(q)) >= margin along the normal n between the points x_i, x_j at
-which they come nearest in the last plan (Schulman et al., Int. J. Robotics Research 33, 2014, sec. V), at all points.
+Pairs of bodies keep apart by rows n . (x_i(q) - x_j(q)) >= margin along the normal n between the points x_i,
+x_j at
+which they come nearest in the last plan (Schulman et al., Int. J. Robotics Research 33, 2014, sec. V), at
+all points.
 """
 
 from __future__ import annotations
 
 import time as clocks
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -29,8 +33,8 @@ from trajopt.control.limits import friction_of_drives, limits_with_drives
 from trajopt.errors import InputError, finite_array
 from trajopt.mpc.horizon import Horizon, Numbers, Pattern
 from trajopt.mpc.motion import HorizonMotion, predicted, require_state
-from trajopt.mpc.planner import resampled
 from trajopt.mpc.plans import FRESH, ControllerReport, Plans, SolverSettings, is_lost
+from trajopt.mpc.shifting import resampled
 from trajopt.robot.contact import require_frame
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -66,7 +70,7 @@ class ArmSettings:
     span: Positive = 0.6
     intervals: PositiveCount = 6
     scheme: str = "legendre:2"
-    solver: SolverSettings = SolverSettings()
+    solver: SolverSettings = field(default_factory=SolverSettings)
     live: bool = False
     margin: NonNegative = 0.02
     position: NonNegative = 200.0
@@ -209,7 +213,7 @@ class ArmController:
         return usual
 
     def step(self, time: float, q: np.ndarray, v: np.ndarray, target: Target) -> np.ndarray:
-        """Torques (nu,) for a tick at ``time`` s, with the measured state (nq,), (nv,). Raises `InputError`."""
+        """Torques (nu,) for a tick at ``time`` s and the measured state (nq,), (nv,). Raises `InputError`."""
         require_state(self.robot, time, q, v)
         motion = self.plans.motion
 
@@ -277,7 +281,7 @@ class ArmController:
         return rows
 
     def _near(self, times: np.ndarray, begin: float, q: np.ndarray, last: HorizonMotion | None) -> np.ndarray:
-        """Rows of pairs (n, PAIR times the pairs) at times (n,) of the plan to be made, from the last plan."""
+        """Rows of pairs (n, PAIR times the pairs) at times (n,) of the next plan, from the last one."""
         if last is None:
             configurations = np.tile(q, (len(times), 1))
         else:

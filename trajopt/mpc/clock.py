@@ -1,4 +1,4 @@
-"""The clock of a gait: which contacts stand now and next, and for how long; changes of gait; late contacts."""
+"""The clock of a gait: which contacts stand now and next, and for how long; changes of gait."""
 
 from __future__ import annotations
 
@@ -138,8 +138,11 @@ class GaitClock:
         return tuple(name for name in following if name not in self._queue[0].contacts)
 
     def advance(self, time: float, touching: Mapping[str, bool]) -> None:
-        """Let ``time`` s pass. The present mode ends early where all that land with its end touch in its last
-        third, and waits for those that are late.
+        """Let ``time`` s pass.
+
+        The present mode ends early where all that land with its end touch in its last third, and waits for
+        those
+        that are late.
         """
         mode, landing = self._queue[0], self.landing()
         for name in self.contacts:

@@ -1,10 +1,10 @@
-"""The controller: measured state and command in, torques out, at the rate of the drives; it knows no simulator."""
+"""The controller: measured state and command in, torques out, at each tick; it knows no simulator."""
 
 from __future__ import annotations
 
 import math
 import time as clocks
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -30,7 +30,8 @@ PERIODS = {"trot": 2.6, "walk": 4.0, "pace": 2.6, "bound": 2.4, "pronk": 2.4}
 CHATTER = 0.05
 # Speeds follow commands at this part of g, and turns at this over l / g.
 FASTEST, FASTEST_TURN = 0.3, 0.4
-# What speeds lack is integrated at this rate over sqrt(l / g), where it is below a part of sqrt(g l), up to one.
+# What speeds lack is integrated at this rate over sqrt(l / g), where it is below a part of sqrt(g l), up to
+# one.
 STEADY, SMALL, MOST = 0.3, 0.2, 0.15
 # The commanded heading leads that of the base by at most so much, rad.
 FARTHEST = 0.3
@@ -44,6 +45,8 @@ class ControllerSettings:
     Args:
         period: of plans, s.
         delay: after which a plan is ready, s; the state is predicted over it.
+        measured: plans begin from the measured state; otherwise each goes on from the last one, for
+            comparison.
         live: plans are made by a thread, and used when they are ready; otherwise each tick waits for its own.
         planner: settings of plans.
         gains: of what follows them.
@@ -52,9 +55,10 @@ class ControllerSettings:
 
     period: Positive = 0.01
     delay: NonNegative = 0.01
+    measured: bool = True
     live: bool = False
-    planner: PlannerSettings = PlannerSettings()
-    gains: FollowerGains = FollowerGains()
+    planner: PlannerSettings = field(default_factory=PlannerSettings)
+    gains: FollowerGains = field(default_factory=FollowerGains)
     friction: Positive = 0.6
 
 
@@ -104,7 +108,8 @@ class Controller:
             command: from now on.
 
         Raises:
-            InputError: for a gait that was not named, a time that is not finite or runs back, and a state that
+            InputError: for a gait that was not named, a time that is not finite or runs back, and a state
+            that
                 is not finite or has another shape.
         """
         require_state(self.robot, time, q, v)
@@ -195,6 +200,9 @@ class Controller:
             clock.advance(delay, dict.fromkeys(clock.contacts, False))
             self.planner.clock = clock
             state = self._predicted(motion, time, q, v, delay)
+            if motion is not None and not self.settings.measured:
+                planned = motion.sample(begin)
+                state = planned.q, planned.v
             return self.planner.plan(begin, *state, command, heading, ground)
 
         clock, ground, motion = self.clock.copy(), self.ground.copy(), self.plans.motion

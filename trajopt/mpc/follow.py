@@ -33,7 +33,8 @@ HORIZON = 0.02
 class FollowerGains:
     """Bandwidths in 1 / sqrt(l / g), l the robot's reach, and weights, of what follows a horizon's motion.
 
-    base, joint: bandwidths of base and joints. base_weight, joint_weight, swing_weight, force_weight: of the base,
+    base, joint: bandwidths of base and joints. base_weight, joint_weight, swing_weight, force_weight: of the
+    base,
     of joints of legs that stand and that swing, and of contact forces.
     """
 
@@ -93,7 +94,7 @@ class Follower:
         return np.array([row for each in chain for row in range(each.idx_v, each.idx_v + each.nv)])
 
     def bandwidths(self, active: np.ndarray) -> np.ndarray:
-        """Bandwidth (nv,) in 1/s with which errors of each row vanish: joints of legs that stand, with the base."""
+        """Bandwidths (nv,) in 1/s with which errors vanish: of legs that stand, that of the base."""
         rates = np.full(self.state.model.nv, self.gains.base)
         for leg, stands in zip(self._legs, active, strict=True):
             if not stands:
@@ -136,17 +137,20 @@ class Follower:
             if not stands:
                 weights[leg] = gains.swing_weight
         base, joints = np.arange(6), np.arange(6, model.nv)
-        motion = {"q": wanted.q, "v": wanted.v, "a": wanted.a}
         return [
             PostureTask(
-                **motion,
+                q=wanted.q,
+                v=wanted.v,
+                a=wanted.a,
                 bandwidth=gains.base / time,
                 rows_of_v=base,
                 weight=gains.base_weight,
                 unit=self.acceleration_unit[base],
             ),
             PostureTask(
-                **motion,
+                q=wanted.q,
+                v=wanted.v,
+                a=wanted.a,
                 bandwidth=gains.joint / time,
                 rows_of_v=joints,
                 weights=weights[joints],

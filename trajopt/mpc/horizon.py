@@ -23,6 +23,7 @@ from trajopt.terms.interfaces import Term
 from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.compilation import compile_points, entry_key
 from trajopt.transcription.guess import initial_guess
+from trajopt.transcription.layout import Layout
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.nlp import Nlp, assemble
 from trajopt.transcription.transcription import Transcription, transcribe
@@ -165,7 +166,7 @@ class Horizon:
         self._parameters = [group.parameters.copy() for group in t.groups]
 
     @property
-    def layout(self):
+    def layout(self) -> Layout:
         """Where the variables are."""
         return self.transcription.layout
 

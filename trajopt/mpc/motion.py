@@ -30,7 +30,7 @@ class MotionSample:
 
 @lru_cache(maxsize=16)
 def _polynomials(name: str) -> np.ndarray:
-    """Coefficients (3, s + 2, s), by powers of the fraction, of what y counts in xi'' and xi' / h and xi / h^2."""
+    """Coefficients (3, s + 2, s), by powers of the fraction, of y in xi'', xi' / h and xi / h^2."""
     points = scheme(name).c
     result = np.zeros((3, len(points) + 2, len(points)))
     for j, point in enumerate(points):
@@ -43,7 +43,7 @@ def _polynomials(name: str) -> np.ndarray:
 
 
 class HorizonMotion:
-    """Variables of a horizon as a motion from ``begin`` on, s; it knows nothing of later changes of the horizon."""
+    """Variables of a horizon as a motion from ``begin`` s on, whatever the horizon becomes later."""
 
     def __init__(self, horizon: Horizon, x: np.ndarray, begin: float) -> None:
         layout, unscaled = horizon.layout, x * horizon.transcription.scale
@@ -116,7 +116,7 @@ def predicted(
     state: tuple[np.ndarray, np.ndarray],
     bandwidth: np.ndarray | float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The state (nq,), (nv,) a delay in s after ``time``: that of a motion, with what is left of the error of now.
+    """The state (nq,), (nv,) a delay in s after ``time``: a motion's, with what is left of the error of now.
 
     Feedback takes errors out as dd e = -2 w de - w^2 e, with the bandwidth w of each row, 1/s.
     """

@@ -1,7 +1,9 @@
 """Plans a horizon at each of its ticks: from the measured state, with a few steps from the last plan.
 
-Each pattern of contact modes has one `Horizon`, made before it is needed. The variables of the last plan are moved
-on by the time that has passed, on the nodes of the present mode; where a mode has ended, those of the others move
+Each pattern of contact modes has one `Horizon`, made before it is needed. The variables of the last plan are
+moved
+on by the time that has passed, on the nodes of the present mode; where a mode has ended, those of the others
+move
 up by one, and the mode that is new at the end stands still at first.
 """
 
@@ -9,8 +11,8 @@ from __future__ import annotations
 
 import math
 import time as clocks
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -26,6 +28,7 @@ from trajopt.mpc.horizon import Horizon, Pattern
 from trajopt.mpc.motion import HorizonMotion
 from trajopt.mpc.plans import FRESH, ControllerReport, SolverSettings, is_lost
 from trajopt.mpc.reference import REFERENCE, HorizonWeights, leg_terms, reference_layout
+from trajopt.mpc.shifting import IterateMap, resampled
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
@@ -49,6 +52,7 @@ class PlannerSettings:
         intervals: of a whole period of a gait.
         span: the least length of what follows the present mode, in periods.
         solver: its steps at each tick.
+        torque_rows: limits of torques are rows, at every point.
         lift: height of swings over the robot's length.
         weights: of the cost.
     """
@@ -56,9 +60,10 @@ class PlannerSettings:
     scheme: str = "legendre:2"
     intervals: PositiveCount = 8
     span: Positive = 0.5
-    solver: SolverSettings = SolverSettings()
+    solver: SolverSettings = field(default_factory=SolverSettings)
+    torque_rows: bool = True
     lift: Positive = 0.15
-    weights: HorizonWeights = HorizonWeights()
+    weights: HorizonWeights = field(default_factory=HorizonWeights)
 
 
 class HorizonPlanner:
@@ -133,9 +138,15 @@ class HorizonPlanner:
         whole = (Mode(modes[0].contacts, self.clock.whole), *modes[1:])
         pattern = self.pattern(modes, whole)
         if pattern not in self.horizons:
-            terms = leg_terms(self.robot, self.settings.weights, pattern.contacts)
-            settings = {"friction": self.friction, "scheme": self.settings.scheme}
-            self.horizons[pattern] = Horizon(self.robot, pattern, terms, **settings)
+            terms = leg_terms(
+                self.robot,
+                self.settings.weights,
+                pattern.contacts,
+                torque_rows=self.settings.torque_rows,
+            )
+            self.horizons[pattern] = Horizon(
+                self.robot, pattern, terms, friction=self.friction, scheme=self.settings.scheme
+            )
         return self.horizons[pattern], modes
 
     def plan(
@@ -191,7 +202,7 @@ class HorizonPlanner:
         return np.asarray(v - spread @ inverse)
 
     def _gliding(self, horizon: Horizon, start: np.ndarray, begin: int) -> np.ndarray:
-        """Scaled variables that go on from node ``begin`` at the base's velocity, with joints that stand still."""
+        """Scaled variables that go on from node ``begin`` at the base's velocity, with joints at rest."""
         x, nv = horizon.guess() * horizon.transcription.scale, self.robot.nv
         glide = start.copy()
         glide[-nv + 3 :] = 0.0
@@ -204,7 +215,7 @@ class HorizonPlanner:
         return np.asarray(x / horizon.transcription.scale)
 
     def _start(self, horizon: Horizon, durations: np.ndarray) -> tuple[_engine.Iterate | None, int]:
-        """The last iterate moved on to this horizon, if there is one, and the number of steps to take at most."""
+        """The last iterate moved on to this horizon, if there is one, and how many steps to take at most."""
         solver = self.settings.solver
         if self._last is None:
             return None, FRESH * solver.changed_steps
@@ -225,15 +236,15 @@ class HorizonPlanner:
     def _landing_heights(
         self, horizon: Horizon, ahead: Ahead, durations: np.ndarray
     ) -> list[dict[str, float]]:
-        """Heights at which contacts land, m, by name: where their swings end, below the ground by a little."""
+        """Heights at which contacts land, m, by name: where their swings end, a little below the ground."""
         begins = np.cumsum(durations)
         heights = []
         for phase, _ in horizon.landings:
             named = {}
             for name in horizon.new_contacts(phase):
                 number = self.clock.contacts.index(name)
-                ends = [swing.end for swing in ahead.swings[name]]
-                end = min(ends, key=lambda time, at=float(begins[phase - 1]): abs(time - at))
+                ends = np.array([swing.end for swing in ahead.swings[name]])
+                end = float(ends[np.abs(ends - begins[phase - 1]).argmin()])
                 place = ahead.ground.height(*self._foothold(ahead, number, end))
                 named[name] = float(place) + self._radius[number] - SUNK * self.robot.length
             heights.append(named)
@@ -307,113 +318,3 @@ class Ahead:
         x, y, _, w = tilt.coeffs()
         sin, cos = np.sin(angle), np.cos(angle)
         return np.column_stack([x * cos + y * sin, y * cos - x * sin, w * sin, w * cos])
-
-
-def resampled(horizon: Horizon, x: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Variables of the first intervals, whose nodes were at times ``old`` (n + 1,), at times ``new``.
-
-    Linear between nodes, and where new times are beyond the last old one as there; what that misses, a step mends.
-    """
-    layout, count, moved = horizon.layout, len(old) - 1, x.copy()
-    nodes = np.array([x[layout.node(k)] for k in range(count + 1)])
-    controls = np.array([x[layout.window(k)][layout.forms[k].size :] for k in range(count)])
-    n_rotation = 4 * layout.coordinates.n_rotations
-    for k in range(count):
-        place = min(int(np.searchsorted(old, new[k], side="right")) - 1, count - 1)
-        share = min((new[k] - old[place]) / (old[place + 1] - old[place]), 1.0)
-        node = (1 - share) * nodes[place] + share * nodes[place + 1]
-        if n_rotation:
-            node[:n_rotation] /= np.linalg.norm(node[:n_rotation])
-        moved[layout.node(k)] = node
-        near = min(int(np.searchsorted(old, (new[k] + new[k + 1]) / 2, side="right")) - 1, count - 1)
-        moved[layout.window(k)][layout.forms[k].size :] = controls[near]
-    return moved
-
-
-@dataclass(frozen=True)
-class IterateMap:
-    """From the iterate of one horizon to that of another: which of its variables, rows and slacks go where."""
-
-    variables: tuple[np.ndarray, np.ndarray]
-    rows: tuple[np.ndarray, np.ndarray]
-    slacks: tuple[np.ndarray, np.ndarray]
-    kept: int
-
-    @classmethod
-    def of(cls, last: Horizon, horizon: Horizon) -> IterateMap:
-        """Phases of the last horizon from the second on are those of this one, as far as they are alike."""
-        kept, shift = 0, 1
-        old, new = last.pattern, horizon.pattern
-        for shift in (1, 0):
-            kept = 0
-            for i in range(min(len(old.contacts) - shift, len(new.contacts))):
-                if old.contacts[i + shift] != new.contacts[i] or old.intervals[i + shift] != new.intervals[i]:
-                    break
-                kept += 1
-            if kept:
-                break
-        if not kept:
-            empty = np.zeros(0, dtype=int)
-            return cls((empty, empty), (empty, empty), (empty, empty), 0)
-        first = int(last.layout.intervals_of(shift)[0])
-        stages = sum(new.intervals[:kept])
-        source, target = [], []
-        for k in range(stages):
-            source.append(np.arange(*last.layout.window(first + k).indices(last.layout.n_unknowns)))
-            target.append(np.arange(*horizon.layout.window(k).indices(horizon.layout.n_unknowns)))
-        source.append(np.arange(*last.layout.node(first + stages).indices(last.layout.n_unknowns)))
-        target.append(np.arange(*horizon.layout.node(stages).indices(horizon.layout.n_unknowns)))
-        rows = _rows_alike(last, horizon, first, stages)
-        slack_of = [np.full(each.transcription.n_rows, -1) for each in (last, horizon)]
-        for each, slacks in zip((last, horizon), slack_of, strict=True):
-            slacks[each.unequal] = np.arange(len(each.unequal))
-        both = (slack_of[0][rows[0]] >= 0) & (slack_of[1][rows[1]] >= 0)
-        slacks = slack_of[0][rows[0]][both], slack_of[1][rows[1]][both]
-        return cls((np.concatenate(source), np.concatenate(target)), rows, slacks, stages)
-
-    def apply(
-        self,
-        last: Horizon,
-        horizon: Horizon,
-        iterate: _engine.Iterate,
-        solver: SolverSettings,
-        gliding: Callable[[Horizon, np.ndarray, int], np.ndarray],
-    ) -> _engine.Iterate:
-        """The iterate of the horizon: what is new goes on from the end of what was kept."""
-        scale = horizon.transcription.scale
-        old = np.zeros(len(scale))
-        old[self.variables[1]] = iterate["x"][self.variables[0]]
-        end = (old * scale)[horizon.layout.node(self.kept)]
-        if not self.kept:
-            end = (last.transcription.scale * iterate["x"])[last.layout.node(last.layout.n_stages)]
-        x = gliding(horizon, end, self.kept)
-        x[self.variables[1]] = iterate["x"][self.variables[0]]
-        fresh = solver.fresh(horizon, x)
-        fresh["y"][self.rows[1]] = iterate["y"][self.rows[0]]
-        for name in ("lower_x", "upper_x"):
-            fresh[name][self.variables[1]] = iterate[name][self.variables[0]]  # type: ignore[literal-required]
-        for name in ("s", "lower_s", "upper_s"):
-            fresh[name][self.slacks[1]] = iterate[name][self.slacks[0]]  # type: ignore[literal-required]
-        fresh["barrier"] = iterate["barrier"]
-        return fresh
-
-
-def _rows_alike(last: Horizon, horizon: Horizon, first: int, stages: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the last horizon's stages from ``first`` on, and the rows of this one that are alike."""
-
-    def blocks(each: Horizon, shift: int) -> dict[tuple[int, int, str], np.ndarray]:
-        rows = each.transcription.rows
-        at = rows.stage - shift
-        key = np.stack([at, rows.point, rows.block], axis=1)
-        inside = np.flatnonzero((at >= 0) & (at <= stages))
-        order = inside[np.lexsort(key[inside].T[::-1])]
-        cuts = np.flatnonzero(np.any(np.diff(key[order], axis=0) != 0, axis=1)) + 1
-        return {
-            (int(part[0, 0]), int(part[0, 1]), rows.names[int(part[0, 2])]): where
-            for part, where in zip(np.split(key[order], cuts), np.split(order, cuts), strict=True)
-        }
-
-    old, new = blocks(last, first), blocks(horizon, 0)
-    pairs = [(old[key], where) for key, where in new.items() if key in old and len(old[key]) == len(where)]
-    empty = [(np.zeros(0, dtype=int), np.zeros(0, dtype=int))]
-    return tuple(np.concatenate([pair[i] for pair in pairs or empty]) for i in (0, 1))

@@ -15,7 +15,8 @@ from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.mpc.horizon import Horizon
 from trajopt.mpc.motion import HorizonMotion
 
-# Multipliers or variables above this, over their units, count as a start that was lost: the next plan begins anew.
+# Multipliers or variables above this, over their units, count as a start that was lost: the next plan begins
+# anew.
 LOST = 1e6
 # A fresh start is this far inside its bounds, over their units, and takes this many times the steps.
 PUSH, FRESH = 1e-2, 4
@@ -112,7 +113,8 @@ class Plans:
     """The plan in use, and the next one.
 
     A plan begins ``delay`` s after the state that it is made from was measured, and is used from then on. In
-    lockstep it is made at once, and the simulation waits; ``live``, a thread makes it, and the last plan goes on
+    lockstep it is made at once, and the simulation waits; ``live``, a thread makes it, and the last plan
+    goes on
     until it is ready.
 
     Args:

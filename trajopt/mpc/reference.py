@@ -3,7 +3,8 @@
 Weights are over natural units (see `trajopt.robot.Units`); the running cost of a horizon is
 
     sum_i w_i e_i^2,      e = (p - p*) / l,  turn(R*, R),  (p' - v*) / sqrt(g l),  (omega - w*) sqrt(l / g),
-                              q_j - q_j*,  q_j' sqrt(l / g),  s (p_f - p_f*) / l of feet in the air, and of soles
+                              q_j - q_j*,  q_j' sqrt(l / g),  s (p_f - p_f*) / l of feet in the air, and of
+                              soles
                               what keeps them level, along the base
 
 with s a factor for each axis of each foot, and the cost of torques, forces and accelerations.
@@ -38,9 +39,12 @@ REFERENCE = "reference"
 class HorizonWeights:
     """Weights of a horizon's cost, dimensionless.
 
-    height, tilt, heading, velocity, rise, spin: of the base's height, of roll and pitch, of yaw, of its level and
-    vertical velocity, of its angular velocity. joints, rates: of posture and rates of joints. feet: of feet in the
-    air; soles: of their tilt and heading. torque, wrench, acceleration: of torques, contact forces and accelerations of joints.
+    height, tilt, heading, velocity, rise, spin: of the base's height, of roll and pitch, of yaw, of its
+    level and
+    vertical velocity, of its angular velocity. joints, rates: of posture and rates of joints. feet: of feet
+    in the
+    air; soles: of their tilt and heading. torque, wrench, acceleration: of torques, contact forces and
+    accelerations of joints.
     """
 
     height: NonNegative = 20.0
@@ -128,7 +132,13 @@ class ReferenceCost(Cost):
         return self.weight * ca.sumsqr(residual)
 
 
-def leg_terms(robot: Robot, weights: HorizonWeights, contacts: Sequence[Sequence[str]]) -> tuple[Term, ...]:
+def leg_terms(
+    robot: Robot,
+    weights: HorizonWeights,
+    contacts: Sequence[Sequence[str]],
+    *,
+    torque_rows: bool = True,
+) -> tuple[Term, ...]:
     """Costs and hard limits of a robot on legs, whose contacts in each phase are these."""
     kinds = {robot.contact(name).kind for names in contacts for name in names}
     cones = (("point", FrictionPyramid()), ("surface", SoleCone()))
@@ -138,7 +148,7 @@ def leg_terms(robot: Robot, weights: HorizonWeights, contacts: Sequence[Sequence
         *([WrenchCost(weight=weights.wrench)] if kinds else []),
         AccelerationCost(weight=weights.acceleration, joints_only=True),
         *(cone for kind, cone in cones if kind in kinds),
-        TorqueLimits(),
+        *([TorqueLimits()] if torque_rows else []),
         VelocityLimits(),
         PositionLimits(),
     )

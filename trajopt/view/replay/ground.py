@@ -147,9 +147,7 @@ def _draw_plane(node: Any, box: np.ndarray, ground: Surface, size: float) -> Non
 
     The grid's lines run along the plane's tangents, every line at a round distance from the world's origin.
     """
-    length = max(CELL_PART * size, float(np.ptp(box, axis=0).max()) / MOST_CELLS)
-    power = 10.0 ** np.floor(np.log10(length))
-    cell = float(power * max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
+    cell = grid_cell(box, size)
     step = BOLD_EVERY * cell
     corners = parts.box_corners(*box) @ ground.tangents.T
     low = np.floor((corners.min(axis=0) - PLANE_MARGIN * size) / step) * step
@@ -160,6 +158,13 @@ def _draw_plane(node: Any, box: np.ndarray, ground: Surface, size: float) -> Non
     node["plane"].set_transform(parts.placed(centre, ground.frame))
     node["grid"].set_object(_grid(low, high, cell, ground, bold=False))
     node["bold"].set_object(_grid(low, high, cell, ground, bold=True))
+
+
+def grid_cell(box: np.ndarray, size: float) -> float:
+    """Side of a cell of the grid around a ``box`` (2, 3) for robots of this ``size``, all in m."""
+    length = max(CELL_PART * size, float(np.ptp(box, axis=0).max()) / MOST_CELLS)
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
 
 
 def _grid(low: np.ndarray, high: np.ndarray, cell: float, ground: Surface, bold: bool) -> Any:

@@ -6,6 +6,7 @@ import hashlib
 import html
 import json
 import math
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from string import Template
@@ -36,27 +37,41 @@ LIVE = {"live": " 'self' ws://127.0.0.1:* ws://localhost:*", "code": " 'unsafe-e
 ALONE = {"live": "", "code": ""}
 
 
+@dataclass(frozen=True, kw_only=True)
+class PageSource:
+    """Files of a page: its HTML with places for the rest, its styles, and its scripts in order of dependency."""
+
+    html: Path
+    styles: tuple[Path, ...]
+    scripts: tuple[Path, ...]
+
+
+REPLAY = PageSource(
+    html=WEB / "page.html", styles=(WEB / "page.css",), scripts=tuple(WEB / name for name in SCRIPTS)
+)
+
+
 def page(scene: ReplayScene) -> str:
     """Return the text of the page.
 
     Raises `TrajoptError` if Meshcat's viewer is not fully installed.
     """
-    return _text({**scene.facts, "live": False}, ALONE, packed_scene(scene))
+    return _text(REPLAY, {**scene.facts, "live": False}, ALONE, packed_scene(scene))
 
 
-def live_page(facts: dict[str, Any]) -> str:
+def live_page(facts: dict[str, Any], source: PageSource = REPLAY) -> str:
     """Return the text of a page that receives its scene from its server."""
-    return _text({**facts, "live": True}, LIVE, b"")
+    return _text(source, {**facts, "live": True}, LIVE, b"")
 
 
-def _text(facts: dict[str, Any], allowed: dict[str, str], scene: bytes) -> str:
-    player = _player()
+def _text(source: PageSource, facts: dict[str, Any], allowed: dict[str, str], scene: bytes) -> str:
+    player = _player(source.scripts)
     digest = _base64(hashlib.sha256(player.encode()).digest())
     viewer, licence = _viewer()
-    return Template((WEB / "page.html").read_text(encoding="utf-8")).substitute(
+    return Template(source.html.read_text(encoding="utf-8")).substitute(
         policy=POLICY.format(player=digest, **allowed),
         title=html.escape(facts["title"]),
-        style=(WEB / "page.css").read_text(encoding="utf-8"),
+        style="\n".join(path.read_text(encoding="utf-8") for path in source.styles),
         licence=licence,
         viewer=viewer,
         scene=_base64(scene),
@@ -67,9 +82,9 @@ def _text(facts: dict[str, Any], allowed: dict[str, str], scene: bytes) -> str:
 
 
 @cache
-def _player() -> str:
+def _player(scripts: tuple[Path, ...]) -> str:
     """The player's code in a strict function, isolated from the rest of the page."""
-    code = "\n".join((WEB / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    code = "\n".join(path.read_text(encoding="utf-8") for path in scripts)
     return f'\n(() => {{\n"use strict";\n{code}}})();\n'
 
 

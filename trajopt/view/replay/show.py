@@ -150,8 +150,7 @@ class LiveWindow(ViewerWindow):
 
     def open(self) -> LiveWindow:
         """Open the page in the browser, if there is a screen."""
-        if sys.platform in ("win32", "darwin") or any(os.environ.get(name) for name in DISPLAYS):
-            webbrowser.open(self.web_url, new=2)
+        open_address(self.web_url)
         return self
 
     def ended(self, timeout: float) -> bool:
@@ -175,12 +174,18 @@ class LiveWindow(ViewerWindow):
         self.zmq_socket.close(linger=0)
 
 
-def server_address_text(url: str) -> str:
-    """Return the message about a server: its address and, over ssh, how to reach it."""
+def open_address(url: str) -> None:
+    """Open a page in the browser, if there is a screen."""
+    if sys.platform in ("win32", "darwin") or any(os.environ.get(name) for name in DISPLAYS):
+        webbrowser.open(url, new=2)
+
+
+def server_address_text(url: str, what: str = "replay") -> str:
+    """Return the message about a server of ``what``: its address and, over ssh, how to reach it."""
     if not os.environ.get("SSH_CONNECTION"):
-        return f"replay at {url}"
+        return f"{what} at {url}"
     port = url.rstrip("/").rpartition(":")[2]
-    return f"replay at {url} (from your own machine: ssh -L {port}:127.0.0.1:{port} {socket.gethostname()})"
+    return f"{what} at {url} (from your own machine: ssh -L {port}:127.0.0.1:{port} {socket.gethostname()})"
 
 
 def _started() -> tuple[subprocess.Popen[str], str, str]:

@@ -127,17 +127,17 @@ class IterateScene:
         self._model, self._problem = solution.model, iterate.transcription.problem
         named = [self._model.getFrameId(name) for name in solution.contact_frames]
         self._frames = named or tip_frames(self._model)
-        still, self._facts = _still(solution)
+        still, self._facts = still_scene(solution)
+        self._facts |= {"title": f"solving {title(solution)}"}
         recorder.commands += [ViewerCommand({"type": "delete", "path": TOP}), *still]
         _draw_poses(recorder, solution)
 
 
-def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
-    """The static parts of the scene, as a replay draws them, and the page's facts.
+def still_scene(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
+    """Return the static parts of the scene, as a replay draws them, and the page's facts.
 
     A motion that cannot be replayed has only its robot.
     """
-    name = f"solving {title(solution)}"
     added = [
         layer(POSES, "poses on the way", GHOST_COLOUR, [POSES]),
         layer(PATHS, "paths of feet and mass", TRAIL_COLOURS[0], [PATHS]),
@@ -150,7 +150,7 @@ def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
         draw_robot(meshcat.Visualizer(window=recorder), solution)
         size = reach(solution.model) or 1.0
         facts = {"start": 0.0, "speed": 1.0, "size": size, "box": [[-size] * 3, [size] * 3], "runs": []}
-        return recorder.commands, facts | {"title": name, "layers": added}
+        return recorder.commands, facts | {"title": title(solution), "layers": added}
 
     def moves(path: str) -> bool:
         return path.startswith(f"{TOP}/") and path.split("/")[2] not in STILL
@@ -161,7 +161,7 @@ def _still(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
     messages = [command.message for command in scene.commands]
     kept = [m for m in messages if m["type"] != "set_animation" and not moves(m["path"])]
     return [ViewerCommand(message) for message in kept], scene.facts | {
-        "title": name,
+        "title": title(solution),
         "layers": [*layers, *added],
     }
 

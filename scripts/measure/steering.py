@@ -1,0 +1,340 @@
+"""Receding-horizon control in MuJoCo, in lockstep with the delay of its solves (docs/mpc.md)."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import click
+import numpy as np
+import pinocchio as pin
+
+from scripts.measure.robustness import DISTURBANCES
+from scripts.measure.shared import head, row
+from trajopt.collision import CapsuleObstacle
+from trajopt.dynamics import gravity_of
+from trajopt.mpc import (
+    ArmController,
+    Command,
+    CommandScript,
+    ControllerSettings,
+    Drive,
+    PlannerSettings,
+    SolverSettings,
+    Target,
+    boxes_ahead,
+    drive,
+    slope_ahead,
+)
+from trajopt.robot import Robot, frame_pose
+from trajopt.robot.natural_units import NaturalUnits
+from trajopt.simulation import Impulse
+from trajopt_library import robots
+
+QUADRUPEDS, BIPEDS = ("go2", "solo12", "anymal_c"), ("g1", "talos")
+GAITS = ("walk", "trot", "pace", "bound", "pronk")
+# Ranges of speeds over that of Go2, and steps of the random walk each second.
+LOW, HIGH, STEP = np.array([-0.5, -0.3, -1.0]), np.array([1.0, 0.3, 1.0]), np.array([0.4, 0.2, 0.6])
+START = 0.3
+names_option = click.option(
+    "--robots", "names", default=",".join(QUADRUPEDS), metavar="A,B", show_default=True
+)
+seconds_option = click.option("--seconds", default=60.0, show_default=True, help="Of each drive.")
+seeds_option = click.option("--seeds", default=5, show_default=True, help="Number of seeds.")
+
+
+def scale_of(robot: Robot) -> float:
+    """Speeds of a robot over those of Go2: sqrt(g l)."""
+    return math.sqrt(robot.length / robots.load("go2").length)
+
+
+def random_walk(robot: Robot, gait: str, seconds: float, seed: int) -> CommandScript:
+    """Commands that change each second."""
+    generator, factor = np.random.default_rng(seed), scale_of(robot)
+    at, times, commands = np.zeros(3), [0.0], [Command()]
+    for time in np.arange(0.5, seconds, 1.0):
+        at = np.clip(at + STEP * generator.standard_normal(3), LOW, HIGH)
+        times.append(float(time))
+        speed, lateral, turn = (at * [factor, factor, 1.0]).tolist()
+        commands.append(Command(gait=gait, speed=speed, lateral=lateral, turn_rate=turn))
+    return CommandScript(tuple(times), tuple(commands))
+
+
+def straight(gait: str, speed: float) -> CommandScript:
+    """From a stance straight ahead."""
+    return CommandScript((0.0, START), (Command(), Command(gait=gait, speed=speed)))
+
+
+def cells(run: Drive) -> list[str]:
+    """Whether it fell, errors of commands, and times."""
+    report, errors = run.report, run.report.mean_errors
+    tracked = (
+        ["", "", ""]
+        if errors is None
+        else [f"{e:.3f}" for e in (errors.speed, errors.lateral, errors.turn_rate)]
+    )
+    plan = report.plan_times
+    return [
+        f"fell at {report.fall_time:.1f} s" if report.fell else "no",
+        *tracked,
+        f"{1e3 * plan.median:.1f}",
+        f"{1e3 * plan.p99:.1f}",
+        str(report.begun_anew),
+    ]
+
+
+TITLES = ("fell", "speed, m/s", "lateral, m/s", "turn, rad/s", "plan, ms", "99 %, ms", "begun anew")
+
+
+@click.command("commands")
+@names_option
+@seconds_option
+@seeds_option
+@click.option("--gait", default="", help="Default: trot, of bipeds walk.")
+def commands(names: str, seconds: float, seeds: int, gait: str) -> None:
+    """Follow commands that change each second by a random walk; errors are root mean squares."""
+    head("robot", "seed", *TITLES)
+    for name in names.split(","):
+        robot = robots.load(name)
+        for seed in range(seeds):
+            script = random_walk(robot, gait or ("walk" if name in BIPEDS else "trot"), seconds, seed)
+            row(name, str(seed), *cells(drive(robot, script, duration=seconds)))
+
+
+@click.command("pushed")
+@names_option
+@click.option("--most", default=0.8, show_default=True, help="Largest impulse, natural units.")
+@click.option("--step", default=0.1, show_default=True)
+@click.option("--directions", default=8, show_default=True)
+@click.option("--no-replanning", is_flag=True, help="Plans do not start from the measured state.")
+def pushed(names: str, most: float, step: float, directions: int, no_replanning: bool) -> None:
+    """Largest impulse before the first that a robot falls by, trotting (bipeds: walking), by direction."""
+    angles = [round(360 * k / directions) for k in range(directions)]
+    head("robot", "unit, N s", *map(str, angles), "least")
+    for name in names.split(","):
+        robot = robots.load(name)
+        units = NaturalUnits.of(robot.model)
+        largest = [
+            survived(robot, angle, np.arange(step, most + step / 2, step).tolist(), not no_replanning)
+            for angle in angles
+        ]
+        unit = units.weight * units.time
+        row(name, f"{unit:.3g}", *(f"{size:.2g}" for size in largest), f"{min(largest):.2g}")
+
+
+def survived(robot: Robot, angle: float, sizes: Sequence[float], replanning: bool = True) -> float:
+    """The largest of rising impulses before the first fall, natural units, at a usual speed."""
+    units, biped = NaturalUnits.of(robot.model), robot.name in BIPEDS
+    gait = "walk" if biped else "trot"
+    speed = (0.2 if biped else 0.4) * math.sqrt(gravity_of(robot.model) * robot.length)
+    best = 0.0
+    for size in sizes:
+        time = START + 4.0 * 2.6 * math.sqrt(robot.length / gravity_of(robot.model))
+        push = Impulse(
+            direction=math.radians(angle),
+            size=size * units.weight * units.time,
+            time=time,
+            duration=0.1 * units.time,
+        )
+        settings = None if replanning else ControllerSettings(measured=False)
+        run = drive(
+            robot, straight(gait, speed), duration=time + 6 * units.time, pushes=(push,), settings=settings
+        )
+        if run.report.fell:
+            break
+        best = size
+    return best
+
+
+@click.command("disturbed")
+@names_option
+@click.option("--seconds", default=10.0, show_default=True, help="Of each drive.")
+def disturbed(names: str, seconds: float) -> None:
+    """Random commands under disturbances that the controller does not know of."""
+    columns = "fell", "speed, m/s", "without re-planning"
+    head("disturbance", *(f"{name}: {what}" for name in names.split(",") for what in columns))
+    for title, given in DISTURBANCES.items():
+        row(title, *(cell for name in names.split(",") for cell in _disturbed(name, given, seconds)))
+
+
+def _disturbed(name: str, given: dict[str, Any], seconds: float) -> Iterator[str]:
+    robot = robots.load(name)
+    own = {key: value for key, value in given.items() if key != "front_left"}
+    if "front_left" in given:
+        own["ground_offsets"] = {robot.contacts[0].frame: given["front_left"]}
+    script = random_walk(robot, "trot", seconds, 0)
+    run = drive(robot, script, duration=seconds, **own)
+    yield from cells(run)[:2]
+    blind = drive(robot, script, duration=seconds, settings=ControllerSettings(measured=False), **own)
+    yield cells(blind)[0]
+
+
+@click.command("gait-changes")
+@names_option
+@seeds_option
+def gait_changes(names: str, seeds: int) -> None:
+    """From a stance through all gaits and back, at random moments, at a third of the trot's usual speed."""
+    head("robot", "seed", *TITLES)
+    for name in names.split(","):
+        robot = robots.load(name)
+        speed = 0.15 * math.sqrt(gravity_of(robot.model) * robot.length)
+        for seed in range(seeds):
+            generator = np.random.default_rng(seed)
+            order = (*GAITS, *GAITS[-2::-1])
+            times = np.cumsum([START, *generator.uniform(1.0, 2.0, len(order))]).tolist()
+            given = [Command(), *(Command(gait=gait, speed=speed) for gait in order), Command()]
+            script = CommandScript((0.0, *times), tuple(given))
+            row(name, str(seed), *cells(drive(robot, script, duration=times[-1] + 1.5)))
+
+
+@click.command("rough")
+@names_option
+@seeds_option
+def rough(names: str, seeds: int) -> None:
+    """Three metres over ground that the planner is not told of, in m and fell."""
+    head("robot", "gait", "slope 10 degrees", *(f"boxes, seed {seed}" for seed in range(seeds)))
+    for name in names.split(","):
+        robot = robots.load(name)
+        for gait in ("walk", "trot"):
+            speed = (0.2 if gait == "walk" else 0.3) * math.sqrt(gravity_of(robot.model) * robot.length)
+            grounds = [slope_ahead(10.0), *(boxes_ahead(robot, 0.1, seed) for seed in range(seeds))]
+            runs = [
+                drive(robot, straight(gait, speed), duration=START + 4.0 / speed, ground=ground)
+                for ground in grounds
+            ]
+            row(name, gait, *(f"{run.record.qpos[-1, 0]:.1f}{', fell' * run.report.fell}" for run in runs))
+
+
+VARIANTS: dict[str, PlannerSettings] = {
+    "as usual": PlannerSettings(),
+    "horizon of a period": PlannerSettings(span=1.0),
+    "4 intervals a period": PlannerSettings(intervals=4),
+    "12 intervals a period": PlannerSettings(intervals=12),
+    "degree 1, 12 intervals": PlannerSettings(scheme="legendre:1", intervals=12),
+    "degree 3, 4 intervals": PlannerSettings(scheme="legendre:3", intervals=4),
+    "1 step": PlannerSettings(solver=SolverSettings(steps=1, most_steps=1, changed_steps=2)),
+    "8 steps": PlannerSettings(solver=SolverSettings(steps=8, most_steps=8, changed_steps=12)),
+    "barrier 1e-3": PlannerSettings(solver=SolverSettings(barrier=1e-3)),
+    "no torque rows": PlannerSettings(torque_rows=False),
+}
+
+
+@click.command("horizons")
+@click.option("--robot", "name", default="go2", show_default=True)
+@click.option("--seconds", default=10.0, show_default=True)
+def horizons(name: str, seconds: float) -> None:
+    """What horizon, degree, mesh, steps and rows cost, and what they bring."""
+    robot = robots.load(name)
+    head(
+        "planner",
+        "plan, ms",
+        "99 %, ms",
+        "fell",
+        "speed, m/s",
+        "transport",
+        "push from behind",
+        "from the side",
+    )
+    for title, planner in VARIANTS.items():
+        settings = ControllerSettings(planner=planner)
+        run = drive(robot, random_walk(robot, "trot", seconds, 0), duration=seconds, settings=settings)
+        fell, speed, *_ = cells(run)
+        plan = run.report.plan_times
+        pushes = [_pushed(robot, settings, angle) for angle in (0, 90)]
+        transport = _transport(robot, settings)
+        row(
+            title,
+            f"{1e3 * plan.median:.1f}",
+            f"{1e3 * plan.p99:.1f}",
+            fell,
+            speed,
+            f"{transport:.2f}",
+            *pushes,
+        )
+
+
+def _pushed(robot: Robot, settings: ControllerSettings, angle: float) -> str:
+    units, best = NaturalUnits.of(robot.model), 0.0
+    speed = 0.4 * math.sqrt(gravity_of(robot.model) * robot.length)
+    for size in (0.2, 0.3, 0.4, 0.5):
+        push = Impulse(
+            direction=math.radians(angle),
+            size=size * units.weight * units.time,
+            time=2.0,
+            duration=0.1 * units.time,
+        )
+        run = drive(robot, straight("trot", speed), duration=3.0, pushes=(push,), settings=settings)
+        if run.report.fell:
+            break
+        best = size
+    return f"{best:.1f}"
+
+
+def _transport(robot: Robot, settings: ControllerSettings) -> float:
+    """Work of the drives over weight and way, at a steady trot; braking counts."""
+    speed = 0.4 * math.sqrt(gravity_of(robot.model) * robot.length)
+    run = drive(robot, straight("trot", speed), duration=4.0, settings=settings)
+    record, late = run.record, slice(2000, None)
+    rates = record.qvel[:-1, 6:][late]
+    work = np.abs(record.torque[late] * rates).sum() * 1e-3
+    way = float(np.linalg.norm(record.qpos[-1, :2] - record.qpos[2000, :2]))
+    return float(work / (robot.weight * max(way, 1e-9)))
+
+
+@click.command("targets")
+@click.option("--robots", "names", default="panda,ur5", metavar="A,B", show_default=True)
+@click.option("--seconds", default=20.0, show_default=True)
+@seeds_option
+def targets(names: str, seconds: float, seeds: int) -> None:
+    """Arms that follow a target on a random walk around a post, on Pinocchio's forward dynamics."""
+    head("robot", "seed", "error, mm", "95 %, mm", "nearest, mm", "plan, ms", "99 %, ms", "limits")
+    tools = {"panda": "panda_hand_tcp", "ur5": "tool0"}
+    for name in names.split(","):
+        robot = robots.load(name)
+        for seed in range(seeds):
+            row(name, str(seed), *_followed(robot, tools[name], seconds, seed))
+
+
+def _followed(robot: Robot, tool: str, seconds: float, seed: int) -> list[str]:
+    place = frame_pose(robot, robot.reference, tool).translation
+    foot = pin.utils.rotate("z", 0.7) @ (place * [1.0, 1.0, 0.0])
+    post = CapsuleObstacle(
+        name="post",
+        start=foot + np.array([0.0, 0.0, 0.04]),
+        end=foot + np.array([0.0, 0.0, 0.8 * place[2]]),
+        radius=0.03,
+    )
+    controller = ArmController(robot, tool, (post,))
+    model, data, q, v = robot.model, robot.model.createData(), robot.reference.copy(), np.zeros(robot.nv)
+    generator, way, rate = np.random.default_rng(seed), np.zeros(3), np.zeros(3)
+    errors, states, rates = [], [], []
+    for k in range(round(seconds * 1e3)):
+        if k % 100 == 0:
+            rate = 0.8 * rate + generator.standard_normal(3) * [0.25, 0.1, 0.1]
+        before, way = way, np.clip(way + 1e-3 * rate, [-1.2, -0.15, -0.15], [1.2, 0.15, 0.15])
+        last, goal = (_around(place, each) for each in (before, way))
+        torque = controller.step(1e-3 * k, q, v, Target(position=goal, velocity=(goal - last) / 1e-3))
+        v = v + 1e-3 * pin.aba(model, data, q, v, torque)
+        q = pin.integrate(model, q, 1e-3 * v)
+        pin.framesForwardKinematics(model, data, q)
+        errors.append(float(np.linalg.norm(data.oMf[model.getFrameId(tool)].translation - goal)))
+        states.append(q)
+        rates.append(v)
+    distances = controller.scene.distances(np.array(states[::20])).min()
+    q_, v_ = np.array(states), np.array(rates)
+    kept = ((q_ >= robot.position_lower) & (q_ <= robot.position_upper)).all()
+    kept &= (np.abs(v_) <= 1.001 * robot.velocity_limit).all()
+    plans = controller.report.planning[1:]
+    return [
+        f"{1e3 * np.mean(errors):.1f}",
+        f"{1e3 * np.percentile(errors, 95):.1f}",
+        f"{1e3 * distances:.0f}",
+        f"{1e3 * np.median(plans):.1f}",
+        f"{1e3 * np.percentile(plans, 99):.1f}",
+        "kept" if kept else "missed",
+    ]
+
+
+def _around(place: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """A place turned about the vertical axis, farther out and higher by parts of it."""
+    moved = place * [1 + way[1], 1 + way[1], 1 + way[2]]
+    return np.asarray(pin.utils.rotate("z", float(way[0])) @ moved)

@@ -1,0 +1,287 @@
+"""What a page steers: a robot on legs by its command, or the target of an arm's tool."""
+
+from __future__ import annotations
+
+import copy
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from typing_extensions import override
+
+from trajopt.errors import InputError, not_among, shown
+from trajopt.mpc.arm import ArmController, ArmSettings, Target
+from trajopt.mpc.commands import STAND, Command
+from trajopt.mpc.controller import Controller, ControllerSettings
+from trajopt.mpc.drive import Steering
+from trajopt.mpc.follow import Follower
+from trajopt.mpc.motion import HorizonMotion
+from trajopt.mpc.plans import ControllerReport, Plans
+from trajopt.robot.kinematics import frame_pose
+from trajopt.robot.natural_units import NaturalUnits
+from trajopt.robot.robot import Robot
+from trajopt.schedule.gaits import gait_names
+
+# Gaits that are prepared unless others are asked for: each takes seconds.
+USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
+# Largest commands over natural units: speed forward and sideways, turn rate, height.
+SPEED, LATERAL, TURN, HEIGHT = 0.6, 0.25, 0.25, 0.15
+# Largest and usual push over weight times natural time.
+MOST_PUSH, USUAL_PUSH = 0.5, 0.1
+# Of an arm's target: farthest from the start over the robot's length, and speed over the natural one.
+FARTHEST, TARGET_SPEED = 0.35, 0.2
+# Pushes are steered by these.
+PUSH, DIRECTION = "push", "direction"
+GAIT = "gait"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slider:
+    """A number that a page sets: its bounds and first value in ``unit``; keys that raise and lower it."""
+
+    name: str
+    label: str
+    unit: str
+    low: float
+    high: float
+    value: float = 0.0
+    keys: tuple[str, str] = ("", "")
+
+
+class Driver(ABC):
+    """A robot that follows what a page sets; a simulation asks it for torques.
+
+    sliders, gaits: what a page may set. values, gait: what is set. offset: s, added to the simulation's time.
+    """
+
+    robot: Robot
+
+    def __init__(self, sliders: Sequence[Slider], gaits: Sequence[str]) -> None:
+        self.sliders, self.gaits = tuple(sliders), tuple(gaits)
+        self.offset = 0.0
+        self.stand()
+
+    def stand(self) -> None:
+        """Set the first values again, as at the start."""
+        self.values: Mapping[str, float] = {slider.name: slider.value for slider in self.sliders}
+        self.gait = STAND
+
+    def obey(self, wanted: Mapping[str, object]) -> None:
+        """Set some of the values and the gait, all or nothing; from any thread.
+
+        Raises:
+            InputError: for a name or gait that is unknown, and a value that is no finite number in its range.
+        """
+        known = {slider.name: slider for slider in self.sliders}
+        names, values = [*known, *([GAIT] if self.gaits else [])], dict(self.values)
+        for name, value in wanted.items():
+            if name not in names:
+                raise not_among(names, name, f"'{name}' is no command")
+            if name == GAIT:
+                if value not in (STAND, *self.gaits):
+                    raise not_among((STAND, *self.gaits), str(value), f"gait is {shown(value)}")
+                continue
+            slider, number = known[name], isinstance(value, int | float) and not isinstance(value, bool)
+            if not (number and slider.low <= float(str(value)) <= slider.high):
+                allowed = f"allowed: {slider.low:.4g} to {slider.high:.4g} {slider.unit}"
+                raise InputError(f"{name} is {shown(value)}", allowed)
+            values[name] = float(str(value))
+        self.values, self.gait = values, str(wanted.get(GAIT, self.gait))
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Begin again, with a controller as new."""
+
+    @abstractmethod
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        """Torques (nu,) at ``t`` s, as of `TorqueController`."""
+
+    @property
+    @abstractmethod
+    def plans(self) -> Plans:
+        """The plan in use, and the figures of all."""
+
+    @property
+    def motion(self) -> HorizonMotion | None:
+        """The plan in use."""
+        return self.plans.motion
+
+    @property
+    def report(self) -> ControllerReport:
+        """What happened to plans since the begin."""
+        return self.plans.report
+
+    @property
+    def target(self) -> np.ndarray | None:
+        """Where the tool should be (3,), m; None without a tool."""
+        return None
+
+    def close(self) -> None:
+        """End the thread of plans."""
+        self.plans.close()
+
+
+class LegsDriver(Driver):
+    """A robot on legs, which follows gait, speeds and height.
+
+    Args:
+        robot: with a free base, on feet.
+        gaits: that are prepared; default those of `USUAL_GAITS` that it has.
+        settings: of its controller; default with plans made by a thread.
+
+    Raises:
+        InputError: for another base, and a gait that it does not have.
+    """
+
+    def __init__(
+        self, robot: Robot, gaits: Sequence[str] | None = None, settings: ControllerSettings | None = None
+    ) -> None:
+        if robot.base != "freeflyer":
+            raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free base, on feet")
+        known, self.robot = gait_names(robot), robot
+        names = tuple(gaits or [name for name in USUAL_GAITS if name in known] or known[:MOST_GAITS])
+        self._made = Controller(robot, names, settings or ControllerSettings(live=True))
+        units = NaturalUnits.of(robot.model)
+        speed, impulse = units.length / units.time, units.weight * units.time
+        super().__init__(
+            [
+                _even("speed", "forward", "m/s", SPEED * speed, ("w", "s")),
+                _even("lateral", "to the left", "m/s", LATERAL * speed, ("q", "e")),
+                _even("turn_rate", "turn left", "rad/s", TURN / units.time, ("a", "d")),
+                _even("height", "height", "m", HEIGHT * units.length),
+                Slider(
+                    name=PUSH, label="push", unit="N s", low=0.0, high=_rounded(MOST_PUSH * impulse),
+                    value=_rounded(USUAL_PUSH * impulse),
+                ),
+                Slider(name=DIRECTION, label="push to", unit="°", low=-180.0, high=180.0, value=90.0),
+            ],
+            names,
+        )  # fmt: skip
+        self.log: list[tuple[float, Command]] = []
+        self.steering: Steering | None = None
+        self.begin()
+
+    @property
+    def command(self) -> Command:
+        """The present command; one to stand has no speeds."""
+        used = ("height",) if self.gait == STAND else ("speed", "lateral", "turn_rate", "height")
+        return Command(gait=self.gait, **{name: self.values[name] for name in used})
+
+    def at(self, time: float) -> Command:
+        """The present command, noted in ``log`` with its time in s where it is a new one."""
+        command = self.command
+        if not self.log or self.log[-1][1] != command:
+            self.log.append((time, command))
+        return command
+
+    @override
+    def begin(self) -> None:
+        if self.steering is not None:
+            self.close()
+        self.log, self.offset = [], 0.0
+        self.steering = Steering(_as_new(self._made), self)
+
+    @override
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        assert self.steering is not None
+        return self.steering.torque(t + self.offset, q, v, touching)
+
+    @property
+    @override
+    def plans(self) -> Plans:
+        assert self.steering is not None
+        return self.steering.controller.plans
+
+
+class ArmDriver(Driver):
+    """An arm whose tool follows a target that moves at a bounded speed to where a page sets it.
+
+    Args:
+        robot: with a fixed base.
+        tool: the frame that follows, which keeps its first orientation; default the last frame of the model.
+        settings: of its controller; default with plans made by a thread.
+
+    Raises:
+        InputError: for another base or frame.
+    """
+
+    def __init__(self, robot: Robot, tool: str | None = None, settings: ArmSettings | None = None) -> None:
+        self.robot = robot
+        self._made = ArmController(robot, tool, settings=settings or ArmSettings(live=True))
+        self._controller: ArmController | None = None
+        self._start = frame_pose(robot, robot.reference, self._made.tool)
+        units = NaturalUnits.of(robot.model)
+        self._speed, far = TARGET_SPEED * units.length / units.time, FARTHEST * robot.length
+        keys = (("w", "s"), ("a", "d"), ("e", "q"))
+        super().__init__(
+            [
+                Slider(name=axis, label=axis, unit="m", low=at - far, high=at + far, value=at, keys=pair)
+                for axis, at, pair in zip("xyz", self._start.translation.tolist(), keys, strict=True)
+            ],
+            (),
+        )
+        self.begin()
+
+    @override
+    def begin(self) -> None:
+        if self._controller is not None:
+            self.close()
+        self._controller = copy.copy(self._made)
+        self._controller.plans = _plans_of(self._made.settings)
+        self.offset, self._now, self._place = 0.0, 0.0, self._start.translation.copy()
+
+    @override
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        assert self._controller is not None
+        time = t + self.offset
+        passed, self._now = time - self._now, time
+        away = np.array([self.values[axis] for axis in "xyz"]) - self._place
+        far = float(np.linalg.norm(away))
+        moved = away * min(1.0, self._speed * passed / far) if far > 0 else away
+        self._place = self._place + moved
+        velocity = moved / passed if passed > 0 else np.zeros(3)
+        target = Target(position=self._place, rotation=self._start.rotation, velocity=velocity)
+        return self._controller.step(time, q, v, target)
+
+    @property
+    @override
+    def plans(self) -> Plans:
+        assert self._controller is not None
+        return self._controller.plans
+
+    @property
+    @override
+    def target(self) -> np.ndarray:
+        return self._place
+
+    @property
+    def tool(self) -> str:
+        """The frame that follows."""
+        return self._made.tool
+
+
+def _as_new(made: Controller) -> Controller:
+    """A controller as it was made, with the horizons of ``made``, which has not been used and never is."""
+    new = copy.copy(made)
+    new.clock, new.ground, new.planner = made.clock.copy(), made.ground.copy(), copy.copy(made.planner)
+    new.follower = Follower(made.robot, made.settings.gains, friction=made.settings.friction)
+    new.plans = _plans_of(made.settings)
+    new.planner.report = new.plans.report
+    return new
+
+
+def _plans_of(settings: ControllerSettings | ArmSettings) -> Plans:
+    return Plans(settings.period, settings.delay, live=settings.live)
+
+
+def _even(name: str, label: str, unit: str, most: float, keys: tuple[str, str] = ("", "")) -> Slider:
+    most = _rounded(most)
+    return Slider(name=name, label=label, unit=unit, low=-most, high=most, keys=keys)
+
+
+def _rounded(value: float) -> float:
+    """To two digits."""
+    digits = 1 - math.floor(math.log10(value))
+    return round(value, digits)

@@ -1,0 +1,178 @@
+"""The server of a drive, in a thread: its page, a websocket with what is drawn, and commands by POST.
+
+It listens on this machine only. A command is JSON, so that pages of other origins cannot send one, and requests
+for other host names are refused.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Any
+
+import tornado.web
+import tornado.websocket
+import umsgpack
+from tornado.httpserver import HTTPServer
+from typing_extensions import override
+
+from trajopt.errors import InputError
+from trajopt.view.replay.commands import ViewerCommand
+from trajopt.view.replay.page import without_nonfinite
+from trajopt.view.replay.server import HOST, OWN, Nothing
+
+# Ports that are tried, unless one is given; a port is at most `LAST_PORT`.
+PORTS, LAST_PORT = range(7000, 7100), 65535
+# Bytes of a command, and s until the server has ended.
+LONGEST, END = 10_000, 5.0
+JSON = "application/json"
+
+
+class DriveServer:
+    """The server; ``obey`` is called with each command in its thread, and raises `InputError` for a bad one.
+
+    Args:
+        page: the page's text.
+        scene: commands that each browser gets first.
+        obey: takes what a command's JSON holds.
+        port: to listen on; default: the first that is free.
+
+    Raises:
+        InputError: for a port that is taken or not allowed.
+    """
+
+    def __init__(
+        self,
+        page: str,
+        scene: Sequence[ViewerCommand],
+        obey: Callable[[Any], None],
+        port: int | None = None,
+    ) -> None:
+        if port is not None and not 0 < port <= LAST_PORT:
+            raise InputError(f"--port is {port}", f"allowed: 1 to {LAST_PORT}")
+        self.page, self.obey = page, obey
+        self.scene = [umsgpack.packb(command.lower()) for command in scene]
+        self.told: dict[str, bytes] = {}
+        self.browsers: set[_Browser] = set()
+        self._loop, started = asyncio.new_event_loop(), Future[int]()
+        self._thread = threading.Thread(target=self._serve, args=(started, port), daemon=True)
+        self._thread.start()
+        self.port = started.result()
+        self.url = f"http://{HOST}:{self.port}/"
+
+    def tell(self, path: str, value: Any) -> None:
+        """Tell all browsers something, from any thread; those that connect later get the last of each path."""
+        data = umsgpack.packb({"type": OWN, "path": path, "value": without_nonfinite(value)})
+        self._loop.call_soon_threadsafe(self._tell, path, data)
+
+    def close(self) -> None:
+        """End the server; nothing if it has ended."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join(END)
+
+    def _tell(self, path: str, data: bytes) -> None:
+        self.told[path] = data
+        for browser in self.browsers:
+            browser.tell(data)
+
+    def _serve(self, started: Future[int], port: int | None) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            server, used = self._listen(port)
+        except BaseException as error:
+            started.set_exception(error)
+            return
+        started.set_result(used)
+        self._loop.run_forever()
+        server.stop()
+        for browser in tuple(self.browsers):
+            browser.close()
+        self._loop.run_until_complete(server.close_all_connections())
+        self._loop.close()
+
+    def _listen(self, port: int | None) -> tuple[HTTPServer, int]:
+        application = tornado.web.Application(log_function=lambda handler: None)
+        handlers: list[Any] = [
+            (r"/", _Browser, {"server": self}),
+            (r"/command", _Command, {"server": self}),
+            (r"/favicon.ico", Nothing),
+        ]
+        application.add_handlers(r"(127\.0\.0\.1|localhost)", handlers)
+        server = HTTPServer(application, max_body_size=LONGEST)
+        for each in PORTS if port is None else (port,):
+            try:
+                server.listen(each, HOST)
+            except OSError:
+                continue
+            return server, each
+        taken = f"port {port} is taken" if port else f"no port from {PORTS.start} to {PORTS.stop - 1} is free"
+        raise InputError(taken, "allowed: a free one, --port N")
+
+
+class _Browser(tornado.websocket.WebSocketHandler):
+    """The page for browsers that ask for one; the websocket of the page."""
+
+    @override
+    def initialize(self, server: DriveServer) -> None:
+        self.server, self._sent = server, None
+
+    async def get(self, *args: Any, **kwargs: Any) -> None:
+        if self.request.headers.get("Upgrade", "").lower() == "websocket":
+            await super().get(*args, **kwargs)
+            return
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.set_header("Cache-Control", "no-store")
+        self.finish(self.server.page)
+
+    @override
+    def open(self, *args: str, **kwargs: str) -> None:
+        for data in (*self.server.scene, *self.server.told.values()):
+            self.write_message(data, binary=True)
+        self.server.browsers.add(self)
+
+    @override
+    def on_message(self, message: str | bytes) -> None:
+        """Meshcat's viewer sends pictures, which nobody asked for."""
+
+    @override
+    def on_close(self) -> None:
+        self.server.browsers.discard(self)
+
+    def tell(self, data: bytes) -> None:
+        """Send a message, unless the last one is still on its way."""
+        if self._sent is None or self._sent.done():
+            self._sent = asyncio.ensure_future(self._send(data))
+
+    async def _send(self, data: bytes) -> None:
+        try:
+            await self.write_message(data, binary=True)
+        except tornado.websocket.WebSocketClosedError:
+            self.server.browsers.discard(self)
+
+
+class _Command(tornado.web.RequestHandler):
+    """A command by POST: 204, or 400 with one line."""
+
+    @override
+    def initialize(self, server: DriveServer) -> None:
+        self.server = server
+
+    def post(self) -> None:
+        try:
+            if self.request.headers.get("Content-Type", "").partition(";")[0].strip().lower() != JSON:
+                raise InputError("a command is of another content type", f"allowed: {JSON}")
+            try:
+                wanted = json.loads(self.request.body)
+            except (ValueError, RecursionError):
+                raise InputError("a command is not JSON", "allowed: an object") from None
+            self.server.obey(wanted)
+        except InputError as error:
+            self.set_status(400)
+            self.set_header("Content-Type", "text/plain; charset=utf-8")
+            self.finish(" ".join(str(error).split()) + "\n")
+            return
+        self.set_status(204)
