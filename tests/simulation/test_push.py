@@ -103,6 +103,22 @@ def test_an_impulse_is_the_momentum_that_a_robot_gains_in_its_direction(
     np.testing.assert_allclose(momentum[True] - momentum[False], yaw @ wanted, atol=MOMENTUM)
 
 
+def test_several_impulses_are_their_sum() -> None:
+    robot = robots.load("solo12")
+    plan = sampled(robot, [tumbling_flight(robot, 0.1)], 4)
+    forward, left, backward, further = (
+        Impulse(direction=angle, size=size, time=0.01, duration=0.02)
+        for angle, size in ((0.0, 0.1), (math.pi / 2, 0.1), (math.pi, 0.1), (math.pi / 2, 0.2))
+    )
+    ends = {
+        given: simulate(plan, kp=0.0, kd=0.0, impulse=given).record.qvel[-1]
+        for given in (left, further, (forward, left, backward), (left, left))
+    }
+    np.testing.assert_allclose(ends[forward, left, backward], ends[left], atol=MOMENTUM)
+    np.testing.assert_allclose(ends[left, left], ends[further], atol=MOMENTUM)
+    assert np.abs(ends[further] - ends[left]).max() > 0.01
+
+
 @pytest.mark.long
 def test_a_push_to_the_left_moves_the_base_to_the_left(stand: Solution) -> None:
     still = simulate(stand).record.qpos

@@ -17,6 +17,7 @@ from trajopt.cli.input import (
     output_option,
     value_option,
 )
+from trajopt.cli.interruption import INTERRUPTION
 from trajopt.cli.progress import busy
 from trajopt.cli.report import say, to_json
 from trajopt.errors import InputError, require_positive
@@ -27,17 +28,29 @@ if TYPE_CHECKING:
     from trajopt.simulation.settings import Impulse
     from trajopt.terrain.piecewise import PiecewiseTerrain
 
+# Options of drives by a script.
+SCRIPTED = ("period", "plan_delay", "push", "slope", "boxes", "rolling", "as_json")
+
 
 @click.command("drive")
 @click.argument("robot")
-@value_option("--script", "CSV", "Commands over time; columns time, gait, speed, lateral, turn_rate, height.", Path)
+@value_option(
+    "--script", "CSV", "Commands over time; columns time, gait, speed, lateral, turn_rate, height.", Path
+)
 @output_option("RUN", "Save the motion as a solution.")
-@value_option("--seconds", "S", "Duration.  [default: 2 s after the last command]", float)
+@value_option("--seconds", "S", "Duration.  [default: 2 s after the last command; live, until Ctrl-C]", float)
+@value_option("--port", "N", "Of the page of a live drive.  [default: the first free one from 7000 on]", int)
+@click.option("--no-open", is_flag=True, help="Do not open a browser.")
+@click.option("--target", "to_target", is_flag=True, help="Drive the tool of an arm to a target.")
+@click.option("--exit-with-page", is_flag=True, help="End a live drive when its page is closed.")
 @default_option("--period", 0.01, "S", "Of plans.")
 @default_option("--plan-delay", 0.01, "S", "After which a plan is ready, however long it took.")
 @hardware_options
 @value_option(
-    "--push", "TIME,DEGREES,SIZE", "Level impulse on the base: s, from its front, N s. Repeatable.", multiple=True
+    "--push",
+    "TIME,DEGREES,SIZE",
+    "Level impulse on the base: s, from its front, N s. Repeatable.",
+    multiple=True,
 )
 @value_option("--slope", "DEG", "Slope in front of the robot, of which it does not know.", float)
 @value_option("--boxes", "PART", "Boxes in front of it, up to this part of its length high.", float)
@@ -48,6 +61,10 @@ def drive_command(
     script: Path | None,
     output: Path | None,
     seconds: float | None,
+    port: int | None,
+    no_open: bool,
+    to_target: bool,
+    exit_with_page: bool,
     period: float,
     plan_delay: float,
     push: tuple[str, ...],
@@ -56,14 +73,24 @@ def drive_command(
     as_json: bool,
     **hardware: Any,
 ) -> int:
-    """Drive ROBOT, which has legs and a free base, by the commands of a script, in MuJoCo.
+    """Drive ROBOT in MuJoCo: from a page in the browser, or by the commands of a script.
 
-    Whole-body motions are planned anew every --period while it moves. Simulated time waits for the solver, and a
-    plan is used after --plan-delay: the motion does not depend on the machine. Exit status 0, 1 when the robot
-    falls, 2 for bad input.
+    Whole-body motions are planned anew every --period while it moves. By a script, simulated time waits for
+    the solver, and a plan is used after --plan-delay, so that the motion does not depend on times; ROBOT has
+    legs and a free base. Without one, a page in the browser steers it in real time, or with --target the
+    tool of an arm, until Ctrl-C. Exit status 0, 1 when the robot falls by a script, 2 for bad input.
     """
     if script is None:
-        raise InputError("no --script: commands from a browser are not there yet", "allowed: --script CSV")
+        refused = [name for name in (*SCRIPTED, *hardware) if is_given(name)]
+        if refused:
+            raise InputError(f"--{refused[0].replace('_', '-')} without --script", "allowed: with a script")
+        page = {"seconds": seconds, "exit_with_page": exit_with_page}
+        return _live(robot, output, page, port=port, open_browser=not no_open, target=to_target)
+    for name in ("port", "no_open", "to_target", "exit_with_page"):
+        if is_given(name):
+            raise InputError(
+                f"--{name.removeprefix('to_').replace('_', '-')} with --script", "allowed: one of them"
+            )
     check_apart([output], [script, Path(robot)])
     target = output and check_solution_output(output)
     if seconds is not None:
@@ -74,7 +101,7 @@ def drive_command(
         raise InputError("--seed has no effect here", "allowed: with --noise, --sensor-noise or --boxes")
     from trajopt.mpc.commands import read_commands
     from trajopt.mpc.controller import ControllerSettings
-    from trajopt.mpc.drive import drive
+    from trajopt.mpc.lockstep import drive
     from trajopt.robot.catalogue import robot as load
     from trajopt.schedule.gaits import gait_names
 
@@ -92,6 +119,32 @@ def drive_command(
     report = driven.report
     say(to_json(report.to_dict()) if as_json else report.table())
     return 0 if report.passed else NOT_REACHED
+
+
+def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) -> int:
+    """A drive from the browser. Raises `InputError`."""
+    if output is not None:
+        if options["target"]:
+            raise InputError("-o with --target", "allowed: one of them, the drive of an arm is not saved")
+        check_apart([output], [Path(robot)])
+        check_solution_output(output)
+    if how["seconds"] is not None:
+        require_positive("--seconds", how["seconds"], "s")
+    from trajopt.robot.catalogue import robot as load
+    from trajopt.view.driving.live import LiveDrive
+
+    loaded = load(robot)
+    with busy(f"preparing {loaded.name}"):
+        live = LiveDrive(loaded, **options)
+    with live, INTERRUPTION.deferring():
+        say("Ctrl-C ends the drive", err=True)
+        live.run(**how, leaving=lambda: INTERRUPTION.pressed)
+        INTERRUPTION.answer()
+        session = live.session
+        if output is not None:
+            session.as_drive().as_solution().save(output)
+    say(f"{loaded.name}: {session.passed:.1f} s simulated, {session.behind:.1f} s behind the clock")
+    return 0
 
 
 def _push(robot: Robot, text: str) -> Impulse:

@@ -134,7 +134,9 @@ hardware_options = option_group(
     default_option("--friction-scale", 1.0, "X", "Factor on friction."),
     default_option("--mass-scale", 1.0, "X", "Factor on masses and inertias."),
     default_option("--noise", 0.0, "SIGMA", "Noise on the initial state, natural units."),
-    default_option("--sensor-noise", 0.0, "SIGMA", "Noise on the state measured at each tick, natural units."),
+    default_option(
+        "--sensor-noise", 0.0, "SIGMA", "Noise on the state measured at each tick, natural units."
+    ),
     default_option("--seed", 0, "K", "Seed of what is random.", kind=COUNT),
     default_option("--delay", 0, "TICKS", "Whole ticks by which measurements are late.", kind=COUNT),
     default_option("--torque-step", 0.0, "NM", "Torques are rounded to multiples of this; 0: they are not."),

@@ -7,8 +7,8 @@ from .commands import CommandScript as CommandScript
 from .commands import read_commands as read_commands
 from .controller import Controller as Controller
 from .controller import ControllerSettings as ControllerSettings
-from .drive import Drive as Drive
-from .drive import drive as drive
+from .lockstep import Drive as Drive
+from .lockstep import drive as drive
 from .drive_report import DriveReport as DriveReport
 from .follow import Follower as Follower
 from .follow import FollowerGains as FollowerGains

@@ -11,8 +11,8 @@ from itertools import islice
 from trajopt.mpc.commands import STAND
 from trajopt.schedule.gaits import Gait
 
-# Between two gaits the robot stands, and before its first swing, for this part of the new period.
-SETTLE = 0.2
+# Between two gaits the robot stands, and before its first swing, for this part of the longest period.
+SETTLE = 0.3
 # Modes looked at after now: more than any horizon has, so that every swing's end is known.
 AHEAD = 24
 # A contact that is late keeps the clock waiting for at most this part of the period.
@@ -79,7 +79,7 @@ class GaitClock:
         self.gait, self._index, self._queue = gait, 0, self._queue[:1]
         self._cycle = self.cycle_of(gait)
         if gait != STAND:
-            settle = self._stance(SETTLE * self.period)
+            settle = self._stance(SETTLE * max(period for _, period in self.gaits.values()))
             if standing:
                 self._queue, self.remaining = [settle], settle.duration
             else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -36,17 +37,32 @@ class Command:
     height: float = 0.0
 
 
+@checked
 @dataclass(frozen=True)
 class CommandScript:
-    """Commands, each from its time on, s; the first is at 0."""
+    """Commands, each from its time on.
+
+    Args:
+        times: s, the first 0, increasing.
+        commands: as many.
+
+    Raises:
+        InputError: for times that do not increase from 0, and another number of commands.
+    """
 
     times: tuple[float, ...]
     commands: tuple[Command, ...]
 
+    def __post_init__(self) -> None:
+        if not self.times or len(self.commands) != len(self.times):
+            counts = f"{len(self.times)} times and {len(self.commands)} commands"
+            raise InputError(f"a script has {counts}", "allowed: as many, one or more")
+        for number, time in enumerate(self.times):
+            _require_next(self.times[max(number - 1, 0) : number], time, "a script")
+
     def at(self, time: float) -> Command:
         """The command at a time in s."""
-        begun = [command for begin, command in zip(self.times, self.commands, strict=True) if begin <= time]
-        return begun[-1] if begun else self.commands[0]
+        return self.commands[max(bisect_right(self.times, time) - 1, 0)]
 
 
 def read_commands(path: Path, gaits: Sequence[str]) -> CommandScript:
@@ -57,25 +73,28 @@ def read_commands(path: Path, gaits: Sequence[str]) -> CommandScript:
     """
     known = [field.name for field in fields(Command)]
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
-            columns, rows = list(reader.fieldnames or ()), list(reader)
+            columns = list(reader.fieldnames or ())
+            rows = [(reader.line_num, row) for row in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path} cannot be read: {error}", "allowed: a CSV file of commands") from None
-    unknown = [name for name in columns if name not in (TIME, *known)]
-    if unknown or TIME not in columns or not rows:
-        cause = f"has the column '{unknown[0]}'" if unknown else "has no column 'time', or no line below it"
+        why = (error.strerror if isinstance(error, OSError) else "") or "it is no text"
+        raise InputError(f"{path} cannot be read: {why}", "allowed: a CSV file of commands") from None
+    wrong = [name for name in columns if name not in (TIME, *known) or columns.count(name) > 1]
+    if wrong or TIME not in columns or not rows:
+        cause = "has no column 'time', or no line below it"
+        if wrong:
+            cause = f"has the column '{wrong[0]}'" + " twice" * (columns.count(wrong[0]) > 1)
         raise InputError(f"{path} {cause}", f"allowed: {TIME}, and any of {', '.join(known)}")
     times: list[float] = []
     commands: list[Command] = []
-    for line, row in enumerate(rows, start=2):
+    for line, row in rows:
         where = f"{path}, line {line}"
         if None in row or None in row.values():
             raise InputError(f"{where} has another number of fields", f"allowed: {len(columns)}")
         given = {name: text.strip() for name, text in row.items() if text.strip()}
         time = _number(f"{where}: {TIME}", given.pop(TIME, ""))
-        if time < 0 or (times and time <= times[-1]) or (not times and time != 0):
-            raise InputError(f"{where}: time is {time:g}", "allowed: the first 0, then increasing, s")
+        _require_next(times, time, where)
         gait = given.pop("gait", commands[-1].gait if commands else STAND)
         if gait not in (STAND, *gaits):
             raise InputError(f"{where}: gait is '{gait}'", f"allowed: {', '.join((STAND, *gaits))}")
@@ -83,6 +102,11 @@ def read_commands(path: Path, gaits: Sequence[str]) -> CommandScript:
         commands.append(replace(commands[-1] if commands else Command(), gait=gait, **numbers))
         times.append(time)
     return CommandScript(tuple(times), tuple(commands))
+
+
+def _require_next(before: Sequence[float], time: float, where: str) -> None:
+    if time <= before[-1] if before else time != 0.0:
+        raise InputError(f"{where}: time is {time:g}", "allowed: the first 0, then increasing, s")
 
 
 def _number(what: str, text: str) -> float:

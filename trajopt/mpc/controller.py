@@ -22,10 +22,12 @@ from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import feet_in_base
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
-from trajopt.schedule.gaits import gait_of
+from trajopt.schedule.gaits import Gait, gait_of
 
 # Periods of gaits over sqrt(l / g).
-PERIODS = {"trot": 2.6, "walk": 4.0, "pace": 2.6, "bound": 2.4, "pronk": 2.4}
+PERIODS = {"trot": 2.6, "walk": 4.0, "pace": 1.6, "bound": 1.8, "pronk": 2.4}
+# Duty factors other than those of `trajopt.schedule.gaits`: a bound without flight.
+DUTIES = {"bound": 0.5}
 # A contact that is lost for less than this part of sqrt(l / g) goes on transmitting forces.
 CHATTER = 0.05
 # Speeds follow commands at this part of g, and turns at this over l / g.
@@ -76,7 +78,7 @@ class Controller:
     ) -> None:
         self.robot, self.settings = robot, settings or ControllerSettings()
         self.unit = Units(robot).time
-        periods = {name: (gait_of(robot, name), PERIODS.get(name, 2.6) * self.unit) for name in gaits}
+        periods = {name: (_gait(robot, name), PERIODS.get(name, 2.6) * self.unit) for name in gaits}
         names = list(feet_in_base(robot))
         self.clock = GaitClock(names, periods)
         self.planner = HorizonPlanner(
@@ -222,3 +224,9 @@ class Controller:
         """Contacts that transmit forces: planned ones that touch or did lately."""
         lately = time - self._touched <= CHATTER * self.unit
         return np.asarray(planned & lately)
+
+
+def _gait(robot: Robot, name: str) -> Gait:
+    """A gait of a robot, with the duty factor that it has here."""
+    gait = gait_of(robot, name)
+    return gait.with_duty(DUTIES[name]) if name in DUTIES else gait

@@ -39,7 +39,7 @@ class TimeFigures:
 
 @dataclass(frozen=True, kw_only=True)
 class CommandErrors:
-    """Root mean squares of speed forward and to the left, m/s, and turn rate, rad/s, minus the commanded ones.
+    """Rms of speed forward and to the left, m/s, and turn rate, rad/s, minus the commanded ones.
 
     They are over the time in which the robot walks, from `SETTLED` s after each change of command on.
     """
@@ -91,13 +91,14 @@ class DriveReport:
     """Figures of a drive in simulated time, and times of this machine.
 
     duration: s asked for; simulated: s, less after a fall. fell, fall_time s, fall_reason: see
-    `trajopt.simulation.figures.fall_of`; upright is level, at the height that is asked for. distance: m that the
-    base has moved along the ground. mean_errors, errors: of commands, see `command_errors`; None where no time
-    counts. saturated: share of torques that were clipped.
-    plans: number; deadline: s; missed: plans that took longer, which is counted and changes nothing here; begun_anew:
-    those that did not go on from the last one; plan_violation: 95th percentile and largest violation of
-    their rows, scaled. plan_times, solver_times, tick_times: of whole plans, of their solver, and of torques; without
-    the first plan, for which the robot waits. relaxed: ticks by what was relaxed, see
+    `trajopt.simulation.figures.fall_of`, compared with a base that is upright at the height asked for.
+    distance: m that the base has moved along the ground. mean_errors, errors: of commands, see
+    `command_errors`; None where no time counts. saturated: share of torques that were clipped.
+    plans: number; deadline: s; missed: plans that took longer, which is counted and changes nothing here;
+    begun_anew: those that did not go on from the last one; plans_relaxed: those with violated rows, by their
+    names; violations: the largest by name, scaled, see `trajopt.mpc.plans.ControllerReport`.
+    plan_times, solver_times, tick_times: of whole plans, of their solver, and of torques; without the first
+    plan, for which the robot waits. relaxed: ticks by what was relaxed, see
     `trajopt.control.inverse_dynamics.RELAXED`; slack: their largest violation, natural units.
     gaits: periods by name, s. script: the commands. settings: of the controller.
     """
@@ -116,7 +117,8 @@ class DriveReport:
     deadline: float
     missed: int
     begun_anew: int
-    plan_violation: tuple[float, float]
+    plans_relaxed: Mapping[str, int]
+    violations: Mapping[str, float]
     plan_times: TimeFigures
     solver_times: TimeFigures
     tick_times: TimeFigures
@@ -138,14 +140,16 @@ class DriveReport:
     def table(self) -> str:
         """Figures for people, one a line."""
         relaxed = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
-        typical, worst = self.plan_violation
+        rows = [
+            f"{name} in {count} ({self.violations[name]:.2g})" for name, count in self.plans_relaxed.items()
+        ]
         lines = [
             ("driven", f"{self.simulated:.3f} s of {self.duration:.3f} s, {self.distance:.2f} m"),
             ("speed, lateral, turn, rms", str(self.mean_errors or "-")),
             ("without a mean over periods", str(self.errors or "-")),
             ("plans", f"{self.plans}, {self.missed} longer than {1e3 * self.deadline:g} ms"),
             ("plans begun anew", f"{self.begun_anew}"),
-            ("violation of plans", f"{typical:.1e} at 95 %, {worst:.1e} at most, scaled"),
+            ("plans relaxed, most, scaled", ", ".join(rows) or RELAXED[0]),
             ("time of a plan", str(self.plan_times)),
             ("of its solver", str(self.solver_times)),
             ("of a tick's torques", str(self.tick_times)),

@@ -293,7 +293,10 @@ HOPPER = _by_name(Gait(name="hop", duty=0.5, offsets={"foot": 0.0}))
 
 @checked
 def gait_names(robot: Robot) -> tuple[str, ...]:
-    """Names of the gaits for as many feet as a robot has. Raises `InputError` for another number than 1, 2 or 4."""
+    """Names of the gaits for as many feet as a robot has.
+
+    Raises `InputError` for a robot without feet, or another number than 1, 2 or 4.
+    """
     return tuple(_known(robot, len(feet_in_base(robot))))
 
 

@@ -109,7 +109,7 @@ class SimulationRun:
         return self.ended(record, self.advance(record, 0, len(self.reference.t)))
 
     def ended(self, record: SimulationRecord, reached: int) -> SimulationRecord:
-        """The record with the state after its last period; that of the first ``reached``, if they are not all."""
+        """The record with the state after its last period; of the first ``reached`` if they are not all."""
         if reached < len(self.reference.t):
             return record.until(reached)
         record.qpos[reached], record.qvel[reached] = self.data.qpos, self.data.qvel

@@ -104,9 +104,10 @@ def require_fitting(settings: SimulationSettings, plan: Solution) -> None:
 def require_within(settings: SimulationSettings, reference: ReferenceTrajectory) -> None:
     """Raise `InputError` unless impulses begin within the simulation."""
     last = reference.period * (len(reference.t) - 1)
-    for time in (impulse.time for impulse in settings.impulses):
-        if not time <= last:
-            raise InputError(f"an impulse at {time:g} s is after the simulation", f"allowed: 0 to {last:g} s")
+    for impulse in settings.impulses:
+        if not impulse.time <= last:
+            what = f"an impulse at {impulse.time:g} s is after the simulation"
+            raise InputError(what, f"allowed: 0 to {last:g} s")
 
 
 def _report(

@@ -7,6 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from typing_extensions import override
@@ -15,10 +16,8 @@ from trajopt.errors import InputError, not_among, shown
 from trajopt.mpc.arm import ArmController, ArmSettings, Target
 from trajopt.mpc.commands import STAND, Command
 from trajopt.mpc.controller import Controller, ControllerSettings
-from trajopt.mpc.drive import Steering
 from trajopt.mpc.follow import Follower
-from trajopt.mpc.motion import HorizonMotion
-from trajopt.mpc.plans import ControllerReport, Plans
+from trajopt.mpc.plans import Plans
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
@@ -32,9 +31,13 @@ SPEED, LATERAL, TURN, HEIGHT = 0.6, 0.25, 0.25, 0.15
 MOST_PUSH, USUAL_PUSH = 0.5, 0.1
 # Of an arm's target: farthest from the start over the robot's length, and speed over the natural one.
 FARTHEST, TARGET_SPEED = 0.35, 0.2
+# Period and delay of plans, s. They are made in the loop: Python's lock makes a thread of their own slower.
+PERIOD = 0.02
 # Pushes are steered by these.
 PUSH, DIRECTION = "push", "direction"
 GAIT = "gait"
+# A browser rounds the ends of a slider: so much beyond them is taken as the end.
+EDGE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +71,7 @@ class Driver(ABC):
         self.values: Mapping[str, float] = {slider.name: slider.value for slider in self.sliders}
         self.gait = STAND
 
-    def obey(self, wanted: Mapping[str, object]) -> None:
+    def obey(self, wanted: Mapping[str, Any]) -> None:
         """Set some of the values and the gait, all or nothing; from any thread.
 
         Raises:
@@ -83,11 +86,11 @@ class Driver(ABC):
                 if value not in (STAND, *self.gaits):
                     raise not_among((STAND, *self.gaits), str(value), f"gait is {shown(value)}")
                 continue
-            slider, number = known[name], isinstance(value, int | float) and not isinstance(value, bool)
-            if not (number and slider.low <= float(str(value)) <= slider.high):
-                allowed = f"allowed: {slider.low:.4g} to {slider.high:.4g} {slider.unit}"
+            low, high, is_number = known[name].low, known[name].high, isinstance(value, int | float)
+            if not is_number or isinstance(value, bool) or not low - EDGE <= value <= high + EDGE:
+                allowed = f"allowed: {low:.4g} to {high:.4g} {known[name].unit}"
                 raise InputError(f"{name} is {shown(value)}", allowed)
-            values[name] = float(str(value))
+            values[name] = float(min(max(value, low), high))
         self.values, self.gait = values, str(wanted.get(GAIT, self.gait))
 
     @abstractmethod
@@ -102,16 +105,6 @@ class Driver(ABC):
     @abstractmethod
     def plans(self) -> Plans:
         """The plan in use, and the figures of all."""
-
-    @property
-    def motion(self) -> HorizonMotion | None:
-        """The plan in use."""
-        return self.plans.motion
-
-    @property
-    def report(self) -> ControllerReport:
-        """What happened to plans since the begin."""
-        return self.plans.report
 
     @property
     def target(self) -> np.ndarray | None:
@@ -129,7 +122,9 @@ class LegsDriver(Driver):
     Args:
         robot: with a free base, on feet.
         gaits: that are prepared; default those of `USUAL_GAITS` that it has.
-        settings: of its controller; default with plans made by a thread.
+        settings: of its controller; default with plans of `PERIOD`, made in the loop.
+
+    controller: the present one. log: commands with their times, s, since the begin. slack: as of `Steering`.
 
     Raises:
         InputError: for another base, and a gait that it does not have.
@@ -142,7 +137,7 @@ class LegsDriver(Driver):
             raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free base, on feet")
         known, self.robot = gait_names(robot), robot
         names = tuple(gaits or [name for name in USUAL_GAITS if name in known] or known[:MOST_GAITS])
-        self._made = Controller(robot, names, settings or ControllerSettings(live=True))
+        self._made = Controller(robot, names, settings or ControllerSettings(period=PERIOD, delay=PERIOD))
         units = NaturalUnits.of(robot.model)
         speed, impulse = units.length / units.time, units.weight * units.time
         super().__init__(
@@ -159,8 +154,7 @@ class LegsDriver(Driver):
             ],
             names,
         )  # fmt: skip
-        self.log: list[tuple[float, Command]] = []
-        self.steering: Steering | None = None
+        self.controller = self._made
         self.begin()
 
     @property
@@ -169,8 +163,8 @@ class LegsDriver(Driver):
         used = ("height",) if self.gait == STAND else ("speed", "lateral", "turn_rate", "height")
         return Command(gait=self.gait, **{name: self.values[name] for name in used})
 
-    def at(self, time: float) -> Command:
-        """The present command, noted in ``log`` with its time in s where it is a new one."""
+    def _noted(self, time: float) -> Command:
+        """The present command, noted with its time where it is a new one."""
         command = self.command
         if not self.log or self.log[-1][1] != command:
             self.log.append((time, command))
@@ -178,21 +172,23 @@ class LegsDriver(Driver):
 
     @override
     def begin(self) -> None:
-        if self.steering is not None:
-            self.close()
-        self.log, self.offset = [], 0.0
-        self.steering = Steering(_as_new(self._made), self)
+        self.close()
+        self.log: list[tuple[float, Command]] = []
+        self.offset = self.slack = 0.0
+        self.controller = _as_new(self._made)
 
     @override
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        assert self.steering is not None
-        return self.steering.torque(t + self.offset, q, v, touching)
+        time = t + self.offset
+        torque = self.controller.step(time, q, v, touching, self._noted(time))
+        if self.controller.follower.last is not None:
+            self.slack = max(self.slack, self.controller.follower.last.slack)
+        return torque
 
     @property
     @override
     def plans(self) -> Plans:
-        assert self.steering is not None
-        return self.steering.controller.plans
+        return self.controller.plans
 
 
 class ArmDriver(Driver):
@@ -201,7 +197,7 @@ class ArmDriver(Driver):
     Args:
         robot: with a fixed base.
         tool: the frame that follows, which keeps its first orientation; default the last frame of the model.
-        settings: of its controller; default with plans made by a thread.
+        settings: of its controller; default with plans of `PERIOD`, made in the loop.
 
     Raises:
         InputError: for another base or frame.
@@ -209,8 +205,8 @@ class ArmDriver(Driver):
 
     def __init__(self, robot: Robot, tool: str | None = None, settings: ArmSettings | None = None) -> None:
         self.robot = robot
-        self._made = ArmController(robot, tool, settings=settings or ArmSettings(live=True))
-        self._controller: ArmController | None = None
+        self._made = ArmController(robot, tool, settings=settings or ArmSettings(period=PERIOD, delay=PERIOD))
+        self._controller = self._made
         self._start = frame_pose(robot, robot.reference, self._made.tool)
         units = NaturalUnits.of(robot.model)
         self._speed, far = TARGET_SPEED * units.length / units.time, FARTHEST * robot.length
@@ -226,15 +222,13 @@ class ArmDriver(Driver):
 
     @override
     def begin(self) -> None:
-        if self._controller is not None:
-            self.close()
+        self.close()
         self._controller = copy.copy(self._made)
         self._controller.plans = _plans_of(self._made.settings)
         self.offset, self._now, self._place = 0.0, 0.0, self._start.translation.copy()
 
     @override
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        assert self._controller is not None
         time = t + self.offset
         passed, self._now = time - self._now, time
         away = np.array([self.values[axis] for axis in "xyz"]) - self._place
@@ -248,7 +242,6 @@ class ArmDriver(Driver):
     @property
     @override
     def plans(self) -> Plans:
-        assert self._controller is not None
         return self._controller.plans
 
     @property

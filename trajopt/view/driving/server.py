@@ -1,7 +1,7 @@
 """The server of a drive, in a thread: its page, a websocket with what is drawn, and commands by POST.
 
-It listens on this machine only. A command is JSON, so that pages of other origins cannot send one, and requests
-for other host names are refused.
+It listens on this machine only. A command is JSON, so that pages of other origins cannot send one, and
+requests for other host names are refused.
 """
 
 from __future__ import annotations
@@ -32,29 +32,20 @@ JSON = "application/json"
 
 
 class DriveServer:
-    """The server; ``obey`` is called with each command in its thread, and raises `InputError` for a bad one.
+    """The server, whose page is empty before `show`.
 
     Args:
-        page: the page's text.
-        scene: commands that each browser gets first.
-        obey: takes what a command's JSON holds.
         port: to listen on; default: the first that is free.
 
     Raises:
         InputError: for a port that is taken or not allowed.
     """
 
-    def __init__(
-        self,
-        page: str,
-        scene: Sequence[ViewerCommand],
-        obey: Callable[[Any], None],
-        port: int | None = None,
-    ) -> None:
+    def __init__(self, port: int | None = None) -> None:
         if port is not None and not 0 < port <= LAST_PORT:
             raise InputError(f"--port is {port}", f"allowed: 1 to {LAST_PORT}")
-        self.page, self.obey = page, obey
-        self.scene = [umsgpack.packb(command.lower()) for command in scene]
+        self.page, self.scene = "", list[bytes]()
+        self.obey: Callable[[Any], None] = _nothing_yet
         self.told: dict[str, bytes] = {}
         self.browsers: set[_Browser] = set()
         self._loop, started = asyncio.new_event_loop(), Future[int]()
@@ -63,9 +54,24 @@ class DriveServer:
         self.port = started.result()
         self.url = f"http://{HOST}:{self.port}/"
 
+    def show(self, page: str, scene: Sequence[ViewerCommand], obey: Callable[[Any], None]) -> None:
+        """Serve a page, from any thread.
+
+        Args:
+            page: its text.
+            scene: commands that each browser gets first.
+            obey: takes what a command's JSON holds, in the server's thread, or raises `InputError`.
+        """
+        self.scene, self.obey = [umsgpack.packb(command.lower()) for command in scene], obey
+        self.page = page
+
     def tell(self, path: str, value: Any) -> None:
-        """Tell all browsers something, from any thread; those that connect later get the last of each path."""
-        data = umsgpack.packb({"type": OWN, "path": path, "value": without_nonfinite(value)})
+        """Tell all browsers something, from any thread; those that connect later get the last of each path.
+
+        The value is sent as JSON, which takes a tenth of the time of Meshcat's format.
+        """
+        text = json.dumps(without_nonfinite(value), allow_nan=False)
+        data = umsgpack.packb({"type": OWN, "path": path, "value": text})
         self._loop.call_soon_threadsafe(self._tell, path, data)
 
     def close(self) -> None:
@@ -113,12 +119,17 @@ class DriveServer:
         raise InputError(taken, "allowed: a free one, --port N")
 
 
+def _nothing_yet(wanted: Any) -> None:
+    raise InputError("the robot is not ready", "allowed: a command to a page that is shown")
+
+
 class _Browser(tornado.websocket.WebSocketHandler):
     """The page for browsers that ask for one; the websocket of the page."""
 
     @override
     def initialize(self, server: DriveServer) -> None:
-        self.server, self._sent = server, None
+        self.server = server
+        self._sent: asyncio.Future[None] | None = None
 
     async def get(self, *args: Any, **kwargs: Any) -> None:
         if self.request.headers.get("Upgrade", "").lower() == "websocket":

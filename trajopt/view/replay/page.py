@@ -39,7 +39,7 @@ ALONE = {"live": "", "code": ""}
 
 @dataclass(frozen=True, kw_only=True)
 class PageSource:
-    """Files of a page: its HTML with places for the rest, its styles, and its scripts in order of dependency."""
+    """Files of a page: HTML with places for the rest, styles, and scripts in order of dependency."""
 
     html: Path
     styles: tuple[Path, ...]

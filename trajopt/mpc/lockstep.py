@@ -1,6 +1,6 @@
 """A drive in lockstep: commands over time, a controller, and MuJoCo, whose time waits for the solver.
 
-A plan is used from the controller's delay on, however long it took: a drive is the same on every machine, but for
+A plan is used from the controller's delay on, however long it took: a drive is the same each time, but for
 the times in its report.
 """
 
@@ -18,6 +18,7 @@ from trajopt.arguments import Positive, checked
 from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.control.reference import ReferenceTrajectory, stance_reference
 from trajopt.errors import InputError, not_among
+from trajopt.motion.samples import contact_places
 from trajopt.mpc.commands import STAND, CommandScript
 from trajopt.mpc.controller import Controller, ControllerSettings
 from trajopt.mpc.drive_report import DriveReport, TimeFigures, command_errors
@@ -40,6 +41,8 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 LAST = 2.0
 # Whether the robot has fallen is tested after every stretch of so many s.
 STRETCH = 0.1
+# Ground under the feet at the start is this near to the height 0, m: rounding.
+LEVEL = 1e-9
 # Settings of the simulation that a drive takes.
 HARDWARE = (
     *("timestep", "control_rate", "friction_scale", "mass_scale", "com_offset", "ground_offsets", "rolling"),
@@ -81,7 +84,7 @@ class Drive:
     @cached_property
     def velocity(self) -> np.ndarray:
         """What the base did (n, 3), as of `commanded`, in the direction in which it heads."""
-        return _velocity(self.world, self.stand, self.record)
+        return base_velocity(self.world, self.stand, self.record)
 
 
 @checked
@@ -105,28 +108,34 @@ def drive(
         gaits: names of the gaits that the controller prepares; default: those of the script.
         settings: of the controller.
         pushes: level impulses on the base.
-        ground: what feet and links touch, of which the controller knows nothing; level at the height 0 where the
-            robot stands. Default: level ground.
+        ground: what feet and links touch, of which the controller knows nothing, with level faces at the
+            height 0 where the robot stands. Default: level ground.
         hardware: any of `HARDWARE`, fields of `SimulationSettings`; feet with a radius roll by default.
 
     Raises:
-        InputError: for a robot without a free base or feet, a gait that it does not have, and settings that are
-            not allowed.
+        InputError: for a robot without a free base or feet, a gait that it does not have, and settings that
+            are not allowed.
     """
     unknown = [name for name in hardware if name not in HARDWARE]
     if unknown:
         raise not_among(HARDWARE, unknown[0], f"a drive has no setting '{unknown[0]}'")
     if robot.base != "freeflyer":
         raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free base, on feet")
-    used = dict.fromkeys(command.gait for command in script.commands if command.gait != STAND)
-    names = tuple(gaits or used or gait_names(robot)[:1])
-    steering = Steering(Controller(robot, names, settings), script)
-    wanted = SimulationSettings(controller=steering, impulse=pushes, **{"rolling": True, **hardware})
-    stand = _stand(robot, ground)
+    if settings is not None and settings.live:
+        raise InputError("settings of drive are live", "allowed: live=False, simulated time waits for plans")
+    wanted = SimulationSettings(impulse=pushes, **{"rolling": True, **hardware})
+    stand = stand_of(robot, ground)
     require_fitting(wanted, stand)
     reference = stance_reference(stand, wanted.control_rate, duration or script.times[-1] + LAST)
     reference = replace(reference, phase_names=("drive",))
     require_within(wanted, reference)
+    used = dict.fromkeys(command.gait for command in script.commands if command.gait != STAND)
+    names = tuple(gaits or used or gait_names(robot)[:1])
+    for name in used:
+        if name not in names:
+            raise not_among(names, name, f"gait '{name}' of the script is not among those of the drive")
+    steering = Steering(Controller(robot, names, settings), script)
+    wanted = replace(wanted, controller=steering)
     with muted_mujoco():
         world = build_world(stand, wanted, math.inf)
         record, fall = _driven(SimulationRun(stand, reference, world, wanted), script)
@@ -139,7 +148,7 @@ def drive(
         reference=reference,
         world=world,
         record=record,
-        report=_report(steering, reference, record, fall, _velocity(world, stand, record)),
+        report=report_of(steering, reference, record, fall, base_velocity(world, stand, record)),
     )
 
 
@@ -160,11 +169,16 @@ class Steering:
         return torque
 
 
-def _stand(robot: Robot, ground: PiecewiseTerrain | None) -> Solution:
+def stand_of(robot: Robot, ground: PiecewiseTerrain | None) -> Solution:
     """The robot at rest in its reference posture, on ground that differs elsewhere. Raises `InputError`."""
     stand = solve(rest(robot))
     about = replace(stand.description, problem="drive")
     if ground is not None:
+        x, y, _ = contact_places(stand).position[0].T
+        if np.abs(ground.height(x, y)).max() > LEVEL:
+            raise InputError(
+                "ground of drive is not at the height 0 where the robot stands", "allowed: it is"
+            )
         about = replace(about, terrain=ground, surfaces=(), patches=())
     return replace(stand, description=about)
 
@@ -178,9 +192,8 @@ def _driven(run: SimulationRun, script: CommandScript) -> tuple[SimulationRecord
         reached = run.advance(record, first, last)
         rows = slice(first, reached)
         heights = [script.at(t).height for t in run.reference.t[rows].tolist()]
-        run.reference.q[rows] = _upright(
-            run.plan, run.world.coordinates.from_mujoco(record.qpos[rows]), heights
-        )
+        q = run.world.coordinates.from_mujoco(record.qpos[rows])
+        run.reference.q[rows] = upright(run.plan, q, heights)
         fall = fall_between(run.plan, run.reference, record, run.world, rows)
         if fall is None and reached < last:
             fall = Fall(time=float(run.reference.t[reached]), why="the simulation diverged")
@@ -189,7 +202,7 @@ def _driven(run: SimulationRun, script: CommandScript) -> tuple[SimulationRecord
     return run.ended(record, count), None
 
 
-def _upright(stand: Solution, q: np.ndarray, heights: Sequence[float]) -> np.ndarray:
+def upright(stand: Solution, q: np.ndarray, heights: Sequence[float]) -> np.ndarray:
     """Configurations (n, nq) of the start, placed and heading as in q (n, nq), at heights (n,) m above it."""
     result, ground = np.repeat(stand.q[:1], len(q), axis=0), stand.description.ground
     result[:, :2] = q[:, :2]
@@ -203,7 +216,7 @@ def _upright(stand: Solution, q: np.ndarray, heights: Sequence[float]) -> np.nda
     return result
 
 
-def _velocity(world: World, stand: Solution, record: SimulationRecord) -> np.ndarray:
+def base_velocity(world: World, stand: Solution, record: SimulationRecord) -> np.ndarray:
     """What the base does at ticks (n, 3): forward and to the left, m/s, and turn rate, rad/s."""
     qpos, qvel = (rows[: len(record.feet)] for rows in (record.qpos, record.qvel))
     v = world.coordinates.rates_from_mujoco(qpos, qvel)
@@ -215,19 +228,27 @@ def _velocity(world: World, stand: Solution, record: SimulationRecord) -> np.nda
     return np.column_stack([*along, spin[:, 2]])
 
 
-def _report(
+def report_of(
     steering: Steering,
     reference: ReferenceTrajectory,
     record: SimulationRecord,
     fall: Fall | None,
     velocity: np.ndarray,
 ) -> DriveReport:
+    """Figures of a drive.
+
+    Args:
+        steering: what drove, with what it counted.
+        reference: at ticks, as long as was asked for.
+        record: of the ticks that were simulated.
+        fall: how it ended, if it fell.
+        velocity: of `base_velocity`.
+    """
     controller, script = steering.controller, steering.script
     counts, settings = controller.report, controller.settings
     periods = {name: period for name, (_, period) in controller.clock.gaits.items()}
     means, values = command_errors(script, velocity, reference.period, periods)
     steps = record.qpos[:: max(1, round(min(periods.values()) / reference.period)), :2]
-    deadline = settings.delay or settings.period
     return DriveReport(
         robot=controller.robot.name,
         duration=len(reference.t) * reference.period,
@@ -240,10 +261,11 @@ def _report(
         errors=values,
         saturated=float(record.saturated.mean()),
         plans=len(counts.planning),
-        deadline=deadline,
-        missed=sum(time > deadline for time in counts.planning[1:]),
+        deadline=settings.delay,
+        missed=counts.missed,
         begun_anew=counts.anew,
-        plan_violation=(float(np.percentile(counts.primal, 95)), float(np.max(counts.primal))),
+        plans_relaxed={name: count for name, count in counts.relaxed.items() if count},
+        violations=dict(counts.violations),
         plan_times=TimeFigures.of(counts.planning[1:]),
         solver_times=TimeFigures.of(counts.solving[1:]),
         tick_times=TimeFigures.of(counts.following),

@@ -1,0 +1,295 @@
+"""Driving from the browser: commands of the page, the session behind it, its server, and the page itself."""
+
+import json
+import math
+import signal
+import socket
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.browser import require_chromium
+from tests.support.command_lines import assert_refused, invoke
+from tests.support.processes import LIMIT, TRAJOPT, Running
+from trajopt.errors import InputError
+from trajopt.mpc.controller import Controller
+from trajopt.robot.catalogue import robot
+from trajopt.solution.solution import Solution
+from trajopt.view.driving.drawing import Painter
+from trajopt.view.driving.drivers import ArmDriver, LegsDriver
+from trajopt.view.driving.live import LiveDrive
+from trajopt.view.driving.session import CATCH, SILENCE, STRETCH, DriveSession
+from trajopt.view.replay.browser import FLAGS, find_chromium
+
+pytestmark = pytest.mark.long
+
+# Of a trot at 0.4 m/s after a second: it has begun to move.
+MOVED = 0.1
+# Of the tool from a target that stood still for half a second, m.
+REACHED = 0.02
+# Turns of a second.
+SECOND = round(1 / STRETCH)
+
+
+class Instant:
+    """A clock that goes on where it is waited for, and by ``slow`` s at each look."""
+
+    def __init__(self, slow: float = 0.0) -> None:
+        self.time, self.slow = 0.0, slow
+
+    def now(self) -> float:
+        self.time += self.slow
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        self.time += seconds
+
+
+@pytest.fixture(scope="module")
+def driver() -> LegsDriver:
+    return LegsDriver(robot("go2"), ("trot",))
+
+
+@pytest.fixture
+def session(driver: LegsDriver) -> DriveSession:
+    return DriveSession(driver, clock=Instant(), keep=2.0)
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[LiveDrive]:
+    with LiveDrive(robot("go2"), gaits=("trot",), open_browser=False, clock=Instant()) as live:
+        yield live
+
+
+def turns(session: DriveSession, count: int) -> None:
+    for _ in range(count):
+        session.turn()
+        session.wait()
+
+
+def base(session: DriveSession) -> np.ndarray:
+    return session.run.data.qpos[:3].copy()
+
+
+def test_a_robot_follows_what_is_set_and_the_clock_is_kept(session: DriveSession):
+    session.obey({"gait": "trot", "speed": 0.4})
+    for _ in range(SECOND):
+        session.obey({})  # the page is there
+        turns(session, 1)
+    assert session.passed == pytest.approx(1.0)
+    assert session.clock.now() == pytest.approx(1.0)
+    assert session.behind == 0
+    assert session.fall is None
+    assert base(session)[0] > MOVED
+    state = json.loads(json.dumps(Painter(session).state(), allow_nan=False))
+    assert len(state["joints"]) == session.stand.model.njoints - 1
+    assert len(state["lines"]) == 5
+    assert np.array(state["forces"])[:, 5].sum() > 0
+    assert state["gait"] == "trot"
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        ({"speed": math.nan}, "speed is nan; allowed"),
+        ({"speed": 100.0}, "speed is 100"),
+        ({"speed": True}, "speed is True"),
+        ({"speed": "1"}, "speed is '1'"),
+        ({"turn_rate": [1]}, "turn_rate is"),
+        ({"gait": "fly"}, "gait is 'fly'; allowed: stand, trot"),
+        ({"gait": None}, "gait is None"),
+        ({"leap": 1.0}, "'leap' is no command"),
+        ({"action": "dance"}, "action is 'dance'; allowed: reset, push"),
+        ([1], "a command is"),
+    ],
+)
+def test_what_is_not_allowed_is_refused_and_changes_nothing(session: DriveSession, message: Any, said: str):
+    before = session.driver.values, session.driver.gait
+    with pytest.raises(InputError) as refused:
+        session.obey({"height": 0.01, **message} if isinstance(message, dict) else message)
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert (session.driver.values, session.driver.gait) == before
+
+
+def test_a_push_has_its_size_and_direction(session: DriveSession):
+    turns(session, 5)
+    weight, before = session.world.units.weight, session.run.data.qvel[:3].copy()
+    session.obey({"push": 6.0, "direction": 90.0, "action": "push"})
+    turns(session, 1)
+    gained = session.run.data.qvel[:3] - before
+    free = 6.0 / (weight / 9.81)  # without feet, which hold the robot back
+    assert 0.3 * free < gained[1] < free
+    assert abs(gained[0]) < 0.2 * gained[1]
+
+
+def test_reset_puts_a_fallen_robot_back_with_a_controller_as_new(session: DriveSession):
+    start, first = base(session), session.driver.controller
+    session.obey({"push": 13.0, "direction": 0.0})
+    for _ in range(40):
+        session.obey({"action": "push"})
+    while session.fall is None and session.passed < 2:
+        session.obey({"action": "push"})
+        turns(session, 1)
+    assert session.fall is not None
+    stopped = session.passed
+    turns(session, 3)
+    assert session.passed == stopped
+    session.obey({"action": "reset"})
+    turns(session, 10)
+    assert session.fall is None
+    assert np.abs(base(session) - start).max() < 1e-3
+    assert session.driver.controller is not first
+    assert session.driver.gait == "stand"
+
+
+def test_without_messages_of_its_page_the_robot_is_asked_to_stand(session: DriveSession):
+    session.obey({"gait": "trot"})
+    turns(session, round((SILENCE + 2 * STRETCH) / STRETCH))
+    assert session.silent
+    assert session.driver.gait == "stand"
+    session.obey({})
+    assert not session.silent
+
+
+def test_what_is_too_slow_falls_behind_and_says_so(driver: LegsDriver):
+    session = DriveSession(driver, clock=Instant(slow=2 * STRETCH), keep=2.0)
+    turns(session, SECOND)
+    assert session.behind > 1 - CATCH
+    assert session.pace < 0.6
+
+
+def test_the_last_seconds_are_saved_as_a_drive(session: DriveSession, tmp_path):
+    session.obey({"gait": "trot", "speed": 0.4})
+    for _ in range(round(2.5 * SECOND)):
+        session.obey({})
+        turns(session, 1)
+    assert session.driver.offset == pytest.approx(1.0)
+    drive = session.as_drive()
+    assert drive.script.times == (0.0,)
+    assert drive.commanded[-1, 0] == 0.4
+    assert drive.report.simulated == pytest.approx(1.5)
+    file = drive.as_solution().save(tmp_path / "run.npz")
+    motion = Solution.load(file)
+    assert motion.statistics.simulated
+    assert motion.q[-1, 0] == pytest.approx(base(session)[0], abs=1e-6)
+
+
+def test_a_controller_as_new_is_the_same_as_another(driver: LegsDriver):
+    def driven() -> np.ndarray:
+        session = DriveSession(driver, clock=Instant(), keep=2.0)
+        session.obey({"gait": "trot", "speed": 0.4})
+        turns(session, 20)
+        return session.run.data.qpos.copy()
+
+    assert isinstance(driver.controller, Controller)
+    np.testing.assert_array_equal(driven(), driven())
+
+
+def test_the_tool_of_an_arm_follows_its_target():
+    driver = ArmDriver(robot("panda"))
+    session = DriveSession(driver, clock=Instant(), keep=2.0)
+    session.obey({"z": driver.values["z"] + 0.1})
+    turns(session, SECOND)
+    wanted = np.array([driver.values[axis] for axis in "xyz"])
+    np.testing.assert_allclose(driver.target, wanted, atol=1e-9)
+    state = Painter(session).state()
+    assert np.linalg.norm(np.array(state["lines"][0][0]) - wanted) < REACHED
+    with pytest.raises(InputError, match="cannot be saved"):
+        session.as_drive()
+    with pytest.raises(InputError, match="action is 'push'"):
+        session.obey({"action": "push"})
+
+
+def posted(live: LiveDrive, body: bytes, kind: str = "application/json") -> tuple[int, str]:
+    request = urllib.request.Request(f"{live.url}command", body, {"Content-Type": kind})
+    try:
+        with urllib.request.urlopen(request, timeout=LIMIT) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def test_commands_by_post(live: LiveDrive):
+    driver = live.session.driver
+    assert posted(live, b'{"gait": "trot", "speed": 0.3}') == (204, "")
+    assert (driver.gait, driver.values["speed"]) == ("trot", 0.3)
+    for body in (b'{"speed": NaN}', b'{"speed": 1e9}', b'{"gait": "fly"}', b"[]", b"{", b"\xff", b""):
+        status, said = posted(live, body)
+        assert (status, said.count("\n")) == (400, 1)
+    assert (driver.gait, driver.values["speed"]) == ("trot", 0.3)
+
+
+def test_pages_of_others_cannot_steer(live: LiveDrive):
+    assert posted(live, b'{"gait": "stand"}', "text/plain")[0] == 400
+    request = urllib.request.Request(live.url, headers={"Host": "evil.example"})
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen(request, timeout=LIMIT)
+
+
+def test_a_second_drive_takes_another_port_and_a_port_that_is_taken_is_told(live: LiveDrive):
+    port = int(live.url.rstrip("/").rpartition(":")[2])
+    with LiveDrive(robot("panda"), target=True, open_browser=False, clock=Instant()) as second:
+        assert second.url != live.url
+    with pytest.raises(InputError, match=f"port {port} is taken"):
+        LiveDrive(robot("panda"), target=True, open_browser=False, port=port)
+
+
+def test_it_ends_after_its_time(live: LiveDrive):
+    live.session.reset()
+    live.run(seconds=0.1)
+    assert live.session.passed == pytest.approx(0.1)
+
+
+def test_what_does_not_fit_is_one_line():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert_refused(invoke("drive", "panda", "--target", "--port", port), f"port {port} is taken")
+    assert_refused(invoke("drive", "panda", "--no-open"), "panda")
+    assert_refused(invoke("drive", "go2", "--target", "--no-open"), "go2")
+    assert_refused(invoke("drive", "go2", "--slope", 5), "--slope without --script")
+
+
+def test_ctrl_c_ends_in_one_line():
+    with Running(*TRAJOPT, "drive", "panda", "--target", "--no-open") as running:
+        assert running.popen.stdout.readline().startswith("drive at http://127.0.0.1:")
+        assert "Ctrl-C" in running.line()
+        running.press(signal.SIGINT)
+        status, said, errors = running.finish()
+    assert status == 0
+    assert said.count("\n") == 1
+    assert "s simulated" in said
+    assert errors == ""
+
+
+def test_page_shows_the_robot_and_its_keys_steer():
+    require_chromium()
+    from playwright.sync_api import sync_playwright
+
+    with LiveDrive(robot("go2"), gaits=("trot",), open_browser=False) as live, sync_playwright() as playing:
+        browser = playing.chromium.launch(executable_path=find_chromium(), args=list(FLAGS))
+        page, errors = browser.new_page(), []
+        page.on("console", lambda message: message.type == "error" and errors.append(message.text))
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(live.url)
+        page.evaluate("trajopt.ready.then(() => true)")
+        assert page.title() == "drive – go2"
+        page.keyboard.press("w")
+        page.keyboard.press("w")
+        page.wait_for_timeout(200)
+        driver = live.session.driver
+        assert driver.gait == "trot"
+        assert driver.values["speed"] == pytest.approx(0.2 * driver.sliders[0].high)
+        page.keyboard.press(" ")
+        page.wait_for_timeout(200)
+        assert (driver.gait, driver.values["speed"]) == ("stand", 0.0)
+        live.run(seconds=0.2)
+        page.wait_for_function("trajopt.state().figures[0].value === '0.2 s'", timeout=1e3 * LIMIT)
+        assert errors == []
+        live.close()
+        page.wait_for_selector("#message:has-text('the server has stopped')", timeout=1e3 * LIMIT)
+        browser.close()
