@@ -252,6 +252,8 @@ def test_what_does_not_fit_is_one_line():
     assert_refused(invoke("drive", "panda", "--no-open"), "panda")
     assert_refused(invoke("drive", "go2", "--target", "--no-open"), "go2")
     assert_refused(invoke("drive", "go2", "--slope", 5), "--slope without --script")
+    assert_refused(invoke("drive", "go2", "--json"), "--json without --script")
+    assert_refused(invoke("drive", "go2", "--seed", 3), "--seed has no effect")
 
 
 def test_ctrl_c_ends_in_one_line():

@@ -29,7 +29,21 @@ if TYPE_CHECKING:
     from trajopt.terrain.piecewise import PiecewiseTerrain
 
 # Options of drives by a script.
-SCRIPTED = ("period", "plan_delay", "push", "slope", "boxes", "rolling", "as_json")
+SCRIPTED = {
+    "period": "--period",
+    "plan_delay": "--plan-delay",
+    "push": "--push",
+    "slope": "--slope",
+    "boxes": "--boxes",
+    "as_json": "--json",
+}
+# Those of live drives.
+LIVE = {
+    "port": "--port",
+    "no_open": "--no-open",
+    "to_target": "--target",
+    "exit_with_page": "--exit-with-page",
+}
 
 
 @click.command("drive")
@@ -80,25 +94,22 @@ def drive_command(
     legs and a free base. Without one, a page in the browser steers it in real time, or with --target the
     tool of an arm, until Ctrl-C. Exit status 0, 1 when the robot falls by a script, 2 for bad input.
     """
-    if script is None:
-        refused = [name for name in (*SCRIPTED, *hardware) if is_given(name)]
-        if refused:
-            raise InputError(f"--{refused[0].replace('_', '-')} without --script", "allowed: with a script")
-        page = {"seconds": seconds, "exit_with_page": exit_with_page}
-        return _live(robot, output, page, port=port, open_browser=not no_open, target=to_target)
-    for name in ("port", "no_open", "to_target", "exit_with_page"):
+    for name, option in (SCRIPTED if script is None else LIVE).items():
         if is_given(name):
-            raise InputError(
-                f"--{name.removeprefix('to_').replace('_', '-')} with --script", "allowed: one of them"
-            )
+            how = "without" if script is None else "with"
+            raise InputError(f"{option} {how} --script", "allowed: see trajopt drive --help")
+    if is_given("seed") and boxes is None and not hardware["noise"] and not hardware["sensor_noise"]:
+        raise InputError("--seed has no effect here", "allowed: with --noise, --sensor-noise or --boxes")
+    if script is None:
+        page = {"seconds": seconds, "exit_with_page": exit_with_page}
+        given = {name: value for name, value in hardware.items() if is_given(name)}
+        return _live(robot, output, page, port=port, open_browser=not no_open, target=to_target, **given)
     check_apart([output], [script, Path(robot)])
     target = output and check_solution_output(output)
     if seconds is not None:
         require_positive("--seconds", seconds, "s")
     if slope is not None and boxes is not None:
         raise InputError("--slope and --boxes are both given", "allowed: one of them")
-    if is_given("seed") and boxes is None and not hardware["noise"] and not hardware["sensor_noise"]:
-        raise InputError("--seed has no effect here", "allowed: with --noise, --sensor-noise or --boxes")
     from trajopt.mpc.commands import read_commands
     from trajopt.mpc.controller import ControllerSettings
     from trajopt.mpc.lockstep import drive
