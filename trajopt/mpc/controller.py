@@ -205,7 +205,7 @@ class Controller:
             if motion is not None and not self.settings.measured:
                 planned = motion.sample(begin)
                 state = planned.q, planned.v
-            return self.planner.plan(begin, *state, command, heading, ground)
+            return self.planner.plan(begin, *state, command, heading, ground, motion)
 
         clock, ground, motion = self.clock.copy(), self.ground.copy(), self.plans.motion
         heading = self._heading or 0.0

@@ -62,7 +62,7 @@ class PlannerSettings:
     span: Positive = 0.5
     solver: SolverSettings = field(default_factory=SolverSettings)
     torque_rows: bool = True
-    lift: Positive = 0.15
+    lift: Positive = 0.25
     weights: HorizonWeights = field(default_factory=HorizonWeights)
 
 
@@ -157,10 +157,11 @@ class HorizonPlanner:
         command: Command,
         heading: float,
         ground: GroundEstimate,
+        last: HorizonMotion | None = None,
     ) -> HorizonMotion:
         """The motion from a state at ``time`` s on; the clock is at that time.
 
-        heading: in which the base should head now, rad.
+        heading: in which the base should head now, rad. last: the plan in use, which goes on where this one fails.
         """
         horizon, modes = self.horizon()
         least = SHORTEST * self.clock.period
@@ -186,7 +187,10 @@ class HorizonPlanner:
         iterate, reports = solver.solve(horizon, iterate, steps)
         self.report.solving.append(clocks.perf_counter() - solving)
         self.report.note(horizon, iterate, reports)
-        self._last = None if is_lost(iterate, reports) else (horizon, iterate)
+        lost = is_lost(iterate, reports)
+        self._last = None if lost else (horizon, iterate)
+        if lost and last is not None:
+            return last
         return HorizonMotion(horizon, iterate["x"], time)
 
     def _held(self, q: np.ndarray, v: np.ndarray, contacts: Sequence[str]) -> np.ndarray:

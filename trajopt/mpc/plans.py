@@ -18,6 +18,8 @@ from trajopt.mpc.motion import HorizonMotion
 # Multipliers or variables above this, over their units, count as a start that was lost: the next plan begins
 # anew.
 LOST = 1e6
+# Rows that are missed by more than this of their units after the last step: a plan that is not used.
+UNUSABLE = 1.0
 # A fresh start is this far inside its bounds, over their units, and takes this many times the steps.
 PUSH, FRESH = 1e-2, 4
 
@@ -69,9 +71,10 @@ class SolverSettings:
 
 
 def is_lost(iterate: _engine.Iterate, reports: list[_engine.StepReport]) -> bool:
-    """Whether the next plan had better begin anew."""
+    """Whether a plan is not to be used, and the next one begins anew."""
     worst = max(float(np.abs(iterate["y"]).max()), float(np.abs(iterate["x"]).max()))
-    return not (math.isfinite(worst) and worst < LOST and reports[-1]["primal_step"] > 0)
+    kept = math.isfinite(worst) and worst < LOST and reports[-1]["after"] < UNUSABLE
+    return not (kept and reports[-1]["primal_step"] > 0)
 
 
 @dataclass

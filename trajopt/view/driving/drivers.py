@@ -25,17 +25,21 @@ from trajopt.schedule.gaits import gait_names
 
 # Gaits that are prepared unless others are asked for: each takes seconds.
 USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
-# Largest commands over natural units: speed forward and sideways, turn rate, height.
+# Largest commands over natural units: speed forward and sideways, turn rate, height; on fewer than four feet
+# this part of the speeds.
 SPEED, LATERAL, TURN, HEIGHT = 0.6, 0.25, 0.25, 0.15
+FEET, CAREFUL = 4, 0.4
+# Gaits of four feet in which one lifts at a time get at most this part of the speeds: faster ones fall.
+SLOW_GAITS, SLOW = ("walk", "amble"), 0.25
 # Largest and usual push over weight times natural time.
 MOST_PUSH, USUAL_PUSH = 0.5, 0.1
 # Of an arm's target: farthest from the start over the robot's length, and speed over the natural one.
 FARTHEST, TARGET_SPEED = 0.35, 0.2
 # Period and delay of plans, s. They are made in the loop: Python's lock makes a thread of their own slower.
-PERIOD = 0.02
-# Pushes are steered by these.
+PERIOD, DELAY = 0.02, 0.01
+# Sliders of pushes.
 PUSH, DIRECTION = "push", "direction"
-GAIT = "gait"
+GAIT, SPEEDS = "gait", ("speed", "lateral", "turn_rate")
 # A browser rounds the ends of a slider: so much beyond them is taken as the end.
 EDGE = 1e-9
 
@@ -137,14 +141,15 @@ class LegsDriver(Driver):
             raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free base, on feet")
         known, self.robot = gait_names(robot), robot
         names = tuple(gaits or [name for name in USUAL_GAITS if name in known] or known[:MOST_GAITS])
-        self._made = Controller(robot, names, settings or ControllerSettings(period=PERIOD, delay=PERIOD))
+        self._made = Controller(robot, names, settings or ControllerSettings(period=PERIOD, delay=DELAY))
         units = NaturalUnits.of(robot.model)
-        speed, impulse = units.length / units.time, units.weight * units.time
+        part = 1.0 if len(robot.contacts) >= FEET else CAREFUL
+        speed, impulse = part * units.length / units.time, units.weight * units.time
         super().__init__(
             [
                 _even("speed", "forward", "m/s", SPEED * speed, ("w", "s")),
                 _even("lateral", "to the left", "m/s", LATERAL * speed, ("q", "e")),
-                _even("turn_rate", "turn left", "rad/s", TURN / units.time, ("a", "d")),
+                _even("turn_rate", "turn left", "rad/s", part * TURN / units.time, ("a", "d")),
                 _even("height", "height", "m", HEIGHT * units.length),
                 Slider(
                     name=PUSH, label="push", unit="N s", low=0.0, high=_rounded(MOST_PUSH * impulse),
@@ -159,9 +164,13 @@ class LegsDriver(Driver):
 
     @property
     def command(self) -> Command:
-        """The present command; one to stand has no speeds."""
-        used = ("height",) if self.gait == STAND else ("speed", "lateral", "turn_rate", "height")
-        return Command(gait=self.gait, **{name: self.values[name] for name in used})
+        """The present command; one to stand has no speeds, and a slow gait has low ones."""
+        if self.gait == STAND:
+            return Command(height=self.values["height"])
+        slow = self.gait in SLOW_GAITS and len(self.robot.contacts) >= FEET
+        most = {each.name: (SLOW if slow else 1.0) * each.high for each in self.sliders}
+        speeds = {name: min(max(self.values[name], -most[name]), most[name]) for name in SPEEDS}
+        return Command(gait=self.gait, height=self.values["height"], **speeds)
 
     def _noted(self, time: float) -> Command:
         """The present command, noted with its time where it is a new one."""
@@ -205,7 +214,7 @@ class ArmDriver(Driver):
 
     def __init__(self, robot: Robot, tool: str | None = None, settings: ArmSettings | None = None) -> None:
         self.robot = robot
-        self._made = ArmController(robot, tool, settings=settings or ArmSettings(period=PERIOD, delay=PERIOD))
+        self._made = ArmController(robot, tool, settings=settings or ArmSettings(period=PERIOD, delay=DELAY))
         self._controller = self._made
         self._start = frame_pose(robot, robot.reference, self._made.tool)
         units = NaturalUnits.of(robot.model)
