@@ -119,7 +119,7 @@ class Nlp:
         """Seconds and evaluations of value, first and second since the last solve began."""
 
 class Iterate(TypedDict):
-    """Variables, slacks of inequalities, multipliers of rows and of bounds; the next step's barrier."""
+    """Variables, slacks of inequalities, multipliers of rows and bounds; what the next step needs."""
 
     x: Reals
     s: Reals
@@ -129,6 +129,7 @@ class Iterate(TypedDict):
     lower_s: Reals
     upper_s: Reals
     barrier: float
+    regularization: float
 
 class StepReport(TypedDict):
     """Residuals before a step, what it did, and rows ``after`` it; steps are zero without a factorisation."""

@@ -190,7 +190,7 @@ def gait_changes(names: str, seeds: int) -> None:
 @names_option
 @seeds_option
 def rough(names: str, seeds: int) -> None:
-    """Way over ground that the planner is not told of in the time for 4 m, m; swings are 0.3 of the leg high."""
+    """Way in m over ground that the planner is not told of; swings are 0.3 of the leg high."""
     settings = ControllerSettings(planner=PlannerSettings(lift=0.3))
     head("robot", "gait", "slope 10 degrees", *(f"boxes, seed {seed}" for seed in range(seeds)))
     for name in names.split(","):

@@ -7,8 +7,6 @@ from .commands import CommandScript as CommandScript
 from .commands import read_commands as read_commands
 from .controller import Controller as Controller
 from .controller import ControllerSettings as ControllerSettings
-from .lockstep import Drive as Drive
-from .lockstep import drive as drive
 from .drive_report import DriveReport as DriveReport
 from .follow import Follower as Follower
 from .follow import FollowerGains as FollowerGains
@@ -17,6 +15,8 @@ from .hidden_ground import boxes_ahead as boxes_ahead
 from .hidden_ground import slope_ahead as slope_ahead
 from .horizon import Horizon as Horizon
 from .horizon import Pattern as Pattern
+from .lockstep import Drive as Drive
+from .lockstep import drive as drive
 from .motion import HorizonMotion as HorizonMotion
 from .planner import HorizonPlanner as HorizonPlanner
 from .planner import PlannerSettings as PlannerSettings

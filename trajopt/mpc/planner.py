@@ -161,7 +161,7 @@ class HorizonPlanner:
     ) -> HorizonMotion:
         """The motion from a state at ``time`` s on; the clock is at that time.
 
-        heading: in which the base should head now, rad. last: the plan in use, which goes on where this one fails.
+        heading: in which the base should head now, rad. last: the plan in use, for where this one fails.
         """
         horizon, modes = self.horizon()
         least = SHORTEST * self.clock.period

@@ -106,6 +106,7 @@ class IterateMap:
         for own in of_slacks:
             fresh[own][self.slacks[1]] = iterate[own][self.slacks[0]]
         fresh["barrier"] = iterate["barrier"]
+        fresh["regularization"] = iterate["regularization"]
         return fresh
 
 

@@ -32,8 +32,8 @@ class FunctionGroup:
 
     ``gather`` (n_z, window) maps a window's scaled variables to z; ``stages`` (n,) are the intervals or
     nodes; ``rows`` (n, n_rows) are row indices of the NLP; ``row_scale`` (n_rows,); ``parameters``
-    (n, n_p); ``cost_weight`` (n,). ``fraction``: of the intervals, where the points are. ``varying``: functions
-    of time among the parameters, and their columns.
+    (n, n_p); ``cost_weight`` (n,). ``fraction``: of the intervals, where the points are. ``varying``:
+    functions of time among the parameters, and their columns.
     """
 
     point: PointFunction

@@ -94,6 +94,7 @@ void InteriorPoint::require_structure(const Bounds& bounds) const {
 void InteriorPoint::complete(Iterate& it, const Bounds& bounds, double barrier, double push) const {
   const Reals g = nlp_->g(it.x.data());
   it.barrier = barrier;
+  it.regularization = 0;
   // strictly between two bounds: half of what is between them where that is less than twice the push
   auto inside = [push](double value, double low, double high) {
     const double room = std::min(push, bounded(low) && bounded(high) ? (high - low) / 4 : push);
@@ -190,19 +191,19 @@ void InteriorPoint::set_rhs(const Iterate& it, const Bounds& bounds, const Reals
 }
 
 // With as much on the Hessian's diagonal as the inertia of a minimum needs.
-bool InteriorPoint::factorize(StepReport& report) {
+bool InteriorPoint::factorize(double& regularization, StepReport& report) {
   const int negative = static_cast<int>(equal_.size()) + n_s();
-  double added = regularization_ * kDecay < kLeast ? 0.0 : regularization_ * kDecay;
+  double added = regularization * kDecay < kLeast ? 0.0 : regularization * kDecay;
   for (; added <= kMost; added = std::max(kFirst, added * kGrowth)) {
     shifted_ = values_;
     for (std::size_t i = 0; i < free_.size(); ++i) shifted_[diagonal_x_ + i] += added;
     ++report.factorizations;
     if (kkt_->factorize(shifted_.data()) && kkt_->negative_eigenvalues() == negative) {
-      report.regularization = regularization_ = added;
+      report.regularization = regularization = added;
       return true;
     }
   }
-  regularization_ = 0;
+  regularization = 0;
   return false;
 }
 
@@ -301,7 +302,7 @@ std::vector<StepReport> InteriorPoint::steps(Iterate& it, const Bounds& bounds, 
     set_rhs(it, bounds, compliance, it.barrier, report);
     if (k >= settings.least_steps && std::max({report.primal, report.dual, report.complementarity}) < settings.tolerance)
       break;
-    if (factorize(report)) {
+    if (factorize(it.regularization, report)) {
       kkt_->solve(rhs_.data());
       if (!all_finite(rhs_)) report.factorizations = 0;
       else advance(it, bounds, compliance, settings, report);

@@ -16,10 +16,10 @@
 namespace trajopt {
 
 // Variables, slacks and multipliers of rows; multipliers of the bounds of variables and of slacks; the barrier of the
-// next step.
+// next step, and what the last one added to the Hessian's diagonal.
 struct Iterate {
   Reals x, s, y, lower_x, upper_x, lower_s, upper_s;
-  double barrier = 0;
+  double barrier = 0, regularization = 0;
 };
 
 // Residuals before a step: of the rows, of the Lagrangian's gradient and of complementarity, largest entries; what the
@@ -63,7 +63,7 @@ class InteriorPoint {
   void require_structure(const Bounds& bounds) const;
   void set_values(const Iterate& it, const Bounds& bounds, const Reals& compliance);
   void set_rhs(const Iterate& it, const Bounds& bounds, const Reals& compliance, double barrier, StepReport& report);
-  bool factorize(StepReport& report);
+  bool factorize(double& regularization, StepReport& report);
   double primal(const Iterate& it, const Bounds& bounds, const Reals& compliance) const;
   void advance(Iterate& it, const Bounds& bounds, const Reals& compliance, const StepSettings& settings,
                StepReport& report);
@@ -76,7 +76,6 @@ class InteriorPoint {
   std::size_t diagonal_x_ = 0, diagonal_s_ = 0, link_ = 0, compliance_ = 0;
   Reals values_, shifted_, rhs_, gradient_, g_, jacobian_values_;
   std::unique_ptr<StageKkt> kkt_;
-  double regularization_ = 0;
 };
 
 }  // namespace trajopt

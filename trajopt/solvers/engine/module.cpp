@@ -287,6 +287,7 @@ nb::dict to_dict(const Iterate& it) {
                                      {"upper_x", &it.upper_x}, {"lower_s", &it.lower_s}, {"upper_s", &it.upper_s}})
     result[name] = to_numpy(*values);
   result["barrier"] = it.barrier;
+  result["regularization"] = it.regularization;
   return result;
 }
 
@@ -299,11 +300,14 @@ Iterate to_iterate(const nb::dict& given, const InteriorPoint& solver) {
             std::string("an iterate needs '") + name + "' with " + std::to_string(size) + " entries");
     return reals(array);
   };
-  double barrier = 0;
-  require(given.contains("barrier") && nb::try_cast(given["barrier"], barrier) && barrier > 0,
-          "an iterate needs a 'barrier' that is positive");
+  auto number = [&given](const char* name, double least) {
+    double value = 0;
+    require(given.contains(name) && nb::try_cast(given[name], value) && value >= least,
+            std::string("an iterate needs '") + name + "', not negative, a barrier positive");
+    return value;
+  };
   return {read("x", n), read("s", k), read("y", m), read("lower_x", n), read("upper_x", n), read("lower_s", k),
-          read("upper_s", k), barrier};
+          read("upper_s", k), number("barrier", 1e-300), number("regularization", 0)};
 }
 
 nb::list to_list(const std::vector<StepReport>& reports) {
