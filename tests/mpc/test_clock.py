@@ -92,6 +92,19 @@ def test_gaits_change_through_a_stance_after_the_present_mode() -> None:
     assert math.isinf(clock.remaining)
 
 
+def test_a_stance_on_the_way_to_a_gait_leads_to_another_gait_or_stays() -> None:
+    clock = clock_of("trot", "pace")
+    clock.request("trot")
+    clock.advance(0.01, touching(clock))
+    before = clock.remaining
+    clock.request("pace")
+    assert clock.remaining == before
+    assert [len(mode.contacts) for mode in clock.horizon(0.25)] == [4, 2]
+    clock.request("stand")
+    assert math.isinf(clock.remaining)
+    assert len(clock.horizon(0.25)) == 1
+
+
 def test_a_copy_goes_on_apart() -> None:
     clock = clock_of("trot")
     clock.request("trot")

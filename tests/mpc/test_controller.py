@@ -127,3 +127,18 @@ def test_robots_that_cannot_walk_are_refused() -> None:
         Controller(robots.load("panda"), ("trot",))
     with pytest.raises(InputError, match="gait 'trot' is unknown"):
         Controller(robots.load("g1"), ("trot",))
+
+
+@pytest.mark.long
+def test_no_horizon_is_made_in_the_loop(robot: Robot) -> None:
+    """Whatever is asked for, and when: the patterns of all changes are there from the start."""
+    controller = Controller(robot, ("trot", "pronk"))
+    made, generator = set(controller.planner.horizons), np.random.default_rng(0)
+    clock, feet = controller.clock, dict.fromkeys(controller.clock.contacts, False)
+    controller.planner.clock = clock
+    for _ in range(2000):
+        clock.advance(float(generator.uniform(0.0, 0.05)), feet)
+        if generator.uniform() < 0.1:
+            clock.request(str(generator.choice(["stand", "trot", "pronk"])))
+        controller.planner.horizon()
+    assert set(controller.planner.horizons) == made

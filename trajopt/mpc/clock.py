@@ -15,10 +15,6 @@ from trajopt.schedule.gaits import Gait
 SETTLE = 0.3
 # Modes looked at after now: more than any horizon has, so that every swing's end is known.
 AHEAD = 24
-# A contact that is late keeps the clock waiting for at most this part of the period.
-LATEST = 0.0
-# The clock does not run below this part of a period before a touchdown that was not measured.
-WAITING = 0.03
 
 
 @dataclass(frozen=True)
@@ -47,7 +43,7 @@ class GaitClock:
 
     def __init__(self, contacts: Sequence[str], gaits: Mapping[str, tuple[Gait, float]]) -> None:
         self.contacts, self.gaits = tuple(contacts), dict(gaits)
-        self.gait, self.remaining, self.waited = STAND, math.inf, 0.0
+        self.gait, self.remaining = STAND, math.inf
         self._queue: list[Mode] = [self._stance(math.inf)]
         self._cycle: tuple[Mode, ...] = (self._stance(math.inf),)
         self._index = 0
@@ -71,19 +67,25 @@ class GaitClock:
         """Duration of the present mode from its begin, s."""
         return self._queue[0].duration
 
+    @property
+    def state(self) -> tuple[object, ...]:
+        """What decides which modes may follow, apart from the time that remains of the present one."""
+        return self.gait, self._index, tuple(self._queue), math.isinf(self.remaining)
+
     def request(self, gait: str) -> None:
         """Change to another gait, or to a stance, after the present mode."""
         if gait == self.gait:
             return
-        standing = len(self._queue[0].contacts) == len(self.contacts) and math.isinf(self.remaining)
+        standing = len(self._queue[0].contacts) == len(self.contacts)
         self.gait, self._index, self._queue = gait, 0, self._queue[:1]
         self._cycle = self.cycle_of(gait)
-        if gait != STAND:
-            settle = self._stance(SETTLE * max(period for _, period in self.gaits.values()))
-            if standing:
-                self._queue, self.remaining = [settle], settle.duration
-            else:
-                self._queue.append(settle)
+        settle = self._stance(SETTLE * max(period for _, period in self.gaits.values()))
+        if gait == STAND and standing:
+            self._queue, self.remaining = [self._stance(math.inf)], math.inf
+        elif gait != STAND and math.isinf(self.remaining):
+            self._queue, self.remaining = [settle], settle.duration
+        elif gait != STAND and not standing:
+            self._queue.append(settle)
 
     def cycle_of(self, gait: str) -> tuple[Mode, ...]:
         """Modes of a gait's period from the one with most contacts on; of a stance one without end."""
@@ -140,9 +142,7 @@ class GaitClock:
     def advance(self, time: float, touching: Mapping[str, bool]) -> None:
         """Let ``time`` s pass.
 
-        The present mode ends early where all that land with its end touch in its last third, and waits for
-        those
-        that are late.
+        The present mode ends early where all that land with its end touch in its last third.
         """
         mode, landing = self._queue[0], self.landing()
         for name in self.contacts:
@@ -153,10 +153,6 @@ class GaitClock:
         down = all(touching[name] for name in landing)
         if landing and down and self.remaining < mode.duration / 3:
             self.remaining = min(self.remaining, 0.0)
-        least = WAITING * self.period
-        if landing and not down and self.remaining < least and self.waited < LATEST * self.period:
-            self.waited += least - self.remaining
-            self.remaining = least
         if self.remaining <= 1e-9:
             self._next()
 
@@ -167,7 +163,7 @@ class GaitClock:
             self._next()
 
     def _next(self) -> None:
-        late, self.waited = self.remaining, 0.0
+        late = self.remaining
         self._queue.pop(0)
         if not self._queue:
             self._queue.append(self._cycle[self._index])

@@ -32,8 +32,7 @@ DUTIES = {"bound": 0.5}
 CHATTER = 0.05
 # Speeds follow commands at this part of g, and turns at this over l / g.
 FASTEST, FASTEST_TURN = 0.3, 0.4
-# What speeds lack is integrated at this rate over sqrt(l / g), where it is below a part of sqrt(g l), up to
-# one.
+# What speeds lack is integrated at this rate over sqrt(l / g), where it is less than a part of sqrt(g l).
 STEADY, SMALL, MOST = 0.3, 0.2, 0.15
 # The commanded heading leads that of the base by at most so much, rad.
 FARTHEST = 0.3
@@ -111,8 +110,7 @@ class Controller:
 
         Raises:
             InputError: for a gait that was not named, a time that is not finite or runs back, and a state
-            that
-                is not finite or has another shape.
+                that is not finite or has another shape.
         """
         require_state(self.robot, time, q, v)
         if not time >= self._now:

@@ -9,7 +9,6 @@ up by one, and the mode that is new at the end stands still at first.
 
 from __future__ import annotations
 
-import math
 import time as clocks
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +21,7 @@ from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.mpc.clock import GaitClock, Mode, Swing
-from trajopt.mpc.commands import Command
+from trajopt.mpc.commands import STAND, Command
 from trajopt.mpc.ground import GroundEstimate
 from trajopt.mpc.horizon import Horizon, Pattern
 from trajopt.mpc.motion import HorizonMotion
@@ -106,31 +105,22 @@ class HorizonPlanner:
         return self.settings.span * self.clock.period
 
     def prepare(self) -> int:
-        """Make the horizons of all gaits and of all changes between them; returns their number."""
-        for first in ("stand", *self.clock.gaits):
-            for then in ("stand", *self.clock.gaits):
-                clock = GaitClock(self.clock.contacts, self.clock.gaits)
-                clock.request(first)
-                self._walk(clock, 3.0)
-                for offset in range(len(clock.cycle_of(first))):
-                    other = clock.copy()
-                    for _ in range(offset):
-                        other.skip()
-                    other.request(then)
-                    self._walk(other, 3.0)
-        return len(self.horizons)
-
-    def _walk(self, clock: GaitClock, periods: float) -> None:
-        """Make the horizons of a clock from now on."""
-        own, self.clock = self.clock, clock
-        passed = 0.0
-        while passed < periods * clock.period:
+        """Make the horizons of all that may be asked for, whenever; returns their number."""
+        own, seen = self.clock, set()
+        waiting = [GaitClock(own.contacts, own.gaits)]
+        while waiting:
+            clock = waiting.pop()
+            if clock.state in seen:
+                continue
+            seen.add(clock.state)
+            self.clock = clock
             self.horizon()
-            if math.isinf(clock.remaining):
-                break
-            passed += clock.remaining
-            clock.skip()
+            for gait in (None, STAND, *own.gaits):
+                twin = clock.copy()
+                twin.skip() if gait is None else twin.request(gait)
+                waiting.append(twin)
         self.clock = own
+        return len(self.horizons)
 
     def horizon(self) -> tuple[Horizon, tuple[Mode, ...]]:
         """The horizon of the clock as it is now, and its modes."""
