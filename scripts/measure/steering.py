@@ -35,6 +35,8 @@ GAITS = ("walk", "trot", "pace", "bound", "pronk")
 # Ranges of speeds over that of Go2, and steps of the random walk each second.
 LOW, HIGH, STEP = np.array([-0.5, -0.3, -1.0]), np.array([1.0, 0.3, 1.0]), np.array([0.4, 0.2, 0.6])
 START = 0.3
+# Commands of bipeds over those of quadrupeds.
+SLOW = 0.25
 names_option = click.option(
     "--robots", "names", default=",".join(QUADRUPEDS), metavar="A,B", show_default=True
 )
@@ -49,12 +51,13 @@ def scale_of(robot: Robot) -> float:
 
 def random_walk(robot: Robot, gait: str, seconds: float, seed: int) -> CommandScript:
     """Commands that change each second."""
-    generator, factor = np.random.default_rng(seed), scale_of(robot)
+    generator, slow = np.random.default_rng(seed), SLOW if robot.name in BIPEDS else 1.0
+    factor = slow * scale_of(robot)
     at, times, commands = np.zeros(3), [0.0], [Command()]
     for time in np.arange(0.5, seconds, 1.0):
         at = np.clip(at + STEP * generator.standard_normal(3), LOW, HIGH)
         times.append(float(time))
-        speed, lateral, turn = (at * [factor, factor, 1.0]).tolist()
+        speed, lateral, turn = (at * [factor, factor, slow]).tolist()
         commands.append(Command(gait=gait, speed=speed, lateral=lateral, turn_rate=turn))
     return CommandScript(tuple(times), tuple(commands))
 

@@ -52,7 +52,7 @@ class PlannerSettings:
         span: the least length of what follows the present mode, in periods.
         solver: its steps at each tick.
         torque_rows: limits of torques are rows, at every point.
-        lift: height of swings over the robot's length.
+        lift: height of swings of point feet over the robot's length; sole_lift: of soles.
         weights: of the cost.
     """
 
@@ -62,6 +62,7 @@ class PlannerSettings:
     solver: SolverSettings = field(default_factory=SolverSettings)
     torque_rows: bool = True
     lift: Positive = 0.25
+    sole_lift: Positive = 0.1
     weights: HorizonWeights = field(default_factory=HorizonWeights)
 
 
@@ -269,8 +270,9 @@ class HorizonPlanner:
         rows[:, at.quaternion] = ahead.quaternions(times)
         rows[:, at.spin.stop - 1] = command.turn_rate
         rows[:, at.posture] = self.robot.reference[7:]
-        lift = self.settings.lift * self.robot.length
         for number, name in enumerate(self.clock.contacts):
+            sole = self.robot.contact(name).kind == "surface"
+            lift = (self.settings.sole_lift if sole else self.settings.lift) * self.robot.length
             foot = at.foot(self._numbers[number]).start
             for swing in ahead.swings[name]:
                 if swing.begin > last:
