@@ -128,7 +128,7 @@ def survived(robot: Robot, angle: float, sizes: Sequence[float], replanning: boo
     """The largest of rising impulses before the first fall, natural units, at a usual speed."""
     units, biped = NaturalUnits.of(robot.model), robot.name in BIPEDS
     gait = "walk" if biped else "trot"
-    speed = (0.2 if biped else 0.4) * math.sqrt(gravity_of(robot.model) * robot.length)
+    speed = (0.08 if biped else 0.4) * math.sqrt(gravity_of(robot.model) * robot.length)
     best = 0.0
     for size in sizes:
         time = START + 4.0 * 2.6 * math.sqrt(robot.length / gravity_of(robot.model))

@@ -56,12 +56,20 @@ class ArmSettings:
     """Settings of an arm's controller.
 
     Args:
-        period: of plans, s; delay: after which a plan is ready, s.
-        span: of the horizon, s; intervals: of it; scheme: of the transcription.
+        period: of plans, s.
+        delay: after which a plan is ready, s.
+        span: of the horizon, s.
+        intervals: of the horizon.
+        scheme: of the transcription.
         solver: its steps at each tick.
         live: as of `ControllerSettings`.
         margin: least distance of links from each other and from obstacles, m.
-        position, rotation: weights of the tool's errors; rates, posture, torque, acceleration: of joints.
+        position: weight of the tool's error of position.
+        rotation: weight of its error of rotation.
+        rates: weight of rates of joints.
+        posture: weight of their distance from the reference.
+        torque: weight of torques.
+        acceleration: weight of accelerations.
         bandwidth: of the feedback of joints, 1/s.
     """
 

@@ -52,7 +52,8 @@ class PlannerSettings:
         span: the least length of what follows the present mode, in periods.
         solver: its steps at each tick.
         torque_rows: limits of torques are rows, at every point.
-        lift: height of swings of point feet over the robot's length; sole_lift: of soles.
+        lift: height of swings of point feet over the robot's length.
+        sole_lift: likewise of soles.
         weights: of the cost.
     """
 

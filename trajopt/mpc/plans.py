@@ -34,7 +34,8 @@ class SolverSettings:
         most_steps: where residuals stay above ``tolerance``.
         changed_steps: at most, where the pattern of contacts is another than that of the last tick.
         tolerance: of rows and optimality, over their units, with which a tick ends.
-        barrier: the least; most_barrier: to which short steps raise it.
+        barrier: the least.
+        most_barrier: to which short steps raise it.
         seconds: no step begins after so many; 0 is no limit.
     """
 
