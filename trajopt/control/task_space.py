@@ -60,25 +60,14 @@ class TaskSpaceController:
         horizon: Positive = 0.1,
         solver: QpSolverName = "piqp",
     ) -> None:
-        model, units = robot.model, NaturalUnits.of(robot.model)
         self.robot, self.friction = robot, friction
-        self.state = RobotState(model, robot.joint_forces)
         self.last: TickResult | None = None
-        self._program = TaskSpaceInverseDynamics(
-            state=self.state,
-            actuation=robot.actuation,
-            acceleration_unit=units.acceleration(model),
-            force_units=(units.weight, units.weight * units.length),
-            torque_unit=units.generalized_force(model),
-            damping=TrackerGains().contact / units.time,
-            solver=solver,
-        )
+        self._program = program_of(robot, solver)
+        self.state = self._program.state
         self._range = JointRange(
             robot.limited_model(), robot.actuated_rows, robot.velocity_limit, horizon, critical=True
         )
-        self._high = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
-        self._low = robot.least_torque(self._high)
-        self._small = RegularisationTask(weight=SMALL, unit=units.acceleration(model))
+        self._small = RegularisationTask(weight=SMALL, unit=self._program.acceleration_unit)
 
     @checked
     def torque(
@@ -96,20 +85,15 @@ class TaskSpaceController:
             InputError: for a state or a task that is not finite or has another shape, unknown contacts, and
                 where no torques within the limits exist.
         """
-        robot, drives = self.robot, self.robot.drives or (None,) * self.robot.nu
+        robot = self.robot
         names = [c.name for c in robot.contacts if robot.base != "fixed"] if contacts is None else contacts
         if len(set(names)) < len(names):
             raise InputError(f"contacts are {', '.join(names)}", "allowed: each once")
         for task in tasks:
             require_task(task, robot)
         self.state.update(q, v)
-        rate = robot.actuation.rates(v)
-        limits = TickLimits(
-            torque=limits_with_drives(drives, rate, self._low, self._high),
-            acceleration=self._range.bounds(q, v[robot.actuated_rows]),
-            friction=friction_of_drives(drives, rate),
-        )
-        standing = [self._active(robot.contact(name)) for name in names]
+        limits = limits_at(robot, self._range, q, v)
+        standing = [standing_contact(robot, robot.contact(name), self.friction) for name in names]
         self.last = self._program.solve(standing, [*tasks, self._small], limits)
         if RELAXED[self.last.relaxed] == "everything":
             what = "no torques within the limits hold the robot at this state"
@@ -124,15 +108,42 @@ class TaskSpaceController:
         v = v + dt * self.last.acceleration
         return np.asarray(pin.integrate(self.robot.model, q, dt * v)), v
 
-    def _active(self, contact: Contact) -> ActiveContact:
-        return ActiveContact(
-            number=self.robot.contacts.index(contact),
-            frame=contact.frame,
-            dimension=6 if contact.kind == "surface" else 3,
-            normal=UP,
-            friction=self.friction,
-            half_size=(contact.half_length, contact.half_width),
-        )
+
+def program_of(robot: Robot, solver: QpSolverName) -> TaskSpaceInverseDynamics:
+    """Programs of a robot at a state of its own, in its natural units."""
+    model, units = robot.model, NaturalUnits.of(robot.model)
+    return TaskSpaceInverseDynamics(
+        state=RobotState(model, robot.joint_forces),
+        actuation=robot.actuation,
+        acceleration_unit=units.acceleration(model),
+        force_units=(units.weight, units.weight * units.length),
+        torque_unit=units.generalized_force(model),
+        damping=TrackerGains().contact / units.time,
+        solver=solver,
+    )
+
+
+def standing_contact(robot: Robot, contact: Contact, friction: float) -> ActiveContact:
+    """A contact that stands on level ground with this coefficient of friction."""
+    return ActiveContact(
+        number=robot.contacts.index(contact),
+        frame=contact.frame,
+        dimension=6 if contact.kind == "surface" else 3,
+        normal=UP,
+        friction=friction,
+        half_size=(contact.half_length, contact.half_width),
+    )
+
+
+def limits_at(robot: Robot, joint_range: JointRange, q: np.ndarray, v: np.ndarray) -> TickLimits:
+    """Limits of a robot's torques, with its drives, and of its joints at a state (nq,), (nv,)."""
+    rate, drives = robot.actuation.rates(v), robot.drives or (None,) * robot.nu
+    high = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
+    return TickLimits(
+        torque=limits_with_drives(drives, rate, robot.least_torque(high), high),
+        acceleration=joint_range.bounds(q, v[robot.actuated_rows]),
+        friction=friction_of_drives(drives, rate),
+    )
 
 
 def require_task(task: Task, robot: Robot) -> None:

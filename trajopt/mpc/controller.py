@@ -144,19 +144,18 @@ class Controller:
         places[:, 2] -= self._radius
         self.ground.touch(places, feet)
         x, y, z, w = q[3:7]
-        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        turn = pin.Quaternion(w, x, y, z).toRotationMatrix()
+        yaw = math.atan2(turn[1, 0], turn[0, 0])
         self._asked = self._nearer(self._asked, command, passed)
-        self._integrate(passed, q, v, yaw)
+        self._integrate(passed, turn[:2] @ v[:3], yaw)
         if self._heading is None:
             self._heading = yaw
         self._heading += self._asked.turn_rate * passed
         away = math.remainder(self._heading - yaw, 2 * math.pi)
         self._heading = yaw + min(max(away, -FARTHEST), FARTHEST)
 
-    def _integrate(self, passed: float, q: np.ndarray, v: np.ndarray, yaw: float) -> None:
-        """What the level speeds of a gait lack on average, which an error of the model leaves."""
-        x, y, z, w = q[3:7]
-        level = (pin.Quaternion(w, x, y, z).toRotationMatrix() @ v[:3])[:2]
+    def _integrate(self, passed: float, level: np.ndarray, yaw: float) -> None:
+        """What the level velocity (2,) of a gait, world, lacks on average, by errors of the model."""
         turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
         lacks = np.array([self._asked.speed, self._asked.lateral]) - turn @ level
         unit = self.robot.length / self.unit

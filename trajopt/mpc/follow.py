@@ -9,12 +9,10 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import NonNegative, Positive, checked
-from trajopt.control.contact_forces import ActiveContact
-from trajopt.control.gains import TrackerGains
-from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, TickLimits, TickResult
-from trajopt.control.limits import JointRange, friction_of_drives, limits_with_drives
+from trajopt.control.inverse_dynamics import RELAXED, TickResult
+from trajopt.control.limits import JointRange
 from trajopt.control.quadratic_programs import QpSolverName
-from trajopt.control.robot_state import RobotState
+from trajopt.control.task_space import limits_at, program_of, standing_contact
 from trajopt.control.tasks import ContactForceTask, FrameTask, PostureTask, RegularisationTask, Task
 from trajopt.mpc.motion import MotionSample
 from trajopt.robot.natural_units import NaturalUnits
@@ -65,22 +63,11 @@ class Follower:
         solver: QpSolverName = "piqp",
     ) -> None:
         self.robot, self.gains, self.friction = robot, gains or FollowerGains(), friction
-        model, units = robot.model, NaturalUnits.of(robot.model)
-        self.state, self.units = RobotState(model, robot.joint_forces), units
-        self.acceleration_unit = units.acceleration(model)
-        self._program = TaskSpaceInverseDynamics(
-            state=self.state,
-            actuation=robot.actuation,
-            acceleration_unit=self.acceleration_unit,
-            force_units=(units.weight, units.weight * units.length),
-            torque_unit=units.generalized_force(model),
-            damping=TrackerGains().contact / units.time,
-            solver=solver,
-        )
+        self.units, self._program = NaturalUnits.of(robot.model), program_of(robot, solver)
+        self.state, self.acceleration_unit = self._program.state, self._program.acceleration_unit
         self._range = JointRange(robot.limited_model(), robot.actuated_rows, robot.velocity_limit, HORIZON)
         self._high = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
         self._low = robot.least_torque(self._high)
-        self._drives = robot.drives or (None,) * robot.nu
         self._small = RegularisationTask(weight=SMALL, unit=self.acceleration_unit)
         self._legs = [self._rows_of(contact.frame) for contact in robot.contacts]
         self.relaxed = [0] * len(RELAXED)
@@ -104,11 +91,10 @@ class Follower:
     def torque(self, wanted: MotionSample, q: np.ndarray, v: np.ndarray, active: np.ndarray) -> np.ndarray:
         """Torques (nu,) for a measured state, with the contacts (nc,) that transmit forces."""
         self.state.update(q, v)
-        result = self._program.solve(
-            [self._contact(int(i)) for i in np.flatnonzero(active)],
-            self._tasks(wanted, active),
-            self._limits(v, q),
-        )
+        robot, standing = self.robot, np.flatnonzero(active)
+        contacts = [standing_contact(robot, robot.contacts[i], self.friction) for i in standing]
+        limits = limits_at(robot, self._range, q, v)
+        result = self._program.solve(contacts, self._tasks(wanted, active), limits)
         self.relaxed[result.relaxed] += 1
         self.last = result
         if RELAXED[result.relaxed] != "everything":
@@ -118,17 +104,6 @@ class Follower:
         inertia = np.diagonal(self.state.mass)[rows]
         held = wanted.torque[: len(rows)] + inertia * (w**2 * error + 2 * w * (wanted.v - v)[rows])
         return np.asarray(np.clip(held, self._low, self._high))
-
-    def _contact(self, number: int) -> ActiveContact:
-        contact = self.robot.contacts[number]
-        return ActiveContact(
-            number=number,
-            frame=contact.frame,
-            dimension=6 if contact.kind == "surface" else 3,
-            normal=UP,
-            friction=self.friction,
-            half_size=(contact.half_length, contact.half_width),
-        )
 
     def _tasks(self, wanted: MotionSample, active: np.ndarray) -> Sequence[Task]:
         gains, model, time = self.gains, self.state.model, self.units.time
@@ -176,16 +151,4 @@ class Follower:
             selection=np.eye(6)[2:3],
             units=(self.units.gravity, self.units.gravity / self.units.length),
             weight=PRESSING,
-        )
-
-    def _limits(self, v: np.ndarray, q: np.ndarray) -> TickLimits:
-        rate, low, high = self.robot.actuation.rates(v), self._low, self._high
-        friction = np.zeros(len(rate))
-        if any(drive is not None for drive in self._drives):
-            low, high = limits_with_drives(self._drives, rate, low, high)
-            friction = friction_of_drives(self._drives, rate)
-        return TickLimits(
-            torque=(low, high),
-            acceleration=self._range.bounds(q, v[self.robot.actuated_rows]),
-            friction=friction,
         )

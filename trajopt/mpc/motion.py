@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
-from numpy.polynomial import Polynomial
 
 from trajopt.errors import InputError
 from trajopt.mpc.horizon import Horizon
 from trajopt.robot.robot import Robot
-from trajopt.transcription.schemes import scheme
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,20 +25,6 @@ class MotionSample:
     active: np.ndarray
 
 
-@lru_cache(maxsize=16)
-def _polynomials(name: str) -> np.ndarray:
-    """Coefficients (3, s + 2, s), by powers of the fraction, of y in xi'', xi' / h and xi / h^2."""
-    points = scheme(name).c
-    result = np.zeros((3, len(points) + 2, len(points)))
-    for j, point in enumerate(points):
-        others = np.delete(points, j)
-        basis = Polynomial.fromroots(others) / np.prod(point - others) if len(others) else Polynomial([1.0])
-        for times in range(3):
-            coefficients = (basis.integ(times) if times else basis).coef
-            result[times, : len(coefficients), j] = coefficients
-    return result
-
-
 class HorizonMotion:
     """Variables of a horizon as a motion from ``begin`` s on, whatever the horizon becomes later."""
 
@@ -53,7 +36,7 @@ class HorizonMotion:
         self.phase_of, self.coordinates = layout.phase_of, layout.coordinates
         self.nodes = np.array([unscaled[layout.node(k)] for k in range(layout.n_stages + 1)])
         schemes = [layout.scheme_of(phase) for phase in range(len(horizon.pattern.contacts))]
-        self.weights = [_polynomials(each.name) for each in schemes]
+        self.weights = [each.polynomials for each in schemes]
         self.contacts = layout.contacts
         self.highest: list[np.ndarray] = []
         self.wrenches: list[np.ndarray] = []

@@ -159,9 +159,8 @@ class HorizonPlanner:
         least = SHORTEST * self.clock.period
         durations = np.array([max(mode.duration, least) for mode in modes])
         start = horizon.layout.coordinates.node_from_pinocchio(q, self._held(q, v, modes[0].contacts))
-        if self._last is not None and self._last[0] is not horizon:
-            horizon.durations = durations
-        iterate, steps = self._start(horizon, durations)
+        before, horizon.durations = float(horizon.durations[0]), durations
+        iterate, steps = self._start(horizon, before)
         if iterate is not None:
             quaternion = iterate["x"][:4]
             start[:4] *= 1.0 if start[:4] @ quaternion >= 0 else -1.0
@@ -169,7 +168,6 @@ class HorizonPlanner:
         ahead = Ahead(q, command, heading, ground, self.clock.swings())
         horizon.set_heights(self._landing_heights(horizon, ahead, durations))
         horizon.soften_landing(durations[0] / (SOFT * self.clock.period))
-        horizon.durations = durations
         horizon.set_numbers(REFERENCE, self._reference(horizon.point_times(REFERENCE), ahead))
         horizon.set_durations(durations)
         solver = self.settings.solver
@@ -210,14 +208,17 @@ class HorizonPlanner:
         x[horizon.layout.node(begin)] = start
         return np.asarray(x / horizon.transcription.scale)
 
-    def _start(self, horizon: Horizon, durations: np.ndarray) -> tuple[_engine.Iterate | None, int]:
-        """The last iterate moved on to this horizon, if there is one, and how many steps to take at most."""
+    def _start(self, horizon: Horizon, before: float) -> tuple[_engine.Iterate | None, int]:
+        """The last iterate moved on to this horizon, if there is one, and how many steps to take at most.
+
+        before: duration of the first phase when the horizon was last planned, s.
+        """
         solver = self.settings.solver
         if self._last is None:
             return None, FRESH * solver.changed_steps
         last, iterate = self._last
         if last is horizon:
-            before, after = float(horizon.durations[0]), float(durations[0])
+            after = float(horizon.durations[0])
             if after >= before:
                 return iterate, solver.most_steps
             parts = np.linspace(0.0, 1.0, horizon.pattern.intervals[0] + 1)

@@ -90,6 +90,16 @@ class Scheme:
         closing = self.b2 - _integrals(self.c, end, 2)[0]
         return rate + fraction * (self.b1 - _integrals(self.c, end, 1)[0]), position + ramp * closing
 
+    @cached_property
+    def polynomials(self) -> np.ndarray:
+        """Coefficients (3, s + 2, s), by powers of the fraction, of y in xi'', xi' / h and xi / h^2."""
+        result = np.zeros((3, self.s + 2, self.s))
+        for j, basis in enumerate(_lagrange(self.c)):
+            for times in range(3):
+                coefficients = (basis.integ(times) if times else basis).coef
+                result[times, : len(coefficients), j] = coefficients
+        return result
+
     def interpolation_rate(self, fractions: np.ndarray) -> np.ndarray:
         """Matrix (len(fractions), s) of the Lagrange polynomials' derivatives by the fraction."""
         where = np.asarray(fractions, dtype=float)
