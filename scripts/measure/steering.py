@@ -194,7 +194,7 @@ def gait_changes(names: str, seeds: int) -> None:
 @seeds_option
 def rough(names: str, seeds: int) -> None:
     """Way in m over ground that the planner is not told of; swings are 0.3 of the leg high."""
-    settings = ControllerSettings(planner=PlannerSettings(lift=0.3))
+    settings = ControllerSettings(lift=0.3)
     head("robot", "gait", "slope 10 degrees", *(f"boxes, seed {seed}" for seed in range(seeds)))
     for name in names.split(","):
         robot = robots.load(name)

@@ -12,6 +12,8 @@ pytestmark = pytest.mark.long
 
 # Feet on the ground sink into it by less, m.
 GIVES_WAY = 2e-3
+# Mean distance of a tool from its moving target, m.
+ERROR = 0.02
 TROT = "time,gait,speed\n0,,\n0.1,trot,0.4\n"
 
 
@@ -62,12 +64,49 @@ def test_a_robot_that_falls_ends_with_one_and_the_reason(script):
     assert done.output.splitlines()[-1].startswith("it fell at 0.")
 
 
+def test_an_arm_follows_the_targets_of_a_script(tmp_path):
+    script, run = tmp_path / "targets.csv", tmp_path / "run.npz"
+    script.write_text("time, x, y, z\n0, 0.4, 0, 0.4\n0.5, , 0.1,\n")
+    done = invoke("drive", "panda", "--script", script, "--seconds", 1.0, "-o", run, "--json")
+    assert done.exit_code == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures["passed"] is True
+    assert figures["simulated"] == pytest.approx(1.0)
+    assert figures["targets"] == [[0.0, [0.4, 0.0, 0.4]], [0.5, [0.4, 0.1, 0.4]]]
+    assert figures["error_mean"] < ERROR
+    assert invoke("replay", run, "--html", run.with_suffix(".html")).exit_code == 0
+    assert invoke("plot", run, "-o", run.with_suffix(".png")).exit_code == 0
+    assert invoke("export", run, "-o", run.with_suffix(".csv")).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("time,x,y,z\n0,0.4,0\n", "line 2: '0,0.4,0'; allowed"),
+        ("time,x,y,z\n0,0.4,0,0.4\n1,nan,0,0\n", "line 3: '1,nan,0,0'; allowed"),
+        ("time,x,y,z\n0,,0,0.4\n", "line 2: '0,,0,0.4'; allowed"),
+        ("time,x,y,z\n", "times of targets are []; allowed"),
+        ("time,x,y,z\n1,0.4,0,0.4\n", "times of targets are [1.0]; allowed: the first 0, then increasing"),
+        ("time,x,y,z\n0,9,0,0.4\n", "x is 9.0; allowed: -0.07451 to 0.6883 m"),
+        ("", "its first line is ''; allowed"),
+    ],
+)
+def test_targets_that_do_not_fit_are_one_line(text, line, tmp_path):
+    script = tmp_path / "targets.csv"
+    script.write_text(text)
+    assert_refused(invoke("drive", "panda", "--script", script), line)
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
         (["go2", "--script", "missing.csv"], "missing.csv cannot be read: No such file or directory"),
         (["nobody", "--script", "CSV"], "robot 'nobody' is unknown"),
-        (["ur5", "--script", "CSV"], "robot 'ur5' has a fixed base and 0 contacts"),
+        (
+            ["ur5", "--script", "CSV"],
+            "its first line is 'time,gait,speed'; allowed: a CSV file",
+        ),
+        (["ur5", "--script", "CSV", "--push", "0,0,1"], "--push with 'ur5', an arm"),
         (["talos", "--script", "CSV"], "line 3: gait is 'trot'; allowed: stand, walk, run"),
         (["go2", "--script", "CSV", "--seconds", "0"], "--seconds is 0 s; allowed: finite and > 0"),
         (["go2", "--script", "CSV", "--seconds", "soon"], "Invalid value for '--seconds'"),

@@ -12,7 +12,8 @@ from trajopt.certify.contact.contact_dynamics import forward_dynamics
 from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.errors import InputError
 from trajopt.mpc.commands import Command
-from trajopt.mpc.controller import Controller, ControllerSettings
+from trajopt.mpc.controller import Controller
+from trajopt.mpc.receding import ControllerSettings
 from trajopt.robot import Robot
 from trajopt_library import robots
 

@@ -11,10 +11,10 @@ import pytest
 from trajopt import Robot, Solution
 from trajopt.errors import InputError
 from trajopt.mpc.commands import Command, CommandScript
-from trajopt.mpc.controller import ControllerSettings
 from trajopt.mpc.drive_report import command_errors
 from trajopt.mpc.hidden_ground import AHEAD, boxes_ahead, slope_ahead
 from trajopt.mpc.lockstep import Drive, drive
+from trajopt.mpc.receding import ControllerSettings
 from trajopt.simulation.settings import Impulse
 from trajopt.terrain import PiecewiseTerrain
 from trajopt_library import robots

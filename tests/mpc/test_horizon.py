@@ -6,10 +6,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from trajopt.mpc.clock import GaitClock
 from trajopt.mpc.commands import Command
+from trajopt.mpc.gait_reference import GaitReference, RestingFeet, half_stance
 from trajopt.mpc.ground import GroundEstimate
 from trajopt.mpc.horizon import COMPLIANCE, Horizon, Pattern
 from trajopt.mpc.motion import HorizonMotion
-from trajopt.mpc.planner import Ahead, HorizonPlanner, PlannerSettings
+from trajopt.mpc.planner import HorizonPlanner, PlannerSettings
 from trajopt.mpc.plans import SolverSettings
 from trajopt.mpc.reference import HorizonWeights, leg_terms
 from trajopt.mpc.shifting import IterateMap
@@ -70,6 +71,20 @@ def test_durations_in_place_equal_building_anew(robot: Robot) -> None:
     assert_allclose(used.node_times[[0, 3, 6]], [0.0, 0.137, 0.387])
 
 
+def ahead_of(robot: Robot, clock: GaitClock, command: Command) -> GaitReference:
+    """What a plan from the reference posture on level ground follows."""
+    return GaitReference(
+        feet=RestingFeet(robot, clock.contacts),
+        base=robot.reference,
+        command=command,
+        heading=0.0,
+        ground=GroundEstimate(4, robot.length),
+        swings=clock.swings(),
+        half_stance=half_stance(clock),
+        lifts=(0.25 * robot.length, 0.1 * robot.length),
+    )
+
+
 def solved(horizon: Horizon, planner: HorizonPlanner, start: np.ndarray):
     """The optimum of a horizon at the smallest barrier of its planner."""
     solver = SolverSettings(tolerance=1e-9, most_steps=80, steps=80)
@@ -85,20 +100,20 @@ def test_a_shifted_optimum_changes_by_no_more_than_the_solver_leaves(robot: Robo
     planner = HorizonPlanner(robot, clock, PlannerSettings())
     whole, rest = horizon_of(robot, first, second, first), horizon_of(robot, second, first)
     start = whole.layout.coordinates.node_from_pinocchio(robot.reference, np.zeros(robot.nv))
-    command, ground = Command(gait="trot", speed=0.3), GroundEstimate(4, robot.length)
+    command = Command(gait="trot", speed=0.3)
     for horizon, durations in ((whole, [0.2, 0.25, 0.25]), (rest, [0.25, 0.25])):
         at(horizon, durations)
         heights = [dict.fromkeys(clock.contacts, 0.022) for _ in horizon.landings]
         horizon.set_heights(heights)
     clock.request("trot")
-    ahead = Ahead(robot.reference, command, 0.0, ground, clock.swings())
+    ahead = ahead_of(robot, clock, command)
     times = whole.point_times("reference")
-    whole.set_numbers("reference", planner._reference(times, ahead))
+    whole.set_numbers("reference", ahead.rows(times))
     at(whole, [0.2, 0.25, 0.25])
     whole.set_start(start)
     iterate, reports = solved(whole, planner, start)
     assert max(reports[-1][key] for key in ("primal", "dual", "complementarity")) < 1e-9
-    rest.set_numbers("reference", planner._reference(rest.point_times("reference") + 0.2, ahead))
+    rest.set_numbers("reference", ahead.rows(rest.point_times("reference") + 0.2))
     at(rest, [0.25, 0.25])
     node = (iterate["x"] * whole.transcription.scale)[whole.layout.node(3)]
     rest.set_start(node)
@@ -116,8 +131,8 @@ def test_plans_keep_their_limits_and_say_what_they_relax(robot: Robot) -> None:
     planner = HorizonPlanner(robot, clock, PlannerSettings())
     clock.request("trot")
     clock.skip()
-    ground = GroundEstimate(4, robot.length)
-    motion = planner.plan(0.0, robot.reference, np.zeros(robot.nv), Command(gait="trot"), 0.0, ground)
+    ahead = ahead_of(robot, clock, Command(gait="trot"))
+    motion = planner.plan(0.0, robot.reference, np.zeros(robot.nv), ahead)
     assert isinstance(motion, HorizonMotion)
     limit = robot.torque_limit
     assert limit is not None
@@ -130,7 +145,7 @@ def test_plans_keep_their_limits_and_say_what_they_relax(robot: Robot) -> None:
     high = robot.reference.copy()
     high[2] += 2 * robot.length
     for k in range(4):
-        planner.plan(0.01 * k, high, np.zeros(robot.nv), Command(gait="trot"), 0.0, ground)
+        planner.plan(0.01 * k, high, np.zeros(robot.nv), ahead)
     assert any(planner.report.relaxed.values())
     assert set(COMPLIANCE) & set(planner.report.violations)
 

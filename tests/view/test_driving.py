@@ -18,6 +18,7 @@ from tests.support.processes import LIMIT, TRAJOPT, Running
 from trajopt.errors import InputError
 from trajopt.mpc.controller import Controller
 from trajopt.robot.catalogue import robot
+from trajopt.robot.kinematics import frame_pose
 from trajopt.solution.solution import Solution
 from trajopt.view.driving.drawing import Painter
 from trajopt.view.driving.drivers import SLOW, ArmDriver, LegsDriver
@@ -208,10 +209,48 @@ def test_the_tool_of_an_arm_follows_its_target():
     np.testing.assert_allclose(driver.target, wanted, atol=1e-9)
     state = Painter(session).state()
     assert np.linalg.norm(np.array(state["lines"][0][0]) - wanted) < REACHED
-    with pytest.raises(InputError, match="cannot be saved"):
-        session.as_drive()
     with pytest.raises(InputError, match="action is 'push'"):
         session.obey({"action": "push"})
+
+
+def test_the_drive_of_an_arm_is_saved_with_its_figures(tmp_path):
+    session = DriveSession(ArmDriver(robot("panda")), clock=Instant(), keep=1.0)
+    with pytest.raises(InputError, match="nothing was simulated"):
+        session.as_drive()
+    driver, start = session.driver, session.driver.target.copy()
+    session.obey({"z": start[2] + 0.1})
+    turns(session, SECOND + 5)
+    assert driver.offset == pytest.approx(0.5)
+    session.obey({"y": start[1] + 0.1})
+    turns(session, 5)
+    drive = session.as_drive()
+    np.testing.assert_allclose(drive.target[-1], driver.target, atol=driver.path.at(1.2)[1][1] * STRETCH)
+    np.testing.assert_allclose(drive.target[0], start + np.array([0, 0, 0.1]), atol=1e-9)
+    report = drive.report
+    assert report.simulated == pytest.approx(0.7)
+    assert [time for time, _ in report.targets] == pytest.approx([0.0, 0.6])
+    assert 0 < report.error_mean < report.error_95 < report.error_max < 2 * REACHED
+    assert report.nearest > driver.controller.settings.margin
+    assert report.beyond == 0
+    assert 0 < report.rate < 1
+    assert "tool from target" in report.table()
+    motion = Solution.load(drive.as_solution().save(tmp_path / "run.npz"))
+    assert motion.statistics.simulated
+    assert motion.statistics.success
+    np.testing.assert_allclose(motion.q[-1], session.run.data.qpos, atol=1e-9)
+
+
+def test_a_simulation_that_diverges_is_saved_up_to_there(tmp_path):
+    session = DriveSession(ArmDriver(robot("panda")), clock=Instant(), keep=1.0)
+    turns(session, 5)
+    session.run.data.qvel[:] = np.nan
+    turns(session, 5)
+    drive = session.as_drive()
+    assert drive.report.fell
+    assert drive.report.table().endswith("it failed at 0.100 s: the simulation diverged")
+    motion = drive.as_solution()
+    assert not motion.statistics.success
+    assert np.isfinite(Solution.load(motion.save(tmp_path / "run.npz")).q).all()
 
 
 def posted(live: LiveDrive, body: bytes, kind: str = "application/json") -> tuple[int, str]:
@@ -303,4 +342,75 @@ def test_page_shows_the_robot_and_its_keys_steer():
         assert errors == []
         live.close()
         page.wait_for_selector("#message:has-text('the server has stopped')", timeout=1e3 * LIMIT)
+        browser.close()
+
+
+# Where the target is in the page: pixels to the right and down, and its depth, m; and the camera.
+IN_PAGE = """() => {
+    const {view, viewer} = trajopt, at = view.target.getWorldPosition(new view.three.Vector3());
+    const depth = -at.clone().applyMatrix4(viewer.camera.matrixWorldInverse).z;
+    at.project(viewer.camera);
+    return [(1 + at.x) / 2 * innerWidth, (1 - at.y) / 2 * innerHeight, depth];
+}"""
+CAMERA = "trajopt.viewer.camera.position.toArray()"
+# The camera that `ready` has placed is drawn in the next picture.
+DRAWN = "new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))"
+CURSOR = "document.getElementById('meshcat-pane').style.cursor"
+
+
+def test_the_target_is_dragged_in_the_picture_and_the_arm_follows():
+    require_chromium()
+    from playwright.sync_api import sync_playwright
+
+    playing = sync_playwright()
+    with LiveDrive(robot("panda"), target=True, open_browser=False, clock=Instant()) as live, playing as on:
+        browser = on.chromium.launch(executable_path=find_chromium(), args=list(FLAGS))
+        page, errors = browser.new_page(has_touch=True), []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(live.url)
+        page.evaluate("trajopt.ready.then(() => true)")
+        page.evaluate(DRAWN)
+        driver, camera = live.session.driver, page.evaluate(CAMERA)
+
+        def arrived(x: float, y: float, depth: float) -> None:
+            """The target is where the pointer is, as far from the camera as before, and sent."""
+            page.wait_for_timeout(200)
+            np.testing.assert_allclose(page.evaluate(IN_PAGE), [x, y, depth], atol=1e-3)
+            shown = page.evaluate("['x', 'y', 'z'].map(axis => trajopt.steering.shown.get(axis))")
+            assert shown == pytest.approx([driver.values[axis] for axis in "xyz"])
+            outputs = page.locator("#sliders output").all_text_contents()
+            assert outputs == [f"{value:.2f} m" for value in shown]
+
+        x, y, depth = page.evaluate(IN_PAGE)
+        page.mouse.move(x + 4, y - 3)
+        assert page.evaluate(CURSOR) == "grab"
+        page.mouse.down()
+        page.mouse.move(x - 56, y - 43, steps=3)
+        assert page.evaluate(CURSOR) == "grabbing"
+        arrived(x - 60, y - 40, depth)
+        page.mouse.move(x + 5000, y, steps=3)
+        page.wait_for_timeout(200)
+        assert any(driver.values[each.name] in (each.low, each.high) for each in driver.sliders)
+        page.mouse.move(x + 44, y - 33, steps=3)
+        page.mouse.up()
+        arrived(x + 40, y - 30, depth)
+        finger = page.context.new_cdp_session(page)
+        for kind, points in (("Start", [0]), ("Move", [10]), ("Move", [20]), ("End", [])):
+            touches = [{"x": x + 40 - each, "y": y - 30} for each in points]
+            finger.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": touches})
+        arrived(x + 20, y - 30, depth)
+        assert page.evaluate(CAMERA) == pytest.approx(camera)
+        live.run(seconds=1.0)
+        drive = live.session.as_drive()
+        np.testing.assert_allclose(drive.target[-1], [driver.values[axis] for axis in "xyz"], atol=1e-9)
+        tool = frame_pose(driver.robot, drive.as_solution().q[-1], driver.tool).translation
+        assert np.linalg.norm(tool - drive.target[-1]) < REACHED
+        page.mouse.move(300, 500)  # beside the target the mouse turns the camera, as before
+        assert page.evaluate(CURSOR) == ""
+        page.mouse.down()
+        page.mouse.move(360, 500, steps=3)
+        page.mouse.up()
+        page.wait_for_timeout(200)
+        assert page.evaluate(CAMERA) != pytest.approx(camera)
+        assert errors == []
         browser.close()

@@ -24,9 +24,11 @@ from trajopt.errors import InputError, require_positive
 from trajopt.solution.output import check_apart, check_solution_output
 
 if TYPE_CHECKING:
+    from trajopt.mpc.lockstep import Drive
     from trajopt.robot.robot import Robot
     from trajopt.simulation.settings import Impulse
     from trajopt.terrain.piecewise import PiecewiseTerrain
+    from trajopt.view.driving.arm_drive import ArmDrive
 
 # Options of drives by a script.
 SCRIPTED = {
@@ -37,6 +39,8 @@ SCRIPTED = {
     "boxes": "--boxes",
     "as_json": "--json",
 }
+# Those of robots on legs.
+ON_LEGS = ("push", "slope", "boxes")
 # Those of live drives.
 LIVE = {
     "port": "--port",
@@ -49,7 +53,10 @@ LIVE = {
 @click.command("drive")
 @click.argument("robot")
 @value_option(
-    "--script", "CSV", "Commands over time; columns time, gait, speed, lateral, turn_rate, height.", Path
+    "--script",
+    "CSV",
+    "Commands over time; columns time, gait, speed, lateral, turn_rate, height; of an arm time, x, y, z.",
+    Path,
 )
 @output_option("RUN", "Save the motion as a solution.")
 @value_option("--seconds", "S", "Duration.  [default: 2 s after the last command; live, until Ctrl-C]", float)
@@ -91,8 +98,9 @@ def drive_command(
 
     Whole-body motions are planned anew every --period while it moves. By a script, simulated time waits for
     the solver, and a plan is used after --plan-delay, so that the motion does not depend on times; ROBOT has
-    legs and a free base. Without one, a page in the browser steers it in real time, or with --target the
-    tool of an arm, until Ctrl-C. Exit status 0, 1 when the robot falls by a script, 2 for bad input.
+    legs and a free base, or is an arm whose tool goes to places. Without one, a page in the browser steers it
+    in real time, or with --target the tool of an arm, until Ctrl-C. Exit status 0, 1 when the robot falls by
+    a script, 2 for bad input.
     """
     for name, option in (SCRIPTED if script is None else LIVE).items():
         if is_given(name):
@@ -110,21 +118,32 @@ def drive_command(
         require_positive("--seconds", seconds, "s")
     if slope is not None and boxes is not None:
         raise InputError("--slope and --boxes are both given", "allowed: one of them")
+    from trajopt.mpc.arm import ArmSettings
     from trajopt.mpc.commands import read_commands
-    from trajopt.mpc.controller import ControllerSettings
     from trajopt.mpc.lockstep import drive
+    from trajopt.mpc.receding import ControllerSettings
     from trajopt.robot.catalogue import robot as load
     from trajopt.schedule.gaits import gait_names
+    from trajopt.view.driving.scripted import drive_arm, read_targets
 
     loaded = load(robot)
-    commands = read_commands(script, gait_names(loaded))
-    settings = ControllerSettings(period=period, delay=plan_delay)
-    pushes = [_push(loaded, text) for text in push]
-    ground = _ground(loaded, slope, boxes, hardware["seed"])
-    with busy(f"driving {loaded.name} in MuJoCo by {script}"):
-        driven = drive(
-            loaded, commands, duration=seconds, settings=settings, pushes=pushes, ground=ground, **hardware
-        )
+    driving = busy(f"driving {loaded.name} in MuJoCo by {script}")
+    driven: ArmDrive | Drive
+    if loaded.base == "fixed":
+        for name in ON_LEGS:
+            if is_given(name):
+                raise InputError(f"--{name} with '{loaded.name}', an arm", "allowed: with a robot on legs")
+        targets = read_targets(script)
+        hardware["settings"] = ArmSettings(period=period, delay=plan_delay)
+        with driving:
+            driven = drive_arm(loaded, targets, duration=seconds, **hardware)
+    else:
+        commands = read_commands(script, gait_names(loaded))
+        pushes = [_push(loaded, text) for text in push]
+        ground = _ground(loaded, slope, boxes, hardware["seed"])
+        hardware["settings"] = ControllerSettings(period=period, delay=plan_delay)
+        with driving:
+            driven = drive(loaded, commands, duration=seconds, pushes=pushes, ground=ground, **hardware)
     if target is not None:
         driven.as_solution().save(target)
     report = driven.report
@@ -135,8 +154,6 @@ def drive_command(
 def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) -> int:
     """A drive from the browser. Raises `InputError`."""
     if output is not None:
-        if options["target"]:
-            raise InputError("-o with --target", "allowed: one of them, the drive of an arm is not saved")
         check_apart([output], [Path(robot)])
         check_solution_output(output)
     if how["seconds"] is not None:

@@ -11,7 +11,6 @@ from trajopt.cli.input import (
     COUNT,
     NOT_REACHED,
     choice_option,
-    controller_option,
     default_option,
     hardware_options,
     is_given,
@@ -27,16 +26,24 @@ from trajopt.errors import InputError
 from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
 
 if TYPE_CHECKING:
+    from trajopt.mpc.replanning import ReplanningController
     from trajopt.simulation.settings import Controller
     from trajopt.simulation.simulate import Simulation
     from trajopt.solution.solution import Solution
+
+# Word of the controller that plans anew at each tick.
+REPLANNING = "receding-horizon"
 
 
 @click.command("simulate")
 @click.argument("file", type=Path)
 @output_option("SIM", "Save the simulated motion as a solution.")
 @click.option("--html", type=Path, metavar="BOTH", help="Write a page that shows plan and simulation.")
-@controller_option
+@choice_option(
+    "--controller",
+    ["joints", "whole-body", REPLANNING],
+    "Feedback of single joints, of the whole body, or plans made anew at each tick.",
+)
 @choice_option("--qp-solver", ["piqp", "proxqp", "osqp"], "Of the programs of the whole body.")
 @default_option("--cycles", 1, "N", "Cycles of a periodic plan.", kind=COUNT)
 @default_option("--kp", 1.0, "X", "Factor on position gains.")
@@ -68,9 +75,25 @@ def simulate_command(
     settings["ground_offsets"] = {frame: _metres(frame, text) for frame, text in offsets.items()}
     motion, page = _checked_outputs(output, html)
     plan = load_plan(file)
+    if settings["controller"] == REPLANNING:
+        settings["controller"] = _replanning(plan, settings["cycles"])
     with busy(f"simulating {plan.t[-1]:.3g} s of {file} in MuJoCo"):
         simulated = simulate(plan, **settings)
     return _report_simulation(plan, simulated, motion, page, as_json)
+
+
+def _replanning(plan: Solution, cycles: int) -> ReplanningController:
+    """What plans anew, for the robot of the plan's problem, or of its name. Raises `InputError`."""
+    from trajopt.mpc.replanning import ReplanningController
+    from trajopt.problem.catalogue import families, load
+    from trajopt.robot.catalogue import robot
+
+    about = plan.description
+    given = {name: value for name, value in about.parameters.items() if value is not None}
+    known = about.problem in families()
+    chosen = load(about.problem, **given).robot if known else robot(about.robot)
+    with busy(f"preparing {chosen.name}"):
+        return ReplanningController(chosen, plan, cycles=cycles)
 
 
 @click.command("walk")

@@ -6,7 +6,6 @@ from .commands import Command as Command
 from .commands import CommandScript as CommandScript
 from .commands import read_commands as read_commands
 from .controller import Controller as Controller
-from .controller import ControllerSettings as ControllerSettings
 from .drive_report import DriveReport as DriveReport
 from .follow import Follower as Follower
 from .follow import FollowerGains as FollowerGains
@@ -22,4 +21,6 @@ from .planner import HorizonPlanner as HorizonPlanner
 from .planner import PlannerSettings as PlannerSettings
 from .plans import ControllerReport as ControllerReport
 from .plans import SolverSettings as SolverSettings
+from .receding import ControllerSettings as ControllerSettings
 from .reference import HorizonWeights as HorizonWeights
+from .replanning import ReplanningController as ReplanningController

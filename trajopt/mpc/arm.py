@@ -231,7 +231,7 @@ class ArmController:
                 state = predicted(motion, time, begin - time, state, self.settings.bandwidth)
             return self._plan(begin, *state, target, motion)
 
-        motion_now = self.plans.update(time, make)
+        motion_now = self.plans.update(time, lambda: make)
         begun = clocks.perf_counter()
         wanted, w, model = motion_now.sample(time), self.settings.bandwidth, self.robot.model
         error, rate = pin.difference(model, q, wanted.q), wanted.v - v

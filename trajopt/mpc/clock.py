@@ -1,4 +1,4 @@
-"""The clock of a gait: which contacts stand now and next, and for how long; changes of gait."""
+"""Clocks of contact modes: which contacts stand now and next, and for how long; gaits, and finite motions."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from typing import Self
+
+from typing_extensions import override
 
 from trajopt.mpc.commands import STAND
 from trajopt.schedule.gaits import Gait
@@ -33,23 +36,24 @@ class Swing:
     end: float
 
 
-class GaitClock:
-    """Modes of a commanded gait from now on.
+class ModeClock:
+    """Contact modes from now on: some that are left, then a cycle without end.
 
     Args:
         contacts: names of all feet.
-        gaits: by name, with their periods in s.
+        queue: modes from now on.
+        cycle: what follows them, again and again.
+        period: the natural duration of a cycle, s, by which horizons are measured.
     """
 
-    def __init__(self, contacts: Sequence[str], gaits: Mapping[str, tuple[Gait, float]]) -> None:
-        self.contacts, self.gaits = tuple(contacts), dict(gaits)
-        self.gait, self.remaining = STAND, math.inf
-        self._queue: list[Mode] = [self._stance(math.inf)]
-        self._cycle: tuple[Mode, ...] = (self._stance(math.inf),)
-        self._index = 0
+    def __init__(
+        self, contacts: Sequence[str], queue: Sequence[Mode], cycle: Sequence[Mode], period: float
+    ) -> None:
+        self.contacts, self._queue, self._cycle = tuple(contacts), list(queue), tuple(cycle)
+        self.remaining, self._period, self._index = self._queue[0].duration, period, 0
         self._lifted = dict.fromkeys(self.contacts, 0.0)  # how long each has been in the air, s
 
-    def copy(self) -> GaitClock:
+    def copy(self) -> Self:
         """A clock that goes on from here, apart."""
         twin = copy.copy(self)
         twin._queue, twin._lifted = list(self._queue), dict(self._lifted)
@@ -57,10 +61,8 @@ class GaitClock:
 
     @property
     def period(self) -> float:
-        """Period of the gait, s; of a stance, the shortest of the gaits."""
-        if self.gait in self.gaits:
-            return self.gaits[self.gait][1]
-        return min(period for _, period in self.gaits.values())
+        """Duration of a cycle, s."""
+        return self._period
 
     @property
     def whole(self) -> float:
@@ -70,31 +72,15 @@ class GaitClock:
     @property
     def state(self) -> tuple[object, ...]:
         """What decides which modes may follow, apart from the time that remains of the present one."""
-        return self.gait, self._index, tuple(self._queue), math.isinf(self.remaining)
+        return self._index, tuple(self._queue), math.isinf(self.remaining)
 
-    def request(self, gait: str) -> None:
-        """Change to another gait, or to a stance, after the present mode."""
-        if gait == self.gait:
-            return
-        standing = len(self._queue[0].contacts) == len(self.contacts)
-        self.gait, self._index, self._queue = gait, 0, self._queue[:1]
-        self._cycle = self.cycle_of(gait)
-        settle = self._stance(SETTLE * max(period for _, period in self.gaits.values()))
-        if gait == STAND and standing:
-            self._queue, self.remaining = [self._stance(math.inf)], math.inf
-        elif gait != STAND and math.isinf(self.remaining):
-            self._queue, self.remaining = [settle], settle.duration
-        elif gait != STAND and not standing:
-            self._queue.append(settle)
-
-    def cycle_of(self, gait: str) -> tuple[Mode, ...]:
-        """Modes of a gait's period from the one with most contacts on; of a stance one without end."""
-        if gait == STAND:
-            return (self._stance(math.inf),)
-        pattern, period = self.gaits[gait]
-        modes = [Mode(phase.contacts, phase.duration) for phase in pattern.phases(period)]
-        first = max(range(len(modes)), key=lambda i: len(modes[i].contacts))
-        return (*modes[first:], *modes[:first])
+    def branches(self) -> list[Self]:
+        """Clocks that may follow: at the end of the present mode, and as its next begins."""
+        late, after = self.copy(), self.copy()
+        if math.isfinite(late.remaining):
+            late.remaining = 0.0
+        after.skip()
+        return [late, after]
 
     def modes(self) -> Iterator[Mode]:
         """Modes from now on, the first with what remains of it."""
@@ -106,12 +92,15 @@ class GaitClock:
             index = (index + 1) % len(self._cycle)
 
     def horizon(self, span: float) -> tuple[Mode, ...]:
-        """Modes from now on, until those after the present one last ``span`` s or longer."""
+        """Modes from now on, until those after the present one last ``span`` s or longer.
+
+        A present mode that goes on for longer than that is all of it.
+        """
         taken: list[Mode] = []
         total = 0.0
         for mode in self.modes():
             taken.append(Mode(mode.contacts, min(mode.duration, span)))
-            total += mode.duration if len(taken) > 1 or math.isinf(mode.duration) else 0.0
+            total += mode.duration if len(taken) > 1 or mode.duration > span * (1 + 1e-9) else 0.0
             if total >= span * (1 - 1e-9):
                 return tuple(taken)
         raise AssertionError("a clock has modes without end")
@@ -169,6 +158,63 @@ class GaitClock:
             self._queue.append(self._cycle[self._index])
             self._index = (self._index + 1) % len(self._cycle)
         self.remaining = self._queue[0].duration + (late if math.isfinite(late) else 0.0)
+
+
+class GaitClock(ModeClock):
+    """Modes of a commanded gait from now on; it stands at first.
+
+    Args:
+        contacts: names of all feet.
+        gaits: by name, with their periods in s.
+    """
+
+    def __init__(self, contacts: Sequence[str], gaits: Mapping[str, tuple[Gait, float]]) -> None:
+        self.gaits, self.gait = dict(gaits), STAND
+        stance = Mode(tuple(contacts), math.inf)
+        super().__init__(contacts, (stance,), (stance,), min(period for _, period in self.gaits.values()))
+
+    @property
+    @override
+    def period(self) -> float:
+        """Period of the gait, s; of a stance, the shortest of the gaits."""
+        return self.gaits[self.gait][1] if self.gait in self.gaits else self._period
+
+    @property
+    @override
+    def state(self) -> tuple[object, ...]:
+        return self.gait, *super().state
+
+    @override
+    def branches(self) -> list[Self]:
+        changed = []
+        for gait in (STAND, *self.gaits):
+            changed.append(self.copy())
+            changed[-1].request(gait)
+        return [*super().branches(), *changed]
+
+    def request(self, gait: str) -> None:
+        """Change to another gait, or to a stance, after the present mode."""
+        if gait == self.gait:
+            return
+        standing = len(self._queue[0].contacts) == len(self.contacts)
+        self.gait, self._index, self._queue = gait, 0, self._queue[:1]
+        self._cycle = self.cycle_of(gait)
+        settle = self._stance(SETTLE * max(period for _, period in self.gaits.values()))
+        if gait == STAND and standing:
+            self._queue, self.remaining = [self._stance(math.inf)], math.inf
+        elif gait != STAND and math.isinf(self.remaining):
+            self._queue, self.remaining = [settle], settle.duration
+        elif gait != STAND and not standing:
+            self._queue.append(settle)
+
+    def cycle_of(self, gait: str) -> tuple[Mode, ...]:
+        """Modes of a gait's period from the one with most contacts on; of a stance one without end."""
+        if gait == STAND:
+            return (self._stance(math.inf),)
+        pattern, period = self.gaits[gait]
+        modes = [Mode(phase.contacts, phase.duration) for phase in pattern.phases(period)]
+        first = max(range(len(modes)), key=lambda i: len(modes[i].contacts))
+        return (*modes[first:], *modes[:first])
 
     def _stance(self, duration: float) -> Mode:
         return Mode(self.contacts, duration)

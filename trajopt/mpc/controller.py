@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import math
-import time as clocks
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.errors import InputError
-from trajopt.mpc.clock import GaitClock
+from trajopt.mpc.clock import GaitClock, ModeClock
 from trajopt.mpc.commands import STAND, Command
-from trajopt.mpc.follow import Follower, FollowerGains
+from trajopt.mpc.gait_reference import GaitReference, RestingFeet, half_stance
 from trajopt.mpc.ground import GroundEstimate
-from trajopt.mpc.motion import HorizonMotion, predicted, require_state
-from trajopt.mpc.planner import HorizonPlanner, PlannerSettings
-from trajopt.mpc.plans import ControllerReport, Make, Plans
+from trajopt.mpc.receding import ControllerSettings, LegsController, Refer
+from trajopt.mpc.reference import Reference
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import feet_in_base
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.gaits import Gait, gait_of
 
-# Periods of gaits over sqrt(l / g).
-PERIODS = {"trot": 2.6, "walk": 4.0, "pace": 1.6, "bound": 1.8, "pronk": 2.4}
+# Periods of gaits over sqrt(l / g), and that of others.
+PERIODS, PERIOD = {"walk": 3.2, "trot": 2.0, "pace": 1.6, "bound": 1.6, "pronk": 2.0}, 2.6
 # Duty factors other than those of `trajopt.schedule.gaits`: a bound without flight.
 DUTIES = {"bound": 0.5}
-# A contact that is lost for less than this part of sqrt(l / g) goes on transmitting forces.
-CHATTER = 0.05
 # Speeds follow commands at this part of g, and turns at this over l / g.
 FASTEST, FASTEST_TURN = 0.3, 0.4
 # What speeds lack is integrated at this rate over sqrt(l / g), where it is less than a part of sqrt(g l).
@@ -38,33 +33,8 @@ STEADY, SMALL, MOST = 0.3, 0.2, 0.15
 FARTHEST = 0.3
 
 
-@checked
-@dataclass(frozen=True, kw_only=True)
-class ControllerSettings:
-    """Settings of a controller.
-
-    Args:
-        period: of plans, s.
-        delay: after which a plan is ready, s; the state is predicted over it.
-        measured: plans begin from the measured state; otherwise each goes on from the last one, for
-            comparison.
-        live: plans are made by a thread, and used when they are ready; otherwise each tick waits for its own.
-        planner: settings of plans.
-        gains: of what follows them.
-        friction: Coulomb's coefficient that it counts on.
-    """
-
-    period: Positive = 0.01
-    delay: NonNegative = 0.01
-    measured: bool = True
-    live: bool = False
-    planner: PlannerSettings = field(default_factory=PlannerSettings)
-    gains: FollowerGains = field(default_factory=FollowerGains)
-    friction: Positive = 0.6
-
-
-class Controller:
-    """Whole-body receding-horizon control of a robot on legs.
+class Controller(LegsController):
+    """Whole-body receding-horizon control of a robot on legs by commands.
 
     Args:
         robot: with a free base and 1, 2 or 4 feet.
@@ -72,29 +42,19 @@ class Controller:
         settings: of plans and of what follows them.
     """
 
+    clock: GaitClock
+
     def __init__(
         self, robot: Robot, gaits: tuple[str, ...] = ("trot",), settings: ControllerSettings | None = None
     ) -> None:
-        self.robot, self.settings = robot, settings or ControllerSettings()
-        self.unit = Units(robot).time
-        periods = {name: (_gait(robot, name), PERIODS.get(name, 2.6) * self.unit) for name in gaits}
-        names = list(feet_in_base(robot))
-        self.clock = GaitClock(names, periods)
-        self.planner = HorizonPlanner(
-            robot, self.clock, self.settings.planner, friction=self.settings.friction
-        )
-        self.planner.prepare()
-        self.follower = Follower(robot, self.settings.gains, friction=self.settings.friction)
-        self.plans = Plans(self.settings.period, self.settings.delay, live=self.settings.live)
-        self.planner.report = self.plans.report
+        chosen, unit = settings or ControllerSettings(), Units(robot).time
+        self._resting = RestingFeet(robot, list(feet_in_base(robot)))
+        periods = {name: (_gait(robot, name), PERIODS.get(name, PERIOD) * unit) for name in gaits}
+        super().__init__(robot, GaitClock(self._resting.names, periods), chosen)
         self._heading: float | None = None
         self._asked = Command()
         self._lacking = np.zeros(2)
-        self._now = 0.0
-        self._touched = np.full(len(robot.contacts), -math.inf)
-        self._feet = [robot.contacts.index(robot.contact(name)) for name in names]
-        self.ground = GroundEstimate(len(names), robot.length)
-        self._radius = np.array([robot.contact(name).radius for name in names])
+        self.ground = GroundEstimate(len(self._feet), robot.length)
 
     def step(
         self, time: float, q: np.ndarray, v: np.ndarray, contacts: np.ndarray, command: Command
@@ -112,47 +72,43 @@ class Controller:
             InputError: for a gait that was not named, a time that is not finite or runs back, and a state
                 that is not finite or has another shape.
         """
-        require_state(self.robot, time, q, v)
-        if not time >= self._now:
-            raise InputError(f"time is {time:g} s after {self._now:g} s", "allowed: increasing")
         if command.gait != STAND and command.gait not in self.clock.gaits:
             allowed = ", ".join((STAND, *self.clock.gaits))
             raise InputError(f"gait is '{command.gait}'", f"allowed: {allowed}")
-        touching = np.asarray(contacts, dtype=bool)
-        if touching.shape != (len(self.robot.contacts),):
-            allowed = f"allowed: ({len(self.robot.contacts)},), one for each contact"
-            raise InputError(f"contacts have shape {touching.shape}", allowed)
-        self._pass(time, q, v, touching, command)
-        motion = self.plans.update(time, self._maker(time, q, v, self._corrected))
-        begun = clocks.perf_counter()
-        wanted = motion.sample(time)
-        active = self._active(time, wanted.active, touching)
-        torque = self.follower.torque(wanted, q, v, active)
-        self.report.following.append(clocks.perf_counter() - begun)
-        return torque
-
-    def _pass(
-        self, time: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, command: Command
-    ) -> None:
-        """Let time pass for clock, heading and the estimate of the ground."""
-        passed, self._now = time - self._now, time
-        feet = touching[self._feet]
-        self.clock.advance(passed, dict(zip(self.clock.contacts, feet.tolist(), strict=True)))
+        passed = self._passed(time, q, v, contacts)
         self.clock.request(command.gait)
-        self._touched = np.where(touching, time, self._touched)
         places = np.array(list(contact_positions(self.robot, q).values()))[self._feet]
-        places[:, 2] -= self._radius
-        self.ground.touch(places, feet)
+        places[:, 2] -= self._resting.radius
+        self.ground.touch(places, np.asarray(contacts, dtype=bool)[self._feet])
         x, y, z, w = q[3:7]
         turn = pin.Quaternion(w, x, y, z).toRotationMatrix()
         yaw = math.atan2(turn[1, 0], turn[0, 0])
         self._asked = self._nearer(self._asked, command, passed)
         self._integrate(passed, turn[:2] @ v[:3], yaw)
-        if self._heading is None:
-            self._heading = yaw
-        self._heading += self._asked.turn_rate * passed
-        away = math.remainder(self._heading - yaw, 2 * math.pi)
+        heading = yaw if self._heading is None else self._heading
+        away = math.remainder(heading + self._asked.turn_rate * passed - yaw, 2 * math.pi)
         self._heading = yaw + min(max(away, -FARTHEST), FARTHEST)
+        return self._follow(q, v, self._refer)
+
+    def _refer(self) -> Refer:
+        """What a plan follows: the command as it is now, on the ground as it is believed now."""
+        command, heading, ground = self._corrected, self._heading or 0.0, self.ground.copy()
+        lifts = tuple(self.robot.length * part for part in (self.settings.lift, self.settings.sole_lift))
+
+        def refer(clock: ModeClock, base: np.ndarray) -> Reference:
+            assert isinstance(clock, GaitClock)
+            return GaitReference(
+                feet=self._resting,
+                base=base,
+                command=command,
+                heading=heading,
+                ground=ground,
+                swings=clock.swings(),
+                half_stance=half_stance(clock),
+                lifts=(lifts[0], lifts[1]),
+            )
+
+        return refer
 
     def _integrate(self, passed: float, level: np.ndarray, yaw: float) -> None:
         """What the level velocity (2,) of a gait, world, lacks on average, by errors of the model."""
@@ -185,42 +141,6 @@ class Controller:
             before, wanted, most = getattr(now, name), getattr(command, name), rate * passed
             moved[name] = before + min(max(wanted - before, -most), most)
         return replace(command, **moved)
-
-    @property
-    def report(self) -> ControllerReport:
-        """What happened until now."""
-        return self.plans.report
-
-    def _maker(self, time: float, q: np.ndarray, v: np.ndarray, command: Command) -> Make:
-        """What makes a plan from the state at ``time`` s, apart from all that goes on meanwhile."""
-
-        def make(begin: float) -> HorizonMotion:
-            delay = begin - time
-            clock.advance(delay, dict.fromkeys(clock.contacts, False))
-            self.planner.clock = clock
-            state = self._predicted(motion, time, q, v, delay)
-            if motion is not None and not self.settings.measured:
-                planned = motion.sample(begin)
-                state = planned.q, planned.v
-            return self.planner.plan(begin, *state, command, heading, ground, motion)
-
-        clock, ground, motion = self.clock.copy(), self.ground.copy(), self.plans.motion
-        heading = self._heading or 0.0
-        return make
-
-    def _predicted(
-        self, motion: HorizonMotion | None, time: float, q: np.ndarray, v: np.ndarray, delay: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The state after a delay: the plan's, with what the follower leaves of the error of now."""
-        if motion is None or not delay:
-            return q, v
-        rates = self.follower.bandwidths(motion.sample(time).active)
-        return predicted(motion, time, delay, (q, v), rates)
-
-    def _active(self, time: float, planned: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        """Contacts that transmit forces: planned ones that touch or did lately."""
-        lately = time - self._touched <= CHATTER * self.unit
-        return np.asarray(planned & lately)
 
 
 def _gait(robot: Robot, name: str) -> Gait:

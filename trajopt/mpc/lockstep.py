@@ -20,8 +20,9 @@ from trajopt.control.reference import ReferenceTrajectory, stance_reference
 from trajopt.errors import InputError, not_among
 from trajopt.motion.samples import contact_places
 from trajopt.mpc.commands import STAND, CommandScript
-from trajopt.mpc.controller import Controller, ControllerSettings
+from trajopt.mpc.controller import Controller
 from trajopt.mpc.drive_report import DriveReport, TimeFigures, command_errors
+from trajopt.mpc.receding import ControllerSettings
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names

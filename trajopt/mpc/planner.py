@@ -1,16 +1,14 @@
 """Plans a horizon at each of its ticks: from the measured state, with a few steps from the last plan.
 
 Each pattern of contact modes has one `Horizon`, made before it is needed. The variables of the last plan are
-moved
-on by the time that has passed, on the nodes of the present mode; where a mode has ended, those of the others
-move
-up by one, and the mode that is new at the end stands still at first.
+moved on by the time that has passed, on the nodes of the present mode; where a mode has ended, those of the
+others move up by one, and the mode that is new at the end stands still at first.
 """
 
 from __future__ import annotations
 
 import time as clocks
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,15 +18,12 @@ from trajopt import _engine
 from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.mpc.clock import GaitClock, Mode, Swing
-from trajopt.mpc.commands import STAND, Command
-from trajopt.mpc.ground import GroundEstimate
+from trajopt.mpc.clock import Mode, ModeClock
 from trajopt.mpc.horizon import Horizon, Pattern
 from trajopt.mpc.motion import HorizonMotion
 from trajopt.mpc.plans import FRESH, ControllerReport, SolverSettings, is_lost
-from trajopt.mpc.reference import REFERENCE, HorizonWeights, leg_terms, reference_layout
+from trajopt.mpc.reference import REFERENCE, HorizonWeights, Reference, leg_terms
 from trajopt.mpc.shifting import IterateMap, resampled
-from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
 # A mode that lasts less than this part of a period is planned as if it lasted that long.
@@ -37,8 +32,6 @@ SHORTEST = 0.01
 SUNK = 0.01
 # In this part of a period before a touchdown its rows become softer: what is left cannot be braked.
 SOFT = 0.1
-# A foot in the air is drawn to where it should land by this factor at the end of its swing, over its height.
-PULL = 0.2
 
 
 @checked
@@ -52,8 +45,6 @@ class PlannerSettings:
         span: the least length of what follows the present mode, in periods.
         solver: its steps at each tick.
         torque_rows: limits of torques are rows, at every point.
-        lift: height of swings of point feet over the robot's length.
-        sole_lift: likewise of soles.
         weights: of the cost.
     """
 
@@ -62,8 +53,6 @@ class PlannerSettings:
     span: Positive = 0.5
     solver: SolverSettings = field(default_factory=SolverSettings)
     torque_rows: bool = True
-    lift: Positive = 0.25
-    sole_lift: Positive = 0.1
     weights: HorizonWeights = field(default_factory=HorizonWeights)
 
 
@@ -78,7 +67,7 @@ class HorizonPlanner:
     """
 
     def __init__(
-        self, robot: Robot, clock: GaitClock, settings: PlannerSettings, *, friction: float = 0.7
+        self, robot: Robot, clock: ModeClock, settings: PlannerSettings, *, friction: float = 0.7
     ) -> None:
         if robot.base != "freeflyer":
             raise InputError(f"robot '{robot.name}' has no free base", "allowed: robots on legs")
@@ -87,14 +76,6 @@ class HorizonPlanner:
         self.report = ControllerReport()
         self._last: tuple[Horizon, _engine.Iterate] | None = None
         self._maps: dict[tuple[Pattern, Pattern], IterateMap] = {}
-        known, base = contact_positions(robot, robot.reference), robot.reference[:3]
-        places = {name: known[name] for name in clock.contacts}
-        self._hips = np.array([places[name] - base for name in clock.contacts])
-        radii = [robot.contact(name).radius for name in clock.contacts]
-        self._radius = np.array(radii)
-        self._layout = reference_layout(robot)
-        self._numbers = [robot.contacts.index(robot.contact(name)) for name in clock.contacts]
-        self._standing = float(base[2] - min(p[2] - r for p, r in zip(places.values(), radii, strict=True)))
 
     def pattern(self, modes: Sequence[Mode], whole: Sequence[Mode]) -> Pattern:
         """Contacts and intervals of modes; ``whole``: those of the gait, not what remains of them."""
@@ -108,19 +89,14 @@ class HorizonPlanner:
 
     def prepare(self) -> int:
         """Make the horizons of all that may be asked for, whenever; returns their number."""
-        own, seen = self.clock, set()
-        waiting = [GaitClock(own.contacts, own.gaits)]
+        own, seen, waiting = self.clock, set(), [self.clock]
         while waiting:
-            clock = waiting.pop()
-            if clock.state in seen:
-                continue
-            seen.add(clock.state)
-            self.clock = clock
-            self.horizon()
-            for gait in (None, STAND, *own.gaits):
-                twin = clock.copy()
-                twin.skip() if gait is None else twin.request(gait)
-                waiting.append(twin)
+            self.clock = waiting.pop()
+            key = self.clock.state, self.clock.remaining > self._span
+            if key not in seen:
+                seen.add(key)
+                self.horizon()
+                waiting += self.clock.branches()
         self.clock = own
         return len(self.horizons)
 
@@ -146,14 +122,12 @@ class HorizonPlanner:
         time: float,
         q: np.ndarray,
         v: np.ndarray,
-        command: Command,
-        heading: float,
-        ground: GroundEstimate,
+        reference: Reference,
         last: HorizonMotion | None = None,
     ) -> HorizonMotion:
         """The motion from a state at ``time`` s on; the clock is at that time.
 
-        heading: in which the base should head now, rad. last: the plan in use, for where this one fails.
+        reference: what it follows. last: the plan in use, for where this one fails.
         """
         horizon, modes = self.horizon()
         least = SHORTEST * self.clock.period
@@ -165,10 +139,9 @@ class HorizonPlanner:
             quaternion = iterate["x"][:4]
             start[:4] *= 1.0 if start[:4] @ quaternion >= 0 else -1.0
         horizon.set_start(start)
-        ahead = Ahead(q, command, heading, ground, self.clock.swings())
-        horizon.set_heights(self._landing_heights(horizon, ahead, durations))
+        horizon.set_heights(self._landing_heights(horizon, reference, durations))
         horizon.soften_landing(durations[0] / (SOFT * self.clock.period))
-        horizon.set_numbers(REFERENCE, self._reference(horizon.point_times(REFERENCE), ahead))
+        horizon.set_numbers(REFERENCE, reference.rows(horizon.point_times(REFERENCE)))
         horizon.set_durations(durations)
         solver = self.settings.solver
         if iterate is None:
@@ -231,88 +204,14 @@ class HorizonPlanner:
         return self._maps[key].apply(last, horizon, iterate, solver, glide), solver.changed_steps
 
     def _landing_heights(
-        self, horizon: Horizon, ahead: Ahead, durations: np.ndarray
+        self, horizon: Horizon, reference: Reference, durations: np.ndarray
     ) -> list[dict[str, float]]:
-        """Heights at which contacts land, m, by name: where their swings end, a little below the ground."""
-        begins = np.cumsum(durations)
-        heights = []
-        for phase, _ in horizon.landings:
-            named = {}
-            for name in horizon.new_contacts(phase):
-                number = self.clock.contacts.index(name)
-                ends = np.array([swing.end for swing in ahead.swings[name]])
-                end = float(ends[np.abs(ends - begins[phase - 1]).argmin()])
-                place = ahead.ground.height(*self._foothold(ahead, number, end))
-                named[name] = float(place) + self._radius[number] - SUNK * self.robot.length
-            heights.append(named)
-        return heights
-
-    def _foothold(self, ahead: Ahead, number: int, time: float) -> np.ndarray:
-        """Where (2,) a foot should land at a time from now, m: below its place at the base in mid stance."""
-        along, left = ahead.axes(np.array(time))
-        level = ahead.command.speed * along + ahead.command.lateral * left
-        hip = self._hips[number]
-        goal = ahead.q[:2] + level * (time + self._half_stance) + hip[0] * along + hip[1] * left
-        return np.asarray(goal)
-
-    @property
-    def _half_stance(self) -> float:
-        gait = self.clock.gaits.get(self.clock.gait)
-        return 0.0 if gait is None else 0.5 * gait[0].duty_of(gait[0].feet[0]) * gait[1]
-
-    def _reference(self, times: np.ndarray, ahead: Ahead) -> np.ndarray:
-        """The reference (n, size) at times (n,) from now, s."""
-        at, n, last, command = self._layout, len(times), float(times.max()), ahead.command
-        rows = np.zeros((n, at.size))
-        along, left = ahead.axes(times)
-        level = command.speed * along + command.lateral * left
-        rows[:, :2] = ahead.q[:2] + times[:, None] * level
-        rows[:, 2] = ahead.ground.height(rows[:, 0], rows[:, 1]) + self._standing + command.height
-        rows[:, at.velocity] = np.column_stack([level, level @ ahead.ground.slope])
-        rows[:, at.quaternion] = ahead.quaternions(times)
-        rows[:, at.spin.stop - 1] = command.turn_rate
-        rows[:, at.posture] = self.robot.reference[7:]
-        for number, name in enumerate(self.clock.contacts):
-            sole = self.robot.contact(name).kind == "surface"
-            lift = (self.settings.sole_lift if sole else self.settings.lift) * self.robot.length
-            foot = at.foot(self._numbers[number]).start
-            for swing in ahead.swings[name]:
-                if swing.begin > last:
-                    break
-                inside = np.flatnonzero((times >= swing.begin) & (times <= swing.end))
-                s = (times[inside] - swing.begin) / (swing.end - swing.begin)
-                goal = self._foothold(ahead, number, swing.end)
-                begin = ahead.ground.places[number, 2] if swing.begin <= 0 else ahead.ground.height(*goal)
-                base = begin + s * (ahead.ground.height(*goal) - begin) + self._radius[number]
-                rows[inside, foot], rows[inside, foot + 1] = goal
-                rows[inside, foot + 2] = base + lift * 16 * s**2 * (1 - s) ** 2
-                rows[inside, foot + 3] = rows[inside, foot + 4] = PULL * s
-                rows[inside, foot + 5] = 1.0
-        return rows
-
-
-@dataclass(frozen=True)
-class Ahead:
-    """What a plan counts on: the base now, the command, heading and ground, and the swings of all feet."""
-
-    q: np.ndarray
-    command: Command
-    heading: float
-    ground: GroundEstimate
-    swings: Mapping[str, Sequence[Swing]]
-
-    def axes(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Level axes forward and to the left (..., 2) at times (...) from now, s."""
-        angle = self.heading + self.command.turn_rate * times
-        along = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        return along, np.stack([-along[..., 1], along[..., 0]], axis=-1)
-
-    def quaternions(self, times: np.ndarray) -> np.ndarray:
-        """Orientations of the base (n, 4): along the ground, ahead."""
-        slope = self.ground.slope
-        normal = np.array([-slope[0], -slope[1], 1.0])
-        tilt = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), normal / np.linalg.norm(normal))
-        angle = 0.5 * (self.heading + self.command.turn_rate * times)
-        x, y, _, w = tilt.coeffs()
-        sin, cos = np.sin(angle), np.cos(angle)
-        return np.column_stack([x * cos + y * sin, y * cos - x * sin, w * sin, w * cos])
+        """Heights at which frames of contacts land, m, by name: a little below the ground."""
+        begins, sunk = np.cumsum(durations), SUNK * self.robot.length
+        return [
+            {
+                name: reference.landing_height(name, float(begins[phase - 1])) - sunk
+                for name in horizon.new_contacts(phase)
+            }
+            for phase, _ in horizon.landings
+        ]

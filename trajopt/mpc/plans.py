@@ -110,6 +110,7 @@ class ControllerReport:
 # Violations of this part of a row's unit count as relaxed.
 RELAXED = 1e-2
 
+# A plan from the time on that it is given.
 Make = Callable[[float], HorizonMotion]
 
 
@@ -135,8 +136,8 @@ class Plans:
         self._begin, self._next, self._late = 0.0, -math.inf, False
         self._thread = ThreadPoolExecutor(1, "plans") if live else None
 
-    def update(self, time: float, make: Make) -> HorizonMotion:
-        """The plan for a tick at ``time`` s; ``make`` returns one from the time on that it is given."""
+    def update(self, time: float, maker: Callable[[], Make]) -> HorizonMotion:
+        """The plan for a tick at ``time`` s; where one begins, ``maker`` is asked for what makes it."""
         pending = self._pending
         if pending is not None and time >= self._begin - 1e-9:
             ready = not isinstance(pending, Future) or pending.done()
@@ -146,15 +147,15 @@ class Plans:
             elif not self._late:
                 self.report.missed, self._late = self.report.missed + 1, True
         if self.motion is None:
-            self.motion = self._timed(make, time)
+            self.motion = self._timed(maker(), time)
             self._next = time + self.period
         elif time >= self._next - 1e-9 and self._pending is None:
             self._begin = time + self.delay
             self._next = time + self.period
             if self._thread is None:
-                self._pending = self._timed(make, self._begin)
+                self._pending = self._timed(maker(), self._begin)
             else:
-                self._pending = self._thread.submit(self._timed, make, self._begin)
+                self._pending = self._thread.submit(self._timed, maker(), self._begin)
         return self.motion
 
     def _timed(self, make: Make, begin: float) -> HorizonMotion:

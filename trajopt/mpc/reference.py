@@ -4,8 +4,7 @@ Weights are over natural units (see `trajopt.robot.Units`); the running cost of 
 
     sum_i w_i e_i^2,      e = (p - p*) / l,  turn(R*, R),  (p' - v*) / sqrt(g l),  (omega - w*) sqrt(l / g),
                               q_j - q_j*,  q_j' sqrt(l / g),  s (p_f - p_f*) / l of feet in the air, and of
-                              soles
-                              what keeps them level, along the base
+                              soles what keeps them level, along the base
 
 with s a factor for each axis of each foot, and the cost of torques, forces and accelerations.
 """
@@ -15,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -34,19 +34,30 @@ from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 REFERENCE = "reference"
 
 
+class Reference(Protocol):
+    """What a plan follows, from now on."""
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """The reference (n, `ReferenceLayout.size`) at times (n,) from now, s."""
+        ...
+
+    def landing_height(self, name: str, time: float) -> float:
+        """Height of a contact's frame that lands about ``time`` s from now, m."""
+        ...
+
+
 @checked
 @dataclass(frozen=True, kw_only=True)
 class HorizonWeights:
     """Weights of a horizon's cost, dimensionless.
 
-    height, tilt, heading, velocity, rise, spin: of the base's height, of roll and pitch, of yaw, of its
-    level and
-    vertical velocity, of its angular velocity. joints, rates: of posture and rates of joints. feet: of feet
-    in the
-    air; soles: of their tilt and heading. torque, wrench, acceleration: of torques, contact forces and
-    accelerations of joints.
+    position, height, tilt, heading, velocity, rise, spin: of the base's level place and height, of roll and
+    pitch, of yaw, of its level and vertical velocity, of its angular velocity. joints, rates: of posture and
+    rates of joints. feet: of feet in the air; soles: of their tilt and heading. torque, wrench, acceleration:
+    of torques, contact forces and accelerations of joints.
     """
 
+    position: NonNegative = 0.0
     height: NonNegative = 20.0
     tilt: NonNegative = 10.0
     heading: NonNegative = 10.0
@@ -105,7 +116,7 @@ class ReferenceCost(Cost):
         turn = 2 * quaternion_product(conjugate, context.q[3:7])[:3]
         level, spin = [w.velocity, w.velocity, w.rise], [w.spin] * 3
         parts: list[tuple[ca.SX, list[float]]] = [
-            ((context.xi[:3] - r[at.position]) / units.length, [0.0, 0.0, w.height]),
+            ((context.xi[:3] - r[at.position]) / units.length, [w.position, w.position, w.height]),
             (turn, [w.tilt, w.tilt, w.heading]),
             ((context.dxi[:3] - r[at.velocity]) / units.velocity[0], level),
             ((context.dxi[3:6] - r[at.spin]) * units.time, spin),

@@ -27,7 +27,10 @@ OWN_WEB = Path(__file__).parent / "web"
 SOURCE = PageSource(
     html=OWN_WEB / "drive.html",
     styles=(*REPLAY.styles, OWN_WEB / "drive.css"),
-    scripts=(WEB / "meshes.js", WEB / "scene.js", OWN_WEB / "view.js", OWN_WEB / "drive.js"),
+    scripts=(
+        *(WEB / name for name in ("meshes.js", "scene.js")),
+        *(OWN_WEB / name for name in ("view.js", "target.js", "drive.js")),
+    ),
 )
 
 
@@ -46,6 +49,7 @@ def scene_of(stand: Solution, driver: Driver) -> tuple[list[ViewerCommand], dict
         "travels": moves,
         "sliders": [asdict(slider) for slider in driver.sliders],
         "gaits": list(driver.gaits),
+        "target": driver.target is not None,
     }
 
 

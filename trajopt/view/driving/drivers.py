@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from typing_extensions import override
@@ -15,13 +15,15 @@ from typing_extensions import override
 from trajopt.errors import InputError, not_among, shown
 from trajopt.mpc.arm import ArmController, ArmSettings, Target
 from trajopt.mpc.commands import STAND, Command
-from trajopt.mpc.controller import Controller, ControllerSettings
+from trajopt.mpc.controller import Controller
 from trajopt.mpc.follow import Follower
 from trajopt.mpc.plans import Plans
+from trajopt.mpc.receding import ControllerSettings
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
+from trajopt.view.driving.targets import TargetPath
 
 # Gaits that are prepared unless others are asked for: each takes seconds.
 USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
@@ -42,6 +44,8 @@ PUSH, DIRECTION = "push", "direction"
 GAIT, SPEEDS = "gait", ("speed", "lateral", "turn_rate")
 # A browser rounds the ends of a slider: so much beyond them is taken as the end.
 EDGE = 1e-9
+# What a log has of a time.
+Sent = TypeVar("Sent")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,6 +212,8 @@ class ArmDriver(Driver):
         tool: the frame that follows, which keeps its first orientation; default the last frame of the model.
         settings: of its controller; default with plans of `PERIOD`, made in the loop.
 
+    controller: the present one. path: of its target since the begin.
+
     Raises:
         InputError: for another base or frame.
     """
@@ -215,7 +221,7 @@ class ArmDriver(Driver):
     def __init__(self, robot: Robot, tool: str | None = None, settings: ArmSettings | None = None) -> None:
         self.robot = robot
         self._made = ArmController(robot, tool, settings=settings or ArmSettings(period=PERIOD, delay=DELAY))
-        self._controller = self._made
+        self.controller = self._made
         self._start = frame_pose(robot, robot.reference, self._made.tool)
         units = NaturalUnits.of(robot.model)
         self._speed, far = TARGET_SPEED * units.length / units.time, FARTHEST * robot.length
@@ -232,26 +238,23 @@ class ArmDriver(Driver):
     @override
     def begin(self) -> None:
         self.close()
-        self._controller = copy.copy(self._made)
-        self._controller.plans = _plans_of(self._made.settings)
-        self.offset, self._now, self._place = 0.0, 0.0, self._start.translation.copy()
+        self.controller = copy.copy(self._made)
+        self.controller.plans = _plans_of(self._made.settings)
+        self.offset, self._place = 0.0, self._start.translation.copy()
+        self.path = TargetPath(self._place, self._speed)
 
     @override
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
         time = t + self.offset
-        passed, self._now = time - self._now, time
-        away = np.array([self.values[axis] for axis in "xyz"]) - self._place
-        far = float(np.linalg.norm(away))
-        moved = away * min(1.0, self._speed * passed / far) if far > 0 else away
-        self._place = self._place + moved
-        velocity = moved / passed if passed > 0 else np.zeros(3)
+        self.path.send(time, np.array([self.values[axis] for axis in "xyz"]))
+        self._place, velocity = self.path.at(time)
         target = Target(position=self._place, rotation=self._start.rotation, velocity=velocity)
-        return self._controller.step(time, q, v, target)
+        return self.controller.step(time, q, v, target)
 
     @property
     @override
     def plans(self) -> Plans:
-        return self._controller.plans
+        return self.controller.plans
 
     @property
     @override
@@ -262,6 +265,13 @@ class ArmDriver(Driver):
     def tool(self) -> str:
         """The frame that follows."""
         return self._made.tool
+
+
+def since(log: Sequence[tuple[float, Sent]], offset: float) -> list[tuple[float, Sent]]:
+    """The part of a log that is in force from ``offset`` s on, with times from there; the first is 0."""
+    times = [max(time - offset, 0.0) for time, _ in log]
+    first = sum(time == 0.0 for time in times) - 1
+    return [(time, sent) for time, (_, sent) in zip(times, log, strict=True)][first:]
 
 
 def _as_new(made: Controller) -> Controller:

@@ -9,7 +9,7 @@ from typing import Any
 
 from trajopt.errors import InputError
 from trajopt.mpc.arm import ArmSettings
-from trajopt.mpc.controller import ControllerSettings
+from trajopt.mpc.receding import ControllerSettings
 from trajopt.robot.robot import Robot
 from trajopt.solution.output import check_solution_output
 from trajopt.view.driving.drawing import SOURCE, Painter, scene_of
@@ -139,7 +139,7 @@ def drive_live(
         robot: on legs, with a free base, or with ``target=True`` on a fixed base.
         seconds: as of `LiveDrive.run`.
         exit_with_page: end `SILENCE` s after the page was closed.
-        output: file of the last minute at most, since the last begin; of a robot on legs.
+        output: file of the last minute at most, since the last begin.
         options: of `LiveDrive`.
 
     Raises:

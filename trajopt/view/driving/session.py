@@ -27,7 +27,8 @@ from trajopt.simulation.run import SimulationRun
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.simulate import require_fitting, require_within
 from trajopt.simulation.world import build_world
-from trajopt.view.driving.drivers import DIRECTION, PUSH, Driver, LegsDriver
+from trajopt.view.driving.arm_drive import ArmDrive, arm_drive
+from trajopt.view.driving.drivers import DIRECTION, PUSH, ArmDriver, Driver, LegsDriver, since
 
 # s of physics in a turn of the loop; rate of the controller, Hz; s that are kept for a file, at most.
 STRETCH, RATE, KEPT = 0.02, 500.0, 60.0
@@ -153,7 +154,7 @@ class DriveSession:
             self.driver.stand()
             self.silent = True
         if self.fall is None:
-            self._advance(max(1, round(STRETCH / self.reference.period)))
+            self.advance(max(1, round(STRETCH / self.reference.period)))
 
     def wait(self) -> None:
         """Sleep until the wall clock is where simulated time is; what is too late falls behind."""
@@ -186,8 +187,8 @@ class DriveSession:
         turned = math.cos(angle) * along + math.sin(angle) * np.cross(self.run.up, along)
         self._force = values[PUSH] / (self._pushed * period) * turned
 
-    def _advance(self, count: int) -> None:
-        """Simulate so many periods."""
+    def advance(self, count: int) -> None:
+        """Simulate so many periods, at most to a fall."""
         if self.row + count > len(self.reference.t):
             self._forget()
         first, end = self.row, self.row + count
@@ -230,26 +231,26 @@ class DriveSession:
         self.row -= half
         self.driver.offset += half * self.reference.period
 
-    def as_drive(self) -> lockstep.Drive:
-        """What was kept since the last begin, as a drive by a script; its pushes are not in the settings.
+    def as_drive(self) -> lockstep.Drive | ArmDrive:
+        """What was kept since the last begin, as a drive; pushes on legs are not in its settings.
 
         Raises:
-            InputError: for an arm, and where nothing was simulated.
+            InputError: where nothing was simulated.
         """
-        driver = self.driver
-        if not isinstance(driver, LegsDriver):
-            raise InputError("the drive of an arm cannot be saved", "allowed: of a robot on legs")
         if self.row < 2:
             raise InputError("nothing was simulated", "allowed: a drive of some time")
-        rows = slice(0, self.row)
-        cut = {name: getattr(self.reference, name)[rows] for name in ROWS}
-        reference = replace(self.reference, **cut)
-        record = self.record.until(self.row + 1) if self.row < len(self.reference.t) else self.record
-        record.qpos[self.row], record.qvel[self.row] = self.run.data.qpos, self.run.data.qvel
-        times = [max(time - driver.offset, 0.0) for time, _ in driver.log]
-        first = sum(time == 0.0 for time in times) - 1
-        steps = [(time, command) for time, (_, command) in zip(times, driver.log, strict=True)][first:]
-        script = CommandScript(tuple(time for time, _ in steps), tuple(command for _, command in steps))
+        rows = {name: getattr(self.reference, name)[: self.row] for name in ROWS}
+        reference = replace(self.reference, **rows)
+        if self.fall is None and self.row < len(self.reference.t):
+            record = self.record.until(self.row + 1)
+            record.qpos[self.row], record.qvel[self.row] = self.run.data.qpos, self.run.data.qvel
+        else:
+            record = self.run.ended(self.record, self.row)
+        driver = self.driver
+        if isinstance(driver, ArmDriver):
+            return arm_drive(driver, self.stand, reference, self.world, record, self.fall)
+        assert isinstance(driver, LegsDriver)
+        script = CommandScript(*zip(*since(driver.log, driver.offset), strict=True))
         steering = lockstep.Steering(driver.controller, script)
         steering.slack = driver.slack
         velocity = lockstep.base_velocity(self.world, self.stand, record)

@@ -83,6 +83,7 @@ class Steering {
         }
         const keys = this.facts.sliders.filter(slider => slider.keys[0]);
         element("keys").textContent = [
+            ...(this.facts.target ? ["drag the red target"] : []),
             ...keys.map(slider => `${slider.keys.join(" ").toUpperCase()} ${slider.label}`),
             ...(this.facts.gaits.length ? ["numbers: gaits"] : []),
         ].join(", ");
@@ -172,7 +173,8 @@ async function start() {
     const facts = JSON.parse(element("facts").textContent);
     element("title").textContent = facts.title;
     const viewer = await loadViewer(), view = new View(viewer, facts), steering = new Steering(facts);
-    Object.assign(window.trajopt, {viewer, view, steering});
+    const target = facts.target ? new TargetDrag(view, steering) : null;
+    Object.assign(window.trajopt, {viewer, view, steering, target});
     window.viewer = viewer;
     await new Promise(resolve => {
         const ended = listen(viewer, (path, text) => {
@@ -181,6 +183,7 @@ async function start() {
                 window.trajopt.last = value;
                 view.show(value);
                 steering.show(value);
+                if (target) target.show();
                 showFigures(value);
             }
             if (path !== "drawn") return;

@@ -11,7 +11,7 @@ const OVER = {depthTest: false, transparent: true};  // marks are seen through t
 
 class View {
     constructor(viewer, facts) {
-        Object.assign(this, {viewer, facts, lines: [], dots: [], arrows: []});
+        Object.assign(this, {viewer, facts, lines: [], dots: [], arrows: [], targetRadius: 0.035 * facts.size});
         viewer.gui.domElement.remove();
         this.three = MeshCat.THREE;
         this.root = new this.three.Group();
@@ -26,9 +26,8 @@ class View {
             node.quaternion.set(...pose.slice(3));
         });
         this.showLines(state.lines || []);
-        this.showDots(state.dots || []);
+        this.showDots(state.target ? [state.target] : state.dots || []);
         this.showForces(state.forces || []);
-        this.showTarget(state.target);
         if (this.facts.travels) this.follow(state.joints[0].slice(0, 3));
         this.viewer.set_dirty();
     }
@@ -84,14 +83,16 @@ class View {
         });
     }
 
+    // The target where it is set; the dot is on its way there.
     showTarget(place) {
-        if (!place) return;
         if (!this.target) {
-            const THREE = this.three, material = new THREE.MeshBasicMaterial({color: COLOURS.target, opacity: 0.6, transparent: true});
-            this.target = new THREE.Mesh(new THREE.SphereGeometry(0.025 * this.facts.size, 24, 16), material);
+            const THREE = this.three, material = new THREE.MeshBasicMaterial({color: COLOURS.target, ...OVER, opacity: 0.6});
+            this.target = new THREE.Mesh(new THREE.SphereGeometry(this.targetRadius, 24, 16), material);
+            this.target.renderOrder = 1;
             this.root.add(this.target);
         }
         this.target.position.set(...place);
+        this.viewer.set_dirty();
     }
 
     // Places of the solution's world in that of three.js.

@@ -1,0 +1,173 @@
+"""A motion that was planned, such as a jump: at each tick what is left of it is planned anew from the state.
+
+The plan gives the contact modes, the reference of base, joints and feet, and heights of landings. A contact
+that lands early ends its mode, and the reference goes on from the begin of the next.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import compress
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.arguments import PositiveCount, checked
+from trajopt.control.reference import ReferenceTrajectory, reference_of
+from trajopt.dynamics.model_quantities import mass_of
+from trajopt.errors import InputError
+from trajopt.motion.samples import contact_places
+from trajopt.motion.touched import touched_surfaces
+from trajopt.mpc.clock import Mode, ModeClock
+from trajopt.mpc.planner import PlannerSettings
+from trajopt.mpc.receding import ControllerSettings, LegsController
+from trajopt.mpc.reference import HorizonWeights, Reference, reference_layout
+from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.solution.solution import Solution
+
+# Rate at which the plan is sampled, Hz.
+RATE = 1000.0
+# A period of the horizons of finite motions, over sqrt(l / g).
+PERIOD = 2.6
+# Ground whose normal has a vertical part of 1 less than this is level.
+LEVEL = 1e-6
+# Masses that differ by less than this part are the same.
+SAME = 1e-9
+# Weights with which a plan is followed.
+WEIGHTS = HorizonWeights(position=20.0, velocity=5.0, rise=5.0, joints=1.0, rates=0.0, feet=20.0)
+USUAL = ControllerSettings(planner=PlannerSettings(span=1.0, weights=WEIGHTS))
+
+
+class PlanClock(ModeClock):
+    """The modes of a plan, after which its last contacts stand.
+
+    Args:
+        contacts: names of all feet.
+        modes: of the plan.
+        period: the natural duration of a step, s.
+    """
+
+    def __init__(self, contacts: tuple[str, ...], modes: list[Mode], period: float) -> None:
+        super().__init__(contacts, modes, [Mode(modes[-1].contacts, math.inf)], period)
+        self._ends = [0.0, *np.cumsum([mode.duration for mode in modes]).tolist()]
+
+    @property
+    def time(self) -> float:
+        """Time of the plan, s, which jumps where a mode ends early."""
+        left = len(self._queue) if math.isfinite(self.remaining) else 0
+        return float(self._ends[-left] - self.remaining) if left else self._ends[-1]
+
+
+class ReplanningController(LegsController):
+    """Follows a plan that is planned anew from the measured state; a controller of `simulate`.
+
+    Args:
+        robot: with a free base.
+        plan: of it, on level surfaces, at any heights.
+        settings: of plans and of what follows them; default `USUAL` with the friction of the plan.
+        cycles: of a periodic plan.
+
+    Raises:
+        InputError: for another base, ground or control input, a robot that carries something, and the plan
+            of another robot.
+    """
+
+    @checked
+    def __init__(
+        self,
+        robot: Robot,
+        plan: Solution,
+        settings: ControllerSettings | None = None,
+        *,
+        cycles: PositiveCount = 1,
+    ) -> None:
+        _require_fitting(robot, plan)
+        trajectory = reference_of(plan, RATE, cycles)
+        names = {contact.frame: contact.name for contact in robot.contacts}
+        self.plan, contacts = plan, [names[frame] for frame in plan.contact_frames]
+        modes = _modes(trajectory, contacts)
+        clock = PlanClock(tuple(contacts), modes, PERIOD * Units(robot).time)
+        friction = min(contact.friction for contact in plan.description.contacts)
+        super().__init__(robot, clock, settings or replace(USUAL, friction=friction))
+        self._rows = _reference_rows(robot, trajectory, contacts)
+        self._order = [
+            contacts.index(contact.name) if contact.name in contacts else -1 for contact in robot.contacts
+        ]
+
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        """Torques (nu,) at ``t`` s, as of `TorqueController`: contacts (nc,) in the order of the plan."""
+        count = len(self.plan.contact_frames)
+        if np.shape(touching) != (count,):
+            raise InputError(
+                f"contacts have shape {np.shape(touching)}", f"allowed: ({count},), those of the plan"
+            )
+        self._passed(t, q, v, np.append(touching, False)[self._order])
+        return self._follow(q, v, lambda: self._refer)
+
+    def _refer(self, clock: ModeClock, base: np.ndarray) -> Reference:
+        assert isinstance(clock, PlanClock)
+        return PlanReference(robot=self.robot, rows_of_plan=self._rows, time=clock.time)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanReference:
+    """The plan from ``time`` s of it on: its rows (n, size) at `RATE`."""
+
+    robot: Robot
+    rows_of_plan: np.ndarray
+    time: float
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """The reference (n, size) at times (n,) from now, s; at rest after the end of the plan."""
+        at, last = reference_layout(self.robot), len(self.rows_of_plan) - 1
+        place = np.rint((self.time + times) * RATE).astype(int)
+        rows = self.rows_of_plan[np.minimum(place, last)]
+        rows[place > last, at.velocity.start : at.spin.stop] = 0.0
+        return rows
+
+    def landing_height(self, name: str, time: float) -> float:
+        """Height of a contact's frame ``time`` s from now, m."""
+        at = reference_layout(self.robot)
+        number = self.robot.contacts.index(self.robot.contact(name))
+        return float(self.rows(np.array([time]))[0, at.foot(number).start + 2])
+
+
+def _require_fitting(robot: Robot, plan: Solution) -> None:
+    """Raise `InputError` for a plan that cannot be followed so, or of another robot."""
+    if robot.base != "freeflyer":
+        raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free one")
+    about, what = plan.description, f"the plan of '{plan.description.problem}' cannot be planned anew"
+    if about.actuation != "torque" or about.payloads or not plan.active.any() or robot.nu < robot.nv - 6:
+        raise InputError(what, "allowed: torques at all joints, contacts, and no payloads")
+    masses = [mass_of(model) for model in (plan.model, robot.model)]
+    if list(plan.model.names) != list(robot.model.names) or not math.isclose(*masses, rel_tol=SAME):
+        raise InputError(f"the plan is of '{about.robot}', not of '{robot.name}'", "allowed: a plan of it")
+    normals = touched_surfaces(plan, contact_places(plan).position).normal[plan.active]
+    if (normals[:, 2] < 1.0 - LEVEL).any():
+        raise InputError(f"{what}: contacts stand on steep ground", "allowed: level surfaces at any heights")
+
+
+def _modes(trajectory: ReferenceTrajectory, contacts: list[str]) -> list[Mode]:
+    """Stretches of a plan whose contacts are the same."""
+    active, period = trajectory.active, trajectory.period
+    cuts = [0, *(np.flatnonzero((active[1:] != active[:-1]).any(axis=1)) + 1).tolist(), len(active)]
+    stands = [tuple(compress(contacts, active[first])) for first in cuts[:-1]]
+    durations = period * np.diff(cuts)
+    return [Mode(*mode) for mode in zip(stands, durations.tolist(), strict=True)]
+
+
+def _reference_rows(robot: Robot, trajectory: ReferenceTrajectory, contacts: list[str]) -> np.ndarray:
+    """What plans follow (n, size): base, joints and feet of a plan."""
+    at, model, data = reference_layout(robot), robot.model, robot.model.createData()
+    rows = np.zeros((len(trajectory.t), at.size))
+    rows[:, at.position], rows[:, at.quaternion] = trajectory.q[:, :3], trajectory.q[:, 3:7]
+    rows[:, at.spin], rows[:, at.posture] = trajectory.v[:, 3:6], trajectory.q[:, 7:]
+    for row, q, v in zip(rows, trajectory.q, trajectory.v, strict=True):
+        pin.framesForwardKinematics(model, data, q)
+        row[at.velocity] = data.oMi[1].rotation @ v[:3]
+        for number, contact in enumerate(robot.contacts):
+            foot = at.foot(number)
+            row[foot] = np.append(data.oMf[model.getFrameId(contact.frame)].translation, np.ones(3))
+    return rows

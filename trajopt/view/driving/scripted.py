@@ -1,0 +1,87 @@
+"""An arm whose target goes to places at times, in MuJoCo, whose time waits for the solver."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from trajopt.arguments import Positive, checked
+from trajopt.errors import InputError
+from trajopt.kinds import ArrayShape
+from trajopt.mpc.arm import ArmSettings
+from trajopt.mpc.lockstep import LAST
+from trajopt.robot.robot import Robot
+from trajopt.view.driving.arm_drive import ArmDrive
+from trajopt.view.driving.drivers import ArmDriver
+from trajopt.view.driving.session import DriveSession
+
+COLUMNS = ("time", "x", "y", "z")
+
+
+def read_targets(path: Path) -> np.ndarray:
+    """Read a CSV file: rows (n, 4) of `COLUMNS`, s and m; an empty field keeps the value before it.
+
+    Raises:
+        InputError: with the line, for other columns, and what is not a finite number.
+    """
+    allowed = f"allowed: a CSV file with the columns {', '.join(COLUMNS)}, finite numbers"
+    try:
+        head, *lines = path.read_text(encoding="utf-8-sig").splitlines() or [""]
+    except (OSError, UnicodeDecodeError) as error:
+        why = (error.strerror if isinstance(error, OSError) else "") or "it is no text"
+        raise InputError(f"{path} cannot be read: {why}", allowed) from None
+    if tuple(name.strip() for name in head.split(",")) != COLUMNS:
+        raise InputError(f"{path}: its first line is '{head}'", allowed)
+    rows = [[math.nan] * len(COLUMNS)]
+    for number, line in enumerate(lines, 2):
+        try:
+            texts = zip(line.split(","), rows[-1], strict=True)
+            rows.append([float(text) if text.strip() else before for text, before in texts])
+        except ValueError:
+            rows.append([math.nan])
+        if not all(map(math.isfinite, rows[-1])):
+            raise InputError(f"{path}, line {number}: '{line}'", allowed)
+    return np.array(rows[1:]).reshape(-1, len(COLUMNS))
+
+
+@checked
+def drive_arm(
+    robot: Robot,
+    targets: Annotated[np.ndarray, ArrayShape((None, 4))],
+    *,
+    duration: Positive | None = None,
+    settings: ArmSettings | None = None,
+    **hardware: Any,
+) -> ArmDrive:
+    """Drive the tool of an arm after a target that goes, at a bounded speed, to places at times.
+
+    Args:
+        robot: with a fixed base.
+        targets: rows (n, 4): time, s, and place in the world, m; times increase from 0.
+        duration: s; default: `LAST` s after the last time.
+        settings: of the controller.
+        hardware: as of `DriveSession`.
+
+    Raises:
+        InputError: for another base, places out of reach, and settings that are not allowed.
+    """
+    times = targets[:, 0]
+    if not len(times) or times[0] != 0 or (np.diff(times) <= 0).any():
+        raise InputError(f"times of targets are {times.tolist()}", "allowed: the first 0, then increasing, s")
+    driver = ArmDriver(robot, settings=settings)
+    goals = [dict(zip(COLUMNS[1:], place, strict=True)) for place in targets[:, 1:].tolist()]
+    for goal in goals:
+        driver.obey(goal)
+    session = DriveSession(driver, keep=duration or float(times[-1]) + LAST, **hardware)
+    ticks = len(session.reference.t)
+    edges = [*np.minimum(np.round(times / session.reference.period).astype(int), ticks).tolist(), ticks]
+    for goal, (first, last) in zip(goals, pairwise(edges), strict=True):
+        driver.obey(goal)
+        session.advance(last - first)
+    driven = session.as_drive()
+    assert isinstance(driven, ArmDrive)
+    return driven
