@@ -8,6 +8,7 @@ import click
 import numpy as np
 import pinocchio as pin
 
+import trajopt
 from scripts.measure.robustness import DISTURBANCES
 from scripts.measure.shared import head, row
 from trajopt.collision import CapsuleObstacle
@@ -19,6 +20,7 @@ from trajopt.mpc import (
     ControllerSettings,
     Drive,
     PlannerSettings,
+    ReplanningController,
     SolverSettings,
     Target,
     boxes_ahead,
@@ -35,6 +37,8 @@ GAITS = ("walk", "trot", "pace", "bound", "pronk")
 # Ranges of speeds over that of Go2, and steps of the random walk each second.
 LOW, HIGH, STEP = np.array([-0.5, -0.3, -1.0]), np.array([1.0, 0.3, 1.0]), np.array([0.4, 0.2, 0.6])
 START = 0.3
+# Weight of changes of durations where they are free.
+FREE = 1.0
 # Commands of bipeds over those of quadrupeds.
 SLOW = 0.25
 names_option = click.option(
@@ -103,28 +107,55 @@ def commands(names: str, seconds: float, seeds: int, gait: str) -> None:
             row(name, str(seed), *cells(drive(robot, script, duration=seconds)))
 
 
+@click.command("bipeds")
+@click.option("--robots", "names", default=",".join(BIPEDS), metavar="A,B", show_default=True)
+@click.option("--seconds", default=20.0, show_default=True, help="Of each drive.")
+@seeds_option
+@click.option("--push", default=0.1, show_default=True, help="Impulse each 3 s, natural units.")
+def bipeds(names: str, seconds: float, seeds: int, push: float) -> None:
+    """Bipeds on soles follow commands that change each second, pushed each 3 s from a random side."""
+    head("robot", "seed", *TITLES)
+    for name in names.split(","):
+        robot = robots.load(name)
+        units = NaturalUnits.of(robot.model)
+        size, lasts = push * units.weight * units.time, 0.1 * units.time
+        for seed in range(seeds):
+            generator = np.random.default_rng(100 + seed)
+            times = np.arange(3.0, seconds - 1.0, 3.0) + generator.uniform(0.0, 1.0)
+            sides = generator.uniform(-math.pi, math.pi, len(times))
+            pushes = tuple(
+                Impulse(direction=side, size=size, time=time, duration=lasts)
+                for time, side in zip(times.tolist(), sides.tolist(), strict=True)
+            )
+            script = random_walk(robot, "walk", seconds, seed)
+            row(name, str(seed), *cells(drive(robot, script, duration=seconds, pushes=pushes)))
+
+
 @click.command("pushed")
 @names_option
 @click.option("--most", default=0.8, show_default=True, help="Largest impulse, natural units.")
 @click.option("--step", default=0.1, show_default=True)
+@click.option("--least", default=0.2, show_default=True, help="The first that is tried.")
 @click.option("--directions", default=8, show_default=True)
-@click.option("--no-replanning", is_flag=True, help="Plans do not start from the measured state.")
-def pushed(names: str, most: float, step: float, directions: int, no_replanning: bool) -> None:
-    """Largest impulse before the first that a robot falls by, trotting (bipeds: walking), by direction."""
+def pushed(names: str, most: float, step: float, least: float, directions: int) -> None:
+    """Largest impulse before the first that a robot falls by, trotting (bipeds: walking), by direction.
+
+    With durations of the gait, and free ones.
+    """
     angles = [round(360 * k / directions) for k in range(directions)]
-    head("robot", "unit, N s", *map(str, angles), "least")
+    sizes = np.arange(least, most + step / 2, step).tolist()
+    head("robot", "unit, N s", "durations", *map(str, angles), "least")
     for name in names.split(","):
         robot = robots.load(name)
         units = NaturalUnits.of(robot.model)
-        largest = [
-            survived(robot, angle, np.arange(step, most + step / 2, step).tolist(), not no_replanning)
-            for angle in angles
-        ]
-        unit = units.weight * units.time
-        row(name, f"{unit:.3g}", *(f"{size:.2g}" for size in largest), f"{min(largest):.2g}")
+        for title, timing in (("fixed", 0.0), ("free", FREE)):
+            settings = ControllerSettings(planner=PlannerSettings(timing=timing))
+            largest = [survived(robot, angle, sizes, settings) for angle in angles]
+            unit = units.weight * units.time
+            row(name, f"{unit:.3g}", title, *(f"{size:.2g}" for size in largest), f"{min(largest):.2g}")
 
 
-def survived(robot: Robot, angle: float, sizes: Sequence[float], replanning: bool = True) -> float:
+def survived(robot: Robot, angle: float, sizes: Sequence[float], settings: ControllerSettings) -> float:
     """The largest of rising impulses before the first fall, natural units, at a usual speed."""
     units, biped = NaturalUnits.of(robot.model), robot.name in BIPEDS
     gait = "walk" if biped else "trot"
@@ -138,10 +169,8 @@ def survived(robot: Robot, angle: float, sizes: Sequence[float], replanning: boo
             time=time,
             duration=0.1 * units.time,
         )
-        settings = None if replanning else ControllerSettings(measured=False)
-        run = drive(
-            robot, straight(gait, speed), duration=time + 6 * units.time, pushes=(push,), settings=settings
-        )
+        lasts = time + 6 * units.time
+        run = drive(robot, straight(gait, speed), duration=lasts, pushes=(push,), settings=settings)
         if run.report.fell:
             break
         best = size
@@ -288,6 +317,53 @@ def _transport(robot: Robot, settings: ControllerSettings) -> float:
     work = np.abs(record.torque[late] * rates).sum() * 1e-3
     way = float(np.linalg.norm(record.qpos[-1, :2] - record.qpos[2000, :2]))
     return float(work / (robot.weight * max(way, 1e-9)))
+
+
+# Finite motions: families and robots.
+MOTIONS = (
+    ("solo12-jump", "solo12"),
+    ("quadruped-box-up", "go2"),
+    ("quadruped-jump-forward", "anymal_c"),
+    ("quadruped-stairs", "go2"),
+    ("quadruped-stairs", "anymal_c"),
+    ("quadruped-steps", "solo12"),
+    ("quadruped-backflip", "go2"),
+    ("biped-walk", "g1"),
+    ("biped-jump-up", "g1"),
+    ("biped-step-up", "talos"),
+)
+
+
+@click.command("replanned")
+@click.option("--push", default=0.2, show_default=True, help="Impulse, natural units.")
+def replanned(push: float) -> None:
+    """Finite motions by the tracker, and planned anew: where the base ends from the plan, mm."""
+    cases = ("as planned", "mass 1.2", "friction 0.7", "pushed forward", "pushed left")
+    head("motion", "robot", *(f"{case}: tracked, planned anew" for case in cases), "plan, ms", "99 %, ms")
+    for name, word in MOTIONS:
+        problem = trajopt.load(name) if name.startswith(word) else trajopt.load(name, robot=word)
+        plan, times = trajopt.solve(problem), []
+        units, ends = NaturalUnits.of(problem.robot.model), []
+        impulses = [
+            Impulse(
+                direction=angle,
+                size=push * units.weight * units.time,
+                time=0.3 * float(plan.t[-1]),
+                duration=0.1 * units.time,
+            )
+            for angle in (0.0, 0.5 * math.pi)
+        ]
+        for given in (
+            {},
+            {"mass_scale": 1.2},
+            {"friction_scale": 0.7},
+            *({"impulse": impulse} for impulse in impulses),
+        ):
+            anew = ReplanningController(problem.robot, plan)
+            reports = [trajopt.simulate(plan, controller=how, **given).report for how in ("whole-body", anew)]
+            times += anew.report.planning[1:]
+            ends.append(", ".join("fell" if r.fell else f"{1e3 * r.base_error_end:.0f}" for r in reports))
+        row(name, problem.robot.name, *ends, *(f"{1e3 * np.percentile(times, p):.1f}" for p in (50, 99)))
 
 
 @click.command("targets")

@@ -79,6 +79,21 @@ def test_an_arm_follows_the_targets_of_a_script(tmp_path):
     assert invoke("export", run, "-o", run.with_suffix(".csv")).exit_code == 0
 
 
+def test_an_arm_goes_around_a_post_that_stands_in_its_way(tmp_path):
+    """The target goes straight through the post; joints keep their rates while the tool makes a detour."""
+    script, run = tmp_path / "targets.csv", tmp_path / "run.npz"
+    script.write_text("time,x,y,z\n0,0.55,0,0.5\n0.5,0.4,0.36,0.4\n")
+    post = "0.45,0.15,0.6,0.04"
+    done = invoke("drive", "panda", "--script", script, "--seconds", 2.5, "--post", post, "-o", run, "--json")
+    assert done.exit_code == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures["nearest"] > 0.01
+    assert figures["rate"] <= 1.01
+    assert figures["beyond"] == 0.0
+    (obstacle,) = Solution.load(run).description.obstacles
+    assert obstacle.radius == 0.04
+
+
 @pytest.mark.parametrize(
     ("text", "line"),
     [
@@ -107,6 +122,10 @@ def test_targets_that_do_not_fit_are_one_line(text, line, tmp_path):
             "its first line is 'time,gait,speed'; allowed: a CSV file",
         ),
         (["ur5", "--script", "CSV", "--push", "0,0,1"], "--push with 'ur5', an arm"),
+        (["go2", "--script", "CSV", "--post", "1,0,1,0.1"], "--post with 'go2', on legs"),
+        (["go2", "--post", "1,0,1,0.1"], "--post without --target"),
+        (["ur5", "--target", "--post", "1,0,1"], "--post is '1,0,1'; allowed: X,Y,HEIGHT,RADIUS, numbers"),
+        (["ur5", "--target", "--post", "1,0,0.1,0.1"], "allowed: a radius above 0, and a height above twice"),
         (["talos", "--script", "CSV"], "line 3: gait is 'trot'; allowed: stand, walk, run"),
         (["go2", "--script", "CSV", "--seconds", "0"], "--seconds is 0 s; allowed: finite and > 0"),
         (["go2", "--script", "CSV", "--seconds", "soon"], "Invalid value for '--seconds'"),

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from trajopt.mpc.clock import SETTLE, GaitClock
+from trajopt.mpc.clock import MOST_STRETCH, SETTLE, GaitClock, Stretch
 from trajopt.schedule.gaits import QUADRUPED
 
 FEET = ("front_left", "front_right", "hind_left", "hind_right")
@@ -113,3 +113,23 @@ def test_a_copy_goes_on_apart() -> None:
     twin.advance(0.1, dict.fromkeys(FEET, False))
     assert clock.remaining == pytest.approx(SETTLE * PERIOD)
     assert clock.swings()[FEET[0]] != twin.swings()[FEET[0]]
+
+
+def test_a_mode_is_stretched_within_bounds_and_the_next_is_as_the_gait_says() -> None:
+    clock = clock_of("trot")
+    clock.request("trot")
+    clock.skip()
+    clock.advance(0.05, dict.fromkeys(FEET, False))
+    clock.stretch(Stretch(clock.number + 1, 0.1), 1.0)  # of another mode
+    assert clock.remaining == pytest.approx(0.2)
+    clock.stretch(Stretch(clock.number, 0.04), 0.5)
+    assert clock.remaining == pytest.approx(0.22)
+    clock.stretch(Stretch(clock.number, 9.0), 1.0)
+    assert clock.remaining == pytest.approx(0.2 + MOST_STRETCH * 0.25)
+    clock.stretch(Stretch(clock.number, -9.0), 1.0)
+    assert clock.remaining == pytest.approx(0.2 - MOST_STRETCH * 0.25)
+    clock.advance(clock.remaining, dict.fromkeys(FEET, False))
+    assert clock.remaining == pytest.approx(0.25)
+    standing = clock_of("trot")
+    standing.stretch(Stretch(standing.number, -1.0), 1.0)
+    assert math.isinf(standing.remaining)

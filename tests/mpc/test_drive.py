@@ -11,9 +11,11 @@ import pytest
 from trajopt import Robot, Solution
 from trajopt.errors import InputError
 from trajopt.mpc.commands import Command, CommandScript
+from trajopt.mpc.controller import Controller
 from trajopt.mpc.drive_report import command_errors
 from trajopt.mpc.hidden_ground import AHEAD, boxes_ahead, slope_ahead
 from trajopt.mpc.lockstep import Drive, drive
+from trajopt.mpc.planner import PlannerSettings
 from trajopt.mpc.receding import ControllerSettings
 from trajopt.simulation.settings import Impulse
 from trajopt.terrain import PiecewiseTerrain
@@ -25,6 +27,7 @@ pytestmark = pytest.mark.long
 SPEED, TURN = 0.4, 1.2
 STRAIGHT = Command(gait="trot", speed=SPEED)
 SCRIPT = CommandScript((0.0, 0.2), (Command(), Command(gait="trot", speed=SPEED, turn_rate=TURN)))
+TROT = CommandScript((0.0, 0.2), (Command(), STRAIGHT))
 # Means of speeds over a period are this near to commands, m/s or rad/s: a fifth of them.
 NEAR = 0.2 * SPEED
 # A foot on the ground is this near to it, m: it gives way.
@@ -59,6 +62,28 @@ def test_a_drive_is_the_same_each_time_bit_by_bit(walk: Drive, go2: Robot) -> No
     for name in ("qpos", "qvel", "torque", "force"):
         first, second = getattr(walk.record, name), getattr(again.record, name)
         np.testing.assert_array_equal(first[:600], second[:600])
+
+
+def test_a_controller_of_ones_own_drives_alike(walk: Drive, go2: Robot) -> None:
+    own = drive(go2, SCRIPT, duration=0.3, controller=Controller(go2))
+    np.testing.assert_array_equal(own.record.torque, walk.record.torque[: len(own.record.torque)])
+    with pytest.raises(InputError, match="controller of drive has a robot, gaits and settings"):
+        drive(go2, SCRIPT, controller=Controller(go2), gaits=("trot",))
+
+
+def test_durations_that_are_free_change_with_a_push(go2: Robot) -> None:
+    """A push makes feet land at other times; without one a trot is as the gait says."""
+    settings = ControllerSettings(planner=PlannerSettings(timing=1.0))
+    push = Impulse(direction=math.pi / 2, size=14.0, time=0.9, duration=0.02)
+    passed = []
+    for given, pushes in ((None, ()), (settings, ()), (settings, (push,))):
+        run = drive(go2, TROT, duration=1.6, settings=given, pushes=pushes)
+        assert run.report.passed
+        clock = run.controller.clock
+        passed.append(clock.number + 1 - clock.remaining / clock.whole)
+    fixed, steady, pushed = passed
+    assert steady == pytest.approx(fixed, abs=0.3)
+    assert abs(pushed - steady) > 0.05
 
 
 def test_speeds_are_those_of_the_base(walk: Drive) -> None:

@@ -85,9 +85,9 @@ def ahead_of(robot: Robot, clock: GaitClock, command: Command) -> GaitReference:
     )
 
 
-def solved(horizon: Horizon, planner: HorizonPlanner, start: np.ndarray):
-    """The optimum of a horizon at the smallest barrier of its planner."""
-    solver = SolverSettings(tolerance=1e-9, most_steps=80, steps=80)
+def solved(horizon: Horizon, planner: HorizonPlanner, start: np.ndarray, barrier: float = 1e-4):
+    """The optimum of a horizon at a barrier, usually the least of its planner."""
+    solver = SolverSettings(tolerance=1e-9, most_steps=80, steps=80, barrier=barrier)
     iterate = solver.fresh(horizon, planner._gliding(horizon, start, 0))
     return solver.solve(horizon, iterate, 80)
 
@@ -122,6 +122,35 @@ def test_a_shifted_optimum_changes_by_no_more_than_the_solver_leaves(robot: Robo
     assert reports[0]["primal"] < 1e-8
     assert reports[0]["dual"] < 1e-7
     assert_allclose(after["x"], moved["x"], atol=1e-7)
+
+
+@pytest.mark.long
+def test_the_rate_of_the_cost_with_a_duration_is_that_of_optima(robot: Robot) -> None:
+    """Against optima for other durations: what the first phase gains, the last loses."""
+    first, second = pairs(robot)
+    clock = GaitClock(tuple(gait_of(robot, "trot").feet), {"trot": (gait_of(robot, "trot"), PERIOD)})
+    planner = HorizonPlanner(robot, clock, PlannerSettings())
+    clock.request("trot")
+    clock.skip()
+    horizon = horizon_of(robot, first, second)
+    horizon.compliance[:] = 0.0
+    horizon.set_heights([dict.fromkeys(clock.contacts, 0.022) for _ in horizon.landings])
+    start = horizon.layout.coordinates.node_from_pinocchio(robot.reference, np.zeros(robot.nv))
+    horizon.set_start(start)
+    at(horizon, [0.2, 0.25])
+    rows = ahead_of(robot, clock, Command(gait="trot", speed=0.5)).rows(horizon.point_times("reference"))
+    costs, moved = [], 2e-3
+    for change in (0.0, moved, -moved):
+        horizon.set_numbers("reference", rows)
+        at(horizon, [0.2 + change, 0.25 - change])
+        iterate, reports = solved(horizon, planner, start, barrier=1e-7)
+        assert max(reports[-1][key] for key in ("primal", "dual")) < 1e-8
+        costs.append(horizon.nlp.engine.f(iterate["x"]))
+        if not change:
+            rate = horizon.duration_gradient(iterate["x"], iterate["y"])
+            assert_array_equal(horizon.durations, [0.2, 0.25])
+    assert rate == pytest.approx((costs[1] - costs[2]) / (2 * moved), rel=1e-2)
+    assert abs(rate) > 1e-3
 
 
 @pytest.mark.long

@@ -24,6 +24,7 @@ from trajopt.errors import InputError, require_positive
 from trajopt.solution.output import check_apart, check_solution_output
 
 if TYPE_CHECKING:
+    from trajopt.collision import Obstacle
     from trajopt.mpc.lockstep import Drive
     from trajopt.robot.robot import Robot
     from trajopt.simulation.settings import Impulse
@@ -75,6 +76,12 @@ LIVE = {
 )
 @value_option("--slope", "DEG", "Slope in front of the robot, of which it does not know.", float)
 @value_option("--boxes", "PART", "Boxes in front of it, up to this part of its length high.", float)
+@value_option(
+    "--post",
+    "X,Y,HEIGHT,RADIUS",
+    "Post that an arm keeps clear of, m. Repeatable.",
+    multiple=True,
+)
 @click.option("--rolling/--no-rolling", default=True, help="Feet with a radius roll.  [default: they do]")
 @json_option
 def drive_command(
@@ -91,6 +98,7 @@ def drive_command(
     push: tuple[str, ...],
     slope: float | None,
     boxes: float | None,
+    post: tuple[str, ...],
     as_json: bool,
     **hardware: Any,
 ) -> int:
@@ -111,6 +119,10 @@ def drive_command(
     if script is None:
         page = {"seconds": seconds, "exit_with_page": exit_with_page}
         given = {name: value for name, value in hardware.items() if is_given(name)}
+        if to_target:
+            given["obstacles"] = _posts(post)
+        elif post:
+            raise InputError("--post without --target", "allowed: with an arm")
         return _live(robot, output, page, port=port, open_browser=not no_open, target=to_target, **given)
     check_apart([output], [script, Path(robot)])
     target = output and check_solution_output(output)
@@ -134,9 +146,12 @@ def drive_command(
             if is_given(name):
                 raise InputError(f"--{name} with '{loaded.name}', an arm", "allowed: with a robot on legs")
         targets = read_targets(script)
+        hardware["obstacles"] = _posts(post)
         hardware["settings"] = ArmSettings(period=period, delay=plan_delay)
         with driving:
             driven = drive_arm(loaded, targets, duration=seconds, **hardware)
+    elif post:
+        raise InputError(f"--post with '{loaded.name}', on legs", "allowed: with an arm")
     else:
         commands = read_commands(script, gait_names(loaded))
         pushes = [_push(loaded, text) for text in push]
@@ -187,6 +202,25 @@ def _push(robot: Robot, text: str) -> Impulse:
         raise InputError(f"--push is '{text}'", "allowed: TIME,DEGREES,SIZE, numbers") from None
     lasts = DURATION * NaturalUnits.of(robot.model).time
     return Impulse(time=time, direction=math.radians(degrees), size=size, duration=lasts)
+
+
+def _posts(texts: tuple[str, ...]) -> list[Obstacle]:
+    """Capsules upright on the ground, of each --post. Raises `InputError`."""
+    import numpy as np
+
+    from trajopt.collision import CapsuleObstacle
+
+    posts: list[Obstacle] = []
+    for number, text in enumerate(texts, 1):
+        try:
+            x, y, height, radius = (float(part) for part in text.split(","))
+        except ValueError:
+            raise InputError(f"--post is '{text}'", "allowed: X,Y,HEIGHT,RADIUS, numbers") from None
+        if not height > 2 * radius > 0:
+            raise InputError(f"--post is '{text}'", "allowed: a radius above 0, and a height above twice it")
+        ends = np.array([[x, y, radius], [x, y, height - radius]])
+        posts.append(CapsuleObstacle(name=f"post {number}", start=ends[0], end=ends[1], radius=radius))
+    return posts
 
 
 def _ground(robot: Robot, slope: float | None, boxes: float | None, seed: int) -> PiecewiseTerrain | None:

@@ -29,8 +29,10 @@ from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.collision.description import robot_shapes
 from trajopt.collision.near import CollisionScene, ShapePair
 from trajopt.collision.shapes import Obstacle
-from trajopt.control.limits import friction_of_drives, limits_with_drives
+from trajopt.control.limits import JointRange
+from trajopt.control.task_space import limits_at
 from trajopt.errors import InputError, finite_array
+from trajopt.mpc.follow import HORIZON
 from trajopt.mpc.horizon import Horizon, Numbers, Pattern
 from trajopt.mpc.motion import HorizonMotion, predicted, require_state
 from trajopt.mpc.plans import FRESH, ControllerReport, Plans, SolverSettings, is_lost
@@ -210,8 +212,8 @@ class ArmController:
         self._iterate: _engine.Iterate | None = None
         self._begin = 0.0
         self._data = robot.model.createData()
-        self._high = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
-        self._drives = robot.drives or (None,) * robot.nu
+        limited, rows = robot.limited_model(), robot.actuated_rows
+        self._range = JointRange(limited, rows, robot.velocity_limit, HORIZON)
 
     def _margins(self) -> np.ndarray:
         """Least distance (n,) of each pair, m: of links no more than in the reference posture."""
@@ -234,18 +236,13 @@ class ArmController:
         motion_now = self.plans.update(time, lambda: make)
         begun = clocks.perf_counter()
         wanted, w, model = motion_now.sample(time), self.settings.bandwidth, self.robot.model
-        error, rate = pin.difference(model, q, wanted.q), wanted.v - v
-        rows, force = (
-            self.robot.actuation,
-            pin.rnea(model, self._data, q, v, wanted.a + w**2 * error + 2 * w * rate),
-        )
-        rates, low, high = rows.rates(v), self.robot.least_torque(self._high), self._high
-        torque = rows.inputs(force)
-        if any(drive is not None for drive in self._drives):
-            low, high = limits_with_drives(self._drives, rates, low, high)
-            torque = torque + friction_of_drives(self._drives, rates)
+        limits = limits_at(self.robot, self._range, q, v)
+        acceleration, rows = wanted.a.copy(), self.robot.actuated_rows
+        acceleration += w**2 * pin.difference(model, q, wanted.q) + 2 * w * (wanted.v - v)
+        acceleration[rows] = np.clip(acceleration[rows], *limits.acceleration)
+        torque = self.robot.actuation.inputs(pin.rnea(model, self._data, q, v, acceleration))
         self.report.following.append(clocks.perf_counter() - begun)
-        return np.asarray(np.clip(torque, low, high))
+        return np.asarray(np.clip(torque + limits.friction, *limits.torque))
 
     @property
     def report(self) -> ControllerReport:

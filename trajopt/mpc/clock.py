@@ -16,6 +16,8 @@ from trajopt.schedule.gaits import Gait
 
 # Between two gaits the robot stands, and before its first swing, for this part of the longest period.
 SETTLE = 0.3
+# A mode lasts longer or less long by at most this part of it.
+MOST_STRETCH = 0.35
 # Modes looked at after now: more than any horizon has, so that every swing's end is known.
 AHEAD = 24
 
@@ -36,6 +38,14 @@ class Swing:
     end: float
 
 
+@dataclass(frozen=True)
+class Stretch:
+    """How much longer than planned the mode of this number should last, s."""
+
+    number: int
+    wanted: float
+
+
 class ModeClock:
     """Contact modes from now on: some that are left, then a cycle without end.
 
@@ -44,6 +54,8 @@ class ModeClock:
         queue: modes from now on.
         cycle: what follows them, again and again.
         period: the natural duration of a cycle, s, by which horizons are measured.
+
+    number: of the present mode, from 0 on.
     """
 
     def __init__(
@@ -52,6 +64,7 @@ class ModeClock:
         self.contacts, self._queue, self._cycle = tuple(contacts), list(queue), tuple(cycle)
         self.remaining, self._period, self._index = self._queue[0].duration, period, 0
         self._lifted = dict.fromkeys(self.contacts, 0.0)  # how long each has been in the air, s
+        self.number, self._stretched = 0, 0.0
 
     def copy(self) -> Self:
         """A clock that goes on from here, apart."""
@@ -145,6 +158,15 @@ class ModeClock:
         if self.remaining <= 1e-9:
             self._next()
 
+    def stretch(self, by: Stretch, share: float) -> None:
+        """Let the present mode last longer or less long, by a share of what is still wanted, in bounds."""
+        if by.number != self.number or math.isinf(self.remaining):
+            return
+        most = MOST_STRETCH * self.whole
+        wanted = min(max(by.wanted, -most), most)
+        moved = max(min(share, 1.0) * (wanted - self._stretched), -max(self.remaining, 0.0))
+        self.remaining, self._stretched = self.remaining + moved, self._stretched + moved
+
     def skip(self) -> None:
         """Go to the begin of the next mode; a stance without end stays."""
         if math.isfinite(self.remaining):
@@ -153,6 +175,7 @@ class ModeClock:
 
     def _next(self) -> None:
         late = self.remaining
+        self.number, self._stretched = self.number + 1, 0.0
         self._queue.pop(0)
         if not self._queue:
             self._queue.append(self._cycle[self._index])

@@ -88,7 +88,7 @@ class Controller(LegsController):
         heading = yaw if self._heading is None else self._heading
         away = math.remainder(heading + self._asked.turn_rate * passed - yaw, 2 * math.pi)
         self._heading = yaw + min(max(away, -FARTHEST), FARTHEST)
-        return self._follow(q, v, self._refer)
+        return self._follow(passed, q, v, self._refer)
 
     def _refer(self) -> Refer:
         """What a plan follows: the command as it is now, on the ground as it is believed now."""

@@ -43,6 +43,8 @@ COMPLIANCE: Mapping[str, float] = MappingProxyType(
 
 
 SOFTEST = 1.0
+# Part of the shortest duration by which durations differ.
+DIFFERENCE = 1e-4
 # Of a step in an entry of the Hessian: two positions, each with the square, and the one before.
 POWERS = 5
 
@@ -222,6 +224,22 @@ class Horizon:
             given = {name: entries.at(powers) for name, entries in numbers.items()}
             self.nlp.engine.set_group(number, p=self._parameters[number].ravel(), **given)
         self.nlp.engine.set_linear(self._linear.at(powers), self._constant.at(powers))
+
+    def duration_gradient(self, x: np.ndarray, y: np.ndarray) -> float:
+        """Rate of the optimal cost with the duration of the first phase, at the expense of the last, 1/s.
+
+        By the envelope theorem that of the Lagrangian, by central differences, at scaled variables x
+        (n_unknowns,) and multipliers y (n_rows,) of an optimum.
+        """
+        durations, engine, values = self.durations, self.nlp.engine, []
+        moved = DIFFERENCE * durations.min()
+        for sign in (1, -1):
+            changed = durations.copy()
+            changed[[0, -1]] += sign * moved * np.array([1, -1])
+            self.set_durations(changed)
+            values.append(engine.f(x) + float(y @ engine.g(x)))
+        self.set_durations(durations)
+        return (values[0] - values[1]) / (2 * moved)
 
     @property
     def steps(self) -> np.ndarray:

@@ -96,6 +96,7 @@ def drive(
     duration: Positive | None = None,
     gaits: Sequence[str] | None = None,
     settings: ControllerSettings | None = None,
+    controller: Controller | None = None,
     pushes: Sequence[Impulse] = (),
     ground: PiecewiseTerrain | None = None,
     **hardware: Any,
@@ -108,6 +109,7 @@ def drive(
         duration: s; default: `LAST` s after the last command.
         gaits: names of the gaits that the controller prepares; default: those of the script.
         settings: of the controller.
+        controller: a new one that drives, with gaits and settings of its own; default: one is made.
         pushes: level impulses on the base.
         ground: what feet and links touch, of which the controller knows nothing, with level faces at the
             height 0 where the robot stands. Default: level ground.
@@ -122,7 +124,8 @@ def drive(
         raise not_among(HARDWARE, unknown[0], f"a drive has no setting '{unknown[0]}'")
     if robot.base != "freeflyer":
         raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free base, on feet")
-    if settings is not None and settings.live:
+    chosen = settings if controller is None else controller.settings
+    if chosen is not None and chosen.live:
         raise InputError("settings of drive are live", "allowed: live=False, simulated time waits for plans")
     wanted = SimulationSettings(impulse=pushes, **{"rolling": True, **hardware})
     stand = stand_of(robot, ground)
@@ -132,10 +135,14 @@ def drive(
     require_within(wanted, reference)
     used = dict.fromkeys(command.gait for command in script.commands if command.gait != STAND)
     names = tuple(gaits or used or gait_names(robot)[:1])
+    if controller is not None:
+        if gaits is not None or settings is not None or controller.robot is not robot:
+            raise InputError("controller of drive has a robot, gaits and settings", "allowed: no others")
+        names = tuple(controller.clock.gaits)
     for name in used:
         if name not in names:
             raise not_among(names, name, f"gait '{name}' of the script is not among those of the drive")
-    steering = Steering(Controller(robot, names, settings), script)
+    steering = Steering(controller or Controller(robot, names, settings), script)
     wanted = replace(wanted, controller=steering)
     with muted_mujoco():
         world = build_world(stand, wanted, math.inf)

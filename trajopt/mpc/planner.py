@@ -15,10 +15,10 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt import _engine
-from trajopt.arguments import Positive, PositiveCount, checked
+from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.mpc.clock import Mode, ModeClock
+from trajopt.mpc.clock import Mode, ModeClock, Stretch
 from trajopt.mpc.horizon import Horizon, Pattern
 from trajopt.mpc.motion import HorizonMotion
 from trajopt.mpc.plans import FRESH, ControllerReport, SolverSettings, is_lost
@@ -45,6 +45,8 @@ class PlannerSettings:
         span: the least length of what follows the present mode, in periods.
         solver: its steps at each tick.
         torque_rows: limits of torques are rows, at every point.
+        timing: weight of the square of what the present mode lasts longer than the gait says, over
+            sqrt(l / g); 0: durations are those of the gait.
         weights: of the cost.
     """
 
@@ -53,6 +55,7 @@ class PlannerSettings:
     span: Positive = 0.5
     solver: SolverSettings = field(default_factory=SolverSettings)
     torque_rows: bool = True
+    timing: NonNegative = 0.0
     weights: HorizonWeights = field(default_factory=HorizonWeights)
 
 
@@ -76,6 +79,7 @@ class HorizonPlanner:
         self.report = ControllerReport()
         self._last: tuple[Horizon, _engine.Iterate] | None = None
         self._maps: dict[tuple[Pattern, Pattern], IterateMap] = {}
+        self.stretch = Stretch(-1, 0.0)
 
     def pattern(self, modes: Sequence[Mode], whole: Sequence[Mode]) -> Pattern:
         """Contacts and intervals of modes; ``whole``: those of the gait, not what remains of them."""
@@ -154,6 +158,9 @@ class HorizonPlanner:
         self._last = None if lost else (horizon, iterate)
         if lost and last is not None:
             return last
+        if self.settings.timing and len(durations) > 1:
+            wanted = -horizon.duration_gradient(iterate["x"], iterate["y"]) / (2 * self.settings.timing)
+            self.stretch = Stretch(self.clock.number, wanted * horizon.units.time**2)
         return HorizonMotion(horizon, iterate["x"], time)
 
     def _held(self, q: np.ndarray, v: np.ndarray, contacts: Sequence[str]) -> np.ndarray:

@@ -22,6 +22,8 @@ from trajopt.robot.units import Units
 
 # A contact that is lost for less than this part of sqrt(l / g) goes on transmitting forces.
 CHATTER = 0.05
+# Durations follow what plans want within this part of sqrt(l / g).
+ADAPTED = 0.15
 # Of a clock and a configuration at the begin of a plan, what the plan follows.
 Refer = Callable[[ModeClock, np.ndarray], Reference]
 
@@ -98,10 +100,12 @@ class LegsController:
         self._touched = np.where(touching, time, self._touched)
         return passed
 
-    def _follow(self, q: np.ndarray, v: np.ndarray, refer: Callable[[], Refer]) -> np.ndarray:
-        """Torques (nu,) now; ``refer`` is asked where a plan begins, for what does not change meanwhile."""
+    def _follow(self, passed: float, q: np.ndarray, v: np.ndarray, refer: Callable[[], Refer]) -> np.ndarray:
+        """Torques (nu,) now, ``passed`` s after the last ones; ``refer`` is asked where a plan begins."""
         time = self._now
         motion = self.plans.update(time, lambda: self._maker(q, v, refer()))
+        if self.settings.planner.timing:
+            self.clock.stretch(self.planner.stretch, passed / (ADAPTED * self.unit))
         begun = clocks.perf_counter()
         wanted = motion.sample(time)
         lately = time - self._touched <= CHATTER * self.unit

@@ -103,8 +103,8 @@ class ReplanningController(LegsController):
             raise InputError(
                 f"contacts have shape {np.shape(touching)}", f"allowed: ({count},), those of the plan"
             )
-        self._passed(t, q, v, np.append(touching, False)[self._order])
-        return self._follow(q, v, lambda: self._refer)
+        passed = self._passed(t, q, v, np.append(touching, False)[self._order])
+        return self._follow(passed, q, v, lambda: self._refer)
 
     def _refer(self, clock: ModeClock, base: np.ndarray) -> Reference:
         assert isinstance(clock, PlanClock)

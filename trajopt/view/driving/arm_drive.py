@@ -29,9 +29,9 @@ class ArmDriveReport:
 
     tool: the frame that follows. simulated: s. fell, fall_time s, fall_reason: where the simulation, or a
     plan, failed. error_mean, error_95, error_max: distance of the tool from the target, which moves at a
-    bounded speed, m. nearest: least distance of links from each other, m; None without such pairs. beyond:
-    farthest of a joint beyond its limits, rad or m. rate: largest of a joint over its limit. saturated: share
-    of torques that were clipped. targets: where the target was sent, s and m.
+    bounded speed, m. nearest: least distance of links from each other and from obstacles, m; None without
+    such pairs. beyond: farthest of a joint beyond its limits, rad or m. rate: largest of a joint over its
+    limit. saturated: share of torques that were clipped. targets: where the target was sent, s and m.
 
     What follows is as of `trajopt.mpc.DriveReport`, and counts from the begin also where the first part of
     the motion was not kept.
@@ -80,7 +80,7 @@ class ArmDriveReport:
         lines = [
             ("driven", f"{self.simulated:.3f} s"),
             ("tool from target", f"{mean:.1f} mm mean, {high:.1f} at 95 %, {most:.1f} largest"),
-            ("nearest links", "-" if self.nearest is None else f"{1e3 * self.nearest:.0f} mm"),
+            ("nearest bodies", "-" if self.nearest is None else f"{1e3 * self.nearest:.0f} mm"),
             ("joints", f"{self.beyond:.2g} rad beyond limits, rates {100 * self.rate:.0f} % of theirs"),
             ("plans", f"{self.plans}, {self.missed} longer than {1e3 * self.deadline:g} ms"),
             ("plans begun anew", f"{self.begun_anew}"),

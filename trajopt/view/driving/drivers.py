@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from typing_extensions import override
 
+from trajopt.collision import Obstacle
 from trajopt.errors import InputError, not_among, shown
 from trajopt.mpc.arm import ArmController, ArmSettings, Target
 from trajopt.mpc.commands import STAND, Command
@@ -64,10 +65,12 @@ class Slider:
 class Driver(ABC):
     """A robot that follows what a page sets; a simulation asks it for torques.
 
-    sliders, gaits: what a page may set. values, gait: what is set. offset: s, added to the simulation's time.
+    obstacles: that it keeps clear of. sliders, gaits: what a page may set. values, gait: what is set. offset:
+    s, added to the simulation's time.
     """
 
     robot: Robot
+    obstacles: tuple[Obstacle, ...] = ()
 
     def __init__(self, sliders: Sequence[Slider], gaits: Sequence[str]) -> None:
         self.sliders, self.gaits = tuple(sliders), tuple(gaits)
@@ -211,6 +214,7 @@ class ArmDriver(Driver):
         robot: with a fixed base.
         tool: the frame that follows, which keeps its first orientation; default the last frame of the model.
         settings: of its controller; default with plans of `PERIOD`, made in the loop.
+        obstacles: in the world, that the arm keeps clear of.
 
     controller: the present one. path: of its target since the begin.
 
@@ -218,9 +222,16 @@ class ArmDriver(Driver):
         InputError: for another base or frame.
     """
 
-    def __init__(self, robot: Robot, tool: str | None = None, settings: ArmSettings | None = None) -> None:
-        self.robot = robot
-        self._made = ArmController(robot, tool, settings=settings or ArmSettings(period=PERIOD, delay=DELAY))
+    def __init__(
+        self,
+        robot: Robot,
+        tool: str | None = None,
+        settings: ArmSettings | None = None,
+        obstacles: Sequence[Obstacle] = (),
+    ) -> None:
+        self.robot, self.obstacles = robot, tuple(obstacles)
+        chosen = settings or ArmSettings(period=PERIOD, delay=DELAY)
+        self._made = ArmController(robot, tool, self.obstacles, chosen)
         self.controller = self._made
         self._start = frame_pose(robot, robot.reference, self._made.tool)
         units = NaturalUnits.of(robot.model)

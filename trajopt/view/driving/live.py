@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from trajopt.collision import Obstacle
 from trajopt.errors import InputError
 from trajopt.mpc.arm import ArmSettings
 from trajopt.mpc.receding import ControllerSettings
@@ -31,6 +32,7 @@ def driver_of(
     target: bool = False,
     gaits: Sequence[str] | None = None,
     settings: ControllerSettings | ArmSettings | None = None,
+    obstacles: Sequence[Obstacle] = (),
 ) -> Driver:
     """What steers a robot: its legs by a command, or with ``target`` the tool of an arm.
 
@@ -38,7 +40,8 @@ def driver_of(
         InputError: for a base that does not fit, and a gait that the robot does not have.
     """
     if target:
-        return ArmDriver(robot, settings=settings if isinstance(settings, ArmSettings) else None)
+        chosen = settings if isinstance(settings, ArmSettings) else None
+        return ArmDriver(robot, settings=chosen, obstacles=obstacles)
     if robot.base == "fixed":
         raise InputError(
             f"robot '{robot.name}' has a fixed base", "allowed: with --target, an arm's tool follows"
@@ -56,6 +59,7 @@ class LiveDrive:
         target: the page sets the place of a target that the tool follows.
         gaits: that are prepared; default `USUAL_GAITS`.
         settings: of the controller.
+        obstacles: of which the arm keeps clear.
         options: of `DriveSession`.
 
     Raises:
@@ -71,13 +75,13 @@ class LiveDrive:
         target: bool = False,
         gaits: Sequence[str] | None = None,
         settings: ControllerSettings | ArmSettings | None = None,
+        obstacles: Sequence[Obstacle] = (),
         **options: Any,
     ) -> None:
         server = DriveServer(port)
         try:
-            self.session = DriveSession(
-                driver_of(robot, target=target, gaits=gaits, settings=settings), **options
-            )
+            driver = driver_of(robot, target=target, gaits=gaits, settings=settings, obstacles=obstacles)
+            self.session = DriveSession(driver, **options)
             scene, facts = scene_of(self.session.stand, self.session.driver)
             self._painter = Painter(self.session)
             server.tell("state", self._painter.state())

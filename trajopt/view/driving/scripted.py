@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from trajopt.arguments import Positive, checked
+from trajopt.collision import Obstacle
 from trajopt.errors import InputError
 from trajopt.kinds import ArrayShape
 from trajopt.mpc.arm import ArmSettings
@@ -55,6 +57,7 @@ def drive_arm(
     *,
     duration: Positive | None = None,
     settings: ArmSettings | None = None,
+    obstacles: Sequence[Obstacle] = (),
     **hardware: Any,
 ) -> ArmDrive:
     """Drive the tool of an arm after a target that goes, at a bounded speed, to places at times.
@@ -64,6 +67,7 @@ def drive_arm(
         targets: rows (n, 4): time, s, and place in the world, m; times increase from 0.
         duration: s; default: `LAST` s after the last time.
         settings: of the controller.
+        obstacles: of which the arm keeps clear.
         hardware: as of `DriveSession`.
 
     Raises:
@@ -72,7 +76,7 @@ def drive_arm(
     times = targets[:, 0]
     if not len(times) or times[0] != 0 or (np.diff(times) <= 0).any():
         raise InputError(f"times of targets are {times.tolist()}", "allowed: the first 0, then increasing, s")
-    driver = ArmDriver(robot, settings=settings)
+    driver = ArmDriver(robot, settings=settings, obstacles=obstacles)
     goals = [dict(zip(COLUMNS[1:], place, strict=True)) for place in targets[:, 1:].tolist()]
     for goal in goals:
         driver.obey(goal)

@@ -91,7 +91,7 @@ class DriveSession:
         **hardware: Any,
     ) -> None:
         self.driver, self.clock = driver, clock or WallClock()
-        self.stand = lockstep.stand_of(driver.robot, None)
+        self.stand = lockstep.stand_of(driver.robot, None).with_description(obstacles=driver.obstacles)
         self.settings = SimulationSettings(
             controller=driver, **{"control_rate": RATE, "rolling": True, **hardware}
         )
