@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.mpc.commands import STAND, CommandScript
 from trajopt.solution.meta import jsonable
+
+if TYPE_CHECKING:
+    from trajopt.mpc.arm import ArmController
+    from trajopt.mpc.controller import Controller
+    from trajopt.simulation.figures import Fall
+    from trajopt.simulation.record import SimulationRecord
 
 # Tracking is judged from this time after a change of command on, s.
 SETTLED = 0.5
@@ -87,31 +93,22 @@ def command_errors(
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveReport:
-    """Figures of a drive in simulated time, and times of this machine.
+class PlanFigures:
+    """Figures of all drives, of legs and of arms.
 
-    duration: s asked for; simulated: s, less after a fall. fell, fall_time s, fall_reason: see
-    `trajopt.simulation.figures.fall_of`, compared with a base that is upright at the height asked for.
-    distance: m that the base has moved along the ground. mean_errors, errors: of commands, see
-    `command_errors`; None where no time counts. saturated: share of torques that were clipped.
-    plans: number; deadline: s; missed: plans that took longer, which is counted and changes nothing here;
-    begun_anew: those that did not go on from the last one; plans_relaxed: those with violated rows, by their
-    names; violations: the largest by name, scaled, see `trajopt.mpc.plans.ControllerReport`.
-    plan_times, solver_times, tick_times: of whole plans, of their solver, and of torques; without the first
-    plan, for which the robot waits. relaxed: ticks by what was relaxed, see
-    `trajopt.control.inverse_dynamics.RELAXED`; slack: their largest violation, natural units.
-    gaits: periods by name, s. script: the commands. settings: of the controller.
+    simulated: s, less after a fall. fell, fall_time s, fall_reason: how it ended, if it did. saturated: share
+    of torques that were clipped. plans: number; deadline: s; missed: plans that took longer, which is counted
+    and changes nothing in lockstep; begun_anew: those that did not go on from the last one; plans_relaxed:
+    those with violated rows, by their names; violations: the largest by name, scaled, see
+    `trajopt.mpc.plans.ControllerReport`. plan_times, solver_times, tick_times: of whole plans, of their
+    solver, and of torques; without the first plan, for which the robot waits. settings: of the controller.
     """
 
     robot: str
-    duration: float
     simulated: float
     fell: bool
     fall_time: float | None
     fall_reason: str
-    distance: float
-    mean_errors: CommandErrors | None
-    errors: CommandErrors | None
     saturated: float
     plans: int
     deadline: float
@@ -122,39 +119,86 @@ class DriveReport:
     plan_times: TimeFigures
     solver_times: TimeFigures
     tick_times: TimeFigures
-    relaxed: Mapping[str, int]
-    slack: float
-    gaits: Mapping[str, float]
-    script: CommandScript
     settings: Mapping[str, Any]
 
     @property
     def passed(self) -> bool:
-        """Whether it did not fall."""
+        """Whether it did not fall, and was simulated to its end."""
         return not self.fell
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able figures."""
         return jsonable({"passed": self.passed, **asdict(self)})
 
-    def table(self) -> str:
-        """Figures for people, one a line."""
-        relaxed = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
-        rows = [
-            f"{name} in {count} ({self.violations[name]:.2g})" for name, count in self.plans_relaxed.items()
-        ]
-        lines = [
-            ("driven", f"{self.simulated:.3f} s of {self.duration:.3f} s, {self.distance:.2f} m"),
-            ("speed, lateral, turn, rms", str(self.mean_errors or "-")),
-            ("without a mean over periods", str(self.errors or "-")),
+    @property
+    def _lines(self) -> list[tuple[str, str]]:
+        """Of plans: names and values."""
+        rows = [f"{name} in {n} ({self.violations[name]:.2g})" for name, n in self.plans_relaxed.items()]
+        return [
             ("plans", f"{self.plans}, {self.missed} longer than {1e3 * self.deadline:g} ms"),
             ("plans begun anew", f"{self.begun_anew}"),
             ("plans relaxed, most, scaled", ", ".join(rows) or RELAXED[0]),
             ("time of a plan", str(self.plan_times)),
             ("of its solver", str(self.solver_times)),
             ("of a tick's torques", str(self.tick_times)),
-            ("ticks relaxed", f"{', '.join(relaxed) or RELAXED[0]}, slack {self.slack:.2g} in natural units"),
             ("torques cut off", f"{100 * self.saturated:.2f} %"),
+        ]
+
+
+def plan_figures(
+    controller: Controller | ArmController, record: SimulationRecord, period: float, fall: Fall | None
+) -> dict[str, Any]:
+    """Fields of `PlanFigures` by what a controller counted and a simulation with ticks of a period in s."""
+    counts, settings = controller.report, controller.settings
+    return {
+        "robot": controller.robot.name,
+        "simulated": len(record.feet) * period,
+        "fell": fall is not None,
+        "fall_time": None if fall is None else fall.time,
+        "fall_reason": "" if fall is None else fall.why,
+        "saturated": float(record.saturated.mean()),
+        "plans": len(counts.planning),
+        "deadline": settings.delay,
+        "missed": counts.missed,
+        "begun_anew": counts.anew,
+        "plans_relaxed": {name: count for name, count in counts.relaxed.items() if count},
+        "violations": dict(counts.violations),
+        "plan_times": TimeFigures.of(counts.planning[1:]),
+        "solver_times": TimeFigures.of(counts.solving[1:]),
+        "tick_times": TimeFigures.of(counts.following),
+        "settings": asdict(settings),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveReport(PlanFigures):
+    """Figures of a drive in simulated time, and times of this machine.
+
+    duration: s asked for. A fall: see `trajopt.simulation.figures.fall_of`, compared with a base that is
+    upright at the height asked for. distance: m that the base has moved along the ground. mean_errors,
+    errors: of commands, see `command_errors`; None where no time counts. relaxed: ticks by what was relaxed,
+    see `trajopt.control.inverse_dynamics.RELAXED`; slack: their largest violation, natural units.
+    gaits: periods by name, s. script: the commands.
+    """
+
+    duration: float
+    distance: float
+    mean_errors: CommandErrors | None
+    errors: CommandErrors | None
+    relaxed: Mapping[str, int]
+    slack: float
+    gaits: Mapping[str, float]
+    script: CommandScript
+
+    def table(self) -> str:
+        """Figures for people, one a line."""
+        relaxed = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
+        lines = [
+            ("driven", f"{self.simulated:.3f} s of {self.duration:.3f} s, {self.distance:.2f} m"),
+            ("speed, lateral, turn, rms", str(self.mean_errors or "-")),
+            ("without a mean over periods", str(self.errors or "-")),
+            *self._lines,
+            ("ticks relaxed", f"{', '.join(relaxed) or RELAXED[0]}, slack {self.slack:.2g} in natural units"),
         ]
         text = [f"{name:27} {value}" for name, value in lines]
         end = f"it fell at {self.fall_time:.3f} s: {self.fall_reason}" if self.fell else "it did not fall"

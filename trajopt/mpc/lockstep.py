@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from trajopt.errors import InputError, not_among
 from trajopt.motion.samples import contact_places
 from trajopt.mpc.commands import STAND, CommandScript
 from trajopt.mpc.controller import Controller
-from trajopt.mpc.drive_report import DriveReport, TimeFigures, command_errors
+from trajopt.mpc.drive_report import DriveReport, command_errors, plan_figures
 from trajopt.mpc.receding import ControllerSettings
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.robot import Robot
@@ -253,35 +253,19 @@ def report_of(
         velocity: of `base_velocity`.
     """
     controller, script = steering.controller, steering.script
-    counts, settings = controller.report, controller.settings
     periods = {name: period for name, (_, period) in controller.clock.gaits.items()}
     means, values = command_errors(script, velocity, reference.period, periods)
     steps = record.qpos[:: max(1, round(min(periods.values()) / reference.period)), :2]
     return DriveReport(
-        robot=controller.robot.name,
+        **plan_figures(controller, record, reference.period, fall),
         duration=len(reference.t) * reference.period,
-        simulated=len(record.feet) * reference.period,
-        fell=fall is not None,
-        fall_time=None if fall is None else fall.time,
-        fall_reason="" if fall is None else fall.why,
         distance=float(np.linalg.norm(np.diff(steps, axis=0), axis=1).sum()),
         mean_errors=means,
         errors=values,
-        saturated=float(record.saturated.mean()),
-        plans=len(counts.planning),
-        deadline=settings.delay,
-        missed=counts.missed,
-        begun_anew=counts.anew,
-        plans_relaxed={name: count for name, count in counts.relaxed.items() if count},
-        violations=dict(counts.violations),
-        plan_times=TimeFigures.of(counts.planning[1:]),
-        solver_times=TimeFigures.of(counts.solving[1:]),
-        tick_times=TimeFigures.of(counts.following),
         relaxed={
             name: count for name, count in zip(RELAXED, controller.follower.relaxed, strict=True) if count
         },
         slack=steering.slack,
         gaits=periods,
         script=script,
-        settings=asdict(settings),
     )

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from trajopt.control.reference import ReferenceTrajectory
-from trajopt.mpc.drive_report import TimeFigures
+from trajopt.mpc.drive_report import PlanFigures, plan_figures
 from trajopt.robot.kinematics import frame_pose
 from trajopt.simulation.figures import Fall
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.simulated import simulated_solution
 from trajopt.simulation.world import World
-from trajopt.solution.meta import jsonable
 from trajopt.solution.solution import Solution
 from trajopt.view.driving.drivers import ArmDriver, since
 
@@ -24,71 +21,35 @@ STRIDE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArmDriveReport:
+class ArmDriveReport(PlanFigures):
     """Figures of an arm's drive in simulated time, and times of this machine.
 
-    tool: the frame that follows. simulated: s. fell, fall_time s, fall_reason: where the simulation, or a
-    plan, failed. error_mean, error_95, error_max: distance of the tool from the target, which moves at a
-    bounded speed, m. nearest: least distance of links from each other and from obstacles, m; None without
-    such pairs. beyond: farthest of a joint beyond its limits, rad or m. rate: largest of a joint over its
-    limit. saturated: share of torques that were clipped. targets: where the target was sent, s and m.
+    tool: the frame that follows. error_mean, error_95, error_max: distance of the tool from the target, which
+    moves at a bounded speed, m. nearest: least distance of links from each other and from obstacles, m; None
+    without such pairs. beyond: farthest of a joint beyond its limits, rad or m. rate: largest of a joint over
+    its limit. targets: where the target was sent, s and m.
 
-    What follows is as of `trajopt.mpc.DriveReport`, and counts from the begin also where the first part of
-    the motion was not kept.
+    Figures of plans count from the begin also where the first part of the motion was not kept.
     """
 
-    robot: str
     tool: str
-    simulated: float
-    fell: bool
-    fall_time: float | None
-    fall_reason: str
     error_mean: float
     error_95: float
     error_max: float
     nearest: float | None
     beyond: float
     rate: float
-    saturated: float
     targets: tuple[tuple[float, tuple[float, ...]], ...]
-    plans: int
-    deadline: float
-    missed: int
-    begun_anew: int
-    plans_relaxed: Mapping[str, int]
-    violations: Mapping[str, float]
-    plan_times: TimeFigures
-    solver_times: TimeFigures
-    tick_times: TimeFigures
-    settings: Mapping[str, Any]
-
-    @property
-    def passed(self) -> bool:
-        """Whether it was simulated to its end."""
-        return not self.fell
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able figures."""
-        return jsonable({"passed": self.passed, **asdict(self)})
 
     def table(self) -> str:
         """Figures for people, one a line."""
         mean, high, most = (1e3 * error for error in (self.error_mean, self.error_95, self.error_max))
-        rows = [
-            f"{name} in {count} ({self.violations[name]:.2g})" for name, count in self.plans_relaxed.items()
-        ]
         lines = [
             ("driven", f"{self.simulated:.3f} s"),
             ("tool from target", f"{mean:.1f} mm mean, {high:.1f} at 95 %, {most:.1f} largest"),
             ("nearest bodies", "-" if self.nearest is None else f"{1e3 * self.nearest:.0f} mm"),
             ("joints", f"{self.beyond:.2g} rad beyond limits, rates {100 * self.rate:.0f} % of theirs"),
-            ("plans", f"{self.plans}, {self.missed} longer than {1e3 * self.deadline:g} ms"),
-            ("plans begun anew", f"{self.begun_anew}"),
-            ("plans relaxed, most, scaled", ", ".join(rows) or "none"),
-            ("time of a plan", str(self.plan_times)),
-            ("of its solver", str(self.solver_times)),
-            ("of a tick's torques", str(self.tick_times)),
-            ("torques cut off", f"{100 * self.saturated:.2f} %"),
+            *self._lines,
         ]
         text = [f"{name:27} {value}" for name, value in lines]
         end = [f"it failed at {self.fall_time:.3f} s: {self.fall_reason}"] if self.fell else []
@@ -148,7 +109,7 @@ def _report(
     fall: Fall | None,
     target: np.ndarray,
 ) -> ArmDriveReport:
-    robot, controller, counts = driver.robot, driver.controller, driver.plans.report
+    robot, controller = driver.robot, driver.controller
     qpos, qvel = (rows[: len(target)] for rows in (record.qpos, record.qvel))
     q, v = world.coordinates.from_mujoco(qpos), world.coordinates.rates_from_mujoco(qpos, qvel)
     tool = np.array([frame_pose(robot, each, driver.tool).translation for each in q])
@@ -156,30 +117,15 @@ def _report(
     distances = controller.scene.distances(q[:: max(1, round(STRIDE / period))])
     beyond = np.maximum(robot.position_lower - q, q - robot.position_upper)
     return ArmDriveReport(
-        robot=robot.name,
+        **plan_figures(controller, record, period, fall),
         tool=driver.tool,
-        simulated=len(target) * period,
-        fell=fall is not None,
-        fall_time=None if fall is None else fall.time,
-        fall_reason="" if fall is None else fall.why,
         error_mean=float(error.mean()),
         error_95=float(np.percentile(error, 95)),
         error_max=float(error.max()),
         nearest=float(distances.min()) if distances.size else None,
         beyond=max(float(beyond.max()), 0.0),
         rate=float((np.abs(v) / robot.velocity_limit).max()),
-        saturated=float(record.saturated.mean()),
         targets=tuple(
             (time, tuple(place.tolist())) for time, place in since(driver.path.goals, driver.offset)
         ),
-        plans=len(counts.planning),
-        deadline=controller.settings.delay,
-        missed=counts.missed,
-        begun_anew=counts.anew,
-        plans_relaxed={name: count for name, count in counts.relaxed.items() if count},
-        violations=dict(counts.violations),
-        plan_times=TimeFigures.of(counts.planning[1:]),
-        solver_times=TimeFigures.of(counts.solving[1:]),
-        tick_times=TimeFigures.of(counts.following),
-        settings=asdict(controller.settings),
     )
