@@ -87,11 +87,14 @@ def _replanning(plan: Solution, cycles: int) -> ReplanningController:
     from trajopt.mpc.replanning import ReplanningController
     from trajopt.problem.catalogue import families, load
     from trajopt.robot.catalogue import robot
+    from trajopt.robot.legs import legs_only
 
     about = plan.description
     given = {name: value for name, value in about.parameters.items() if value is not None}
     known = about.problem in families()
     chosen = load(about.problem, **given).robot if known else robot(about.robot)
+    if chosen.nv > plan.model.nv:
+        chosen = legs_only(chosen)
     with busy(f"preparing {chosen.name}"):
         return ReplanningController(chosen, plan, cycles=cycles)
 

@@ -55,8 +55,11 @@ class ModeClock:
         cycle: what follows them, again and again.
         period: the natural duration of a cycle, s, by which horizons are measured.
 
-    number: of the present mode, from 0 on.
+    number: of the present mode, from 0 on. keeps_time: the next mode lasts longer by what is left of one that
+    ended early; otherwise all that follows is earlier.
     """
+
+    keeps_time = False
 
     def __init__(
         self, contacts: Sequence[str], queue: Sequence[Mode], cycle: Sequence[Mode], period: float
@@ -153,10 +156,11 @@ class ModeClock:
             return
         self.remaining -= time
         down = all(touching[name] for name in landing)
-        if landing and down and self.remaining < mode.duration / 3:
-            self.remaining = min(self.remaining, 0.0)
+        early = bool(landing) and down and self.remaining < mode.duration / 3
         if self.remaining <= 1e-9:
-            self._next()
+            self._next(self.remaining)
+        elif early:
+            self._next(self.remaining if self.keeps_time else 0.0)
 
     def stretch(self, by: Stretch, share: float) -> None:
         """Let the present mode last longer or less long, by a share of what is still wanted, in bounds."""
@@ -170,17 +174,16 @@ class ModeClock:
     def skip(self) -> None:
         """Go to the begin of the next mode; a stance without end stays."""
         if math.isfinite(self.remaining):
-            self.remaining = 0.0
-            self._next()
+            self._next(0.0)
 
-    def _next(self) -> None:
-        late = self.remaining
+    def _next(self, left: float) -> None:
+        """The next mode, which lasts longer by what is left of the present one, s."""
         self.number, self._stretched = self.number + 1, 0.0
         self._queue.pop(0)
         if not self._queue:
             self._queue.append(self._cycle[self._index])
             self._index = (self._index + 1) % len(self._cycle)
-        self.remaining = self._queue[0].duration + (late if math.isfinite(late) else 0.0)
+        self.remaining = self._queue[0].duration + left
 
 
 class GaitClock(ModeClock):

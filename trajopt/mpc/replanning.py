@@ -1,7 +1,7 @@
 """A motion that was planned, such as a jump: at each tick what is left of it is planned anew from the state.
 
 The plan gives the contact modes, the reference of base, joints and feet, and heights of landings. A contact
-that lands early ends its mode, and the reference goes on from the begin of the next.
+that lands early ends its mode, and the next one is longer: the reference keeps the time of the plan.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ from trajopt.solution.solution import Solution
 
 # Rate at which the plan is sampled, Hz.
 RATE = 1000.0
+# Cycles of a periodic plan that horizons look ahead at after the last one.
+BEYOND = 2
 # A period of the horizons of finite motions, over sqrt(l / g).
 PERIOD = 2.6
 # Ground whose normal has a vertical part of 1 less than this is level.
@@ -49,13 +51,15 @@ class PlanClock(ModeClock):
         period: the natural duration of a step, s.
     """
 
+    keeps_time = True
+
     def __init__(self, contacts: tuple[str, ...], modes: list[Mode], period: float) -> None:
         super().__init__(contacts, modes, [Mode(modes[-1].contacts, math.inf)], period)
         self._ends = [0.0, *np.cumsum([mode.duration for mode in modes]).tolist()]
 
     @property
     def time(self) -> float:
-        """Time of the plan, s, which jumps where a mode ends early."""
+        """Time of the plan, s; its end where it has ended."""
         left = len(self._queue) if math.isfinite(self.remaining) else 0
         return float(self._ends[-left] - self.remaining) if left else self._ends[-1]
 
@@ -84,7 +88,8 @@ class ReplanningController(LegsController):
         cycles: PositiveCount = 1,
     ) -> None:
         _require_fitting(robot, plan)
-        trajectory = reference_of(plan, RATE, cycles)
+        repeats = plan.description.periodicity is not None
+        trajectory = reference_of(plan, RATE, cycles + BEYOND if repeats else cycles)
         names = {contact.frame: contact.name for contact in robot.contacts}
         self.plan, contacts = plan, [names[frame] for frame in plan.contact_frames]
         modes = _modes(trajectory, contacts)
@@ -143,7 +148,10 @@ def _require_fitting(robot: Robot, plan: Solution) -> None:
         raise InputError(what, "allowed: torques at all joints, contacts, and no payloads")
     masses = [mass_of(model) for model in (plan.model, robot.model)]
     if list(plan.model.names) != list(robot.model.names) or not math.isclose(*masses, rel_tol=SAME):
-        raise InputError(f"the plan is of '{about.robot}', not of '{robot.name}'", "allowed: a plan of it")
+        raise InputError(
+            f"the plan of '{about.robot}' has other joints or another mass than '{robot.name}'",
+            "allowed: the robot of the plan",
+        )
     normals = touched_surfaces(plan, contact_places(plan).position).normal[plan.active]
     if (normals[:, 2] < 1.0 - LEVEL).any():
         raise InputError(f"{what}: contacts stand on steep ground", "allowed: level surfaces at any heights")

@@ -33,7 +33,7 @@ USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
 SPEED, LATERAL, TURN, HEIGHT = 0.6, 0.25, 0.25, 0.15
 FEET, CAREFUL = 4, 0.4
 # Gaits of four feet in which one lifts at a time get at most this part of the speeds: faster ones fall.
-SLOW_GAITS, SLOW = ("walk", "amble"), 0.25
+SLOW_GAITS, SLOW = ("walk", "amble"), 0.5
 # Largest and usual push over weight times natural time.
 MOST_PUSH, USUAL_PUSH = 0.5, 0.1
 # Of an arm's target: farthest from the start over the robot's length, and speed over the natural one.
