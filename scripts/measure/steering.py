@@ -37,8 +37,6 @@ GAITS = ("walk", "trot", "pace", "bound", "pronk")
 # Ranges of speeds over that of Go2, and steps of the random walk each second.
 LOW, HIGH, STEP = np.array([-0.5, -0.3, -1.0]), np.array([1.0, 0.3, 1.0]), np.array([0.4, 0.2, 0.6])
 START = 0.3
-# Weight of changes of durations where they are free.
-FREE = 1.0
 # Commands of bipeds over those of quadrupeds.
 SLOW = 0.25
 names_option = click.option(
@@ -148,8 +146,8 @@ def pushed(names: str, most: float, step: float, least: float, directions: int) 
     for name in names.split(","):
         robot = robots.load(name)
         units = NaturalUnits.of(robot.model)
-        for title, timing in (("fixed", 0.0), ("free", FREE)):
-            settings = ControllerSettings(planner=PlannerSettings(timing=timing))
+        for title, planner in (("fixed", PlannerSettings(timing=0.0)), ("free", PlannerSettings())):
+            settings = ControllerSettings(planner=planner)
             largest = [survived(robot, angle, sizes, settings) for angle in angles]
             unit = units.weight * units.time
             row(name, f"{unit:.3g}", title, *(f"{size:.2g}" for size in largest), f"{min(largest):.2g}")
@@ -253,6 +251,7 @@ VARIANTS: dict[str, PlannerSettings] = {
     "1 step": PlannerSettings(solver=SolverSettings(steps=1, most_steps=1, changed_steps=2)),
     "8 steps": PlannerSettings(solver=SolverSettings(steps=8, most_steps=8, changed_steps=12)),
     "barrier 1e-3": PlannerSettings(solver=SolverSettings(barrier=1e-3)),
+    "durations of the gait": PlannerSettings(timing=0.0),
     "no torque rows": PlannerSettings(torque_rows=False),
 }
 
@@ -270,15 +269,13 @@ def horizons(name: str, seconds: float) -> None:
         "fell",
         "speed, m/s",
         "transport",
-        "push from behind",
-        "from the side",
+        "push from the side",
     )
     for title, planner in VARIANTS.items():
         settings = ControllerSettings(planner=planner)
         run = drive(robot, random_walk(robot, "trot", seconds, 0), duration=seconds, settings=settings)
         fell, speed, *_ = cells(run)
         plan = run.report.plan_times
-        pushes = [_pushed(robot, settings, angle) for angle in (0, 90)]
         transport = _transport(robot, settings)
         row(
             title,
@@ -287,14 +284,14 @@ def horizons(name: str, seconds: float) -> None:
             fell,
             speed,
             f"{transport:.2f}",
-            *pushes,
+            _pushed(robot, settings, 90.0),
         )
 
 
 def _pushed(robot: Robot, settings: ControllerSettings, angle: float) -> str:
     units, best = NaturalUnits.of(robot.model), 0.0
     speed = 0.4 * math.sqrt(gravity_of(robot.model) * robot.length)
-    for size in (0.2, 0.3, 0.4, 0.5):
+    for size in (0.3, 0.4, 0.5, 0.6):
         push = Impulse(
             direction=math.radians(angle),
             size=size * units.weight * units.time,

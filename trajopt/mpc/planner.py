@@ -46,7 +46,7 @@ class PlannerSettings:
         solver: its steps at each tick.
         torque_rows: limits of torques are rows, at every point.
         timing: weight of the square of what the present mode lasts longer than the gait says, over
-            sqrt(l / g); 0: durations are those of the gait.
+            sqrt(l / g), in the cost; 0: durations are those of the gait.
         weights: of the cost.
     """
 
@@ -55,7 +55,7 @@ class PlannerSettings:
     span: Positive = 0.5
     solver: SolverSettings = field(default_factory=SolverSettings)
     torque_rows: bool = True
-    timing: NonNegative = 0.0
+    timing: NonNegative = 1.0
     weights: HorizonWeights = field(default_factory=HorizonWeights)
 
 

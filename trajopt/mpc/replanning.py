@@ -39,7 +39,7 @@ LEVEL = 1e-6
 SAME = 1e-9
 # Weights with which a plan is followed.
 WEIGHTS = HorizonWeights(position=20.0, velocity=5.0, rise=5.0, joints=1.0, rates=0.0, feet=20.0)
-USUAL = ControllerSettings(planner=PlannerSettings(span=1.0, weights=WEIGHTS))
+USUAL = ControllerSettings(planner=PlannerSettings(span=1.0, timing=0.0, weights=WEIGHTS))
 
 
 class PlanClock(ModeClock):
@@ -96,7 +96,7 @@ class ReplanningController(LegsController):
         clock = PlanClock(tuple(contacts), modes, PERIOD * Units(robot).time)
         friction = min(contact.friction for contact in plan.description.contacts)
         super().__init__(robot, clock, settings or replace(USUAL, friction=friction))
-        self._rows = _reference_rows(robot, trajectory, contacts)
+        self._rows, self._period = _reference_rows(robot, trajectory), trajectory.period
         self._order = [
             contacts.index(contact.name) if contact.name in contacts else -1 for contact in robot.contacts
         ]
@@ -113,21 +113,22 @@ class ReplanningController(LegsController):
 
     def _refer(self, clock: ModeClock, base: np.ndarray) -> Reference:
         assert isinstance(clock, PlanClock)
-        return PlanReference(robot=self.robot, rows_of_plan=self._rows, time=clock.time)
+        return PlanReference(robot=self.robot, rows_of_plan=self._rows, period=self._period, time=clock.time)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanReference:
-    """The plan from ``time`` s of it on: its rows (n, size) at `RATE`."""
+    """The plan from ``time`` s of it on: its rows (n, size), each for a ``period`` in s."""
 
     robot: Robot
     rows_of_plan: np.ndarray
+    period: float
     time: float
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """The reference (n, size) at times (n,) from now, s; at rest after the end of the plan."""
         at, last = reference_layout(self.robot), len(self.rows_of_plan) - 1
-        place = np.rint((self.time + times) * RATE).astype(int)
+        place = np.rint((self.time + times) / self.period).astype(int)
         rows = self.rows_of_plan[np.minimum(place, last)]
         rows[place > last, at.velocity.start : at.spin.stop] = 0.0
         return rows
@@ -147,14 +148,17 @@ def _require_fitting(robot: Robot, plan: Solution) -> None:
     if about.actuation != "torque" or about.payloads or not plan.active.any() or robot.nu < robot.nv - 6:
         raise InputError(what, "allowed: torques at all joints, contacts, and no payloads")
     masses = [mass_of(model) for model in (plan.model, robot.model)]
-    if list(plan.model.names) != list(robot.model.names) or not math.isclose(*masses, rel_tol=SAME):
+    same = list(plan.model.names) == list(robot.model.names) and math.isclose(*masses, rel_tol=SAME)
+    if not same or not set(plan.contact_frames) <= {contact.frame for contact in robot.contacts}:
         raise InputError(
-            f"the plan of '{about.robot}' has other joints or another mass than '{robot.name}'",
+            f"the plan of '{about.robot}' has other joints, contacts or another mass than '{robot.name}'",
             "allowed: the robot of the plan",
         )
-    normals = touched_surfaces(plan, contact_places(plan).position).normal[plan.active]
-    if (normals[:, 2] < 1.0 - LEVEL).any():
-        raise InputError(f"{what}: contacts stand on steep ground", "allowed: level surfaces at any heights")
+    touched = touched_surfaces(plan, contact_places(plan).position)
+    steep, held = touched.normal[:, :, 2] < 1.0 - LEVEL, touched.bilateral | touched.slides
+    for kind, wrong in (("steep ground", steep), ("what they hold or slide along", held)):
+        if (wrong & plan.active).any():
+            raise InputError(f"{what}: contacts are on {kind}", "allowed: level ground, at any heights")
 
 
 def _modes(trajectory: ReferenceTrajectory, contacts: list[str]) -> list[Mode]:
@@ -166,7 +170,7 @@ def _modes(trajectory: ReferenceTrajectory, contacts: list[str]) -> list[Mode]:
     return [Mode(*mode) for mode in zip(stands, durations.tolist(), strict=True)]
 
 
-def _reference_rows(robot: Robot, trajectory: ReferenceTrajectory, contacts: list[str]) -> np.ndarray:
+def _reference_rows(robot: Robot, trajectory: ReferenceTrajectory) -> np.ndarray:
     """What plans follow (n, size): base, joints and feet of a plan."""
     at, model, data = reference_layout(robot), robot.model, robot.model.createData()
     rows = np.zeros((len(trajectory.t), at.size))
