@@ -95,14 +95,16 @@ TITLES = ("fell", "speed, m/s", "lateral, m/s", "turn, rad/s", "plan, ms", "99 %
 @seconds_option
 @seeds_option
 @click.option("--gait", default="", help="Default: trot, of bipeds walk.")
-def commands(names: str, seconds: float, seeds: int, gait: str) -> None:
+@click.option("--fixed", is_flag=True, help="Durations are those of the gait.")
+def commands(names: str, seconds: float, seeds: int, gait: str, fixed: bool) -> None:
     """Follow commands that change each second by a random walk; errors are root mean squares."""
     head("robot", "seed", *TITLES)
+    settings = ControllerSettings(planner=PlannerSettings(timing=0.0)) if fixed else None
     for name in names.split(","):
         robot = robots.load(name)
         for seed in range(seeds):
             script = random_walk(robot, gait or ("walk" if name in BIPEDS else "trot"), seconds, seed)
-            row(name, str(seed), *cells(drive(robot, script, duration=seconds)))
+            row(name, str(seed), *cells(drive(robot, script, duration=seconds, settings=settings)))
 
 
 @click.command("bipeds")

@@ -11,7 +11,15 @@ import pinocchio as pin
 from scripts.measure.shared import head, row
 from scripts.measure.steering import START, straight
 from trajopt.dynamics import gravity_of
-from trajopt.mpc import Controller, Follower, HorizonMotion, HorizonPlanner, drive
+from trajopt.mpc import (
+    Controller,
+    ControllerSettings,
+    Follower,
+    HorizonMotion,
+    HorizonPlanner,
+    PlannerSettings,
+    drive,
+)
 from trajopt.mpc.motion import MotionSample
 from trajopt.robot import Robot
 from trajopt.robot.natural_units import NaturalUnits
@@ -81,7 +89,8 @@ class GainFollower(Follower):
 
 def controller_of(robot: Robot, word: str) -> Controller:
     """A controller by the quadratic program, or by gains."""
-    controller = Controller(robot)
+    planner = PlannerSettings(timing=0.0)
+    controller = Controller(robot, settings=ControllerSettings(planner=planner))
     if word == "gains":
         made = controller.planner
         controller.planner = GainPlanner(robot, controller.clock, made.settings, friction=made.friction)
