@@ -28,6 +28,8 @@ from trajopt.robot.robot import Robot
 
 # A mode that lasts less than this part of a period is planned as if it lasted that long.
 SHORTEST = 0.01
+# Weight of changes of durations, of point feet.
+TIMING = 1.0
 # Feet land at this part of the robot's length below the ground: they arrive with some velocity.
 SUNK = 0.01
 # In this part of a period before a touchdown its rows become softer: what is left cannot be braked.
@@ -46,7 +48,7 @@ class PlannerSettings:
         solver: its steps at each tick.
         torque_rows: limits of torques are rows, at every point.
         timing: weight of the square of what the present mode lasts longer than the gait says, over
-            sqrt(l / g), in the cost; 0: durations are those of the gait.
+            sqrt(l / g), in the cost; 0: durations are those of the gait. Default: `TIMING`, on soles 0.
         weights: of the cost.
     """
 
@@ -55,7 +57,7 @@ class PlannerSettings:
     span: Positive = 0.5
     solver: SolverSettings = field(default_factory=SolverSettings)
     torque_rows: bool = True
-    timing: NonNegative = 1.0
+    timing: NonNegative | None = None
     weights: HorizonWeights = field(default_factory=HorizonWeights)
 
 
@@ -80,6 +82,9 @@ class HorizonPlanner:
         self._last: tuple[Horizon, _engine.Iterate] | None = None
         self._maps: dict[tuple[Pattern, Pattern], IterateMap] = {}
         self.stretch = Stretch(-1, 0.0)
+        soles = any(robot.contact(name).kind == "surface" for name in clock.contacts)
+        usual = 0.0 if soles else TIMING
+        self.timing = usual if settings.timing is None else settings.timing
 
     def pattern(self, modes: Sequence[Mode], whole: Sequence[Mode]) -> Pattern:
         """Contacts and intervals of modes; ``whole``: those of the gait, not what remains of them."""
@@ -158,8 +163,8 @@ class HorizonPlanner:
         self._last = None if lost else (horizon, iterate)
         if lost and last is not None:
             return last
-        if self.settings.timing and len(durations) > 1:
-            wanted = -horizon.duration_gradient(iterate["x"], iterate["y"]) / (2 * self.settings.timing)
+        if self.timing and len(durations) > 1:
+            wanted = -horizon.duration_gradient(iterate["x"], iterate["y"]) / (2 * self.timing)
             self.stretch = Stretch(self.clock.number, wanted * horizon.units.time**2)
         return HorizonMotion(horizon, iterate["x"], time)
 

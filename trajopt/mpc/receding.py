@@ -104,7 +104,7 @@ class LegsController:
         """Torques (nu,) now, ``passed`` s after the last ones; ``refer`` is asked where a plan begins."""
         time = self._now
         motion = self.plans.update(time, lambda: self._maker(q, v, refer()))
-        if self.settings.planner.timing:
+        if self.planner.timing:
             self.clock.stretch(self.planner.stretch, passed / (ADAPTED * self.unit))
         begun = clocks.perf_counter()
         wanted = motion.sample(time)
