@@ -25,7 +25,7 @@ from trajopt.view.watching.drawing import still_scene
 POINTS, RECENT, WINDOW, SLOW = 16, 500, 0.5, 0.9
 OWN_WEB = Path(__file__).parent / "web"
 SOURCE = PageSource(
-    html=OWN_WEB / "drive.html",
+    body=OWN_WEB / "drive.html",
     styles=(*REPLAY.styles, OWN_WEB / "drive.css"),
     scripts=(
         *(WEB / name for name in ("meshes.js", "scene.js")),

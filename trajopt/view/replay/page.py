@@ -39,15 +39,15 @@ ALONE = {"live": "", "code": ""}
 
 @dataclass(frozen=True, kw_only=True)
 class PageSource:
-    """Files of a page: HTML with places for the rest, styles, and scripts in order of dependency."""
+    """Files of a page: what its body shows, in HTML, styles, and scripts in order of dependency."""
 
-    html: Path
+    body: Path
     styles: tuple[Path, ...]
     scripts: tuple[Path, ...]
 
 
 REPLAY = PageSource(
-    html=WEB / "page.html", styles=(WEB / "page.css",), scripts=tuple(WEB / name for name in SCRIPTS)
+    body=WEB / "player.html", styles=(WEB / "page.css",), scripts=tuple(WEB / name for name in SCRIPTS)
 )
 
 
@@ -68,7 +68,8 @@ def _text(source: PageSource, facts: dict[str, Any], allowed: dict[str, str], sc
     player = _player(source.scripts)
     digest = _base64(hashlib.sha256(player.encode()).digest())
     viewer, licence = _viewer()
-    return Template(source.html.read_text(encoding="utf-8")).substitute(
+    return Template((WEB / "page.html").read_text(encoding="utf-8")).substitute(
+        body=source.body.read_text(encoding="utf-8"),
         policy=POLICY.format(player=digest, **allowed),
         title=html.escape(facts["title"]),
         style="\n".join(path.read_text(encoding="utf-8") for path in source.styles),
