@@ -21,15 +21,11 @@ on one thread unless said. A time is that of the solver: problems are built, and
 """
 
 import argparse
-import json
 import os
-import shlex
-import subprocess
 import sys
 from collections.abc import Iterator
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -38,6 +34,7 @@ os.environ["OMP_NUM_THREADS"] = "1"  # before Crocoddyl loads OpenMP; problems s
 from scripts.documents import written  # noqa: E402
 from scripts.peers import crocoddyl_half as theirs  # noqa: E402
 from scripts.peers import report  # noqa: E402
+from scripts.peers.halves import Half  # noqa: E402
 from scripts.peers.report import CROCODDYL, EXAMPLE, MUMPS, OURS, STAGES, TWO, Measured, Setting  # noqa: E402
 from scripts.peers.tasks import SOLO_JUMP, TASKS  # noqa: E402
 
@@ -54,23 +51,11 @@ MOST, MOST_OF_SOLO = 100, 1000
 LONG = 5.0
 
 
-class Ours:
+class Ours(Half):
     """Our half, a process that answers requests."""
 
     def __init__(self, command: str) -> None:
-        words = [*shlex.split(command), "-m", "scripts.peers.serve"]
-        environment = {key: value for key, value in os.environ.items() if key != "VIRTUAL_ENV"}
-        pipe = subprocess.PIPE
-        self._process = subprocess.Popen(words, cwd=ROOT, env=environment, stdin=pipe, stdout=pipe, text=True)
-
-    def ask(self, **request: Any) -> dict[str, Any]:
-        """The answer to a request."""
-        self._process.stdin.write(json.dumps(request) + "\n")
-        self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        if not line:
-            raise SystemExit("our half ended: its message is above")
-        return json.loads(line)
+        super().__init__("our half", f"{command} -m scripts.peers.serve")
 
     def measure(self, measured: Measured) -> None:
         """Solve once; after the first time, which warms up, measure the errors, too."""

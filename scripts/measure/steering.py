@@ -1,33 +1,29 @@
 """Receding-horizon control in MuJoCo, in lockstep with the delay of its solves (docs/mpc.md)."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import click
 import numpy as np
-import pinocchio as pin
 
-import trajopt
 from scripts.measure.robustness import DISTURBANCES
 from scripts.measure.shared import head, row
-from trajopt.collision import CapsuleObstacle
 from trajopt.dynamics import gravity_of
 from trajopt.mpc import (
-    ArmController,
     Command,
     CommandScript,
+    Controller,
     ControllerSettings,
     Drive,
     PlannerSettings,
-    ReplanningController,
     SolverSettings,
-    Target,
     boxes_ahead,
     drive,
     slope_ahead,
 )
-from trajopt.robot import Robot, frame_pose
+from trajopt.robot import Robot
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation import Impulse
 from trajopt_library import robots
@@ -64,9 +60,56 @@ def random_walk(robot: Robot, gait: str, seconds: float, seed: int) -> CommandSc
     return CommandScript(tuple(times), tuple(commands))
 
 
+def gait_of_robot(robot: Robot) -> str:
+    """A trot, of bipeds a walk."""
+    return "walk" if robot.name in BIPEDS else "trot"
+
+
 def straight(gait: str, speed: float) -> CommandScript:
     """From a stance straight ahead."""
     return CommandScript((0.0, START), (Command(), Command(gait=gait, speed=speed)))
+
+
+def usual_speed(robot: Robot) -> float:
+    """Of a trot, of bipeds of a walk, m/s."""
+    part = 0.08 if robot.name in BIPEDS else 0.4
+    return part * math.sqrt(gravity_of(robot.model) * robot.length)
+
+
+def impulse(robot: Robot, direction: float, size: float, time: float) -> Impulse:
+    """A level impulse at ``time`` s to a direction in rad, natural units."""
+    units = NaturalUnits.of(robot.model)
+    return Impulse(
+        direction=direction, size=size * units.weight * units.time, time=time, duration=0.1 * units.time
+    )
+
+
+def survived(
+    robot: Robot,
+    degrees: float,
+    sizes: Sequence[float],
+    time: float,
+    lasts: float,
+    make: Callable[[], Controller],
+) -> float:
+    """The largest of rising impulses before the first fall, natural units, at a usual speed.
+
+    Args:
+        robot: the robot.
+        degrees: direction of the impulses.
+        sizes: natural units.
+        time: of the impulse, s.
+        lasts: s that are driven.
+        make: a new controller for each drive.
+    """
+    best = 0.0
+    for size in sizes:
+        push = impulse(robot, math.radians(degrees), size, time)
+        script = straight(gait_of_robot(robot), usual_speed(robot))
+        if drive(robot, script, duration=lasts, controller=make(), pushes=(push,)).report.fell:
+            break
+        best = size
+    return best
 
 
 def cells(run: Drive) -> list[str]:
@@ -103,7 +146,7 @@ def commands(names: str, seconds: float, seeds: int, gait: str, fixed: bool) -> 
     for name in names.split(","):
         robot = robots.load(name)
         for seed in range(seeds):
-            script = random_walk(robot, gait or ("walk" if name in BIPEDS else "trot"), seconds, seed)
+            script = random_walk(robot, gait or gait_of_robot(robot), seconds, seed)
             row(name, str(seed), *cells(drive(robot, script, duration=seconds, settings=settings)))
 
 
@@ -117,14 +160,12 @@ def bipeds(names: str, seconds: float, seeds: int, push: float) -> None:
     head("robot", "seed", *TITLES)
     for name in names.split(","):
         robot = robots.load(name)
-        units = NaturalUnits.of(robot.model)
-        size, lasts = push * units.weight * units.time, 0.1 * units.time
         for seed in range(seeds):
             generator = np.random.default_rng(100 + seed)
             times = np.arange(3.0, seconds - 1.0, 3.0) + generator.uniform(0.0, 1.0)
             sides = generator.uniform(-math.pi, math.pi, len(times))
             pushes = tuple(
-                Impulse(direction=side, size=size, time=time, duration=lasts)
+                impulse(robot, side, push, time)
                 for time, side in zip(times.tolist(), sides.tolist(), strict=True)
             )
             script = random_walk(robot, "walk", seconds, seed)
@@ -149,32 +190,12 @@ def pushed(names: str, most: float, step: float, least: float, directions: int) 
         robot = robots.load(name)
         units = NaturalUnits.of(robot.model)
         for title, planner in (("fixed", PlannerSettings(timing=0.0)), ("free", PlannerSettings())):
-            settings = ControllerSettings(planner=planner)
-            largest = [survived(robot, angle, sizes, settings) for angle in angles]
+            make = partial(Controller, robot, (gait_of_robot(robot),), ControllerSettings(planner=planner))
+            time = START + 4.0 * 2.6 * math.sqrt(robot.length / gravity_of(robot.model))
+            lasts = time + 6 * units.time
+            largest = [survived(robot, angle, sizes, time, lasts, make) for angle in angles]
             unit = units.weight * units.time
             row(name, f"{unit:.3g}", title, *(f"{size:.2g}" for size in largest), f"{min(largest):.2g}")
-
-
-def survived(robot: Robot, angle: float, sizes: Sequence[float], settings: ControllerSettings) -> float:
-    """The largest of rising impulses before the first fall, natural units, at a usual speed."""
-    units, biped = NaturalUnits.of(robot.model), robot.name in BIPEDS
-    gait = "walk" if biped else "trot"
-    speed = (0.08 if biped else 0.4) * math.sqrt(gravity_of(robot.model) * robot.length)
-    best = 0.0
-    for size in sizes:
-        time = START + 4.0 * 2.6 * math.sqrt(robot.length / gravity_of(robot.model))
-        push = Impulse(
-            direction=math.radians(angle),
-            size=size * units.weight * units.time,
-            time=time,
-            duration=0.1 * units.time,
-        )
-        lasts = time + 6 * units.time
-        run = drive(robot, straight(gait, speed), duration=lasts, pushes=(push,), settings=settings)
-        if run.report.fell:
-            break
-        best = size
-    return best
 
 
 @click.command("disturbed")
@@ -279,7 +300,7 @@ def horizons(name: str, seconds: float) -> None:
         run = drive(robot, random_walk(robot, "trot", seconds, 0), duration=seconds, settings=settings)
         fell, speed, *_ = cells(run)
         plan = run.report.plan_times
-        transport = _transport(robot, settings)
+        transport, make = _transport(robot, settings), partial(Controller, robot, ("trot",), settings)
         row(
             title,
             f"{1e3 * plan.median:.1f}",
@@ -287,140 +308,15 @@ def horizons(name: str, seconds: float) -> None:
             fell,
             speed,
             f"{transport:.2f}",
-            _pushed(robot, settings, 90.0),
+            f"{survived(robot, 90.0, (0.3, 0.4, 0.5, 0.6), 2.0, 3.0, make):.1f}",
         )
-
-
-def _pushed(robot: Robot, settings: ControllerSettings, angle: float) -> str:
-    units, best = NaturalUnits.of(robot.model), 0.0
-    speed = 0.4 * math.sqrt(gravity_of(robot.model) * robot.length)
-    for size in (0.3, 0.4, 0.5, 0.6):
-        push = Impulse(
-            direction=math.radians(angle),
-            size=size * units.weight * units.time,
-            time=2.0,
-            duration=0.1 * units.time,
-        )
-        run = drive(robot, straight("trot", speed), duration=3.0, pushes=(push,), settings=settings)
-        if run.report.fell:
-            break
-        best = size
-    return f"{best:.1f}"
 
 
 def _transport(robot: Robot, settings: ControllerSettings) -> float:
     """Work of the drives over weight and way, at a steady trot; braking counts."""
-    speed = 0.4 * math.sqrt(gravity_of(robot.model) * robot.length)
-    run = drive(robot, straight("trot", speed), duration=4.0, settings=settings)
+    run = drive(robot, straight("trot", usual_speed(robot)), duration=4.0, settings=settings)
     record, late = run.record, slice(2000, None)
     rates = record.qvel[:-1, 6:][late]
     work = np.abs(record.torque[late] * rates).sum() * 1e-3
     way = float(np.linalg.norm(record.qpos[-1, :2] - record.qpos[2000, :2]))
     return float(work / (robot.weight * max(way, 1e-9)))
-
-
-# Finite motions: families and robots.
-MOTIONS = (
-    ("solo12-jump", "solo12"),
-    ("quadruped-box-up", "go2"),
-    ("quadruped-jump-forward", "anymal_c"),
-    ("quadruped-stairs", "go2"),
-    ("quadruped-stairs", "anymal_c"),
-    ("quadruped-steps", "solo12"),
-    ("quadruped-backflip", "go2"),
-    ("biped-walk", "g1"),
-    ("biped-jump-up", "g1"),
-    ("biped-step-up", "talos"),
-)
-
-
-@click.command("replanned")
-@click.option("--push", default=0.2, show_default=True, help="Impulse, natural units.")
-def replanned(push: float) -> None:
-    """Finite motions by the tracker, and planned anew: where the base ends from the plan, mm."""
-    cases = ("as planned", "mass 1.2", "friction 0.7", "pushed forward", "pushed left")
-    head("motion", "robot", *(f"{case}: tracked, planned anew" for case in cases), "plan, ms", "99 %, ms")
-    for name, word in MOTIONS:
-        problem = trajopt.load(name) if name.startswith(word) else trajopt.load(name, robot=word)
-        plan, times = trajopt.solve(problem), []
-        units, ends = NaturalUnits.of(problem.robot.model), []
-        impulses = [
-            Impulse(
-                direction=angle,
-                size=push * units.weight * units.time,
-                time=0.3 * float(plan.t[-1]),
-                duration=0.1 * units.time,
-            )
-            for angle in (0.0, 0.5 * math.pi)
-        ]
-        for given in (
-            {},
-            {"mass_scale": 1.2},
-            {"friction_scale": 0.7},
-            *({"impulse": impulse} for impulse in impulses),
-        ):
-            anew = ReplanningController(problem.robot, plan)
-            reports = [trajopt.simulate(plan, controller=how, **given).report for how in ("whole-body", anew)]
-            times += anew.report.planning[1:]
-            ends.append(", ".join("fell" if r.fell else f"{1e3 * r.base_error_end:.0f}" for r in reports))
-        row(name, problem.robot.name, *ends, *(f"{1e3 * np.percentile(times, p):.1f}" for p in (50, 99)))
-
-
-@click.command("targets")
-@click.option("--robots", "names", default="panda,ur5", metavar="A,B", show_default=True)
-@click.option("--seconds", default=20.0, show_default=True)
-@seeds_option
-def targets(names: str, seconds: float, seeds: int) -> None:
-    """Arms that follow a target on a random walk around a post, on Pinocchio's forward dynamics."""
-    head("robot", "seed", "error, mm", "95 %, mm", "nearest, mm", "plan, ms", "99 %, ms", "limits")
-    tools = {"panda": "panda_hand_tcp", "ur5": "tool0"}
-    for name in names.split(","):
-        robot = robots.load(name)
-        for seed in range(seeds):
-            row(name, str(seed), *_followed(robot, tools[name], seconds, seed))
-
-
-def _followed(robot: Robot, tool: str, seconds: float, seed: int) -> list[str]:
-    place = frame_pose(robot, robot.reference, tool).translation
-    foot = pin.utils.rotate("z", 0.7) @ (place * [1.0, 1.0, 0.0])
-    post = CapsuleObstacle(
-        name="post",
-        start=foot + np.array([0.0, 0.0, 0.04]),
-        end=foot + np.array([0.0, 0.0, 0.8 * place[2]]),
-        radius=0.03,
-    )
-    controller = ArmController(robot, tool, (post,))
-    model, data, q, v = robot.model, robot.model.createData(), robot.reference.copy(), np.zeros(robot.nv)
-    generator, way, rate = np.random.default_rng(seed), np.zeros(3), np.zeros(3)
-    errors, states, rates = [], [], []
-    for k in range(round(seconds * 1e3)):
-        if k % 100 == 0:
-            rate = 0.8 * rate + generator.standard_normal(3) * [0.25, 0.1, 0.1]
-        before, way = way, np.clip(way + 1e-3 * rate, [-1.2, -0.15, -0.15], [1.2, 0.15, 0.15])
-        last, goal = (_around(place, each) for each in (before, way))
-        torque = controller.step(1e-3 * k, q, v, Target(position=goal, velocity=(goal - last) / 1e-3))
-        v = v + 1e-3 * pin.aba(model, data, q, v, torque)
-        q = pin.integrate(model, q, 1e-3 * v)
-        pin.framesForwardKinematics(model, data, q)
-        errors.append(float(np.linalg.norm(data.oMf[model.getFrameId(tool)].translation - goal)))
-        states.append(q)
-        rates.append(v)
-    distances = controller.scene.distances(np.array(states[::20])).min()
-    q_, v_ = np.array(states), np.array(rates)
-    kept = ((q_ >= robot.position_lower) & (q_ <= robot.position_upper)).all()
-    kept &= (np.abs(v_) <= 1.001 * robot.velocity_limit).all()
-    plans = controller.report.planning[1:]
-    return [
-        f"{1e3 * np.mean(errors):.1f}",
-        f"{1e3 * np.percentile(errors, 95):.1f}",
-        f"{1e3 * distances:.0f}",
-        f"{1e3 * np.median(plans):.1f}",
-        f"{1e3 * np.percentile(plans, 99):.1f}",
-        "kept" if kept else "missed",
-    ]
-
-
-def _around(place: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """A place turned about the vertical axis, farther out and higher by parts of it."""
-    moved = place * [1 + way[1], 1 + way[1], 1 + way[2]]
-    return np.asarray(pin.utils.rotate("z", float(way[0])) @ moved)

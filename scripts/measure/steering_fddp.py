@@ -20,16 +20,11 @@ Crocoddyl needs another Pinocchio; one of them computes at a time.
 
 from __future__ import annotations
 
-import json
-import os
-import shlex
-import subprocess
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
-from pathlib import Path
 from typing import Any
 
 import click
@@ -37,6 +32,7 @@ import numpy as np
 import pinocchio as pin
 
 from scripts.measure.shared import head, median, row
+from scripts.peers.halves import Half
 from trajopt import _engine
 from trajopt.dynamics import gravity_of
 from trajopt.mpc import Command, Controller, Horizon, HorizonMotion
@@ -45,7 +41,6 @@ from trajopt.robot import Contact, Robot
 from trajopt.robot.units import Units
 from trajopt_library import robots
 
-ROOT = Path(__file__).resolve().parents[2]
 PEER = "uv run --quiet scripts/peers/fddp.py"
 # Knots of Crocoddyl's users, s.
 KNOT = 0.01
@@ -65,30 +60,6 @@ STEPS = 30
 CONE, LANDING, TOUCHDOWN = 10.0, 100.0, 0.1
 # Starts measured between those of the other side, after one that is not.
 TURN = 4
-
-
-class Peer:
-    """Crocoddyl's half, a process that answers requests."""
-
-    def __init__(self, command: str) -> None:
-        environment = {key: value for key, value in os.environ.items() if key != "VIRTUAL_ENV"}
-        words, pipe = shlex.split(command), subprocess.PIPE
-        self._process = subprocess.Popen(words, cwd=ROOT, env=environment, stdin=pipe, stdout=pipe, text=True)
-
-    def ask(self, **request: Any) -> dict[str, Any]:
-        """The answer to a request."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(request) + "\n")
-        self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        if not line:
-            raise click.ClickException("Crocoddyl's half ended: its message is above")
-        return dict(json.loads(line))
-
-    def close(self) -> None:
-        """Let it end."""
-        self._process.communicate()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,7 +261,7 @@ def _mass_matrix(model: pin.Model, q: np.ndarray) -> np.ndarray:
 class Comparison:
     """Both halves on the horizon of one tick."""
 
-    def __init__(self, steady: Steady, peer: Peer) -> None:
+    def __init__(self, steady: Steady, peer: Half) -> None:
         self.steady, self.peer = steady, peer
         shooting = Shooting(steady)
         self.found = {name: peer.ask(do="build", **shooting.request(name)) for name in (FINE, COARSE)}
@@ -354,7 +325,7 @@ OF_FDDP = ("knots of 10 ms", "FDDP, ms", "step / FDDP", "as many knots", "FDDP, 
 def fddp(names: str, rounds: int, share: float, peer: str) -> None:
     """A step of the horizon over one iteration of Crocoddyl's FDDP on the same horizon, CPU times."""
     head(*TITLES, *OF_FDDP)
-    other = Peer(peer)
+    other = Half("Crocoddyl's half", peer)
     for name in names.split(","):
         compared = Comparison(Steady.of(robots.load(name), GAITS[name], share), other)
         compared.measure(rounds)

@@ -1,7 +1,6 @@
 """Torques of a plan with feedback gains of its optimum, beside the follower's quadratic program."""
 
-import math
-from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import click
@@ -9,8 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from scripts.measure.shared import head, row
-from scripts.measure.steering import START, straight
-from trajopt.dynamics import gravity_of
+from scripts.measure.steering import START, straight, survived, usual_speed
 from trajopt.mpc import (
     Controller,
     ControllerSettings,
@@ -23,7 +21,6 @@ from trajopt.mpc import (
 from trajopt.mpc.motion import MotionSample
 from trajopt.robot import Robot
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.simulation import Impulse
 from trajopt_library import robots
 
 # Changes of the start, rad or m and over natural times, and steps of the solver after each.
@@ -110,38 +107,12 @@ def gains(names: str, sizes: str) -> None:
     for name in names.split(","):
         robot = robots.load(name)
         for word in ("program", "gains"):
-            alone = drive(
-                robot, straight("trot", speed_of(robot)), duration=3.0, controller=controller_of(robot, word)
-            )
+            make = partial(controller_of, robot, word)
+            script, time = straight("trot", usual_speed(robot)), START + 1.0
+            alone = drive(robot, script, duration=3.0, controller=make())
             errors = alone.report.mean_errors
             error = "fell" if alone.report.fell or errors is None else f"{errors.speed:.3f}"
             numbers = [float(size) for size in sizes.split(",")]
-            row(name, word, error, *(survived(robot, word, angle, numbers) for angle in (0, 90, 180)))
-
-
-def speed_of(robot: Robot) -> float:
-    """A usual speed of a trot, m/s."""
-    return 0.4 * math.sqrt(gravity_of(robot.model) * robot.length)
-
-
-def survived(robot: Robot, word: str, angle: float, sizes: Sequence[float]) -> str:
-    """The largest of rising impulses before the first fall, natural units."""
-    units, best = NaturalUnits.of(robot.model), 0.0
-    for size in sizes:
-        push = Impulse(
-            direction=math.radians(angle),
-            size=size * units.weight * units.time,
-            time=START + 1.0,
-            duration=0.1 * units.time,
-        )
-        run = drive(
-            robot,
-            straight("trot", speed_of(robot)),
-            duration=START + 1.0 + 6 * units.time,
-            controller=controller_of(robot, word),
-            pushes=(push,),
-        )
-        if run.report.fell:
-            break
-        best = size
-    return f"{best:.1f}"
+            lasts = time + 6 * NaturalUnits.of(robot.model).time
+            largest = [survived(robot, angle, numbers, time, lasts, make) for angle in (0, 90, 180)]
+            row(name, word, error, *(f"{size:.1f}" for size in largest))

@@ -14,19 +14,22 @@ knot is the end. Runs where Crocoddyl is installed: uv makes an environment for 
 """
 
 import itertools
-import json
 import os
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 os.environ["OMP_NUM_THREADS"] = "1"
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import crocoddyl
 import numpy as np
 import pinocchio as pin
+
+from scripts.peers.halves import answer
 
 # Velocities of contacts decay at this rate, 1/s, as in Crocoddyl's examples, but by half a knot at most.
 DECAY = 50.0
@@ -254,12 +257,5 @@ def _seconds(act: Callable[[], Any]) -> float:
 ANSWERS: dict[str, Callable[..., dict[str, Any]]] = {"build": build, "iterate": iterate}
 
 
-def main() -> None:
-    """Answer until stdin ends."""
-    for line in sys.stdin:
-        request = json.loads(line)
-        print(json.dumps(ANSWERS[request.pop("do")](**request)), flush=True)
-
-
 if __name__ == "__main__":
-    main()
+    answer(ANSWERS)

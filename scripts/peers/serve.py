@@ -8,14 +8,13 @@
 Functions are compiled, and problems transcribed, before the first solve that needs them: no time counts that.
 """
 
-import json
-import sys
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from scripts.peers import problems
+from scripts.peers.halves import answer
 from scripts.peers.tasks import TASKS
 from trajopt.certify.reintegration import integrated_states
 from trajopt.motion.quantities import MotionQuantities
@@ -72,12 +71,5 @@ def open_loop(task: str, scheme: str, intervals: int, linear_solver: str, thread
 ANSWERS = {"describe": describe, "solve": solve, "open-loop": open_loop}
 
 
-def main() -> None:
-    """Answer until stdin ends."""
-    for line in sys.stdin:
-        request = json.loads(line)
-        print(json.dumps(ANSWERS[request.pop("do")](**request)), flush=True)
-
-
 if __name__ == "__main__":
-    main()
+    answer(ANSWERS)
