@@ -14,7 +14,7 @@ import pytest
 
 from tests.support.browser import require_chromium
 from tests.support.command_lines import assert_refused, invoke
-from tests.support.processes import LIMIT, TRAJOPT, Running
+from tests.support.processes import LIMIT, TRAJOPT, Running, until
 from trajopt.errors import InputError
 from trajopt.mpc.controller import Controller
 from trajopt.robot.catalogue import robot
@@ -330,12 +330,12 @@ def test_page_shows_the_robot_and_its_keys_steer():
         assert page.title() == "drive – go2"
         page.keyboard.press("w")
         page.keyboard.press("w")
-        page.wait_for_timeout(200)
         driver = live.session.driver
+        until(lambda: driver.values["speed"] == pytest.approx(0.2 * driver.sliders[0].high))
         assert driver.gait == "trot"
         assert driver.values["speed"] == pytest.approx(0.2 * driver.sliders[0].high)
         page.keyboard.press(" ")
-        page.wait_for_timeout(200)
+        until(lambda: driver.gait == "stand")
         assert (driver.gait, driver.values["speed"]) == ("stand", 0.0)
         live.run(seconds=0.2)
         page.wait_for_function("trajopt.state().figures[0].value === '0.2 s'", timeout=1e3 * LIMIT)
@@ -355,6 +355,7 @@ IN_PAGE = """() => {
 CAMERA = "trajopt.viewer.camera.position.toArray()"
 # The camera that `ready` has placed is drawn in the next picture.
 DRAWN = "new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))"
+SHOWN = "['x', 'y', 'z'].map(axis => trajopt.steering.shown.get(axis))"
 CURSOR = "document.getElementById('meshcat-pane').style.cursor"
 
 
@@ -374,9 +375,9 @@ def test_the_target_is_dragged_in_the_picture_and_the_arm_follows():
 
         def arrived(x: float, y: float, depth: float) -> None:
             """The target is where the pointer is, as far from the camera as before, and sent."""
-            page.wait_for_timeout(200)
+            until(lambda: page.evaluate(SHOWN) == pytest.approx([driver.values[axis] for axis in "xyz"]))
             np.testing.assert_allclose(page.evaluate(IN_PAGE), [x, y, depth], atol=1e-3)
-            shown = page.evaluate("['x', 'y', 'z'].map(axis => trajopt.steering.shown.get(axis))")
+            shown = page.evaluate(SHOWN)
             assert shown == pytest.approx([driver.values[axis] for axis in "xyz"])
             outputs = page.locator("#sliders output").all_text_contents()
             assert outputs == [f"{value:.2f} m" for value in shown]
@@ -389,8 +390,9 @@ def test_the_target_is_dragged_in_the_picture_and_the_arm_follows():
         assert page.evaluate(CURSOR) == "grabbing"
         arrived(x - 60, y - 40, depth)
         page.mouse.move(x + 5000, y, steps=3)
-        page.wait_for_timeout(200)
-        assert any(driver.values[each.name] in (each.low, each.high) for each in driver.sliders)
+        assert until(
+            lambda: any(driver.values[each.name] in (each.low, each.high) for each in driver.sliders)
+        )
         page.mouse.move(x + 44, y - 33, steps=3)
         page.mouse.up()
         arrived(x + 40, y - 30, depth)
@@ -410,7 +412,6 @@ def test_the_target_is_dragged_in_the_picture_and_the_arm_follows():
         page.mouse.down()
         page.mouse.move(360, 500, steps=3)
         page.mouse.up()
-        page.wait_for_timeout(200)
-        assert page.evaluate(CAMERA) != pytest.approx(camera)
+        assert until(lambda: page.evaluate(CAMERA) != pytest.approx(camera))
         assert errors == []
         browser.close()

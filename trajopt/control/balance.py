@@ -1,7 +1,5 @@
 """Balance: what a robot stands on at a tick, and how its centre of mass follows the plan there."""
 
-from itertools import pairwise
-
 import numpy as np
 
 from trajopt.control.contact_forces import cross
@@ -114,8 +112,7 @@ class Balance:
         lasting = np.zeros(len(active), dtype=bool)
         if self._walks or self.wide[active.any(axis=1)].any():
             return lasting  # the next steps, or a wider support, balance the robot
-        changes = np.flatnonzero((active[1:] != active[:-1]).any(axis=1)) + 1
-        for begin, end in pairwise([0, *changes.tolist(), len(active)]):
+        for begin, end in reference.modes:
             lasts = (end - begin) * reference.period >= LASTING * self._units.time
             lasting[begin:end] = lasts and bool(active[begin].any()) and not self.wide[begin]
         return lasting

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,12 @@ class ReferenceTrajectory:
     phase_names: tuple[str, ...]
     held: int
     end: np.ndarray
+
+    @property
+    def modes(self) -> list[tuple[int, int]]:
+        """Stretches of periods, begin and end, whose contacts are the same."""
+        changes = np.flatnonzero((self.active[1:] != self.active[:-1]).any(axis=1)) + 1
+        return list(pairwise([0, *changes.tolist(), len(self.active)]))
 
     @property
     def planned(self) -> int:

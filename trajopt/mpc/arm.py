@@ -35,7 +35,7 @@ from trajopt.errors import InputError, finite_array
 from trajopt.mpc.follow import HORIZON
 from trajopt.mpc.horizon import Horizon, Numbers, Pattern
 from trajopt.mpc.motion import HorizonMotion, predicted, require_state
-from trajopt.mpc.plans import FRESH, ControllerReport, Plans, SolverSettings, is_lost
+from trajopt.mpc.plans import FRESH, ControllerReport, Plans, SolverSettings
 from trajopt.mpc.shifting import resampled
 from trajopt.robot.contact import require_frame
 from trajopt.robot.robot import Robot
@@ -267,11 +267,7 @@ class ArmController:
             old = horizon.node_times
             x = resampled(horizon, self._iterate["x"], old, old + begin - self._begin)
             iterate, most = {**self._iterate, "x": x}, solver.most_steps
-        solving = clocks.perf_counter()
-        iterate, reports = solver.solve(horizon, iterate, most)
-        self.report.solving.append(clocks.perf_counter() - solving)
-        self.report.note(horizon, iterate, reports)
-        lost = is_lost(iterate, reports)
+        iterate, lost = self.report.solved(solver, horizon, iterate, most)
         self._iterate, self._begin = (None if lost else iterate), begin
         if lost and last is not None:
             return last

@@ -78,8 +78,7 @@ def read_commands(path: Path, gaits: Sequence[str]) -> CommandScript:
             columns = list(reader.fieldnames or ())
             rows = [(reader.line_num, row) for row in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        why = (error.strerror if isinstance(error, OSError) else "") or "it is no text"
-        raise InputError(f"{path} cannot be read: {why}", "allowed: a CSV file of commands") from None
+        raise unreadable(path, error, "allowed: a CSV file of commands") from None
     wrong = [name for name in columns if name not in (TIME, *known) or columns.count(name) > 1]
     if wrong or TIME not in columns or not rows:
         cause = "has no column 'time', or no line below it"
@@ -102,6 +101,12 @@ def read_commands(path: Path, gaits: Sequence[str]) -> CommandScript:
         commands.append(replace(commands[-1] if commands else Command(), gait=gait, **numbers))
         times.append(time)
     return CommandScript(tuple(times), tuple(commands))
+
+
+def unreadable(path: Path, error: Exception, allowed: str) -> InputError:
+    """What to raise for a script that is missing, or no text."""
+    why = (error.strerror if isinstance(error, OSError) else "") or "it is no text"
+    return InputError(f"{path} cannot be read: {why}", allowed)
 
 
 def _require_next(before: Sequence[float], time: float, where: str) -> None:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.mpc.clock import GaitClock, ModeClock
+from trajopt.mpc.clock import GaitClock
 from trajopt.mpc.commands import STAND, Command
 from trajopt.mpc.gait_reference import GaitReference, RestingFeet, half_stance
 from trajopt.mpc.ground import GroundEstimate
-from trajopt.mpc.receding import ControllerSettings, LegsController, Refer
+from trajopt.mpc.receding import ControllerSettings, LegsController
 from trajopt.mpc.reference import Reference
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import feet_in_base
@@ -33,7 +34,7 @@ STEADY, SMALL, MOST = 0.3, 0.2, 0.15
 FARTHEST = 0.3
 
 
-class Controller(LegsController):
+class Controller(LegsController[GaitClock]):
     """Whole-body receding-horizon control of a robot on legs by commands.
 
     Args:
@@ -41,8 +42,6 @@ class Controller(LegsController):
         gaits: names of the gaits that it may be asked for; their horizons are made here.
         settings: of plans and of what follows them.
     """
-
-    clock: GaitClock
 
     def __init__(
         self, robot: Robot, gaits: tuple[str, ...] = ("trot",), settings: ControllerSettings | None = None
@@ -90,13 +89,12 @@ class Controller(LegsController):
         self._heading = yaw + min(max(away, -FARTHEST), FARTHEST)
         return self._follow(passed, q, v, self._refer)
 
-    def _refer(self) -> Refer:
+    def _refer(self) -> Callable[[GaitClock, np.ndarray], Reference]:
         """What a plan follows: the command as it is now, on the ground as it is believed now."""
         command, heading, ground = self._corrected, self._heading or 0.0, self.ground.copy()
-        lifts = tuple(self.robot.length * part for part in (self.settings.lift, self.settings.sole_lift))
+        lifts = self.robot.length * self.settings.lift, self.robot.length * self.settings.sole_lift
 
-        def refer(clock: ModeClock, base: np.ndarray) -> Reference:
-            assert isinstance(clock, GaitClock)
+        def refer(clock: GaitClock, base: np.ndarray) -> Reference:
             return GaitReference(
                 feet=self._resting,
                 base=base,
@@ -105,7 +103,7 @@ class Controller(LegsController):
                 ground=ground,
                 swings=clock.swings(),
                 half_stance=half_stance(clock),
-                lifts=(lifts[0], lifts[1]),
+                lifts=lifts,
             )
 
         return refer

@@ -7,7 +7,6 @@ others move up by one, and the mode that is new at the end stands still at first
 
 from __future__ import annotations
 
-import time as clocks
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -21,7 +20,7 @@ from trajopt.errors import InputError
 from trajopt.mpc.clock import Mode, ModeClock, Stretch
 from trajopt.mpc.horizon import Horizon, Pattern
 from trajopt.mpc.motion import HorizonMotion
-from trajopt.mpc.plans import FRESH, ControllerReport, SolverSettings, is_lost
+from trajopt.mpc.plans import FRESH, ControllerReport, SolverSettings
 from trajopt.mpc.reference import REFERENCE, HorizonWeights, Reference, leg_terms
 from trajopt.mpc.shifting import IterateMap, resampled
 from trajopt.robot.robot import Robot
@@ -155,11 +154,7 @@ class HorizonPlanner:
         solver = self.settings.solver
         if iterate is None:
             iterate = solver.fresh(horizon, self._gliding(horizon, start, 0))
-        solving = clocks.perf_counter()
-        iterate, reports = solver.solve(horizon, iterate, steps)
-        self.report.solving.append(clocks.perf_counter() - solving)
-        self.report.note(horizon, iterate, reports)
-        lost = is_lost(iterate, reports)
+        iterate, lost = self.report.solved(solver, horizon, iterate, steps)
         self._last = None if lost else (horizon, iterate)
         if lost and last is not None:
             return last

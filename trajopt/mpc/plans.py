@@ -97,14 +97,21 @@ class ControllerReport:
     relaxed: dict[str, int] = field(default_factory=dict)
     violations: dict[str, float] = field(default_factory=dict)
 
-    def note(self, horizon: Horizon, iterate: _engine.Iterate, reports: list[_engine.StepReport]) -> None:
-        """Count a plan."""
+    def solved(
+        self, solver: SolverSettings, horizon: Horizon, iterate: _engine.Iterate, most: int
+    ) -> tuple[_engine.Iterate, bool]:
+        """The iterate of a plan after at most so many steps, counted, and whether it is lost."""
+        begun = clocks.perf_counter()
+        iterate, reports = solver.solve(horizon, iterate, most)
+        self.solving.append(clocks.perf_counter() - begun)
         self.steps.append(len(reports))
         self.primal.append(reports[-1]["after"])
-        self.anew += is_lost(iterate, reports)
+        lost = is_lost(iterate, reports)
+        self.anew += lost
         for name, violation in horizon.violations(iterate["x"]).items():
             self.relaxed[name] = self.relaxed.get(name, 0) + (violation > RELAXED)
             self.violations[name] = max(self.violations.get(name, 0.0), violation)
+        return iterate, lost
 
 
 # Violations of this part of a row's unit count as relaxed.

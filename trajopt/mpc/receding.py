@@ -6,6 +6,7 @@ import math
 import time as clocks
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -24,8 +25,7 @@ from trajopt.robot.units import Units
 CHATTER = 0.05
 # Durations follow what plans want within this part of sqrt(l / g).
 ADAPTED = 0.15
-# Of a clock and a configuration at the begin of a plan, what the plan follows.
-Refer = Callable[[ModeClock, np.ndarray], Reference]
+AnyClock = TypeVar("AnyClock", bound=ModeClock)
 
 
 @checked
@@ -57,7 +57,7 @@ class ControllerSettings:
     sole_lift: Positive = 0.1
 
 
-class LegsController:
+class LegsController(Generic[AnyClock]):
     """Whole-body receding-horizon control of a robot on legs by a clock of contact modes.
 
     Args:
@@ -66,7 +66,7 @@ class LegsController:
         settings: of plans and of what follows them.
     """
 
-    def __init__(self, robot: Robot, clock: ModeClock, settings: ControllerSettings) -> None:
+    def __init__(self, robot: Robot, clock: AnyClock, settings: ControllerSettings) -> None:
         self.robot, self.clock, self.settings = robot, clock, settings
         self.unit = Units(robot).time
         self.planner = HorizonPlanner(robot, clock, settings.planner, friction=settings.friction)
@@ -100,12 +100,21 @@ class LegsController:
         self._touched = np.where(touching, time, self._touched)
         return passed
 
-    def _follow(self, passed: float, q: np.ndarray, v: np.ndarray, refer: Callable[[], Refer]) -> np.ndarray:
-        """Torques (nu,) now, ``passed`` s after the last ones; ``refer`` is asked where a plan begins."""
+    def _follow(
+        self,
+        passed: float,
+        q: np.ndarray,
+        v: np.ndarray,
+        refer: Callable[[], Callable[[AnyClock, np.ndarray], Reference]],
+    ) -> np.ndarray:
+        """Torques (nu,) now, ``passed`` s after the last ones.
+
+        Where a plan begins, ``refer`` is asked for what makes its reference, of the clock and the
+        configuration (nq,) at its begin.
+        """
         time = self._now
         motion = self.plans.update(time, lambda: self._maker(q, v, refer()))
-        if self.planner.timing:
-            self.clock.stretch(self.planner.stretch, passed / (ADAPTED * self.unit))
+        self.clock.stretch(self.planner.stretch, passed / (ADAPTED * self.unit))
         begun = clocks.perf_counter()
         wanted = motion.sample(time)
         lately = time - self._touched <= CHATTER * self.unit
@@ -113,7 +122,9 @@ class LegsController:
         self.report.following.append(clocks.perf_counter() - begun)
         return torque
 
-    def _maker(self, q: np.ndarray, v: np.ndarray, refer: Refer) -> Make:
+    def _maker(
+        self, q: np.ndarray, v: np.ndarray, refer: Callable[[AnyClock, np.ndarray], Reference]
+    ) -> Make:
         """What makes a plan from the state of now, apart from all that goes on meanwhile."""
         time, clock, motion = self._now, self.clock.copy(), self.plans.motion
 

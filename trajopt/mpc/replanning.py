@@ -23,6 +23,7 @@ from trajopt.mpc.clock import Mode, ModeClock
 from trajopt.mpc.planner import PlannerSettings
 from trajopt.mpc.receding import ControllerSettings, LegsController
 from trajopt.mpc.reference import HorizonWeights, Reference, reference_layout
+from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.solution.solution import Solution
@@ -64,7 +65,7 @@ class PlanClock(ModeClock):
         return float(self._ends[-left] - self.remaining) if left else self._ends[-1]
 
 
-class ReplanningController(LegsController):
+class ReplanningController(LegsController[PlanClock]):
     """Follows a plan that is planned anew from the measured state; a controller of `simulate`.
 
     Args:
@@ -111,8 +112,7 @@ class ReplanningController(LegsController):
         passed = self._passed(t, q, v, np.append(touching, False)[self._order])
         return self._follow(passed, q, v, lambda: self._refer)
 
-    def _refer(self, clock: ModeClock, base: np.ndarray) -> Reference:
-        assert isinstance(clock, PlanClock)
+    def _refer(self, clock: PlanClock, base: np.ndarray) -> Reference:
         return PlanReference(robot=self.robot, rows_of_plan=self._rows, period=self._period, time=clock.time)
 
 
@@ -163,23 +163,20 @@ def _require_fitting(robot: Robot, plan: Solution) -> None:
 
 def _modes(trajectory: ReferenceTrajectory, contacts: list[str]) -> list[Mode]:
     """Stretches of a plan whose contacts are the same."""
-    active, period = trajectory.active, trajectory.period
-    cuts = [0, *(np.flatnonzero((active[1:] != active[:-1]).any(axis=1)) + 1).tolist(), len(active)]
-    stands = [tuple(compress(contacts, active[first])) for first in cuts[:-1]]
-    durations = period * np.diff(cuts)
-    return [Mode(*mode) for mode in zip(stands, durations.tolist(), strict=True)]
+    return [
+        Mode(tuple(compress(contacts, trajectory.active[begin])), (end - begin) * trajectory.period)
+        for begin, end in trajectory.modes
+    ]
 
 
 def _reference_rows(robot: Robot, trajectory: ReferenceTrajectory) -> np.ndarray:
     """What plans follow (n, size): base, joints and feet of a plan."""
-    at, model, data = reference_layout(robot), robot.model, robot.model.createData()
+    at = reference_layout(robot)
     rows = np.zeros((len(trajectory.t), at.size))
     rows[:, at.position], rows[:, at.quaternion] = trajectory.q[:, :3], trajectory.q[:, 3:7]
     rows[:, at.spin], rows[:, at.posture] = trajectory.v[:, 3:6], trajectory.q[:, 7:]
     for row, q, v in zip(rows, trajectory.q, trajectory.v, strict=True):
-        pin.framesForwardKinematics(model, data, q)
-        row[at.velocity] = data.oMi[1].rotation @ v[:3]
-        for number, contact in enumerate(robot.contacts):
-            foot = at.foot(number)
-            row[foot] = np.append(data.oMf[model.getFrameId(contact.frame)].translation, np.ones(3))
+        row[at.velocity] = pin.XYZQUATToSE3(q[:7]).rotation @ v[:3]
+        for number, place in enumerate(contact_positions(robot, q).values()):
+            row[at.foot(number)] = np.append(place, np.ones(3))
     return rows

@@ -15,6 +15,7 @@ from trajopt.collision import Obstacle
 from trajopt.errors import InputError
 from trajopt.kinds import ArrayShape
 from trajopt.mpc.arm import ArmSettings
+from trajopt.mpc.commands import unreadable
 from trajopt.mpc.lockstep import LAST
 from trajopt.robot.robot import Robot
 from trajopt.view.driving.arm_drive import ArmDrive
@@ -34,8 +35,7 @@ def read_targets(path: Path) -> np.ndarray:
     try:
         head, *lines = path.read_text(encoding="utf-8-sig").splitlines() or [""]
     except (OSError, UnicodeDecodeError) as error:
-        why = (error.strerror if isinstance(error, OSError) else "") or "it is no text"
-        raise InputError(f"{path} cannot be read: {why}", allowed) from None
+        raise unreadable(path, error, allowed) from None
     if tuple(name.strip() for name in head.split(",")) != COLUMNS:
         raise InputError(f"{path}: its first line is '{head}'", allowed)
     rows = [[math.nan] * len(COLUMNS)]
