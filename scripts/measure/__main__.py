@@ -62,6 +62,7 @@ COMMANDS = (
     steering.bipeds,
     steering.pushed,
     steering.disturbed,
+    steering.carried,
     steering.gait_changes,
     steering.rough,
     steering.horizons,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -23,6 +24,7 @@ from trajopt.mpc import (
     drive,
     slope_ahead,
 )
+from trajopt.mpc.payload import carrying, payload_numbers
 from trajopt.robot import Robot
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation import Impulse
@@ -82,6 +84,15 @@ def impulse(robot: Robot, direction: float, size: float, time: float) -> Impulse
     return Impulse(
         direction=direction, size=size * units.weight * units.time, time=time, duration=0.1 * units.time
     )
+
+
+def random_pushes(robot: Robot, size: float, seconds: float, seed: int) -> tuple[Impulse, ...]:
+    """Impulses each 3 s, each to a random side, natural units."""
+    generator = np.random.default_rng(100 + seed)
+    times = np.arange(3.0, seconds - 1.0, 3.0) + generator.uniform(0.0, 1.0)
+    sides = generator.uniform(-math.pi, math.pi, len(times))
+    both = zip(times.tolist(), sides.tolist(), strict=True)
+    return tuple(impulse(robot, side, size, time) for time, side in both)
 
 
 def survived(
@@ -161,13 +172,7 @@ def bipeds(names: str, seconds: float, seeds: int, push: float) -> None:
     for name in names.split(","):
         robot = robots.load(name)
         for seed in range(seeds):
-            generator = np.random.default_rng(100 + seed)
-            times = np.arange(3.0, seconds - 1.0, 3.0) + generator.uniform(0.0, 1.0)
-            sides = generator.uniform(-math.pi, math.pi, len(times))
-            pushes = tuple(
-                impulse(robot, side, push, time)
-                for time, side in zip(times.tolist(), sides.tolist(), strict=True)
-            )
+            pushes = random_pushes(robot, push, seconds, seed)
             script = random_walk(robot, "walk", seconds, seed)
             row(name, str(seed), *cells(drive(robot, script, duration=seconds, pushes=pushes)))
 
@@ -201,24 +206,53 @@ def pushed(names: str, most: float, step: float, least: float, directions: int) 
 @click.command("disturbed")
 @names_option
 @click.option("--seconds", default=10.0, show_default=True, help="Of each drive.")
-def disturbed(names: str, seconds: float) -> None:
-    """Random commands under disturbances that the controller does not know of."""
-    columns = "fell", "speed, m/s", "without re-planning"
-    head("disturbance", *(f"{name}: {what}" for name in names.split(",") for what in columns))
+@click.option("--push", default=0.3, show_default=True, help="Impulse each 3 s, natural units.")
+def disturbed(names: str, seconds: float, push: float) -> None:
+    """Random commands and pushes under disturbances that the controller does not know of.
+
+    With plans from the measured state, and with plans that go on from the last one: falls, errors of speed.
+    """
+    titles = [f"{name}: {what}" for name in names.split(",") for what in ("re-planned", "without")]
+    head("disturbance", *titles)
     for title, given in DISTURBANCES.items():
-        row(title, *(cell for name in names.split(",") for cell in _disturbed(name, given, seconds)))
+        row(title, *(cell for name in names.split(",") for cell in _disturbed(name, given, seconds, push)))
 
 
-def _disturbed(name: str, given: dict[str, Any], seconds: float) -> Iterator[str]:
+def _disturbed(name: str, given: dict[str, Any], seconds: float, push: float) -> Iterator[str]:
     robot = robots.load(name)
     own = {key: value for key, value in given.items() if key != "front_left"}
     if "front_left" in given:
         own["ground_offsets"] = {robot.contacts[0].frame: given["front_left"]}
-    script = random_walk(robot, "trot", seconds, 0)
-    run = drive(robot, script, duration=seconds, **own)
-    yield from cells(run)[:2]
-    blind = drive(robot, script, duration=seconds, settings=ControllerSettings(measured=False), **own)
-    yield cells(blind)[0]
+    script, pushes = random_walk(robot, "trot", seconds, 0), random_pushes(robot, push, seconds, 0)
+    for measured in (True, False):
+        settings = ControllerSettings(measured=measured)
+        fell, *speeds = cells(drive(robot, script, duration=seconds, settings=settings, pushes=pushes, **own))
+        yield fell if fell != "no" else f"{speeds[0]}, {speeds[1]}"
+
+
+@click.command("carried")
+@names_option
+@click.option("--seconds", default=10.0, show_default=True, help="Of each drive.")
+def carried(names: str, seconds: float) -> None:
+    """Random commands with a mass on the base, of which the controller knows nothing, or is told.
+
+    It is 0.3 and 0.5 of the robot's, at 0.1, 0.1, 0.3 of its length from the base.
+    """
+    head("robot", "mass", "told", *TITLES[:4], "sags by, mm")
+    for name in names.split(","):
+        robot = robots.load(name)
+        script, place = random_walk(robot, "trot", seconds, 0), robot.length * np.array([0.1, 0.1, 0.3])
+        usual = drive(robot, script, duration=seconds).record.qpos[:, 2].mean()
+        for part in (0.3, 0.5):
+            mass = part * robot.weight / gravity_of(robot.model)
+            loaded = replace(robot, model=carrying(robot.model, payload_numbers(mass, place)))
+            for told in (False, True):
+                controller = Controller(robot)
+                if told:
+                    controller.carry(mass, place)
+                run = drive(loaded, script, duration=seconds, controller=controller)
+                sags = 1e3 * (usual - run.record.qpos[:, 2].mean())
+                row(name, str(part), "yes" if told else "no", *cells(run)[:4], f"{sags:.1f}")
 
 
 @click.command("gait-changes")

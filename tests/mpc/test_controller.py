@@ -123,6 +123,23 @@ def test_a_gait_that_was_not_prepared_and_states_that_are_none_are_refused(robot
         controller.step(math.nan, q, v, touching, Command())
 
 
+def test_what_it_counts_on_must_be_possible(robot: Robot) -> None:
+    controller = Controller(robot)
+    for mass, place, words in (
+        (-1.0, (0.0, 0.0, 0.0), "mass on the base is -1"),
+        (math.nan, (0.0, 0.0, 0.0), "mass on the base is nan"),
+        (1.0, (0.0, math.inf, 0.0), "place on the base is"),
+        (1.0, (0.0, 0.0), "place on the base is"),
+    ):
+        with pytest.raises(InputError, match=words):
+            controller.carry(mass, place)
+    for friction in (0.0, -0.5, math.nan):
+        with pytest.raises(InputError, match="friction is"):
+            controller.count_on(friction)
+    assert not controller.planner.payload.any()
+    assert controller.planner.friction == controller.settings.friction
+
+
 def test_robots_that_cannot_walk_are_refused() -> None:
     with pytest.raises(InputError, match="fixed base"):
         Controller(robots.load("panda"), ("trot",))

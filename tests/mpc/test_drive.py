@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from trajopt.mpc.controller import Controller
 from trajopt.mpc.drive_report import command_errors
 from trajopt.mpc.hidden_ground import AHEAD, boxes_ahead, slope_ahead
 from trajopt.mpc.lockstep import Drive, drive
+from trajopt.mpc.payload import carrying, payload_numbers
 from trajopt.mpc.planner import PlannerSettings
 from trajopt.mpc.receding import ControllerSettings
 from trajopt.simulation.settings import Impulse
@@ -67,8 +69,27 @@ def test_a_drive_is_the_same_each_time_bit_by_bit(walk: Drive, go2: Robot) -> No
 def test_a_controller_of_ones_own_drives_alike(walk: Drive, go2: Robot) -> None:
     own = drive(go2, SCRIPT, duration=0.3, controller=Controller(go2))
     np.testing.assert_array_equal(own.record.torque, walk.record.torque[: len(own.record.torque)])
-    with pytest.raises(InputError, match="controller of drive has a robot, gaits and settings"):
+    with pytest.raises(InputError, match="controller of drive has gaits and settings"):
         drive(go2, SCRIPT, controller=Controller(go2), gaits=("trot",))
+    with pytest.raises(InputError, match="of a robot with other joints"):
+        drive(robots.load("anymal_c"), SCRIPT, controller=Controller(go2))
+
+
+def test_a_robot_that_carries_what_its_controller_knows_of_keeps_its_height(go2: Robot) -> None:
+    """A third of its weight on the base: it sags by half of what it does when nobody says so, or less."""
+    mass, place = 0.3 * go2.weight / 9.81, [0.03, 0.03, 0.1]
+    loaded = replace(go2, model=carrying(go2.model, payload_numbers(mass, place)))
+    heights = []
+    for told, robot in ((False, go2), (False, loaded), (True, loaded)):
+        controller = Controller(go2)
+        if told:
+            controller.carry(mass, place)
+        run = drive(robot, TROT, duration=1.6, controller=controller)
+        assert run.report.passed
+        heights.append(float(run.record.qpos[800:, 2].mean()))
+    usual, untold, told_height = heights
+    assert usual - untold > 1e-3
+    assert abs(usual - told_height) < 0.5 * (usual - untold)
 
 
 def test_durations_that_are_free_change_with_a_push(go2: Robot) -> None:

@@ -1,5 +1,8 @@
 """A horizon: numbers in place equal building anew, a shifted optimum stays one, limits are hard."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -10,6 +13,7 @@ from trajopt.mpc.gait_reference import GaitReference, RestingFeet, half_stance
 from trajopt.mpc.ground import GroundEstimate
 from trajopt.mpc.horizon import COMPLIANCE, Horizon, Pattern
 from trajopt.mpc.motion import HorizonMotion
+from trajopt.mpc.payload import PAYLOAD, LoadedBaseDynamics, carrying, payload_numbers
 from trajopt.mpc.planner import HorizonPlanner, PlannerSettings
 from trajopt.mpc.plans import SolverSettings
 from trajopt.mpc.reference import HorizonWeights, leg_terms
@@ -27,12 +31,12 @@ def robot() -> Robot:
     return robots.load("go2")
 
 
-def pairs(robot: Robot) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    first, second = (phase.contacts for phase in gait_of(robot, "trot").phases(PERIOD))
+def pairs(robot: Robot, gait: str = "trot") -> tuple[tuple[str, ...], tuple[str, ...]]:
+    first, second = (phase.contacts for phase in gait_of(robot, gait).phases(PERIOD)[:2])
     return first, second
 
 
-def horizon_of(robot: Robot, *contacts: tuple[str, ...], count: int = 3, **settings: float) -> Horizon:
+def horizon_of(robot: Robot, *contacts: tuple[str, ...], count: int = 3, **settings: Any) -> Horizon:
     terms = leg_terms(robot, WEIGHTS, contacts)
     return Horizon(robot, Pattern(contacts, (count,) * len(contacts)), terms, **settings)
 
@@ -69,6 +73,38 @@ def test_durations_in_place_equal_building_anew(robot: Robot) -> None:
         assert_array_equal(own, anew)
         assert_allclose(own, apart, rtol=1e-9, atol=1e-9 * max(1.0, float(np.abs(own).max())))
     assert_allclose(used.node_times[[0, 3, 6]], [0.0, 0.137, 0.387])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["go2", "g1"])
+def test_friction_and_what_the_base_carries_in_place_equal_building_anew(name: str) -> None:
+    """Rows of a robot whose model has the mass, with the same unscaled variables; a mass of zero is none."""
+    robot = robots.load(name)
+    contacts = pairs(robot, "trot" if name == "go2" else "walk")
+    payload = payload_numbers(0.2 * robot.weight / 9.81, [0.05, 0.02, -0.1])
+    loaded = replace(robot, model=carrying(robot.model, payload))
+    used, fresh = (horizon_of(robot, *contacts, balance=given) for given in (LoadedBaseDynamics(), None))
+    heavy = horizon_of(loaded, *contacts, friction=0.4)
+    x = used.guess() + 0.1 * np.random.default_rng(0).standard_normal(used.layout.n_unknowns)
+    points = len(used.point_times(PAYLOAD))
+    used.set_numbers(PAYLOAD, np.tile(payload, (points, 1)))
+    used.set_friction(0.4)
+    at(used, [0.137, 0.25])
+    at(heavy, [0.137, 0.25])
+    own = used.nlp.engine.g(x)
+    anew = heavy.nlp.engine.g(x * used.transcription.scale / heavy.transcription.scale)
+    of_force = np.isin(
+        np.array(used.transcription.rows.names)[used.transcription.rows.block],
+        ["loaded_base_dynamics", "friction_pyramid", "sole_cone", "torque_limits"],
+    )
+    anew[of_force] *= loaded.weight / robot.weight
+    assert_allclose(own, anew, rtol=1e-9, atol=1e-12)
+    used.set_numbers(PAYLOAD, np.zeros((points, 4)))
+    used.set_friction(0.7)
+    for horizon in (used, fresh):
+        at(horizon, [0.137, 0.25])
+    for own, anew in zip(values(used, x), values(fresh, x), strict=True):
+        assert_allclose(own, anew, rtol=1e-12, atol=1e-14)
 
 
 def ahead_of(robot: Robot, clock: GaitClock, command: Command) -> GaitReference:

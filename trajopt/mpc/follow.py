@@ -15,6 +15,7 @@ from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.task_space import limits_at, program_of, standing_contact
 from trajopt.control.tasks import ContactForceTask, FrameTask, PostureTask, RegularisationTask, Task
 from trajopt.mpc.motion import MotionSample
+from trajopt.mpc.payload import carrying
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 
@@ -79,6 +80,11 @@ class Follower:
         joint = model.frames[model.getFrameId(frame)].parentJoint
         chain = [model.joints[i] for i in model.supports[joint] if i > 1]
         return np.array([row for each in chain for row in range(each.idx_v, each.idx_v + each.nv)])
+
+    def carry(self, payload: np.ndarray) -> None:
+        """Count on what the base carries, `payload_numbers` (4,)."""
+        self.state.model = carrying(self.robot.model, payload)
+        self.state.data = self.state.model.createData()
 
     def bandwidths(self, active: np.ndarray) -> np.ndarray:
         """Bandwidths (nv,) in 1/s with which errors vanish: of legs that stand, that of the base."""

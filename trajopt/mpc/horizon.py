@@ -8,7 +8,7 @@ was transcribed for nominal durations is multiplied by powers of the ratio, entr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 
@@ -19,7 +19,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms.interfaces import Term
+from trajopt.terms.interfaces import PointConstraint, Term
 from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.compilation import compile_points, entry_key
 from trajopt.transcription.guess import initial_guess
@@ -100,9 +100,10 @@ class Horizon:
         robot: the robot.
         pattern: of its contacts.
         terms: costs and constraints, with `Numbers` as parameters that vary.
-        friction: Coulomb's coefficient of the ground.
+        friction: Coulomb's coefficient of the ground, for which it is transcribed, > 0.
         scheme: of the transcription.
         nominal: duration of each phase, s, for which it is transcribed; any may be given later.
+        balance: rows in place of `BaseDynamics`.
     """
 
     def __init__(
@@ -114,9 +115,10 @@ class Horizon:
         friction: float = 0.7,
         scheme: str = "legendre:2",
         nominal: float = 0.1,
+        balance: PointConstraint | None = None,
     ) -> None:
-        self.robot, self.pattern, self.nominal = robot, pattern, nominal
-        build = [self._transcription(terms, friction, scheme, factor * nominal) for factor in (1.0, 2.0)]
+        self.robot, self.pattern, self.nominal, self._friction = robot, pattern, nominal, friction
+        build = [self._transcription(terms, factor, scheme, balance) for factor in (1.0, 2.0)]
         self.transcription: Transcription = build[0]
         points = {**build[0].points, **build[1].points}
         compiled, self.compilation = compile_points(points.values())
@@ -133,33 +135,38 @@ class Horizon:
         self.unequal = np.flatnonzero(t.lower_g != t.upper_g)
 
     def _transcription(
-        self, terms: Sequence[Term], friction: float, scheme: str, duration: float
+        self, terms: Sequence[Term], factor: float, scheme: str, balance: PointConstraint | None
     ) -> Transcription:
+        """For multiples of the nominal durations and friction."""
         robot, pattern = self.robot, self.pattern
         phases = tuple(
-            Phase(name=f"phase_{i}", duration=duration, contacts=contacts)
+            Phase(name=f"phase_{i}", duration=factor * self.nominal, contacts=contacts)
             for i, contacts in enumerate(pattern.contacts)
         )
         problem = Problem(
             name="horizon",
             robot=robot,
             schedule=Schedule(phases),
-            terrain=FlatGround(friction=friction),
+            terrain=FlatGround(friction=factor * self._friction),
             terms=tuple(terms),
             guess=lambda _: robot.reference,
         )
+        if balance is not None:
+            problem = replace(problem, dynamics=(balance, *problem.motion_rows[1:]))
         meshes = [PhaseMesh.uniform(scheme, count) for count in pattern.intervals]
         return transcribe(problem, mesh=Mesh(phases=tuple(meshes)))
 
     def _find_numbers(self, nlp: Nlp, doubled: Nlp) -> None:
-        """Which entries depend on the duration of which phase, and how."""
+        """Which entries depend on the duration of which phase, and how; which parameters are friction's."""
         layout, t = self.layout, self.transcription
         of_stage = np.append(layout.phase_of, layout.phase_of[-1])
         self._groups: list[dict[str, _Entries]] = []
+        self._of_friction: list[np.ndarray] = []
         for group, one, two in zip(t.groups, nlp.parts["groups"], doubled.parts["groups"], strict=True):
             phase = int(of_stage[group.stages[0]])
             names = ("gather_data", "cost_weight", "jac_coef", "hess_coef")
             self._groups.append({name: _Entries.of(one[name], two[name], phase) for name in names})
+            self._of_friction.append(one["p"] != two["p"])
         csr, rows = t.linear, t.rows.stage
         of_entries = np.repeat(np.arange(t.n_rows), np.diff(csr.indptr))
         self._linear = _Entries.of(csr.data, doubled.parts["a_data"], of_stage[rows[of_entries]])
@@ -262,6 +269,13 @@ class Horizon:
         for number, stages, _, columns in self.places[name]:
             self._parameters[number][:, columns] = rows[first : first + len(stages)]
             first += len(stages)
+
+    def set_friction(self, friction: float) -> None:
+        """Coulomb's coefficient of the ground, > 0; it takes effect with `set_durations`."""
+        for group, own, places in zip(
+            self.transcription.groups, self._parameters, self._of_friction, strict=True
+        ):
+            own[places] = group.parameters[places] * (friction / self._friction)
 
     def set_start(self, state: np.ndarray) -> None:
         """The first node's state, unscaled, which is fixed."""

@@ -109,7 +109,8 @@ def drive(
         duration: s; default: `LAST` s after the last command.
         gaits: names of the gaits that the controller prepares; default: those of the script.
         settings: of the controller.
-        controller: a new one that drives, with gaits and settings of its own; default: one is made.
+        controller: a new one that drives, with gaits and settings of its own, of this robot or of one with
+            other masses; default: one is made.
         pushes: level impulses on the base.
         ground: what feet and links touch, of which the controller knows nothing, with level faces at the
             height 0 where the robot stands. Default: level ground.
@@ -136,8 +137,10 @@ def drive(
     used = dict.fromkeys(command.gait for command in script.commands if command.gait != STAND)
     names = tuple(gaits or used or gait_names(robot)[:1])
     if controller is not None:
-        if gaits is not None or settings is not None or controller.robot is not robot:
-            raise InputError("controller of drive has a robot, gaits and settings", "allowed: no others")
+        if gaits is not None or settings is not None:
+            raise InputError("controller of drive has gaits and settings", "allowed: no others")
+        if controller.robot.model.names.tolist() != robot.model.names.tolist():
+            raise InputError("controller of drive is of a robot with other joints", "allowed: the same")
         names = tuple(controller.clock.gaits)
     for name in used:
         if name not in names:

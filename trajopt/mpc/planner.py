@@ -20,6 +20,7 @@ from trajopt.errors import InputError
 from trajopt.mpc.clock import Mode, ModeClock, Stretch
 from trajopt.mpc.horizon import Horizon, Pattern
 from trajopt.mpc.motion import HorizonMotion
+from trajopt.mpc.payload import PAYLOAD, LoadedBaseDynamics
 from trajopt.mpc.plans import FRESH, ControllerReport, SolverSettings
 from trajopt.mpc.reference import REFERENCE, HorizonWeights, Reference, leg_terms
 from trajopt.mpc.shifting import IterateMap, resampled
@@ -68,6 +69,10 @@ class HorizonPlanner:
         clock: of its gaits; the planner reads it.
         settings: of the plans.
         friction: Coulomb's coefficient that plans count on.
+
+    Attributes:
+        friction: as given; the next plan takes it as it is then.
+        payload: numbers (4,) of what the base carries, likewise.
     """
 
     def __init__(
@@ -76,6 +81,7 @@ class HorizonPlanner:
         if robot.base != "freeflyer":
             raise InputError(f"robot '{robot.name}' has no free base", "allowed: robots on legs")
         self.robot, self.clock, self.settings, self.friction = robot, clock, settings, friction
+        self.payload = np.zeros(4)
         self.horizons: dict[Pattern, Horizon] = {}
         self.report = ControllerReport()
         self._last: tuple[Horizon, _engine.Iterate] | None = None
@@ -121,7 +127,12 @@ class HorizonPlanner:
                 torque_rows=self.settings.torque_rows,
             )
             self.horizons[pattern] = Horizon(
-                self.robot, pattern, terms, friction=self.friction, scheme=self.settings.scheme
+                self.robot,
+                pattern,
+                terms,
+                friction=self.friction,
+                scheme=self.settings.scheme,
+                balance=LoadedBaseDynamics(),
             )
         return self.horizons[pattern], modes
 
@@ -150,6 +161,8 @@ class HorizonPlanner:
         horizon.set_heights(self._landing_heights(horizon, reference, durations))
         horizon.soften_landing(durations[0] / (SOFT * self.clock.period))
         horizon.set_numbers(REFERENCE, reference.rows(horizon.point_times(REFERENCE)))
+        horizon.set_numbers(PAYLOAD, np.tile(self.payload, (len(horizon.point_times(PAYLOAD)), 1)))
+        horizon.set_friction(self.friction)
         horizon.set_durations(durations)
         solver = self.settings.solver
         if iterate is None:

@@ -11,10 +11,11 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, checked
-from trajopt.errors import InputError
+from trajopt.errors import InputError, require_positive
 from trajopt.mpc.clock import ModeClock
 from trajopt.mpc.follow import Follower, FollowerGains
 from trajopt.mpc.motion import HorizonMotion, predicted, require_state
+from trajopt.mpc.payload import payload_numbers
 from trajopt.mpc.planner import HorizonPlanner, PlannerSettings
 from trajopt.mpc.plans import ControllerReport, Make, Plans
 from trajopt.mpc.reference import Reference
@@ -77,6 +78,21 @@ class LegsController(Generic[AnyClock]):
         self._now = 0.0
         self._touched = np.full(len(robot.contacts), -math.inf)
         self._feet = [robot.contacts.index(robot.contact(name)) for name in clock.contacts]
+
+    def carry(self, mass: float, place: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> None:
+        """Count on a mass in kg on the base, at a place (3,) in its axes, m, in place of the one before.
+
+        Raises:
+            InputError: for numbers that are not finite, and a negative mass.
+        """
+        payload = payload_numbers(mass, place)
+        self.planner.payload = payload
+        self.follower.carry(payload)
+
+    def count_on(self, friction: float) -> None:
+        """Count on Coulomb's coefficient of the ground from the next plan on, > 0. Raises `InputError`."""
+        require_positive("friction", friction)
+        self.planner.friction = self.follower.friction = friction
 
     @property
     def report(self) -> ControllerReport:
