@@ -278,8 +278,8 @@ def gait_changes(names: str, seeds: int) -> None:
 @seeds_option
 @click.option("--fixed", is_flag=True, help="Durations are those of the gait.")
 def rough(names: str, seeds: int, fixed: bool) -> None:
-    """Way in m over ground that the planner is not told of; swings are 0.3 of the leg high."""
-    settings = ControllerSettings(lift=0.3, planner=PlannerSettings(timing=0.0 if fixed else None))
+    """Way in m over ground that the planner is not told of; swings are 0.4 of the leg high."""
+    settings = ControllerSettings(lift=0.4, planner=PlannerSettings(timing=0.0 if fixed else None))
     head("robot", "gait", "slope 10 degrees", *(f"boxes, seed {seed}" for seed in range(seeds)))
     for name in names.split(","):
         robot = robots.load(name)

@@ -33,9 +33,9 @@ def test_goal_that_torques_do_not_reach_is_certified_with_both_by_name_and_place
     assert not statistics.success
     assert statistics.iterations <= FEW
     assert statistics.max_violation > 0
-    for words in ("terminal_", "torque_limits [joint torque]", "t = ", "phase 'reach'", "against it stand"):
+    for words in ("terminal_", "torque_limits [joint torque]", "t = ", "phase 'reach'", ", against "):
         assert words in statistics.advice
-    assert "\n" not in statistics.advice
+    assert len(statistics.advice.splitlines()) == 3
 
 
 @pytest.mark.long

@@ -130,7 +130,8 @@ def solve_summary(solution: Solution, report: CheckReport | None, file: Path | N
     statistics = solution.statistics
     lines: list[tuple[str, str]] = []
     if not statistics.success:
-        lines.append(("advice", statistics.advice))
+        what, *rest = statistics.advice.splitlines() or [""]
+        lines += [("fails", what), *(("where", each) for each in rest[:-1]), *(("try", e) for e in rest[-1:])]
         blocks = [] if statistics.converged else statistics.worst_blocks
         lines += [("worst", describe_block(block)) for block in blocks]
     grid = f"{statistics.transcription}, {solution.n_intervals} intervals"

@@ -45,7 +45,8 @@ class SolveStatistics:
     Attributes:
         success: the verdict: the solver converged and the motion is within the tolerances it was judged by.
         converged: the solver met its tolerance: all rows hold at the points.
-        status, solver_status, advice: in words, the library's, the solver's, and what to try.
+        status, solver_status: in words, the library's and the solver's. advice: in lines, what fails, where,
+            and what to try.
         worst_blocks: where rows are violated most, each with block, phase, node, point, time, violation.
         failures, worst_figure, tolerance_used: figures beyond a tolerance; the worst one, over its tolerance.
         row_names: blocks of rows that the arrays of multipliers name.

@@ -4,7 +4,7 @@ from enum import Enum
 
 
 class Status(Enum):
-    """Result of a solve; the value is advice to the user."""
+    """Result of a solve; the value is what it means and, after a colon, what to try."""
 
     SOLVED = "solved to tolerance"
     INFEASIBLE = (
@@ -38,10 +38,10 @@ class Status(Enum):
     )
     FAILED = "the solver stopped for another reason: see the solver's own status"
 
-    @property
-    def advice(self) -> str:
-        """What the status means and what to try."""
-        return self.value
+    def told(self, where: str = "") -> str:
+        """Advice in short lines: what the status means, where that is, if it is known, and what to try."""
+        what, _, remedy = self.value.partition(": ")
+        return "\n".join(filter(None, (what, where, remedy)))
 
     @property
     def word(self) -> str:

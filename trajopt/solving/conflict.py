@@ -15,8 +15,6 @@ MOTION = ("defect", "base_dynamics", "contact_acceleration", "contact_velocity",
 # of the largest are ignored.
 NOISE, PART = 1e-4, 0.1
 NAMED = 6
-# Rows named in one line, on either side.
-IN_A_LINE = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,17 +48,20 @@ def rows_of_motion(t: Transcription) -> np.ndarray:
 
 
 def why_infeasible(nlp: Nlp, point: ElasticPoint) -> str:
-    """In one line: what is missed at a point of least violation, where, and what stands against it."""
+    """In one line: what is missed at a point of least violation, where, and what stands against it.
+
+    Of rows of the motion itself only where no others are missed: they pass on what goals ask.
+    """
     t = nlp.transcription
     names = NlpNames(nlp, point.x)
     give = np.where(point.gives > min(CLEAR, point.gives.max()), point.gives, 0.0)
-    giving = "; ".join(map(str, members_giving(names, give)[:IN_A_LINE]))
+    missed = members_giving(names, give)
+    giving = str(next((each for each in missed if each.block not in MOTION), missed[0]))
     limits = np.concatenate(
         [t.lower_g < t.upper_g, t.lower_x < t.upper_x]
     )  # goals only pass on what they ask
-    members = members_against(names, give, np.where(limits, point.weights, 0.0))[:IN_A_LINE]
-    against = " and ".join(f"{one.what} at {one.place}" for one in members)
-    return f"{giving}; against it stand {against}" if against else giving
+    members = members_against(names, give, np.where(limits, point.weights, 0.0))[:1]
+    return "".join([giving, *(f", against {one.what}" for one in members)])
 
 
 def members_giving(names: NlpNames, give: np.ndarray) -> tuple[ConflictMember, ...]:

@@ -278,8 +278,10 @@ class Refinement:
         if report is not None:
             solution = judged_by(solution, report, self.tolerances)
             if not (solution.success or self.last is None or self.last.converged):
-                finer = f"a finer mesh was not solved: {self.last.statistics.advice}"
-                solution = solution.with_statistics(advice=f"{solution.statistics.advice}; {finer}")
+                what, *_, remedy = self.last.statistics.advice.splitlines()
+                kept = solution.statistics.advice.splitlines()[:-1]
+                finer = f"a finer mesh was not solved, {what}: {remedy}"
+                solution = solution.with_statistics(advice="\n".join([*kept, finer]))
         made = Graded(
             solution=solution,
             report=report,

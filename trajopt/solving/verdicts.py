@@ -19,13 +19,8 @@ TRUSTED_VIOLATION = 10.0
 STILL_FEASIBLE = 1e-3
 # Why a solver may not converge at a feasible point: where rows lose rank there are no multipliers.
 DEPENDENT = (
-    "; all rows hold at this iterate, so they may depend on each other there, as of a goal at a singular"
-    " posture or the same goal stated twice: trajopt diagnose names them"
-)
-# What a certificate of infeasibility says.
-LEAST_VIOLATION = (
-    "no feasible point was found near the last iterate, and this is the least violation there: "
-    "relax the goal, lengthen a phase or raise a limit"
+    "all rows hold, so they may depend on each other there, as of a goal at a singular posture or stated"
+    " twice: trajopt diagnose names them"
 )
 
 
@@ -40,15 +35,13 @@ def status_by_violation(status: Status, worst: float, tolerance: float) -> Statu
 
 def advice_for(status: Status, place: str | None, feasible: bool) -> str:
     """Return what to try after a status; ``place``: of a value that is not finite."""
-    if place is not None:
-        return f"{status.advice}: {place}"
     stuck = feasible and status in (Status.STEP_FAILED, Status.ITERATION_LIMIT)
-    return f"{status.advice}{DEPENDENT}" if stuck else status.advice
+    return status.told(DEPENDENT if place is None and stuck else place or "")
 
 
 def certified_infeasible(solution: Solution, why: str) -> Solution:
     """Mark a solution as a point of least violation, see `trajopt.solvers.elastic`; ``why``: in one line."""
-    advice = f"{LEAST_VIOLATION}: {why}"
+    advice = Status.INFEASIBLE.told(why)
     return solution.with_statistics(advice=advice, certified_infeasible=True)
 
 
@@ -60,11 +53,11 @@ def fail_on_gimbal_lock(solution: Solution) -> Solution:
     changes: dict[str, Any] = {"gimbal_margin": finite_or_none(margin)}
     if not margin >= LEAST_MARGIN:
         status = Status.SINGULAR_BASE
-        advice = f"{status.advice} (margin {margin:.3f}, least {LEAST_MARGIN:g})"
+        advice = status.told(f"margin {margin:.3f}, least {LEAST_MARGIN:g}")
         if solution.success:
             changes |= {"status": status.word, "success": False, "converged": False, "advice": advice}
         else:
-            changes["advice"] = f"{solution.statistics.advice}; {advice}"
+            changes["advice"] = f"{solution.statistics.advice}; {'; '.join(advice.splitlines())}"
     return solution.with_statistics(**changes)
 
 
@@ -77,7 +70,7 @@ def judged(solution: Solution, tolerances: Tolerances = AT_POINTS) -> Solution:
         with np.errstate(all="ignore"):
             report = check(solution, integrate=False)
     except (TrajoptError, ArithmeticError, ValueError) as error:
-        return _failed(solution, f"the motion cannot be checked: {error}")
+        return _failed(solution, f"the motion cannot be checked\n{error}")
     seconds = time.perf_counter() - begun
     return judged_by(solution.with_statistics(verdict_time_s=seconds), report, tolerances)
 
@@ -92,7 +85,7 @@ def judged_by(solution: Solution, report: CheckReport, tolerances: Tolerances) -
     solution = solution.with_statistics(
         status=Status.SOLVED.word,
         success=True,
-        advice=Status.SOLVED.advice,
+        advice=Status.SOLVED.told(),
         failures=tuple(failures),
         worst_figure=FIGURES[name].text,
         tolerance_used=finite_or_none(used),
@@ -100,7 +93,7 @@ def judged_by(solution: Solution, report: CheckReport, tolerances: Tolerances) -
     if not failures:
         return solution
     beyond = f"{report.said(name)}, {used:.2g} times what is allowed"
-    return _failed(solution, f"{Status.COARSE_GRID.advice}: {beyond}")
+    return _failed(solution, Status.COARSE_GRID.told(beyond))
 
 
 def _failed(solution: Solution, advice: str) -> Solution:

@@ -55,7 +55,10 @@ def failure_text(statistics: SolveStatistics) -> str:
     """Status, and what is missed, of a failed solve, in words; empty for one that succeeded."""
     if statistics.success:
         return ""
-    missed = statistics.advice if statistics.converged else describe_block(statistics.worst_blocks[0])
+    if statistics.converged:
+        missed = "; ".join(statistics.advice.splitlines())
+    else:
+        missed = describe_block(statistics.worst_blocks[0])
     return f"{statistics.status}: {missed}"
 
 
