@@ -33,8 +33,7 @@ class FollowerGains:
     """Bandwidths in 1 / sqrt(l / g), l the robot's reach, and weights, of what follows a horizon's motion.
 
     base, joint: bandwidths of base and joints. base_weight, joint_weight, swing_weight, force_weight: of the
-    base,
-    of joints of legs that stand and that swing, and of contact forces.
+    base, of joints of legs that stand and that swing, and of contact forces.
     """
 
     base: NonNegative = 6.0

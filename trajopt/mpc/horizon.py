@@ -272,9 +272,8 @@ class Horizon:
 
     def set_friction(self, friction: float) -> None:
         """Coulomb's coefficient of the ground, > 0; it takes effect with `set_durations`."""
-        for group, own, places in zip(
-            self.transcription.groups, self._parameters, self._of_friction, strict=True
-        ):
+        groups = zip(self.transcription.groups, self._parameters, self._of_friction, strict=True)
+        for group, own, places in groups:
             own[places] = group.parameters[places] * (friction / self._friction)
 
     def set_start(self, state: np.ndarray) -> None:

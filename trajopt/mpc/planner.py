@@ -120,12 +120,8 @@ class HorizonPlanner:
         whole = (Mode(modes[0].contacts, self.clock.whole), *modes[1:])
         pattern = self.pattern(modes, whole)
         if pattern not in self.horizons:
-            terms = leg_terms(
-                self.robot,
-                self.settings.weights,
-                pattern.contacts,
-                torque_rows=self.settings.torque_rows,
-            )
+            rows, weights = self.settings.torque_rows, self.settings.weights
+            terms = leg_terms(self.robot, weights, pattern.contacts, torque_rows=rows)
             self.horizons[pattern] = Horizon(
                 self.robot,
                 pattern,

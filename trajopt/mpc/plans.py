@@ -126,8 +126,7 @@ class Plans:
 
     A plan begins ``delay`` s after the state that it is made from was measured, and is used from then on. In
     lockstep it is made at once, and the simulation waits; ``live``, a thread makes it, and the last plan
-    goes on
-    until it is ready.
+    goes on until it is ready.
 
     Args:
         period: between begins of plans, s.
