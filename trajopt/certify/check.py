@@ -12,7 +12,7 @@ from trajopt.certify.dense import dense_motion, figures_at
 from trajopt.certify.flight import FIGURES as FLIGHT
 from trajopt.certify.flight import flight_errors
 from trajopt.certify.impact_figures import impact_figures
-from trajopt.certify.reintegration import ROUGH_ERROR, OpenLoopError, open_loop
+from trajopt.certify.reintegration import RELATIVE_ERROR, ROUGH_ERROR, OpenLoopError, open_loop
 from trajopt.certify.report import (
     FIGURES,
     GRADE,
@@ -61,8 +61,7 @@ def check(solution: SolutionOrFile, *, integrate: bool = True) -> CheckReport:
     Args:
         solution: the solution, or the path of its file.
         integrate: the open loop of every phase; False leaves out phases that are within its tolerances by
-            their local errors, integrates others as a verdict needs it, of unstable ones not all, and saves
-            most of the time.
+            their local errors, integrates others as a verdict needs it, and saves most of the time.
 
     Raises:
         SolutionFileError: for a file that is inconsistent or not finite.
@@ -194,8 +193,7 @@ def _phases(motion: MotionQuantities, local: LocalErrors, integrate: bool) -> It
         sums = float(local.position[inside].sum()), float(local.joints[inside].sum())
         error = None
         if integrate or _may_miss(sums):
-            unstable = STABLE_GROWTH * sums[0], STABLE_GROWTH * sums[1]
-            error = open_loop(motion, index, *(() if integrate else (ROUGH_ERROR, unstable)))
+            error = open_loop(motion, index, RELATIVE_ERROR if integrate else ROUGH_ERROR)
         yield PhaseReport(
             index=int(plan.phase[phase.start]),
             name=plan.phase_names[index],

@@ -12,7 +12,6 @@ with the eighth-order method of Dormand and Prince. Impacts follow the law of
 """
 
 import itertools
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -54,17 +53,11 @@ class OpenLoopError:
     joints: float
 
 
-def open_loop(
-    motion: MotionQuantities,
-    phase: int,
-    relative_error: float = RELATIVE_ERROR,
-    most: tuple[float, float] = (math.inf, math.inf),
-) -> OpenLoopError:
+def open_loop(motion: MotionQuantities, phase: int, relative_error: float = RELATIVE_ERROR) -> OpenLoopError:
     """Integrate a phase from its first sample with the planned torques; errors at its nodes.
 
     With velocity sources the planned rates are integrated instead. An error is inf where the integration
-    diverged before the phase's end. relative_error: of each step of the integration. most: errors, m and rad,
-    above which it ends early.
+    diverged before the phase's end. relative_error: of each step of the integration.
     """
     plan = motion.solution
     numbers, worst = plan.intervals_of(phase), np.zeros(3)
@@ -73,8 +66,6 @@ def open_loop(
             worst[:] = np.inf
             break
         worst = np.maximum(worst, motion.distance_from(plan.intervals[number].stop - 1, state[0]))
-        if worst[0] > most[0] or worst[1:].max() > most[1]:
-            break
     if motion.base == "fixed":
         return OpenLoopError(position=None, orientation=None, joints=float(worst[2]))
     return OpenLoopError(position=float(worst[0]), orientation=float(worst[1]), joints=float(worst[2]))
@@ -133,11 +124,8 @@ def integrate_interval(
     plan, model, nv = motion.solution, motion.solution.model, motion.solution.model.nv
     start, end = (float(time) for time in plan.interval_t[number])
     coefficients, powers = motion.inputs[number], np.arange(len(motion.inputs[number]))
-    additive = model.nq == nv
 
     def coordinate_rate(delta: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        if additive:
-            return velocity
         return np.linalg.solve(pin.dIntegrate(model, q, delta, pin.ArgumentPosition.ARG1), velocity)
 
     def kinematics(fraction: float, delta: np.ndarray) -> np.ndarray:
@@ -145,7 +133,7 @@ def integrate_interval(
 
     def dynamic(fraction: float, state: np.ndarray) -> np.ndarray:
         delta, velocity = state[:nv], state[nv:]
-        moved = q + delta if additive else pin.integrate(model, q, delta)
+        moved = pin.integrate(model, q, delta)
         force = plan.actuation.force(fraction**powers @ coefficients) + plan.joint_force(moved, velocity)
         acceleration = dynamics.acceleration(moved, velocity, force)
         return (end - start) * np.concatenate([coordinate_rate(delta, velocity), acceleration])

@@ -173,9 +173,6 @@ class ContactDynamics:
     def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""
         model, data = self.model, self._data
-        if not self.contacts.dimensions and self.independent is None:
-            free: np.ndarray = pin.aba(model, data, q, v, generalized_force)
-            return free.copy()
         if set(self.contacts.dimensions) != {3} or self.independent is not None:
             return self._projected(q, v, generalized_force)
         settings = pin.ProximalSettings(PROXIMAL, SOFTNESS, MOST_PROXIMAL)
