@@ -226,28 +226,3 @@ def test_tolerance_follows_the_target_within_what_solvers_reach():
     assert_allclose(tolerance_for(1.0, 0.2), 1e-6)
     assert_allclose(tolerance_for(1e-4, 1.0), 1e-7)
     assert_allclose(tolerance_for(1e-12, 1.0), 1e-10)
-
-
-def test_a_solve_that_takes_much_longer_than_the_last_is_given_up_until_all_starts_have_been_tried(
-    monkeypatch,
-):
-    """Both starts within three times the last iterations, no fewer than 60, then both to the end."""
-    problem = hop()
-    solved = solve(problem, judge=False)
-    stuck = solved.with_statistics(status="iteration_limit", converged=False)
-    tried = []
-
-    def solve_on_mesh(problem, *, start, **settings):
-        tried.append((start, settings.get("max_iterations")))
-        return solved if len(tried) == 4 else stuck
-
-    loop = Refinement(problem, GRADE, True, {}, Exchange(problem), None)
-    loop._given(solved)
-    monkeypatch.setattr(refinement, "solve_on_mesh", solve_on_mesh)
-    assert loop._solved_from(mesh_of(solved), solved, sideless=False) is solved
-    few = max(3 * solved.statistics.iterations, 60)
-    assert tried == [(solved, few), (None, few), (solved, None), (None, None)]
-    tried.clear()
-    loop.settings["max_iterations"] = few  # the user's own limit is not below: nothing is given up
-    assert loop._solved_from(mesh_of(solved), solved, sideless=False) is None
-    assert tried == [(solved, few), (None, few)]

@@ -8,7 +8,7 @@ drift of its contacts where that is larger.
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
-from trajopt.solvers.result import LEAST_TIME, StoppingCriteria
-from trajopt.solvers.status import Status
+from trajopt.solvers.result import LEAST_TIME
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.rounds import (
@@ -49,10 +48,6 @@ SETTLED = 5e-3
 MOST_VARIABLES = 100_000
 # A phase that misses in more rounds than this, one after the other, is split everywhere.
 PATIENCE = 3
-USUAL_ITERATIONS = StoppingCriteria().max_iterations
-# A solve that takes this many times the iterations of the round before, and no fewer than so many, is given
-# up for the next start, until all have been tried.
-GIVEN_UP, LEAST_ITERATIONS = 3, 60
 # Limit of the solver's time in all rounds, s.
 MAX_TIME = 600.0
 
@@ -157,17 +152,12 @@ class Refinement:
         return self.rounds[-1].status == INTERRUPTED or self._left() <= LEAST_TIME
 
     def _solved(
-        self,
-        mesh: Mesh,
-        start: Solution | str | Path | None,
-        problem: Problem | None = None,
-        **limit: float,
+        self, mesh: Mesh, start: Solution | str | Path | None, problem: Problem | None = None
     ) -> Solution | None:
         given, number = self.settings.get("label", ""), len(self.rounds) + 1
         # A named mesh is usually solved once; a refinement has several meshes.
         label = ", ".join(filter(None, [given, f"mesh {number}" if self.refine or number > 1 else ""]))
-        if self.rounds:
-            limit["max_time"] = max(self._left(), LEAST_TIME)
+        limit = {"max_time": max(self._left(), LEAST_TIME)} if self.rounds else {}
         self.last = solve_on_mesh(
             problem or self.problem,
             mesh=mesh,
@@ -185,19 +175,8 @@ class Refinement:
         guess that is clear passes it where its author wants it to. From then on motions are on that side, and
         planes along them hold them back less than those along the guess.
         """
-        before = next((each.iterations for each in reversed(self.rounds) if each.solved), 0)
-        few = {"max_iterations": max(GIVEN_UP * before, LEAST_ITERATIONS)}
-        if few["max_iterations"] >= self.settings.get("max_iterations", USUAL_ITERATIONS):
-            few = {}
-        given_up: list[tuple[Problem, Solution | None]] = []
-
-        def tries() -> Iterator[tuple[Problem, Solution | None, dict[str, int]]]:
-            sides = self.exchange.starts(solution, sideless and self.exchange.guess_is_clear())
-            yield from ((problem, start, few) for problem, start in sides)
-            yield from ((problem, start, {}) for problem, start in given_up)
-
-        for problem, start, limit in tries():
-            solved = self._solved(mesh, start, problem, **limit)
+        for problem, start in self.exchange.starts(solution, sideless and self.exchange.guess_is_clear()):
+            solved = self._solved(mesh, start, problem)
             if solved is not None:
                 last, now = (each.statistics.objective or 0.0 for each in (solution, solved))
                 near = abs(now - last) <= SETTLED * max(abs(now), abs(last))
@@ -205,8 +184,6 @@ class Refinement:
                 return solved
             if self._is_over():
                 break
-            if limit and self.rounds[-1].status == Status.ITERATION_LIMIT.word:
-                given_up.append((problem, start))
         return None
 
     def _examine(self, solution: Solution) -> _Examined:
