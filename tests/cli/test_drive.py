@@ -10,7 +10,7 @@ from trajopt import Solution
 
 pytestmark = pytest.mark.long
 
-# Feet that land after a push sink into MuJoCo's soft ground by less, m: its compliance, no tolerance of plans.
+# Feet that land after a push sink into MuJoCo's soft ground by less, m: its compliance, not a tolerance.
 GIVES_WAY = 2.5e-3
 # Mean distance of a tool from its moving target, m.
 ERROR = 0.02
