@@ -115,17 +115,17 @@ def test_a_copy_goes_on_apart() -> None:
     assert clock.swings()[FEET[0]] != twin.swings()[FEET[0]]
 
 
-def test_a_mode_ends_sooner_within_bounds_and_the_next_is_as_the_gait_says() -> None:
+def test_a_mode_is_stretched_within_bounds_and_the_next_is_as_the_gait_says() -> None:
     clock = clock_of("trot")
     clock.request("trot")
     clock.skip()
     clock.advance(0.05, dict.fromkeys(FEET, False))
     clock.stretch(Stretch(clock.number + 1, 0.1), 1.0)  # of another mode
     assert clock.remaining == pytest.approx(0.2)
-    clock.stretch(Stretch(clock.number, -0.04), 0.5)
-    assert clock.remaining == pytest.approx(0.18)
+    clock.stretch(Stretch(clock.number, 0.04), 0.5)
+    assert clock.remaining == pytest.approx(0.22)
     clock.stretch(Stretch(clock.number, 9.0), 1.0)
-    assert clock.remaining == pytest.approx(0.2)
+    assert clock.remaining == pytest.approx(0.2 + MOST_STRETCH * 0.25)
     clock.stretch(Stretch(clock.number, -9.0), 1.0)
     assert clock.remaining == pytest.approx(0.2 - MOST_STRETCH * 0.25)
     clock.advance(clock.remaining, dict.fromkeys(FEET, False))

@@ -16,8 +16,7 @@ from trajopt.schedule.gaits import Gait
 
 # Between two gaits the robot stands, and before its first swing, for this part of the longest period.
 SETTLE = 0.3
-# A mode ends sooner by at most this part of it. It does not last longer: at speed its legs are stretched at
-# its end, and ANYmal fell.
+# A mode lasts longer or less long by at most this part of it.
 MOST_STRETCH = 0.35
 # Modes looked at after now: more than any horizon has, so that every swing's end is known.
 AHEAD = 24
@@ -164,10 +163,11 @@ class ModeClock:
             self._next(self.remaining if self.keeps_time else 0.0)
 
     def stretch(self, by: Stretch, share: float) -> None:
-        """Let the present mode end sooner, or as planned again, by a share of what is still wanted."""
+        """Let the present mode last longer or less long, by a share of what is still wanted, in bounds."""
         if by.number != self.number or math.isinf(self.remaining):
             return
-        wanted = min(max(by.wanted, -MOST_STRETCH * self.whole), 0.0)
+        most = MOST_STRETCH * self.whole
+        wanted = min(max(by.wanted, -most), most)
         moved = max(min(share, 1.0) * (wanted - self._stretched), -max(self.remaining, 0.0))
         self.remaining, self._stretched = self.remaining + moved, self._stretched + moved
 

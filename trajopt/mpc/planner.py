@@ -47,7 +47,7 @@ class PlannerSettings:
         span: the least length of what follows the present mode, in periods.
         solver: its steps at each tick.
         torque_rows: limits of torques are rows, at every point.
-        timing: weight of the square of what the present mode lasts less than the gait says, over
+        timing: weight of the square of what the present mode lasts longer than the gait says, over
             sqrt(l / g), in the cost; 0: durations are those of the gait. Default: `TIMING`, on soles 0.
         weights: of the cost.
     """
