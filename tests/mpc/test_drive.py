@@ -71,8 +71,10 @@ def test_a_controller_of_ones_own_drives_alike(walk: Drive, go2: Robot) -> None:
     np.testing.assert_array_equal(own.record.torque, walk.record.torque[: len(own.record.torque)])
     with pytest.raises(InputError, match="controller of drive has gaits and settings"):
         drive(go2, SCRIPT, controller=Controller(go2), gaits=("trot",))
-    with pytest.raises(InputError, match="of a robot with other joints"):
+    with pytest.raises(InputError, match="of a robot with other joints or contacts"):
         drive(robots.load("anymal_c"), SCRIPT, controller=Controller(go2))
+    with pytest.raises(InputError, match="of a robot with other joints or contacts"):
+        drive(replace(go2, contacts=go2.contacts[::-1]), SCRIPT, controller=Controller(go2))
 
 
 def test_a_robot_that_carries_what_its_controller_knows_of_keeps_its_height(go2: Robot) -> None:

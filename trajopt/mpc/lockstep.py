@@ -139,8 +139,11 @@ def drive(
     if controller is not None:
         if gaits is not None or settings is not None:
             raise InputError("controller of drive has gaits and settings", "allowed: no others")
-        if controller.robot.model.names.tolist() != robot.model.names.tolist():
-            raise InputError("controller of drive is of a robot with other joints", "allowed: the same")
+        own = controller.robot
+        if own.model.names.tolist() != robot.model.names.tolist() or own.contacts != robot.contacts:
+            raise InputError(
+                "controller of drive is of a robot with other joints or contacts", "allowed: the same"
+            )
         names = tuple(controller.clock.gaits)
     for name in used:
         if name not in names:

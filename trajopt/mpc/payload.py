@@ -20,6 +20,7 @@ from typing_extensions import override
 from trajopt.dynamics.rotations import rotation_matrix
 from trajopt.errors import finite_array, require_not_negative
 from trajopt.mpc.horizon import Numbers
+from trajopt.robot.payload import loaded_model
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.dynamics import BaseDynamics
@@ -54,7 +55,5 @@ def payload_numbers(mass: float, place: Any) -> np.ndarray:
 
 def carrying(model: pin.Model, numbers: np.ndarray) -> pin.Model:
     """A copy of a model with a free base that carries the mass of `payload_numbers`."""
-    loaded = pin.Model(model)
     body = pin.Inertia(float(numbers[0]), np.array(numbers[1:]), np.zeros((3, 3)))
-    loaded.appendBodyToJoint(1, body, pin.SE3.Identity())
-    return loaded
+    return loaded_model(model, model.names[1], body)

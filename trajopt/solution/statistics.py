@@ -97,6 +97,11 @@ class SolveStatistics:
     more: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def advice_in_line(self) -> str:
+        """The advice in one line."""
+        return "; ".join(self.advice.splitlines())
+
+    @property
     def simulated(self) -> bool:
         """Whether the motion is one of a physics engine."""
         return self.simulation is not None

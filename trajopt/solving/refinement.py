@@ -178,8 +178,8 @@ class Refinement:
         for problem, start in self.exchange.starts(solution, sideless and self.exchange.guess_is_clear()):
             solved = self._solved(mesh, start, problem)
             if solved is not None:
-                last, now = (each.statistics.objective or 0.0 for each in (solution, solved))
-                near = abs(now - last) <= SETTLED * max(abs(now), abs(last))
+                before, after = (s.statistics.objective or 0.0 for s in (solution, solved))
+                near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
                 self.settled = near or not self.exchange.moments
                 return solved
             if self._is_over():

@@ -55,10 +55,7 @@ def failure_text(statistics: SolveStatistics) -> str:
     """Status, and what is missed, of a failed solve, in words; empty for one that succeeded."""
     if statistics.success:
         return ""
-    if statistics.converged:
-        missed = "; ".join(statistics.advice.splitlines())
-    else:
-        missed = describe_block(statistics.worst_blocks[0])
+    missed = statistics.advice_in_line if statistics.converged else describe_block(statistics.worst_blocks[0])
     return f"{statistics.status}: {missed}"
 
 

@@ -291,7 +291,7 @@ def _facts_of(track: Track) -> dict[str, str]:
         "robot": description.robot,
         "parameters": ", ".join(f"{key} {_value(entry)}" for key, entry in description.parameters.items()),
         "status": f"{solved}: {_status(track)}",
-        "advice": "" if statistics.success else "; ".join(statistics.advice.splitlines()),
+        "advice": "" if statistics.success else statistics.advice_in_line,
         "solver": f"{statistics.solver}, tolerance {statistics.tolerance:g}",
         "iterations": str(statistics.iterations),
         "objective": _value(statistics.objective),
