@@ -191,9 +191,13 @@ def _phases(motion: MotionQuantities, local: LocalErrors, integrate: bool) -> It
     for index, phase in enumerate(plan.phases):
         inside = slice(plan.intervals_of(index).start, plan.intervals_of(index).stop)
         sums = float(local.position[inside].sum()), float(local.joints[inside].sum())
-        error = None
-        if integrate or _may_miss(sums):
-            error = open_loop(motion, index, RELATIVE_ERROR if integrate else ROUGH_ERROR)
+        error, stable = None, None
+        if integrate:
+            error = open_loop(motion, index, RELATIVE_ERROR)
+        elif _may_miss(sums):
+            most = (STABLE_GROWTH * sums[0], STABLE_GROWTH * sums[1])
+            error = open_loop(motion, index, ROUGH_ERROR, most)
+            stable = False if error is None else None
         yield PhaseReport(
             index=int(plan.phase[phase.start]),
             name=plan.phase_names[index],
@@ -205,7 +209,7 @@ def _phases(motion: MotionQuantities, local: LocalErrors, integrate: bool) -> It
             open_loop_position=None if error is None else error.position,
             open_loop_orientation=None if error is None else error.orientation,
             open_loop_joints=None if error is None else error.joints,
-            stable=None if error is None else _is_stable(error, sums),
+            stable=stable if error is None else _is_stable(error, sums),
             **flight_errors(motion, phase),
         )
 

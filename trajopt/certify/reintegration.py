@@ -53,11 +53,17 @@ class OpenLoopError:
     joints: float
 
 
-def open_loop(motion: MotionQuantities, phase: int, relative_error: float = RELATIVE_ERROR) -> OpenLoopError:
+def open_loop(
+    motion: MotionQuantities,
+    phase: int,
+    relative_error: float = RELATIVE_ERROR,
+    most: tuple[float, float] | None = None,
+) -> OpenLoopError | None:
     """Integrate a phase from its first sample with the planned torques; errors at its nodes.
 
     With velocity sources the planned rates are integrated instead. An error is inf where the integration
-    diverged before the phase's end. relative_error: of each step of the integration.
+    diverged before the phase's end. relative_error: of each step of the integration. most: errors of position,
+    m, and of rotations, rad, beyond which it ends without a result.
     """
     plan = motion.solution
     numbers, worst = plan.intervals_of(phase), np.zeros(3)
@@ -66,6 +72,8 @@ def open_loop(motion: MotionQuantities, phase: int, relative_error: float = RELA
             worst[:] = np.inf
             break
         worst = np.maximum(worst, motion.distance_from(plan.intervals[number].stop - 1, state[0]))
+        if most is not None and (worst[0] > most[0] or worst[1:].max() > most[1]):
+            return None
     if motion.base == "fixed":
         return OpenLoopError(position=None, orientation=None, joints=float(worst[2]))
     return OpenLoopError(position=float(worst[0]), orientation=float(worst[1]), joints=float(worst[2]))
@@ -124,8 +132,11 @@ def integrate_interval(
     plan, model, nv = motion.solution, motion.solution.model, motion.solution.model.nv
     start, end = (float(time) for time in plan.interval_t[number])
     coefficients, powers = motion.inputs[number], np.arange(len(motion.inputs[number]))
+    additive = all(joint.nq == joint.nv == 1 for joint in list(model.joints)[1:])
 
     def coordinate_rate(delta: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        if additive:  # q + delta
+            return velocity
         return np.linalg.solve(pin.dIntegrate(model, q, delta, pin.ArgumentPosition.ARG1), velocity)
 
     def kinematics(fraction: float, delta: np.ndarray) -> np.ndarray:

@@ -88,7 +88,8 @@ class PhaseReport:
     """Figures of one phase: open-loop errors (m, rad, rad), and in flight the errors of free motion.
 
     local_position (reach), local_joints (rad): sums of the local errors of its intervals. stable: whether the
-    open loop amplifies them less than `STABLE_GROWTH`; None where it was not integrated.
+    open loop amplifies them less than `STABLE_GROWTH`; None where it was not integrated. A verdict ends the
+    integration where it is found not to be, without errors.
     """
 
     index: int

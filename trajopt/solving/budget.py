@@ -35,6 +35,7 @@ def solve_within(problem: Problem, budget: Positive, **settings: Any) -> Graded:
     Raises:
         InputError: As `trajopt.solve` does.
     """
+    settings["solver_time"] = True
     made = solve_graded(problem, max_time=budget, **settings)
     if not made.solution.converged or not problem.holds_contacts:
         return made

@@ -109,6 +109,7 @@ def solve_graded(
     accuracy: float | None = None,
     max_rounds: int = MOST_ROUNDS,
     refine: bool = True,
+    solver_time: bool = False,
     **settings: Any,
 ) -> Graded:
     """Solve a problem until its motion is within ``tolerances`` at any time, or no mesh is left to try.
@@ -125,8 +126,9 @@ def solve_graded(
         accuracy: Largest error of a phase besides, m, and the solver's tolerance by it; see `phase_errors`.
         max_rounds: Limit of motions that are solved for and examined; one is a draft.
         refine: False keeps the first mesh: only rows for bodies that come too near are added.
-        **settings: Those of `trajopt.solve`; the limit of time is for all solves, that of iterations for
-            each.
+        solver_time: Whether the limit of time is one of the solver's time alone.
+        **settings: Those of `trajopt.solve`; the limit of time is for all solves, with their guesses and
+            checks, that of iterations for each.
 
     Raises:
         InputError: As `trajopt.solve` does.
@@ -142,5 +144,5 @@ def solve_graded(
         rounds = (Round.of(mesh, solution),)
         return Graded(solution=solution, report=None, rounds=rounds, why="it has no legs", examined=0.0)
     known = Exchange(problem) if exchange is None else exchange.moved_to(problem)
-    loop = Refinement(problem, tolerances, refine, settings, known, accuracy)
+    loop = Refinement(problem, tolerances, refine, settings, known, accuracy, solver_time)
     return loop.result(loop.run(mesh or first_mesh(problem, accuracy is not None), start, first, max_rounds))

@@ -48,8 +48,12 @@ SETTLED = 5e-3
 MOST_VARIABLES = 100_000
 # A phase that misses in more rounds than this, one after the other, is split everywhere.
 PATIENCE = 3
-# Limit of the solver's time in all rounds, s.
+# Limit of the time of all rounds, s.
 MAX_TIME = 600.0
+# A solve from a motion on a coarser mesh is given up after so many times the iterations of the round before,
+# and at least so many of iterations times variables: to give up a small one gains nothing. It is taken up
+# again, without that limit, where no other start is solved.
+GIVE_UP, GIVE_UP_LEAST = 3, 3e5
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,8 @@ class _Examined:
 class Refinement:
     """The rounds so far, the last solution, and the best one with its examination.
 
-    missed: (n_phases,) in how many of the last rounds, one after the other, a phase missed.
+    missed: (n_phases,) in how many of the last rounds, one after the other, a phase missed. solver_time:
+    whether the limit of time is one of the solver alone, not of all but compilation.
     """
 
     problem: Problem
@@ -74,6 +79,9 @@ class Refinement:
     settings: dict[str, Any]
     exchange: Exchange
     target: float | None
+    solver_time: bool = False
+    begun: float = field(default_factory=time.perf_counter)
+    compiled: float = 0.0
     rounds: list[Round] = field(default_factory=list)
     last: Solution | None = None
     examined: float = 0.0
@@ -144,26 +152,37 @@ class Refinement:
         return first if first.converged else None
 
     def _left(self) -> float:
-        """Time of the solver that is left, s."""
-        return self.settings.get("max_time", MAX_TIME) - sum(round_.wall_time for round_ in self.rounds)
+        """Time that is left, s."""
+        used = sum(round_.wall_time for round_ in self.rounds)
+        if not self.solver_time:
+            used = max(used, time.perf_counter() - self.begun - self.compiled)
+        return self.settings.get("max_time", MAX_TIME) - used
 
     def _is_over(self) -> bool:
         """Whether the user has stopped the last round, or no time is left for another."""
         return self.rounds[-1].status == INTERRUPTED or self._left() <= LEAST_TIME
 
     def _solved(
-        self, mesh: Mesh, start: Solution | str | Path | None, problem: Problem | None = None
+        self,
+        mesh: Mesh,
+        start: Solution | str | Path | None,
+        problem: Problem | None = None,
+        most: int | None = None,
     ) -> Solution | None:
         given, number = self.settings.get("label", ""), len(self.rounds) + 1
         # A named mesh is usually solved once; a refinement has several meshes.
         label = ", ".join(filter(None, [given, f"mesh {number}" if self.refine or number > 1 else ""]))
-        limit = {"max_time": max(self._left(), LEAST_TIME)} if self.rounds else {}
+        limit: dict[str, Any] = {"max_time": max(self._left(), LEAST_TIME)}
+        if most is not None:
+            limit["max_iterations"] = min(most, self.settings.get("max_iterations", most))
         self.last = solve_on_mesh(
             problem or self.problem,
             mesh=mesh,
             start=start,
+            solver_time=self.solver_time,
             **{**self.settings, **limit, "label": label, "judge": False},
         )
+        self.compiled += self.last.statistics.compile_time_s
         self.settings.pop("perturb", None)  # noise is for the first start
         self.rounds.append(Round.of(mesh, self.last))
         return self.last if self.last.converged else None
@@ -175,16 +194,24 @@ class Refinement:
         guess that is clear passes it where its author wants it to. From then on motions are on that side, and
         planes along them hold them back less than those along the guess.
         """
-        for problem, start in self.exchange.starts(solution, sideless and self.exchange.guess_is_clear()):
-            solved = self._solved(mesh, start, problem)
-            if solved is not None:
-                before, after = (s.statistics.objective or 0.0 for s in (solution, solved))
-                near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
-                self.settled = near or not self.exchange.moments
-                return solved
-            if self._is_over():
+        starts = self.exchange.starts(solution, sideless and self.exchange.guess_is_clear())
+        least = math.ceil(GIVE_UP_LEAST / unknowns_on_mesh(self.problem, mesh))
+        most = max(GIVE_UP * solution.statistics.iterations, least)
+        given_up: list[tuple[Problem, Solution | None]] = []
+        for problem, start in starts:
+            solved = self._solved(mesh, start, problem, most)
+            if solved is not None or self._is_over():
                 break
-        return None
+            if self.rounds[-1].iterations >= most:
+                given_up.append((problem, start))
+        while solved is None and given_up and not self._is_over():
+            problem, start = given_up.pop(0)
+            solved = self._solved(mesh, start, problem)
+        if solved is not None:
+            before, after = (s.statistics.objective or 0.0 for s in (solution, solved))
+            near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
+            self.settled = near or not self.exchange.moments
+        return solved
 
     def _examine(self, solution: Solution) -> _Examined:
         """Check and measure the solution of the last round; keep it if it is the best."""

@@ -14,7 +14,7 @@ from trajopt.problem.problem import Problem
 from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import check_solver
-from trajopt.solvers.result import Option, Result, StoppingCriteria, WarmMultipliers
+from trajopt.solvers.result import LEAST_TIME, Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status
 from trajopt.solving.conflict import why_infeasible
 from trajopt.solving.extraction import extract
@@ -64,10 +64,12 @@ def prepare(
     hessian: str = DEFAULT_HESSIAN,
     threads: int = 1,
     start: Solution | str | Path | None = None,
+    max_time: float = math.inf,
 ) -> PreparedProblem:
     """Transcribe, compile (or fetch from the cache) and assemble; arguments as in `solve`.
 
-    The guess is the solution ``start``, resampled, or the problem's. Raises `InputError`.
+    The guess is the solution ``start``, resampled, or the problem's, which stays where it is when ``max_time``
+    s are over. Raises `InputError`.
     """
     begun = time.perf_counter()
     transcribed = transcribe(problem, transcription, intervals, mesh)
@@ -76,7 +78,8 @@ def prepare(
     by_point = {key: compiled[entry_key(point)] for key, point in points.items()}
     nlp = assemble(transcribed, by_point, threads, hessian)
     if start is None:
-        guess, warm = initial_guess(transcribed), None
+        deadline = begun + report.compile_time + max_time
+        guess, warm = initial_guess(transcribed, deadline), None
     else:
         resampled = warm_start(transcribed, solution_of(start))
         guess, warm = resampled.x, resampled.multipliers or WarmMultipliers()
@@ -111,6 +114,7 @@ def solve(
     label: str = "",
     start: Solution | str | Path | None = None,
     judge: bool = True,
+    solver_time: bool = False,
 ) -> Solution:
     """Solve a problem on one mesh; never raises because the solver did not converge.
 
@@ -123,7 +127,7 @@ def solve(
         solver: ``ipopt`` or ``sqp``.
         tolerance: On feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
         max_iterations: Limit of the solver's iterations.
-        max_time: Limit of the solver's wall time, s.
+        max_time: Limit of wall time, s, without compilation, which is done once.
         seed: Of the noise on the guess.
         perturb: Standard deviation of that noise, scaled units.
         hessian: ``exact``, ``gauss-newton`` (of costs that are squares, without curvature of constraints),
@@ -136,6 +140,7 @@ def solve(
         start: A solution, or its file, to start from instead of the problem's guess: of the same joints and
             phases, on any grid, scheme, durations or parameters (see `warm_start`).
         judge: Check a motion that converged; False where the caller does.
+        solver_time: Whether ``max_time`` is one of the solver's time alone.
 
     Returns:
         A solution whose ``statistics`` have status, success, advice, iterations, objective, times and the
@@ -153,14 +158,16 @@ def solve(
         hessian=hessian,
         threads=threads,
         start=start,
+        max_time=math.inf if solver_time else max_time,
     )
+    left = max_time if solver_time else max(max_time - prepared.build_time, LEAST_TIME)
     guess = perturbed(prepared.transcription, prepared.guess, seed, perturb) if perturb else prepared.guess
     return solve_prepared(
         prepared,
         guess,
         origin={"seed": seed, "perturb": perturb},
         solver=solver,
-        stop=StoppingCriteria(tolerance=tolerance, max_iterations=max_iterations, max_time=max_time),
+        stop=StoppingCriteria(tolerance=tolerance, max_iterations=max_iterations, max_time=left),
         options=options,
         progress=progress,
         watch=watch,

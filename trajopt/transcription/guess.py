@@ -1,5 +1,7 @@
 """From a motion q(t) to a guess of all variables: rates by differences, forces that balance the motion."""
 
+import math
+import time
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -78,18 +80,27 @@ def _fill_impact(
     window[layout.local_impulse(k)] = impulses
 
 
-def initial_guess(transcription: Transcription) -> np.ndarray:
-    """Return scaled variables (n_unknowns,) from the problem's guess; the start is that of the problem."""
+def initial_guess(transcription: Transcription, deadline: float = math.inf) -> np.ndarray:
+    """Return scaled variables (n_unknowns,) from the problem's guess; the start is that of the problem.
+
+    After ``deadline``, by `time.perf_counter`, postures of the guess are no longer computed: the last one stays.
+    """
     time_scales = np.ones(transcription.layout.forms[0].n_time_scales)
-    unknowns = unknowns_from_motion(transcription.layout, _ProblemGuess(transcription), time_scales)
+    source = _ProblemGuess(transcription, deadline)
+    unknowns = unknowns_from_motion(transcription.layout, source, time_scales)
     return unknowns / transcription.scale
 
 
-@dataclass(frozen=True)
+@dataclass
 class _ProblemGuess(MotionSource):
-    """The guess q(t) of a problem: rates by differences, forces that balance the motion."""
+    """The guess q(t) of a problem: rates by differences, forces that balance the motion.
+
+    last: the posture that was computed last, at which the robot stays after the deadline.
+    """
 
     transcription: Transcription
+    deadline: float
+    last: np.ndarray | None = None
 
     @override
     def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -104,8 +115,8 @@ class _ProblemGuess(MotionSource):
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         layout = self.transcription.layout
         phase, form = layout.stages[k].phase, layout.forms[k]
-        time = layout.node_times[k] + layout.scheme_of(phase).c[i] * layout.steps[k]
-        q, v, a = layout.in_coordinates_of(form, *self._state(time, phase))
+        t = float(layout.node_times[k] + layout.scheme_of(phase).c[i] * layout.steps[k])
+        q, v, a = layout.in_coordinates_of(form, *self._state(t, phase))
         if layout.order == 2:
             highest = form.coordinates.acceleration_from_pinocchio(q, v, a)
         else:
@@ -124,13 +135,16 @@ class _ProblemGuess(MotionSource):
         """
         layout, motion = self.transcription.layout, self.transcription.problem.guess_at
         model, stages = layout.robot.model, layout.intervals_of(phase)
+        if self.last is not None and time.perf_counter() > self.deadline:
+            return self.last, np.zeros(model.nv), np.zeros(model.nv)
         low, high = layout.node_times[stages[0]], layout.node_times[stages[-1] + 1]
         step = min(DIFFERENCE_STEP, (high - low) / 4)
         middle = min(max(t, low + step), high - step)
         before, centre, after = (motion(middle + offset) for offset in (-step, 0.0, step))
         forward, backward = pin.difference(model, centre, after), pin.difference(model, before, centre)
+        self.last = centre if middle == t else motion(t)
         return (
-            centre if middle == t else motion(t),
+            self.last,
             (forward + backward) / (2 * step),
             (forward - backward) / step**2,
         )
