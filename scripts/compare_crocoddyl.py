@@ -41,7 +41,12 @@ from scripts.peers.tasks import SOLO_JUMP, TASKS  # noqa: E402
 DOCUMENT = ROOT / "docs" / "peers.md"
 FOLDER = ROOT / "docs" / "peers"
 STEPS = (20.0, 10.0, 5.0, 2.5)
-MESHES = {"legendre:1": (4, 8), "legendre:2": (4, 8), "legendre:3": (2, 3, 4, 5, 6), "legendre:4": (2, 3, 4)}
+MESHES = {
+    "legendre:1": (4, 8),
+    "legendre:2": (2, 3, 4, 8),
+    "legendre:3": (2, 3, 4, 5, 6),
+    "legendre:4": (2, 3, 4),
+}
 # Meshes solved with MUMPS, too, and schemes solved on two threads, too.
 BOTH = (("legendre:3", 4), ("legendre:4", 3))
 ACCURATE = ("legendre:3", "legendre:4")
@@ -143,7 +148,11 @@ def main() -> None:
     tasks = given.tasks or list(TASKS)
     table = FOLDER / "crocoddyl.csv"
     found = report.read_csv(table) if given.only_document else measure(tasks, given.repeats, given.ours)
-    parts = {"summary": lambda: report.summary(found, tasks), "all": lambda: report.everything(found, tasks)}
+    parts = {
+        "summary": lambda: report.summary(found, tasks),
+        "knots": lambda: report.knots(found, tasks),
+        "all": lambda: report.everything(found, tasks),
+    }
     for lines in parts.values():
         print("\n".join(lines()), end="\n\n")
     if given.write or given.only_document:

@@ -57,6 +57,7 @@ COMMANDS = (
     guesses.guesses,
     infeasible.infeasible,
     linear_systems.linear_systems,
+    linear_systems.barrier,
     scenes.scenes,
     shapes.shapes,
     steering.commands,

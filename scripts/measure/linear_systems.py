@@ -6,9 +6,12 @@ import click
 import numpy as np
 
 from scripts.measure.shared import head, median, row
+from scripts.peers import problems as peers
+from scripts.peers.tasks import TASKS
 from trajopt.problem.problem import Problem
 from trajopt.solvers.ipopt import LINEAR_SOLVER, STAGES
-from trajopt.solving.solving import solve
+from trajopt.solving.solving import prepare, solve, solve_prepared
+from trajopt.transcription.guess import perturbed
 from trajopt_library import problems
 
 # Problem, its parameters, and the mesh; None for the problem's own.
@@ -23,6 +26,27 @@ CASES: tuple[tuple[str, dict[str, Any], str | None, int | None], ...] = (
 SOLVERS = ("mumps", STAGES)
 # Meshes of `--scaling`, of the first case.
 INTERVALS = (25, 50, 100, 200, 400, 800)
+# Of `barrier`: tasks of docs/peers.md, each with the mesh that is compared there, and settings.
+MESHES = {
+    "walk": ("legendre:4", 3),
+    "trot": ("legendre:3", 4),
+    "pace": ("legendre:3", 3),
+    "bound": ("legendre:4", 2),
+    "jump": ("legendre:4", 3),
+}
+NO_CORRECTOR, LARGE, REFINED = (
+    {"corrector_type": "none"},
+    {"bound_mult_init_val": 1.0},
+    {"min_refinement_steps": 1},
+)
+SETTINGS: dict[str, dict[str, Any]] = {
+    "the defaults": {},
+    "without a corrector": NO_CORRECTOR,
+    "multipliers of bounds start at 1": LARGE,
+    "solutions are refined once": REFINED,
+    "all three": {**NO_CORRECTOR, **LARGE, **REFINED},
+}
+SMALL_NOISE = 0.03
 
 
 @click.command("linear-systems")
@@ -88,3 +112,28 @@ def in_turns(
             times[i].append(1e3 * found.wall_time_s / found.iterations)
             iterations[i] = found.iterations
     return [median(part) for part in times], iterations
+
+
+@click.command("barrier")
+@click.option("--starts", default=5, help="From the guess and perturbed ones, of each setting.")
+def barrier(starts: int) -> None:
+    """Iterations from the guess, medians of iterations and solver time over starts, by settings."""
+    prepared = {}
+    for name, (scheme, intervals) in MESHES.items():
+        problem = peers.build(TASKS[name])
+        prepared[name] = prepare(problem, mesh=peers.mesh(problem, scheme, intervals))
+    head("", *(f"{name}, `{scheme}@{intervals}`" for name, (scheme, intervals) in MESHES.items()))
+    for label, options in SETTINGS.items():
+        cells = []
+        for each in prepared.values():
+            guesses = [perturbed(each.transcription, each.guess, k, SMALL_NOISE) for k in range(1, starts)]
+            solutions = [
+                solve_prepared(each, guess, origin={}, judge=False, options=options)
+                for guess in (each.guess, *guesses)
+            ]
+            figures = [solution.statistics for solution in solutions if solution.success]
+            iterations = median([one.iterations for one in figures])
+            time = 1e3 * median([one.wall_time_s for one in figures])
+            missed = f", {starts - len(figures)} not solved" if len(figures) < starts else ""
+            cells.append(f"{figures[0].iterations}, {iterations:.0f}, {time:.0f} ms{missed}")
+        row(label, *cells)

@@ -130,6 +130,25 @@ def summary(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
         yield f"| {' | '.join(cells)} |"
 
 
+def knots(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
+    """One line a task and length of knots: ours at their largest error or less, and the ratio of times."""
+    yield "| task | Crocoddyl | largest error [m] | [s] | ours | largest error [m] | [s] | ratio |"
+    yield "|" + "---|" * 8
+    for task in tasks:
+        methods = example(found, task).setting.method
+        for theirs in _of(found, task=task, side=CROCODDYL, method=methods, detail="1"):
+            known = _of(found, task=task, side=OURS, detail=STAGES)
+            equal = [m for m in known if m.solved and m.largest <= theirs.largest]
+            ours = min(equal, key=lambda m: m.median, default=None)
+            if ours is None or not theirs.solved:
+                continue
+            yield (
+                f"| {task} | `{theirs.setting.label}` | {theirs.largest:.1e} | {theirs.median:.3f} "
+                f"| `{ours.setting.label}` | {ours.largest:.1e} | {ours.median:.3f} "
+                f"| {ours.ratios(theirs)[0]:.2f} |"
+            )
+
+
 def everything(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
     """One line a setting."""
     titles = "task", "setting", "", "[s]", "iterations", "error at the end [m]", "largest [m]", "torque [N m]"

@@ -10,7 +10,8 @@ from trajopt.certify.check import check
 from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import Tolerances
 from trajopt.motion.quantities import MotionQuantities
-from trajopt_library import robots
+from trajopt.solving.graded import solve
+from trajopt_library import problems, robots
 
 INTERVALS = 20
 EXACT = 1e-9  # motions are integrated to 1e-13; the numbers here are of order one
@@ -36,6 +37,26 @@ def test_open_loop_runs_phase_by_phase(solo):
     report = check(both)
     assert [phase.contacts for phase in report.phases] == [both.contact_frames, ()]
     assert report.phases[1].ballistic_error < EXACT
+
+
+def test_an_open_loop_ends_where_its_error_is_more_than_is_asked_for(solo):
+    both = sampled(solo, [standing(solo), tumbling_flight(solo)], INTERVALS)
+    motion = MotionQuantities(replace(both, tau=both.tau + 0.1 * (both.phase == 1)[:, None]))
+    whole = open_loop(motion, 1)
+    assert open_loop(motion, 1, most=(0.5 * whole.position, np.inf)) is None
+    assert open_loop(motion, 1, most=(np.inf, 0.5 * whole.joints)) is None
+    assert open_loop(motion, 1, most=(2 * whole.position, 2 * whole.joints + 2 * whole.orientation)) == whole
+
+
+def test_a_phase_that_a_verdict_finds_unstable_has_no_figures_of_its_open_loop():
+    plan = solve(problems.load("cart-pole"), draft=True)
+    (whole,) = check(plan).phases
+    assert whole.stable is False
+    assert whole.open_loop_joints > whole.local_joints
+    (judged,) = check(plan, integrate=False).phases
+    assert judged.stable is False
+    assert judged.open_loop_joints is None
+    assert judged.local_joints == whole.local_joints
 
 
 def test_torque_that_runs_away_is_reported_as_infinite(flight):

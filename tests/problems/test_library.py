@@ -21,7 +21,7 @@ SETTINGS = SuiteSettings()
 CASES = all_cases(families())
 # Iterations on all meshes that a pair may take at most to be run here.
 MOST_ITERATIONS = 300
-UPDATE = f"trajopt suite --update {DATA.relative_to(ROOT)}"
+UPDATE = f"trajopt bench suite --update {DATA.relative_to(ROOT)}"
 
 
 def representatives(cases: Sequence[Case]) -> tuple[Case, ...]:

@@ -1,5 +1,6 @@
 """Refinement: the model of the error, the mesh it asks for, and what is reached, measured independently."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -214,6 +215,43 @@ def test_budget_ends_the_rounds_with_the_best_motion():
     assert kept.why == "the time is used"
     assert len(kept.rounds) == 1
     assert kept.solution.converged
+
+
+def test_solve_that_takes_long_on_a_finer_mesh_is_begun_anew_and_taken_up_where_that_fails(monkeypatch):
+    mesh = Mesh.uniform("legendre:1", (3, 3, 3))
+    expected = solve_graded(hop(), mesh=mesh, accuracy=1e-3)
+    assert len(expected.rounds) > 1
+    monkeypatch.setattr(refinement, "GIVE_UP", 0)
+    monkeypatch.setattr(refinement, "GIVE_UP_LEAST", 1.0)
+    found = solve_graded(hop(), mesh=mesh, accuracy=1e-3)
+    statuses = [own.status for own in found.rounds]
+    assert statuses[:4] == ["solved", "iteration_limit", "iteration_limit", "solved"]
+    assert [own.iterations for own in found.rounds[1:3]] == [1, 1]
+    assert found.reached
+    assert found.solution.statistics.objective == expected.solution.statistics.objective
+
+
+def test_limit_of_time_bounds_the_guess_and_the_checks(monkeypatch):
+    made, calls = hop(), []
+
+    def slow(t):
+        calls.append(t)
+        clock.append(1.0)
+        return made.guess(t)
+
+    clock: list[float] = []
+    real = time.perf_counter
+    monkeypatch.setattr(time, "perf_counter", lambda: real() + sum(clock))
+    problem = replace(made, guess=slow)
+    calls.clear()
+    clock.clear()
+    found = solve_graded(problem, max_time=10.0)
+    assert {own.status for own in found.rounds} == {"time_limit"}
+    assert not found.reached
+    within = len(calls)
+    clock.clear()
+    assert solve_graded(problem, max_time=10.0, solver_time=True).reached
+    assert len(calls) > 2 * within
 
 
 @pytest.mark.parametrize("target", [0.0, -1e-3, float("nan"), float("inf"), "1e-3"])

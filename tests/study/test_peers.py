@@ -105,3 +105,16 @@ def test_with_limits_of_torques_the_solver_for_them_is_compared() -> None:
 def test_sections_of_documents_are_replaced() -> None:
     text = "a\n<!-- x -->\nold\n<!-- end of x -->\nb\n"
     assert written(text, "x", "new") == "a\n<!-- x -->\n\nnew\n<!-- end of x -->\nb\n"
+
+
+def test_of_each_length_of_knots_the_fastest_mesh_at_its_error_is_compared() -> None:
+    coarse, long = (
+        measured(CROCODDYL, "FDDP", size, 0.1, error) for size, error in ((20.0, 1e-2), (10.0, 1e-3))
+    )
+    fast, fine = (
+        measured(OURS, "legendre:2", size, seconds, error)
+        for size, seconds, error in ((2, 0.05, 5e-3), (4, 0.08, 1e-3))
+    )
+    lines = list(report.knots([coarse, long, fast, fine], ["trot"]))[2:]
+    assert ["`legendre:2@2`" in line for line in lines] == [True, False]
+    assert [line.rsplit("|", 2)[1].strip() for line in lines] == ["0.50", "0.80"]

@@ -1,5 +1,6 @@
 """The guess of all unknowns from a motion q(t), and its perturbation."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -40,6 +41,22 @@ def test_guess_carries_the_robot_in_stance():
     assert solution.active[stance].all()
     base = samples.generalized_force[stance, : robot.n_unactuated]
     assert_allclose(base / robot.weight, 0.0, atol=BASE_RESIDUAL)
+
+
+def test_a_guess_whose_time_is_over_stays_where_it_is():
+    made, times = problems.load("solo12-jump"), []
+
+    def slow(t: float) -> np.ndarray:
+        times.append(t)
+        return made.guess(t)
+
+    t = transcribe(replace(made, guess=slow), "legendre:2", 9)
+    times.clear()
+    x = initial_guess(t, deadline=-np.inf)
+    assert len(times) <= 4  # at one node or point, with its neighbours
+    assert np.isfinite(x).all()
+    middle = t.layout.node(t.layout.n_stages // 2)
+    assert_allclose(x[middle], x[t.layout.node(t.layout.n_stages)], atol=ROUNDING)
 
 
 def test_guess_starts_at_the_start_and_has_unit_quaternions():

@@ -62,8 +62,8 @@ def open_loop(
     """Integrate a phase from its first sample with the planned torques; errors at its nodes.
 
     With velocity sources the planned rates are integrated instead. An error is inf where the integration
-    diverged before the phase's end. relative_error: of each step of the integration. most: errors of position,
-    m, and of rotations, rad, beyond which it ends without a result.
+    diverged before the phase's end. relative_error: of each step of the integration. most: errors of
+    position, m, and of rotations, rad, beyond which it ends without a result.
     """
     plan = motion.solution
     numbers, worst = plan.intervals_of(phase), np.zeros(3)

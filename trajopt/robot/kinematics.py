@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,8 @@ from trajopt.robot.robot import Robot
 
 # A pose, or a position (3,) in m, for each frame by name.
 Targets = Mapping[str, pin.SE3 | np.ndarray]
+# The same, by the frame's number.
+Goals = Sequence[tuple[int, pin.SE3 | np.ndarray]]
 
 # Levenberg-Marquardt: the damping starts small against joint Jacobians of order one, shrinks on
 # success, grows on failure; an error below the tolerance does not matter to a guess.
@@ -99,11 +101,12 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
     model, data = robot.model, robot.model.createData()
     movable = robot.actuation.leading if move_base else robot.actuated_rows
     independent = robot.actuation.independent
-    damping, error = FIRST_DAMPING, _errors(model, data, q, targets)
+    goals = _goals(model, targets)
+    damping, error = FIRST_DAMPING, _errors(model, data, q, goals)
     for _ in range(MOST_ITERATIONS):
         if np.linalg.norm(error) < TOLERANCE or damping > 1 / FIRST_DAMPING:
             break
-        whole = _jacobian(model, data, q, targets)
+        whole = _jacobian(model, data, q, goals)
         if robot.mimics:
             whole = whole @ independent @ independent.T
         moving = movable[~_held_by_limits(robot, q, whole.T @ error)[movable]]
@@ -112,7 +115,7 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
         step[moving] = -np.linalg.solve(normal, jacobian.T @ error)
         trial = np.clip(pin.integrate(model, q, step), robot.position_lower, robot.position_upper)
         trial = followed(model, robot.mimics, trial)
-        trial_error = _errors(model, data, trial, targets)
+        trial_error = _errors(model, data, trial, goals)
         if np.linalg.norm(trial_error) < np.linalg.norm(error):
             q, error, damping = trial, trial_error, max(damping / DAMPING_GROWTH, LEAST_DAMPING)
         else:
@@ -148,11 +151,15 @@ def _held_by_limits(robot: Robot, q: np.ndarray, gradient: np.ndarray) -> np.nda
     return held
 
 
-def _errors(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets) -> np.ndarray:
-    pin.framesForwardKinematics(model, data, q)
+def _goals(model: pin.Model, targets: Targets) -> Goals:
+    return [(model.getFrameId(name), target) for name, target in targets.items()]
+
+
+def _errors(model: pin.Model, data: pin.Data, q: np.ndarray, goals: Goals) -> np.ndarray:
+    pin.forwardKinematics(model, data, q)
     parts = []
-    for name, target in targets.items():
-        placement = data.oMf[model.getFrameId(name)]
+    for frame, target in goals:
+        placement = pin.updateFramePlacement(model, data, frame)
         if isinstance(target, pin.SE3):
             parts.append(-pin.log6(placement.actInv(target)).vector)
         else:
@@ -160,14 +167,12 @@ def _errors(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets) -
     return np.concatenate(parts)
 
 
-def _jacobian(model: pin.Model, data: pin.Data, q: np.ndarray, targets: Targets) -> np.ndarray:
+def _jacobian(model: pin.Model, data: pin.Data, q: np.ndarray, goals: Goals) -> np.ndarray:
     pin.computeJointJacobians(model, data, q)
-    pin.framesForwardKinematics(model, data, q)
     blocks = []
-    for name, target in targets.items():
-        frame = model.getFrameId(name)
+    for frame, target in goals:
         if isinstance(target, pin.SE3):
-            relative = target.actInv(data.oMf[frame])
+            relative = target.actInv(pin.updateFramePlacement(model, data, frame))
             blocks.append(pin.Jlog6(relative) @ pin.getFrameJacobian(model, data, frame, pin.LOCAL))
         else:
             blocks.append(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3])
@@ -222,7 +227,8 @@ def inverse_kinematics_branches(
     _require_size(robot, near)
     _require_targets(robot, targets)
     data = robot.model.createData()
-    rows = len(_errors(robot.model, data, near, targets))
+    goals = _goals(robot.model, targets)
+    rows = len(_errors(robot.model, data, near, goals))
     redundant = robot.nu > rows
     if separation is None:
         separation = SEPARATION if redundant else SAME_BRANCH
@@ -243,7 +249,7 @@ def inverse_kinematics_branches(
     if turns:
         branches = [turned for q in branches for turned in _all_turns(robot, q, turning)]
     branches.sort(key=lambda q: float(np.linalg.norm(pin.difference(robot.model, near, q))))
-    return tuple(Posture(q, float(np.linalg.norm(_errors(robot.model, data, q, targets)))) for q in branches)
+    return tuple(Posture(q, float(np.linalg.norm(_errors(robot.model, data, q, goals)))) for q in branches)
 
 
 def _turning_joints(robot: Robot) -> list[int]:

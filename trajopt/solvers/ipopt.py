@@ -13,9 +13,9 @@ from trajopt.transcription.nlp import Nlp
 # The NLP is scaled by units, so the solvers' own scaling is off; a solution "to an acceptable level" does not
 # count. The bound relaxation is far below the tolerance. Multipliers start at zero: least-squares estimates
 # at a guess off the constraints are large and make the first Hessians indefinite, which doubles the
-# iterations of IPOPT on the jump. Multipliers of bounds start small, as costs in natural units are. Mehrotra's
-# corrector and the oracle of the barrier are further right-hand sides of one factorisation, which is exact
-# enough without a step of refinement by default (IPOPT still takes one where the residual is large).
+# iterations of IPOPT on the jump. Multipliers of bounds start small, as costs in natural units are.
+# Mehrotra's corrector and the oracle of the barrier are further right-hand sides of one factorisation, which
+# is exact enough without a step of refinement (IPOPT still takes one where the residual is large).
 IPOPT_OPTIONS: dict[str, Option] = {
     "nlp_scaling_method": "none",
     "mu_strategy": "adaptive",
@@ -30,13 +30,13 @@ IPOPT_OPTIONS: dict[str, Option] = {
 }
 # A start from another solution (docs/warm-starts.md). IPOPT's default distance from bounds, 1e-2, and its
 # default initial multipliers discard the solution's information. With the solution's multipliers iterates
-# stay where they are; without them a small first barrier keeps them there. Where rows are new and the start
-# violates them, slacks start as far from their bounds as that, up to the default.
-LEAST_PUSH, MOST_PUSH = 1e-5, 1e-4
+# stay where they are; without them a small first barrier keeps them there.
 IPOPT_WARM: dict[str, Option] = {
     "warm_start_init_point": "yes",
-    "warm_start_bound_push": LEAST_PUSH,
-    "warm_start_bound_frac": LEAST_PUSH,
+    "warm_start_bound_push": 1e-5,
+    "warm_start_bound_frac": 1e-5,
+    "warm_start_slack_bound_push": 1e-5,
+    "warm_start_slack_bound_frac": 1e-5,
     "warm_start_mult_bound_push": 1e-5,
 }
 IPOPT_WARM_WITHOUT_MULTIPLIERS: dict[str, Option] = {
@@ -84,7 +84,6 @@ def solve_ipopt(
     chosen = {
         **IPOPT_OPTIONS,
         **({} if warm is None else restart),
-        **({} if lam_g is None else _slack_push(nlp, x0)),
         **({"hessian_approximation": LIMITED_MEMORY} if nlp.hessian == LIMITED_MEMORY else {}),
         "tol": stop.tolerance,
         "constr_viol_tol": stop.feasibility,
@@ -106,11 +105,3 @@ def solve_ipopt(
             "an option has a value that is not available here, such as a linear_solver that is not installed"
         )
     return Result.from_engine(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
-
-
-def _slack_push(nlp: Nlp, x0: np.ndarray) -> dict[str, Option]:
-    """How far slacks start from their bounds at least: as far as a row is violated."""
-    t, rows = nlp.transcription, nlp.engine.g(x0)
-    violated = float(np.maximum(t.lower_g - rows, rows - t.upper_g).max(initial=0.0))
-    push = min(max(violated, LEAST_PUSH), MOST_PUSH)
-    return {"warm_start_slack_bound_push": push, "warm_start_slack_bound_frac": push}

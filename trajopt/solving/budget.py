@@ -7,7 +7,7 @@ from trajopt.arguments import Positive, checked
 from trajopt.certify.accuracy.measures import measure
 from trajopt.problem.problem import Problem
 from trajopt.solving.graded import solve_graded
-from trajopt.solving.rounds import Graded
+from trajopt.solving.rounds import Graded, phase_errors
 
 # The part of the last error that the next round aims at.
 GAIN = 0.1
@@ -39,7 +39,9 @@ def solve_within(problem: Problem, budget: Positive, **settings: Any) -> Graded:
     made = solve_graded(problem, max_time=budget, **settings)
     if not made.solution.converged or not problem.holds_contacts:
         return made
-    made, rounds, why = replace(made, accuracy=measure(made.solution)), made.rounds, made.why
+    accuracy, why = measure(made.solution), made.why
+    rounds = (*made.rounds[:-1], replace(made.rounds[-1], errors=phase_errors(accuracy)))
+    made = replace(made, accuracy=accuracy, rounds=rounds)
     for name in ("start", "seed", "perturb", "exchange"):  # of the first solve
         settings.pop(name, None)
     while made.solution.success and not made.interrupted:

@@ -182,7 +182,7 @@ class Refinement:
             solver_time=self.solver_time,
             **{**self.settings, **limit, "label": label, "judge": False},
         )
-        self.compiled += self.last.statistics.compile_time_s
+        self.compiled += self.last.statistics.compile_time_s or 0.0
         self.settings.pop("perturb", None)  # noise is for the first start
         self.rounds.append(Round.of(mesh, self.last))
         return self.last if self.last.converged else None

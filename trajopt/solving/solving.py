@@ -68,8 +68,8 @@ def prepare(
 ) -> PreparedProblem:
     """Transcribe, compile (or fetch from the cache) and assemble; arguments as in `solve`.
 
-    The guess is the solution ``start``, resampled, or the problem's, which stays where it is when ``max_time``
-    s are over. Raises `InputError`.
+    The guess is the solution ``start``, resampled, or the problem's, which stays where it is when
+    ``max_time`` s are over. Raises `InputError`.
     """
     begun = time.perf_counter()
     transcribed = transcribe(problem, transcription, intervals, mesh)

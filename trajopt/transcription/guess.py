@@ -83,7 +83,7 @@ def _fill_impact(
 def initial_guess(transcription: Transcription, deadline: float = math.inf) -> np.ndarray:
     """Return scaled variables (n_unknowns,) from the problem's guess; the start is that of the problem.
 
-    After ``deadline``, by `time.perf_counter`, postures of the guess are no longer computed: the last one stays.
+    After ``deadline``, by `time.perf_counter`, the robot stays in the posture that was computed last.
     """
     time_scales = np.ones(transcription.layout.forms[0].n_time_scales)
     source = _ProblemGuess(transcription, deadline)

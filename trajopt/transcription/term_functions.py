@@ -1,7 +1,7 @@
 """The functions of a problem's points, nodes and transitions: terms written over contexts."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import casadi as ca
@@ -85,11 +85,11 @@ class TermFunctions:
             name = place.phase.name
             named = [(t.name, result_of(t, name, t.rows, context, units, place)) for t in acting]
             cost = sum((result_of(t, name, t.value, context, units, place) for t in priced), ca.SX(0))
-            terms = _stage_terms(f"node_{name}", context, cost, named)
+            key = (id(form), name, *(id(term) for term in (*acting, *priced)))
+            terms = _stage_terms(f"node_{name}", context, cost, named, functions.get(key))
             if terms.blocks or priced:
-                key = (id(form), name, *(id(term) for term in (*acting, *priced)))
-                shared = functions.setdefault(key, terms.function)
-                at_nodes[k] = replace(terms, function=shared)
+                functions[key] = terms.function
+                at_nodes[k] = terms
         return at_nodes
 
     def moment(self, term: MomentConstraint) -> StageTerms:
@@ -242,10 +242,15 @@ class TermFunctions:
 
 
 def _stage_terms(
-    name: str, context: Context, cost: ca.SX, named: Sequence[tuple[str, Rows | None]]
+    name: str,
+    context: Context,
+    cost: ca.SX,
+    named: Sequence[tuple[str, Rows | None]],
+    known: PointFunction | None = None,
 ) -> StageTerms:
+    """Terms over a context; ``known`` is the function of the same terms at another node."""
     blocks = tuple((label, rows) for label, rows in named if rows is not None and rows.expression.numel())
-    function = point_function(name, context, cost, [rows.expression for _, rows in blocks])
+    function = known or point_function(name, context, cost, [rows.expression for _, rows in blocks])
     return StageTerms(function, blocks, context.parameter_values_at, context.varying_columns)
 
 

@@ -1,0 +1,131 @@
+"""Tables of the comparison of collocation, from its measurements."""
+
+from __future__ import annotations
+
+import csv
+import math
+import statistics
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+OURS = "trajopt"
+# A plan of ours with an objective above this many times the median of all meshes is another local optimum.
+WORSE = 1.05
+COLUMNS = (
+    *("task", "side", "method", "intervals", "solved", "build_s", "seconds", "processor"),
+    *("along", "end", "objective", "beyond"),
+)
+
+
+@dataclass(kw_only=True)
+class Measured:
+    """A setting, and its times by round, s; errors and objective as of `scripts.peers.open_loop.measure`."""
+
+    task: str
+    side: str
+    method: str
+    intervals: int
+    solved: bool = False
+    build: float = math.nan
+    seconds: list[float] = field(default_factory=list)
+    processor: list[float] = field(default_factory=list)
+    along: float = math.nan
+    end: float = math.nan
+    objective: float = math.nan
+    beyond: float = math.nan
+
+    @property
+    def label(self) -> str:
+        """Name in a table."""
+        return f"{self.side} `{self.method}@{self.intervals}`"
+
+    @property
+    def median(self) -> float:
+        """Median time of the solver, s."""
+        return statistics.median(self.seconds)
+
+
+def chosen(found: Sequence[Measured], theirs: Measured) -> Measured | None:
+    """The fastest of ours whose largest error is at most theirs, and that is no worse optimum of ours."""
+    ours = [m for m in found if m.task == theirs.task and m.side == OURS and m.solved]
+    usual = WORSE * statistics.median(m.objective for m in ours)
+    accurate = (m for m in ours if m.along <= theirs.along and m.objective <= usual)
+    return min(accurate, key=lambda m: m.median, default=None)
+
+
+def _table(titles: Sequence[str], rows: Iterator[Sequence[str]]) -> Iterator[str]:
+    yield f"| {' | '.join(titles)} |"
+    yield "|" + "---|" * len(titles)
+    for row in rows:
+        yield f"| {' | '.join(row)} |"
+
+
+def summary(found: Sequence[Measured]) -> Iterator[str]:
+    """One line a setting of theirs, and the fastest of ours with an error as small."""
+    titles = ("task", "theirs", "[s]", "error", "objective", "ours", "[s]", "error", "objective")
+    return _table((*titles, "theirs / ours", "of processor"), _compared(found))
+
+
+def _compared(found: Sequence[Measured]) -> Iterator[Sequence[str]]:
+    for m in (m for m in found if m.side != OURS):
+        cells = [m.task, m.label, f"{m.median:.4f}", f"{m.along:.1e}", f"{m.objective:.5g}"]
+        ours = chosen(found, m)
+        if not m.solved or ours is None:
+            yield [*cells, "" if m.solved else "(theirs not converged)", *[""] * 5]
+            continue
+        ratios = m.median / ours.median, statistics.median(m.processor) / statistics.median(ours.processor)
+        figures = f"{ours.median:.4f}", f"{ours.along:.1e}", f"{ours.objective:.5g}"
+        yield [*cells, f"`{ours.method}@{ours.intervals}`", *figures, *(f"{ratio:.3g}" for ratio in ratios)]
+
+
+def everything(found: Sequence[Measured]) -> Iterator[str]:
+    """One line a setting."""
+    titles = "task", "setting", "build [s]", "[s]", "processor [s]", "error", "at the end", "objective"
+    return _table((*titles, "beyond limits"), map(_figures, found))
+
+
+def _figures(m: Measured) -> Sequence[str]:
+    times = m.build, m.median, statistics.median(m.processor)
+    return [
+        m.task,
+        m.label + ("" if m.solved else ", not converged"),
+        *(f"{value:.4f}" for value in times),
+        *(f"{value:.1e}" for value in (m.along, m.end)),
+        f"{m.objective:.5g}",
+        f"{100 * m.beyond:.1f} %",
+    ]
+
+
+def write_csv(found: Sequence[Measured], path: Path) -> None:
+    """All measurements, with the times of all rounds."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for m in found:
+            times = [" ".join(f"{value:.5f}" for value in values) for values in (m.seconds, m.processor)]
+            figures = [f"{value:.6g}" for value in (m.along, m.end, m.objective, m.beyond)]
+            names = [m.task, m.side, m.method, m.intervals, int(m.solved), f"{m.build:.4f}"]
+            writer.writerow([*names, *times, *figures])
+
+
+def read_csv(path: Path) -> list[Measured]:
+    """What `write_csv` wrote."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        return [
+            Measured(
+                task=row["task"],
+                side=row["side"],
+                method=row["method"],
+                intervals=int(row["intervals"]),
+                solved=row["solved"] == "1",
+                build=float(row["build_s"]),
+                seconds=[float(value) for value in row["seconds"].split()],
+                processor=[float(value) for value in row["processor"].split()],
+                along=float(row["along"]),
+                end=float(row["end"]),
+                objective=float(row["objective"]),
+                beyond=float(row["beyond"]),
+            )
+            for row in csv.DictReader(stream)
+        ]
