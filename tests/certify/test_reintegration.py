@@ -4,11 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
+from trajopt._integrator import Dynamics
 from trajopt.certify.check import check
+from trajopt.certify.contact.contact_dynamics import ContactDynamics
+from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import Tolerances
+from trajopt.certify.runge_kutta import METHOD
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.solving.graded import solve
 from trajopt_library import problems, robots
@@ -57,6 +62,45 @@ def test_a_phase_that_a_verdict_finds_unstable_has_no_figures_of_its_open_loop()
     assert judged.stable is False
     assert judged.open_loop_joints is None
     assert judged.local_joints == whole.local_joints
+
+
+@pytest.mark.parametrize("name", ["ur5", "solo"])
+def test_compiled_integration_is_that_of_python(name, solo, monkeypatch):
+    robot = robots.load("ur5") if name == "ur5" else solo
+    parts = [arm_motion(robot)] if name == "ur5" else [standing(solo), tumbling_flight(solo)]
+    plan = sampled(robot, parts, INTERVALS)
+    motion = MotionQuantities(replace(plan, tau=plan.tau + 0.1))
+    phases = range(len(plan.phases))
+    compiled = [open_loop(motion, phase) for phase in phases]
+    monkeypatch.setattr(ContactDynamics, "compiled", None)
+    for one, other in zip(compiled, (open_loop(motion, phase) for phase in phases), strict=True):
+        assert one.joints > 1e-3
+        assert_allclose(one.joints, other.joints, rtol=EXACT)
+        if name == "solo":
+            assert_allclose(one.position, other.position, rtol=EXACT, atol=EXACT)
+
+
+def test_dynamics_that_are_not_compiled_are_those_of_more_than_points():
+    talos, ur5 = robots.load("talos"), robots.load("ur5")
+    soles = ContactSet.of(talos.model, [(contact.frame, 6) for contact in talos.contacts])
+    assert ContactDynamics(talos.model, soles).compiled is None
+    none = ContactSet.of(ur5.model, [])
+    assert ContactDynamics(ur5.model, none).compiled is not None
+    assert ContactDynamics(ur5.model, none, np.eye(ur5.nv)[:, :-1]).compiled is None
+
+
+def test_compiled_dynamics_refuse_what_is_no_model_and_shapes_that_do_not_fit():
+    model = robots.load("ur5").model
+    with pytest.raises(TypeError, match=r"pinocchio\.Model"):
+        Dynamics("ur5", [], 1e-10, 1e-10, 10)
+    with pytest.raises(ValueError, match="a frame is not in the model"):
+        Dynamics(model, [model.nframes], 1e-10, 1e-10, 10)
+    dynamics, rest = Dynamics(model, [], 1e-10, 1e-10, 10), np.zeros(model.nv)
+    short = METHOD, np.zeros(model.nq - 1), rest, np.zeros((2, 6)), np.eye(6), 0.1, 1e-9, 1e-11, 100
+    with pytest.raises(ValueError, match="q has a wrong size"):
+        dynamics.integrate(*short)
+    few = METHOD, np.zeros(model.nq), rest, np.zeros((2, 6)), np.eye(6), 0.1, 1e-9, 1e-11, 10
+    assert dynamics.integrate(*few)[0] == "diverged"
 
 
 def test_torque_that_runs_away_is_reported_as_infinite(flight):

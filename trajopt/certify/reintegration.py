@@ -21,7 +21,7 @@ import pinocchio as pin
 from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.certify.contact.impact import impact
-from trajopt.certify.runge_kutta import integrate
+from trajopt.certify.runge_kutta import METHOD, integrate
 from trajopt.certify.sliding import SlidingDynamics
 from trajopt.errors import InputError
 from trajopt.motion.quantities import MotionQuantities
@@ -149,6 +149,15 @@ def integrate_interval(
         acceleration = dynamics.acceleration(moved, velocity, force)
         return (end - start) * np.concatenate([coordinate_rate(delta, velocity), acceleration])
 
+    compiled = dynamics.compiled if isinstance(dynamics, ContactDynamics) else None
+    if compiled is not None and not (motion.moved_by_rates or plan.description.joint_forces):
+        absolute = ABSOLUTE_SHARE * relative_error
+        actuation, duration = plan.actuation.matrix, end - start
+        how, reached = compiled.integrate(
+            METHOD, q, v, coefficients, actuation, duration, relative_error, absolute, MAX_EVALUATIONS
+        )
+        if how != "not converged":
+            return reached if how == "solved" else None
     if motion.moved_by_rates:
         final = _run(kinematics, np.zeros(nv), relative_error)
         return None if final is None else (pin.integrate(model, q, final), coefficients.sum(axis=0))
@@ -211,4 +220,4 @@ def active_contacts(motion: MotionQuantities, row: int) -> ContactSet:
     solution = motion.solution
     kinds = zip(solution.description.contacts, solution.active[row], strict=True)
     contacts = [(contact.frame, 6 if contact.is_sole else 3) for contact, on in kinds if on]
-    return ContactSet.of(motion.models[int(solution.phase[row])], contacts)
+    return ContactSet.of(motion.models[int(solution.phase[row])], contacts, moment_arm=motion.reach or None)

@@ -9,6 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from trajopt import _integrator
+
 Rate = Callable[[float, np.ndarray], np.ndarray]
 
 _NODES = np.array(
@@ -147,6 +149,15 @@ _ERROR_3 = np.array(
         0.20136540080403034,
         0.02265179219836082,
     ]
+)
+
+# The same for compiled dynamics.
+METHOD = _integrator.Method(
+    _NODES,
+    np.array([np.pad(row, (0, len(_NODES) - len(row))) for row in (np.zeros(0), *_MATRIX)]),
+    _WEIGHTS,
+    _ERROR_5,
+    _ERROR_3,
 )
 
 # Of steps: how much smaller than the one that would be just accurate enough, and bounds on their change.

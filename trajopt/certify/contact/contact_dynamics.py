@@ -10,11 +10,13 @@ contradict each other, it has the least contact acceleration. f then has minimum
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from trajopt import _integrator
 from trajopt.arguments import checked
 from trajopt.certify.contact.contact_response import ContactRank, contact_rank, contact_response, mass_factor
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
@@ -169,6 +171,14 @@ class ContactDynamics:
         for entry in self._constraints:
             self._states.append(entry.createData())
         pin.initConstraintDynamics(model, self._data, self._constraints, self._states)
+
+    @cached_property
+    def compiled(self) -> _integrator.Dynamics | None:
+        """The same dynamics for whole integrations; None where they are not those of points that hold."""
+        if set(self.contacts.dimensions) - {3} or self.independent is not None:
+            return None
+        frames = [int(frame) for frame in self.contacts.frames]
+        return _integrator.Dynamics(self.model, frames, PROXIMAL, SOFTNESS, MOST_PROXIMAL)
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""

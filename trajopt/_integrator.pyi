@@ -1,0 +1,42 @@
+"""The extension of trajopt/certify/integrator.cpp: forward dynamics with points in contact, integrated."""
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+Reals = NDArray[np.float64]
+
+class Method:
+    """Coefficients of an explicit Runge-Kutta method of n stages: (n, n) below the diagonal, else (n,)."""
+
+    def __init__(
+        self, nodes: Reals, matrix: Reals, weights: Reals, error_5: Reals, error_3: Reals
+    ) -> None: ...
+
+class Dynamics:
+    """Forward dynamics of a model whose frames hold their place, by Pinocchio's proximal algorithm.
+
+    accuracy, softness, most: of the algorithm, as in `pinocchio.ProximalSettings`.
+    """
+
+    def __init__(
+        self, model: pin.Model, frames: list[int], accuracy: float, softness: float, most: int
+    ) -> None: ...
+    def integrate(
+        self,
+        method: Method,
+        q: Reals,
+        v: Reals,
+        coefficients: Reals,
+        actuation: Reals,
+        duration: float,
+        relative: float,
+        absolute: float,
+        evaluations: int,
+    ) -> tuple[str, tuple[Reals, Reals]]:
+        """How it ends, ``solved``, ``diverged`` or ``not converged``, and then the state (q, v).
+
+        From (q, v) under the generalised force (nv,) ``actuation @ coefficients.T @ [1, t, t^2, ...]``, t
+        from 0 to 1 over ``duration`` s. Local errors are bounded as in `runge_kutta.integrate`, evaluations
+        of the dynamics by ``evaluations``.
+        """
