@@ -34,17 +34,12 @@ MESHES = {
     "bound": ("legendre:4", 2),
     "jump": ("legendre:4", 3),
 }
-NO_CORRECTOR, LARGE, REFINED = (
-    {"corrector_type": "none"},
-    {"bound_mult_init_val": 1.0},
-    {"min_refinement_steps": 1},
-)
 SETTINGS: dict[str, dict[str, Any]] = {
     "the defaults": {},
-    "without a corrector": NO_CORRECTOR,
-    "multipliers of bounds start at 1": LARGE,
-    "solutions are refined once": REFINED,
-    "all three": {**NO_CORRECTOR, **LARGE, **REFINED},
+    "`corrector_type=affine`": {"corrector_type": "affine"},
+    "`bound_mult_init_val=3e-3`": {"bound_mult_init_val": 3e-3},
+    "`min_refinement_steps=0`": {"min_refinement_steps": 0},
+    "all three": peers.QUICK,
 }
 SMALL_NOISE = 0.03
 

@@ -13,15 +13,10 @@ from trajopt.transcription.nlp import Nlp
 # The NLP is scaled by units, so the solvers' own scaling is off; a solution "to an acceptable level" does not
 # count. The bound relaxation is far below the tolerance. Multipliers start at zero: least-squares estimates
 # at a guess off the constraints are large and make the first Hessians indefinite, which doubles the
-# iterations of IPOPT on the jump. Multipliers of bounds start small, as costs in natural units are.
-# Mehrotra's corrector and the oracle of the barrier are further right-hand sides of one factorisation, which
-# is exact enough without a step of refinement (IPOPT still takes one where the residual is large).
+# iterations of IPOPT on the jump.
 IPOPT_OPTIONS: dict[str, Option] = {
     "nlp_scaling_method": "none",
     "mu_strategy": "adaptive",
-    "corrector_type": "affine",
-    "bound_mult_init_val": 3e-3,
-    "min_refinement_steps": 0,
     "acceptable_iter": 0,
     "bound_relax_factor": 1e-9,
     "constr_mult_init_max": 0.0,

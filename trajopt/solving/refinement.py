@@ -172,7 +172,9 @@ class Refinement:
         given, number = self.settings.get("label", ""), len(self.rounds) + 1
         # A named mesh is usually solved once; a refinement has several meshes.
         label = ", ".join(filter(None, [given, f"mesh {number}" if self.refine or number > 1 else ""]))
-        limit: dict[str, Any] = {"max_time": max(self._left(), LEAST_TIME)}
+        limit: dict[str, Any] = {}
+        if self.settings.get("max_time", MAX_TIME) > 0:  # else it is refused
+            limit["max_time"] = max(self._left(), LEAST_TIME)
         if most is not None:
             limit["max_iterations"] = min(most, self.settings.get("max_iterations", most))
         self.last = solve_on_mesh(

@@ -74,9 +74,9 @@ class Collocation:
         contacts = layout.contacts[phase]
         loaded = np.repeat([c.name in loads for c in contacts], [c.dimension for c in contacts]).astype(bool)
         weights = scheme.interpolation(np.array([fraction]))[0]
-        points = range(scheme.s)
-        highest = np.tensordot(weights, [eye[layout.local_derivative(phase, j)] for j in points], 1)
-        wrench = np.tensordot(weights, [eye[layout.local_wrench(phase, j)] for j in points], 1)
+        places = [(layout.local_derivative(phase, j), layout.local_wrench(phase, j)) for j in range(scheme.s)]
+        highest = np.einsum("j,jin->in", weights, np.array([eye[derivative] for derivative, _ in places]))
+        wrench = np.einsum("j,jin->in", weights, np.array([eye[derivative] for _, derivative in places]))
         rows = [eye[form.rotations], *lower, highest, wrench[loaded]]
         return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 

@@ -76,7 +76,7 @@ class Scheme:
 
     def interpolation(self, fractions: np.ndarray) -> np.ndarray:
         """Matrix (len(fractions), s) that evaluates the Lagrange polynomials through the points."""
-        return self._at(fractions) @ self.polynomials[0]
+        return np.column_stack([basis(np.asarray(fractions, dtype=float)) for basis in _lagrange(self.c)])
 
     def lower_at(self, fraction: float) -> tuple[np.ndarray, np.ndarray]:
         """Weights (s,) of y in xi' (over h) and in xi (over h^2) at a fraction of the interval.
@@ -84,15 +84,11 @@ class Scheme:
         Those of the interpolant that a solution file is read with: the integrals of the Lagrange polynomials,
         and for the classic schemes the cubic that closes their gap to the next node.
         """
-        powers = self._at(np.array([fraction]))[0]
-        rate, position = powers @ self.polynomials[1], powers @ self.polynomials[2]
-        closing = self.polynomials[1:].sum(axis=1)
+        at, end = np.array([fraction]), np.ones(1)
+        rate, position = _integrals(self.c, at, 1)[0], _integrals(self.c, at, 2)[0]
         ramp = fraction**2 * (3 - 2 * fraction)
-        return rate + fraction * (self.b1 - closing[0]), position + ramp * (self.b2 - closing[1])
-
-    def _at(self, fractions: np.ndarray) -> np.ndarray:
-        """Powers (len(fractions), s + 2) of fractions."""
-        return np.vander(np.asarray(fractions, dtype=float), self.s + 2, increasing=True)
+        closing = self.b2 - _integrals(self.c, end, 2)[0]
+        return rate + fraction * (self.b1 - _integrals(self.c, end, 1)[0]), position + ramp * closing
 
     @cached_property
     def polynomials(self) -> np.ndarray:
