@@ -13,7 +13,6 @@ Each side is a process that answers requests: those of the peers in environments
 time, on one thread. This process integrates the torques of all plans by one model.
 """
 
-import argparse
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -24,10 +23,10 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 os.environ["OMP_NUM_THREADS"] = "1"
 
-from scripts.documents import written  # noqa: E402
+from scripts.documents import write_sections  # noqa: E402
 from scripts.peers import collocation_report as report  # noqa: E402
 from scripts.peers.collocation_report import OURS, Measured  # noqa: E402
-from scripts.peers.halves import Half  # noqa: E402
+from scripts.peers.halves import Half, arguments  # noqa: E402
 
 DOCUMENT = ROOT / "docs" / "peers.md"
 TABLE = ROOT / "docs" / "peers" / "collocation.csv"
@@ -99,13 +98,7 @@ def measure(task: str, repeats: int, ours: Half) -> list[Measured]:
 
 def main() -> None:
     """Measure, print, and write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("tasks", nargs="*", choices=[[], *PEERS], help="default: all")
-    parser.add_argument("--repeats", type=int, default=5, help="rounds of solves")
-    parser.add_argument("--ours", default=f"uv run --project {ROOT} python", help="python of the project")
-    parser.add_argument("--write", action="store_true", help="write docs/peers.md and docs/peers/")
-    parser.add_argument("--only-document", action="store_true", help="run nothing: write from the last table")
-    given = parser.parse_args()
+    given = arguments(__doc__.splitlines()[0], PEERS)
     if given.only_document:
         found = report.read_csv(TABLE)
     else:
@@ -118,10 +111,7 @@ def main() -> None:
     if given.write or given.only_document:
         TABLE.parent.mkdir(exist_ok=True)
         report.write_csv(found, TABLE)
-        text = DOCUMENT.read_text(encoding="utf-8")
-        for marker, lines in tables.items():
-            text = written(text, marker, lines + "\n")
-        DOCUMENT.write_text(text, encoding="utf-8")
+        write_sections(DOCUMENT, tables)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ environment, as a process that answers requests (`scripts/peers/serve.py`). One 
 on one thread unless said. A time is that of the solver: problems are built, and functions compiled, before.
 """
 
-import argparse
 import os
 import sys
 from collections.abc import Iterator
@@ -31,10 +30,10 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 os.environ["OMP_NUM_THREADS"] = "1"  # before Crocoddyl loads OpenMP; problems state their own number
 
-from scripts.documents import written  # noqa: E402
+from scripts.documents import write_sections  # noqa: E402
 from scripts.peers import crocoddyl_half as theirs  # noqa: E402
 from scripts.peers import report  # noqa: E402
-from scripts.peers.halves import Half  # noqa: E402
+from scripts.peers.halves import Half, arguments  # noqa: E402
 from scripts.peers.report import CROCODDYL, EXAMPLE, MUMPS, OURS, STAGES, TWO, Measured, Setting  # noqa: E402
 from scripts.peers.tasks import SOLO_JUMP, TASKS  # noqa: E402
 
@@ -138,13 +137,7 @@ def measure(tasks: list[str], repeats: int, command: str) -> list[Measured]:
 
 def main() -> None:
     """Measure, print, and write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("tasks", nargs="*", choices=[[], *TASKS], help="default: all")
-    parser.add_argument("--repeats", type=int, default=5, help="rounds of solves")
-    parser.add_argument("--ours", default=f"uv run --project {ROOT} python", help="python of the project")
-    parser.add_argument("--write", action="store_true", help="write docs/peers.md and docs/peers/")
-    parser.add_argument("--only-document", action="store_true", help="run nothing: write from the last table")
-    given = parser.parse_args()
+    given = arguments(__doc__.splitlines()[0], TASKS)
     tasks = given.tasks or list(TASKS)
     table = FOLDER / "crocoddyl.csv"
     found = report.read_csv(table) if given.only_document else measure(tasks, given.repeats, given.ours)
@@ -153,16 +146,13 @@ def main() -> None:
         "knots": lambda: report.knots(found, tasks),
         "all": lambda: report.everything(found, tasks),
     }
-    for lines in parts.values():
-        print("\n".join(lines()), end="\n\n")
+    tables = {marker: "\n".join(lines()) for marker, lines in parts.items()}
+    print("\n\n".join(tables.values()))
     if given.write or given.only_document:
         FOLDER.mkdir(exist_ok=True)
         report.write_csv(found, table)
         report.draw(found, tasks, FOLDER / "crocoddyl.png")
-        text = DOCUMENT.read_text(encoding="utf-8")
-        for marker, lines in parts.items():
-            text = written(text, marker, "\n".join(lines()) + "\n")
-        DOCUMENT.write_text(text, encoding="utf-8")
+        write_sections(DOCUMENT, tables)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,27 @@
-"""Sections of documents that scripts write. Only the standard library is needed."""
+"""Sections of documents that scripts write, and their tables. Only the standard library is needed."""
 
 import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 
 
 def written(text: str, marker: str, lines: str) -> str:
     """The text with ``lines`` between the two comments of a marker."""
     between = re.compile(rf"(?<=<!-- {marker} -->\n).*?(?=<!-- end of {marker} -->)", re.DOTALL)
     return between.sub(lambda _: f"\n{lines}\n", text)
+
+
+def write_sections(document: Path, sections: Mapping[str, str]) -> None:
+    """Write lines between the comments of their markers."""
+    text = document.read_text(encoding="utf-8")
+    for marker, lines in sections.items():
+        text = written(text, marker, f"{lines}\n")
+    document.write_text(text, encoding="utf-8")
+
+
+def table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
+    """Lines of a Markdown table."""
+    yield f"| {' | '.join(titles)} |"
+    yield "|" + "---|" * len(titles)
+    for row in rows:
+        yield f"| {' | '.join(row)} |"

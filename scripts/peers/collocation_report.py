@@ -9,6 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from scripts.documents import table
+
 OURS = "trajopt"
 # A plan of ours with an objective above this many times the median of all meshes is another local optimum.
 WORSE = 1.05
@@ -54,17 +56,10 @@ def chosen(found: Sequence[Measured], theirs: Measured) -> Measured | None:
     return min(accurate, key=lambda m: m.median, default=None)
 
 
-def _table(titles: Sequence[str], rows: Iterator[Sequence[str]]) -> Iterator[str]:
-    yield f"| {' | '.join(titles)} |"
-    yield "|" + "---|" * len(titles)
-    for row in rows:
-        yield f"| {' | '.join(row)} |"
-
-
 def summary(found: Sequence[Measured]) -> Iterator[str]:
     """One line a setting of theirs, and the fastest of ours with an error as small."""
     titles = ("task", "theirs", "[s]", "error", "objective", "ours", "[s]", "error", "objective")
-    return _table((*titles, "theirs / ours", "of processor"), _compared(found))
+    return table((*titles, "theirs / ours", "of processor"), _compared(found))
 
 
 def _compared(found: Sequence[Measured]) -> Iterator[Sequence[str]]:
@@ -82,7 +77,7 @@ def _compared(found: Sequence[Measured]) -> Iterator[Sequence[str]]:
 def everything(found: Sequence[Measured]) -> Iterator[str]:
     """One line a setting."""
     titles = "task", "setting", "build [s]", "[s]", "processor [s]", "error", "at the end", "objective"
-    return _table((*titles, "beyond limits"), map(_figures, found))
+    return table((*titles, "beyond limits"), map(_figures, found))
 
 
 def _figures(m: Measured) -> Sequence[str]:

@@ -1,11 +1,12 @@
 """Two halves of a comparison, each in an environment of its own: lines of JSON from one to the other."""
 
+import argparse
 import json
 import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,17 @@ class Half:
     def close(self) -> None:
         """Let it end."""
         self._process.communicate()
+
+
+def arguments(description: str, tasks: Iterable[str]) -> argparse.Namespace:
+    """What the command line of a comparison says: tasks, repeats, how ours is run, and what is written."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("tasks", nargs="*", choices=[[], *tasks], help="default: all")
+    parser.add_argument("--repeats", type=int, default=5, help="rounds of solves")
+    parser.add_argument("--ours", default=f"uv run --project {ROOT} python", help="python of the project")
+    parser.add_argument("--write", action="store_true", help="write docs/peers.md and docs/peers/")
+    parser.add_argument("--only-document", action="store_true", help="run nothing: write from the last table")
+    return parser.parse_args()
 
 
 def answer(answers: Mapping[str, Callable[..., dict[str, Any]]]) -> None:

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from scripts.documents import table
+
 OURS, CROCODDYL = "trajopt", "Crocoddyl"
 # Of ours: the factorisation of its own on one thread and on two, and another.
 STAGES, TWO, MUMPS = "stages", "2 threads", "mumps"
@@ -132,8 +134,11 @@ def summary(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
 
 def knots(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
     """One line a task and length of knots: ours at their largest error or less, and the ratio of times."""
-    yield "| task | Crocoddyl | largest error [m] | [s] | ours | largest error [m] | [s] | ratio |"
-    yield "|" + "---|" * 8
+    titles = "task", "Crocoddyl", "largest error [m]", "[s]", "ours", "largest error [m]", "[s]", "ratio"
+    return table(titles, _at_equal_errors(found, tasks))
+
+
+def _at_equal_errors(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[Sequence[str]]:
     for task in tasks:
         methods = example(found, task).setting.method
         for theirs in _of(found, task=task, side=CROCODDYL, method=methods, detail="1"):
@@ -142,11 +147,8 @@ def knots(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
             ours = min(equal, key=lambda m: m.median, default=None)
             if ours is None or not theirs.solved:
                 continue
-            yield (
-                f"| {task} | `{theirs.setting.label}` | {theirs.largest:.1e} | {theirs.median:.3f} "
-                f"| `{ours.setting.label}` | {ours.largest:.1e} | {ours.median:.3f} "
-                f"| {ours.ratios(theirs)[0]:.2f} |"
-            )
+            each = ((f"`{m.setting.label}`", f"{m.largest:.1e}", f"{m.median:.3f}") for m in (theirs, ours))
+            yield [task, *(cell for cells in each for cell in cells), f"{ours.ratios(theirs)[0]:.2f}"]
 
 
 def everything(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:

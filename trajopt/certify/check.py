@@ -12,7 +12,7 @@ from trajopt.certify.dense import dense_motion, figures_at
 from trajopt.certify.flight import FIGURES as FLIGHT
 from trajopt.certify.flight import flight_errors
 from trajopt.certify.impact_figures import impact_figures
-from trajopt.certify.reintegration import RELATIVE_ERROR, ROUGH_ERROR, OpenLoopError, open_loop
+from trajopt.certify.reintegration import ROUGH_ERROR, OpenLoopError, open_loop
 from trajopt.certify.report import (
     FIGURES,
     GRADE,
@@ -191,13 +191,11 @@ def _phases(motion: MotionQuantities, local: LocalErrors, integrate: bool) -> It
     for index, phase in enumerate(plan.phases):
         inside = slice(plan.intervals_of(index).start, plan.intervals_of(index).stop)
         sums = float(local.position[inside].sum()), float(local.joints[inside].sum())
-        error, stable = None, None
+        error, integrated = None, integrate or _may_miss(sums)
         if integrate:
-            error = open_loop(motion, index, RELATIVE_ERROR)
-        elif _may_miss(sums):
-            most = (STABLE_GROWTH * sums[0], STABLE_GROWTH * sums[1])
-            error = open_loop(motion, index, ROUGH_ERROR, most)
-            stable = False if error is None else None
+            error = open_loop(motion, index)
+        elif integrated:
+            error = open_loop(motion, index, ROUGH_ERROR, (STABLE_GROWTH * sums[0], STABLE_GROWTH * sums[1]))
         yield PhaseReport(
             index=int(plan.phase[phase.start]),
             name=plan.phase_names[index],
@@ -209,7 +207,7 @@ def _phases(motion: MotionQuantities, local: LocalErrors, integrate: bool) -> It
             open_loop_position=None if error is None else error.position,
             open_loop_orientation=None if error is None else error.orientation,
             open_loop_joints=None if error is None else error.joints,
-            stable=stable if error is None else _is_stable(error, sums),
+            stable=error is not None and _is_stable(error, sums) if integrated else None,
             **flight_errors(motion, phase),
         )
 

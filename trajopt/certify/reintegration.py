@@ -132,11 +132,17 @@ def integrate_interval(
     plan, model, nv = motion.solution, motion.solution.model, motion.solution.model.nv
     start, end = (float(time) for time in plan.interval_t[number])
     coefficients, powers = motion.inputs[number], np.arange(len(motion.inputs[number]))
-    additive = all(joint.nq == joint.nv == 1 for joint in list(model.joints)[1:])
+    compiled = dynamics.compiled if isinstance(dynamics, ContactDynamics) else None
+    if compiled is not None and not (motion.moved_by_rates or plan.description.joint_forces):
+        absolute = ABSOLUTE_SHARE * relative_error
+        actuation, duration = plan.actuation.matrix, end - start
+        how, reached = compiled.integrate(
+            METHOD, q, v, coefficients, actuation, duration, relative_error, absolute, MAX_EVALUATIONS
+        )
+        if how != "not converged":
+            return reached if how == "solved" else None
 
     def coordinate_rate(delta: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        if additive:  # q + delta
-            return velocity
         return np.linalg.solve(pin.dIntegrate(model, q, delta, pin.ArgumentPosition.ARG1), velocity)
 
     def kinematics(fraction: float, delta: np.ndarray) -> np.ndarray:
@@ -149,15 +155,6 @@ def integrate_interval(
         acceleration = dynamics.acceleration(moved, velocity, force)
         return (end - start) * np.concatenate([coordinate_rate(delta, velocity), acceleration])
 
-    compiled = dynamics.compiled if isinstance(dynamics, ContactDynamics) else None
-    if compiled is not None and not (motion.moved_by_rates or plan.description.joint_forces):
-        absolute = ABSOLUTE_SHARE * relative_error
-        actuation, duration = plan.actuation.matrix, end - start
-        how, reached = compiled.integrate(
-            METHOD, q, v, coefficients, actuation, duration, relative_error, absolute, MAX_EVALUATIONS
-        )
-        if how != "not converged":
-            return reached if how == "solved" else None
     if motion.moved_by_rates:
         final = _run(kinematics, np.zeros(nv), relative_error)
         return None if final is None else (pin.integrate(model, q, final), coefficients.sum(axis=0))
