@@ -1,16 +1,20 @@
 """Refinement: the model of the error, the mesh it asks for, and what is reached, measured independently."""
 
+import math
 import time
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.support.problems import hop, reach
+from tests.support.problems import REACH, REACH_TIME, hop, one_joint_arm, reach
 from trajopt.certify.accuracy.measures import measure
 from trajopt.certify.report import GRADE
 from trajopt.errors import InputError
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.grid import mesh_of
 from trajopt.solving import refinement
 from trajopt.solving.exchange import Exchange
@@ -19,6 +23,13 @@ from trajopt.solving.refinement import PATIENCE, Refinement
 from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, remeshed
 from trajopt.solving.rounds import phase_errors
 from trajopt.solving.solving import solve
+from trajopt.terms import (
+    AccelerationCost,
+    PositionLimits,
+    PostureCost,
+    TorqueLimits,
+    VelocityLimits,
+)
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import scheme
 from trajopt_library import problems
@@ -252,6 +263,37 @@ def test_limit_of_time_bounds_the_guess_and_the_checks(monkeypatch):
     clock.clear()
     assert solve_graded(problem, max_time=10.0, solver_time=True).reached
     assert len(calls) > 2 * within
+
+
+@pytest.mark.parametrize("kind", ["torque_limit", "velocity_limit", "position_upper"])
+def test_limits_that_seem_out_of_reach_get_rows_where_a_motion_exceeds_one(kind):
+    limit = (
+        1.05
+        * {
+            "torque_limit": Units(one_joint_arm()).unreachable_torque,
+            "velocity_limit": Units(one_joint_arm()).unreachable_velocity,
+            "position_upper": 2 * np.pi,
+        }[kind]
+    )
+    # A cubic from rest to rest has 1.5 times its mean rate at most, and six times its way over T^2 in
+    # acceleration: both are a tenth beyond the limit.
+    inertia = pin.crba(one_joint_arm().model, one_joint_arm().model.createData(), np.zeros(1)).item()
+    duration = {
+        "torque_limit": math.sqrt(6 * inertia * REACH / (1.1 * limit)),
+        "velocity_limit": 1.5 * REACH / (1.1 * limit),
+        "position_upper": REACH_TIME,
+    }[kind]
+    pull = (PostureCost(weight=1e3, q=np.array([1.1 * limit])),) if kind == "position_upper" else ()
+    limits = (TorqueLimits(), VelocityLimits(), PositionLimits())
+    robot = replace(one_joint_arm(), **{kind: np.array([limit])})
+    free = reach(terms=(AccelerationCost(weight=1.0), *pull, *limits))
+    schedule = Schedule((Phase(name="reach", duration=duration),))
+    problem = replace(free, robot=robot, schedule=schedule, guess=free.guess)
+    found = solve_graded(problem, mesh=Mesh.uniform("legendre:3", (12,)))
+    assert found.reached
+    assert found.rounds[0].mesh == found.rounds[1].mesh  # a finer one would not mend it
+    values = {"torque_limit": found.solution.tau, "velocity_limit": found.solution.v}
+    assert np.abs(values.get(kind, found.solution.q)).max() == pytest.approx(limit, rel=1e-3)
 
 
 @pytest.mark.parametrize("target", [0.0, -1e-3, float("nan"), float("inf"), "1e-3"])

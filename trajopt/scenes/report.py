@@ -1,6 +1,5 @@
 """What a scene models and leaves out, by decision: whether exact or a choice, and what it saves."""
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -133,7 +132,7 @@ def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iter
         )
     for term in problem.terms:
         if isinstance(term, TorqueLimits | VelocityLimits | PositionLimits):
-            beyond, why = _beyond(term, robot)
+            beyond, why = int(np.sum(term.left_out(robot))), _threshold(term, robot)
             if beyond:
                 yield f"rows of {beyond} {term.name.replace('_', ' ')}", f"{why}; the check verifies them"
     held = [
@@ -149,21 +148,14 @@ def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iter
         yield f"clearance rows of {', '.join(always)}", "always on the ground"
 
 
-def _beyond(term: TorqueLimits | VelocityLimits | PositionLimits, robot: Robot) -> tuple[int, str]:
-    """Number of finite limits that a term leaves out, and the threshold."""
+def _threshold(term: TorqueLimits | VelocityLimits | PositionLimits, robot: Robot) -> str:
+    """Beyond what a term leaves limits out."""
     units = Units(robot)
     if isinstance(term, TorqueLimits):
-        limit = robot.torque_limit if term.limit is None else np.asarray(term.limit)
-        far = np.zeros(0) if limit is None else limit[np.isfinite(limit)] >= units.unreachable_torque
-        return int(np.sum(far)), f"beyond 30 m g l = {units.unreachable_torque:.3g} N m"
+        return f"beyond 30 m g l = {units.unreachable_torque:.3g} N m"
     if isinstance(term, VelocityLimits):
-        speed = robot.velocity_limit[robot.actuated_rows]
-        far = speed[np.isfinite(speed)] >= units.unreachable_velocity
-        return int(np.sum(far)), f"beyond 30 sqrt(g / l) = {units.unreachable_velocity:.3g} rad/s"
-    lower, upper = robot.position_lower, robot.position_upper
-    far = (lower <= robot.reference - 2 * math.pi) & (upper >= robot.reference + 2 * math.pi)
-    far &= np.isfinite(lower) & np.isfinite(upper)
-    return int(np.sum(far)), "more than a turn from the reference posture"
+        return f"beyond 30 sqrt(g / l) = {units.unreachable_velocity:.3g} rad/s"
+    return "more than a turn from the reference posture"
 
 
 def _offered_points(problem: Problem, points: list[int]) -> Iterator[_Remark]:

@@ -35,6 +35,7 @@ from trajopt.solving.rounds import (
 )
 from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.solving.verdicts import judged_by
+from trajopt.terms.limits import with_far_limits
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.transcription import chosen_mesh
 
@@ -42,6 +43,8 @@ from trajopt.transcription.transcription import chosen_mesh
 USUAL_SCHEME = "legendre:2"
 # Bodies this deep in each other, m, are moved apart before the mesh is refined.
 DEEP = 5e-3
+# Figures of a check that are about a joint's limits.
+LIMITS = ("effort_excess", "velocity_excess", "position_excess")
 # Planes are laid anew until the objective changes by less than this part of it: the motion that they allow is
 # then the best one near it.
 SETTLED = 5e-3
@@ -113,12 +116,13 @@ class Refinement:
                 return "the grade is reached"
             if examined >= rounds:
                 return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
+            imposed = self._far_limits_imposed(report)
             new = {pair for pair in self.exchange.missing(look) if pair not in self.exchange.moments}
             self.exchange.add(look)
             mesh = mesh_of(solution)
-            if self.refine and near < DEEP:  # else the motion will be another one: its mesh is judged then
+            if self.refine and near < DEEP and not imposed:  # else the motion will be another one
                 mesh = self._refined(mesh, latest)
-            if mesh == mesh_of(solution) and near <= 0 and self.settled:
+            if mesh == mesh_of(solution) and near <= 0 and self.settled and not imposed:
                 return "a finer mesh does not mend what is missed" if self.refine else "the mesh is fixed"
             if unknowns_on_mesh(self.problem, mesh) > MOST_VARIABLES:
                 return f"the next mesh would have more than {MOST_VARIABLES} variables"
@@ -127,6 +131,16 @@ class Refinement:
             sideless = near >= DEEP and not new.isdisjoint(self.exchange.sided_pairs)
             solution = self._solved_from(mesh, solution, sideless)
         return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
+
+    def _far_limits_imposed(self, report: CheckReport) -> bool:
+        """Whether limits that seemed out of reach have got rows because the motion exceeds a limit."""
+        if not any(name.startswith(LIMITS) for name in report.failures(self.tolerances)):
+            return False
+        terms = with_far_limits(self.problem.terms, self.problem.robot)
+        if terms == self.problem.terms:
+            return False
+        self.problem = self.exchange.problem = replace(self.problem, terms=terms)
+        return True
 
     def _first(self, mesh: Mesh, start: Solution | str | Path | None) -> Solution | None:
         """The solution on the first mesh, or on the problem's own mesh where that fails.

@@ -1,8 +1,8 @@
 """Limits of joint torques, rates and positions at collocation points (and nodes)."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import casadi as ca
@@ -17,7 +17,7 @@ from trajopt.kinds import ArrayShape
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import PointConstraint, Rows
+from trajopt.terms.interfaces import PointConstraint, Rows, Term
 
 
 def _rows_within(
@@ -38,16 +38,18 @@ class TorqueLimits(PointConstraint):
         |tau_j| <= limit_j,      least_j <= u_j <= limit_j of a thruster
 
     with tau (nu,) the torques that the drives deliver, joint side. Rows are over m g l. Limits of 30 m g l or
-    more cannot bind and have no row; the check verifies them.
+    more are out of reach and have no row, unless ``far``: see `with_far_limits`.
 
     Args:
         limit: (nu,), joint side, N m or N, inf where there is none; default the robot's limits.
+        far: whether limits that seem out of reach have rows, too.
 
     Raises:
         InputError: for limits that are negative or NaN.
     """
 
     limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)] | None = None
+    far: bool = False
 
     def __post_init__(self) -> None:
         given = np.atleast_1d(np.asarray(0.0 if self.limit is None else self.limit, dtype=float))
@@ -55,12 +57,20 @@ class TorqueLimits(PointConstraint):
             wrong = given[~(given >= 0)][0]
             raise InputError(f"limit of {self.name} holds {wrong:g}", "allowed: numbers >= 0, or inf, N m")
 
+    def left_out(self, robot: Robot) -> np.ndarray:
+        """Which of the limits (nu,) have no row since they seem out of reach."""
+        limit = robot.torque_limit if self.limit is None else np.asarray(self.limit)
+        return np.zeros(0, dtype=bool) if limit is None else self._far(limit, Units(robot))
+
+    def _far(self, limit: np.ndarray, units: Units) -> np.ndarray:
+        return np.isfinite(limit) & (limit >= units.unreachable_torque) & (not self.far)
+
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         limit = context.robot.torque_limit if self.limit is None else context.actuated(self.limit)
         if limit is None:
             return None
-        upper = np.where(limit < units.unreachable_torque, limit, np.inf)
+        upper = np.where(self._far(limit, units), np.inf, limit)
         lower = context.robot.least_torque(upper)
         return _rows_within(lambda: context.torque, lower, upper, np.full(len(upper), units.torque))
 
@@ -76,14 +86,24 @@ class VelocityLimits(PointConstraint):
 
         |xi_j'| <= velocity_limit_j
 
-    Rows are over sqrt(g l) or sqrt(g / l). Limits of 30 sqrt(g / l) or more cannot bind and have no row; the
-    check verifies them.
+    Rows are over sqrt(g l) or sqrt(g / l). Limits of 30 sqrt(g / l) or more are out of reach and have no row,
+    unless ``far``: see `with_far_limits`.
+
+    Args:
+        far: whether limits that seem out of reach have rows, too.
     """
 
+    far: bool = False
+
+    def left_out(self, robot: Robot) -> np.ndarray:
+        """Which of the limits (nv,) have no row since they seem out of reach."""
+        limit = robot.velocity_limit
+        far = np.isfinite(limit) & (limit >= Units(robot).unreachable_velocity) & (not self.far)
+        far[: BASE_ROWS[robot.base]] = False
+        return far
+
     def _limits(self, robot: Robot) -> np.ndarray:
-        limit = np.where(
-            robot.velocity_limit < Units(robot).unreachable_velocity, robot.velocity_limit, np.inf
-        )
+        limit = np.where(self.left_out(robot), np.inf, robot.velocity_limit)
         limit[: BASE_ROWS[robot.base]] = np.inf
         return limit
 
@@ -105,19 +125,30 @@ class PositionLimits(PointConstraint):
 
         position_lower_j <= q_j <= position_upper_j
 
-    Rows are over l or 1 rad. A limit more than a full turn (2 pi) away from the reference posture is not
-    imposed: no useful motion winds a joint that far. The check verifies it all the same.
+    Rows are over l or 1 rad. A limit more than a full turn (2 pi) away from the reference posture is out of
+    reach and has no row, unless ``far``: see `with_far_limits`.
+
+    Args:
+        far: whether limits that seem out of reach have rows, too.
     """
 
+    far: bool = False
+
+    def left_out(self, robot: Robot) -> np.ndarray:
+        """Which of the limits (2, nq), lower and upper, have no row since they seem out of reach."""
+        limits = np.array([robot.position_lower, robot.position_upper])
+        away = np.array([robot.reference - limits[0], limits[1] - robot.reference])
+        return np.isfinite(limits) & (away >= 2 * math.pi) & (not self.far)
+
     def _limits(self, robot: Robot, context: Context) -> tuple[np.ndarray, np.ndarray]:
+        low, high = np.where(
+            self.left_out(robot), [[-np.inf], [np.inf]], [robot.position_lower, robot.position_upper]
+        )
         lower, upper = np.full(robot.nv, -np.inf), np.full(robot.nv, np.inf)
         for joint in context.coordinates.joints:
             if joint.kind != "plain" or joint.v.start < BASE_ROWS[robot.base]:
                 continue
-            near_lower = robot.position_lower[joint.q] > robot.reference[joint.q] - 2 * math.pi
-            near_upper = robot.position_upper[joint.q] < robot.reference[joint.q] + 2 * math.pi
-            lower[joint.v] = np.where(near_lower, robot.position_lower[joint.q], -np.inf)
-            upper[joint.v] = np.where(near_upper, robot.position_upper[joint.q], np.inf)
+            lower[joint.v], upper[joint.v] = low[joint.q], high[joint.q]
         return lower, upper
 
     @override
@@ -130,3 +161,16 @@ class PositionLimits(PointConstraint):
         lower, upper = self._limits(robot, Context(robot, Coordinates(robot.model), (), node=True))
         free = np.full(robot.nv, np.inf)
         return lower, upper, -free, free
+
+
+def with_far_limits(terms: Sequence[Term], robot: Robot) -> tuple[Term, ...]:
+    """The terms with rows for all limits of a robot that they know; the terms themselves if none is left out.
+
+    A limit that is far out of reach has no row: barriers of placeholders in descriptions cost iterations.
+    A motion that exceeds one all the same is solved again with these terms (`trajopt.solving.refinement`).
+    """
+    limits = TorqueLimits | VelocityLimits | PositionLimits
+    return tuple(
+        replace(term, far=True) if isinstance(term, limits) and term.left_out(robot).any() else term
+        for term in terms
+    )
