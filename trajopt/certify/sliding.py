@@ -59,8 +59,8 @@ class SlidingDynamics:
             pushed.append((normal - surface.friction * along / speed)[None] @ jacobian)
             drift.append(normal[None] @ kinematics.drift[rows])
         constraint, push = np.vstack(held), np.vstack(pushed)
-        zero = np.zeros((len(constraint), len(constraint)))
-        matrix = np.block([[pin.crba(model, data, q), -push.T], [constraint, zero]])
+        matrix = np.zeros((nv + len(constraint), nv + len(constraint)))
+        matrix[:nv, :nv], matrix[:nv, nv:], matrix[nv:, :nv] = pin.crba(model, data, q), -push.T, constraint
         right = np.concatenate([generalized_force - pin.nle(model, data, q, v), -np.concatenate(drift)])
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0][:nv])
 

@@ -17,6 +17,8 @@ from trajopt.terrain.smooth import SmoothTerrain
 ON_FACE = 1e-9
 # Smooth ground is taken to rise by no more than 45 degrees where links high above it are passed over.
 STEEPEST = math.sqrt(2.0)
+# Points of a shape within a cube of this side, m, are looked at together.
+CLUSTER = 0.08
 # Distance between neighbours, m: over ground with a radius of curvature R the hull between them comes nearer
 # by at most SPACING^2 / (6 R), 0.7 mm at R = 0.1 m.
 SPACING = 0.02
@@ -109,14 +111,51 @@ class SmoothDistance:
         distances = np.asarray(over / STEEPEST - reach)
         rows = np.flatnonzero(distances <= within)
         if len(rows):
-            points = self._points @ np.swapaxes(rotation[rows], 1, 2) + origin[rows, None]
-            apart = self._terrain.surface.distance(points)
-            distances[rows] = apart.min(axis=1) - self._shape.radius
+            distances[rows] = self._nearest(rotation[rows], origin[rows], within + self._shape.radius)
+            distances[rows] -= self._shape.radius
         return distances
+
+    def _nearest(self, rotation: np.ndarray, origin: np.ndarray, within: float) -> np.ndarray:
+        """Least distances (K,) of the points; lower bounds of those > ``within``.
+
+        Clusters that cannot hold the nearest point are passed over.
+        """
+        points, starts, sizes, radii = self._clusters
+        middles = points[starts] @ np.swapaxes(rotation, 1, 2) + origin[:, None]
+        height, slopes = self._terrain.height_and_slopes(middles[..., 0], middles[..., 1])
+        over = middles[..., 2] - height
+        nearest = (over / np.sqrt(1 + (slopes**2).sum(axis=0))).min(axis=1)
+        least = over - STEEPEST * radii
+        least = np.where(least > 0, least / STEEPEST, least)
+        row, cluster = np.nonzero(least <= np.minimum(nearest, within)[:, None])
+        least[row, cluster] = np.inf
+        counts = sizes[cluster]
+        within_cluster = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        looked_at = points[np.repeat(starts[cluster], counts) + within_cluster]
+        row = np.repeat(row, counts)
+        placed = np.einsum("kij,kj->ki", rotation[row], looked_at) + origin[row]
+        np.minimum.at(nearest, row, self._terrain.surface.distance(placed))
+        return np.minimum(nearest, np.where(nearest <= within, np.inf, least.min(axis=1)))
+
+    @cached_property
+    def _clusters(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The points (n, 3) by cubes of `CLUSTER`, the one nearest to its middle first.
+
+        Beside them where each cube begins, its number of points, and its radius about the first, all (C,).
+        """
+        points = surface_points(self._shape.points)
+        cubes = np.floor(points / CLUSTER)
+        away = np.linalg.norm(points - CLUSTER * (cubes + 0.5), axis=1)
+        order = np.lexsort((away, *cubes.T))
+        points, cubes = points[order], cubes[order]
+        starts = np.flatnonzero(np.r_[True, (np.diff(cubes, axis=0) != 0).any(axis=1)])
+        sizes = np.diff(np.r_[starts, len(points)])
+        radii = np.linalg.norm(points - np.repeat(points[starts], sizes, axis=0), axis=1)
+        return points, starts, sizes, np.maximum.reduceat(radii, starts)
 
     def witness(self, place: Placements) -> Witness:
         """Nearest points at one placement (1, 3, 3), (1, 3), on the tangent plane under the shape's."""
-        points = place[1] + self._points @ place[0][0].T
+        points = place[1] + self._clusters[0] @ place[0][0].T
         surface = self._terrain.surface
         nearest = points[int(np.argmin(surface.distance(points)))]
         plane = surface.plane_at(nearest)
@@ -125,10 +164,6 @@ class SmoothDistance:
     def solid(self, witness: Witness) -> PlacedBody:
         """What lies below the tangent plane at the nearest point."""
         return PlacedBody(normal=witness.normal, height=float(witness.normal @ witness.second_point))
-
-    @cached_property
-    def _points(self) -> np.ndarray:
-        return surface_points(self._shape.points)
 
 
 def _over(point: np.ndarray, radius: float, normal: np.ndarray, offset: float) -> Witness:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -33,6 +34,10 @@ def hermite(
 
     ``s`` is clipped to [0, 1]; rates are per unit of ``duration``'s time, s.
     """
+    return _cubic(s, duration, start, start_rate, end, end_rate)
+
+
+def _cubic(s: float, duration: float, start: Any, start_rate: Any, end: Any, end_rate: Any) -> np.ndarray:
     s = min(max(s, 0.0), 1.0)
     return np.asarray(
         (1 + 2 * s) * (1 - s) ** 2 * start
@@ -184,11 +189,11 @@ class WaypointPath:
             turned = s * np.asarray(last.turn)
         else:
             before, after = self._velocities[i : i + 2]
-            position = hermite(s, duration, first.position, before, last.position, after)
+            position = _cubic(s, duration, first.position, before, last.position, after)
             turn = np.asarray(last.turn)
             # theta' = J_l(theta)^-1 omega at the end, with J_l(theta) = J_r(theta)^T.
             end_rate = np.linalg.solve(pin.Jexp3(turn).T, self._spins[i + 1])
-            turned = hermite(s, duration, np.zeros(3), self._spins[i], turn, end_rate)
+            turned = _cubic(s, duration, np.zeros(3), self._spins[i], turn, end_rate)
         return pin.SE3(pin.exp3(turned) @ self._rotations[i], position)
 
 

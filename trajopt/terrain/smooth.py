@@ -59,13 +59,18 @@ class SmoothTerrain:
 
     def height(self, x: Any, y: Any) -> np.ndarray:
         """Height (...) in m at x, y (...) m."""
+        return self.height_and_slopes(x, y)[0]
+
+    def height_and_slopes(self, x: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Height (...) in m at x, y (...) m, and the slopes (2, ...) of the ground under it."""
         across, along = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-        px, py, (dx, dy) = self._under(across, along)
+        px, py, slopes = self._under(across, along)
         height = np.asarray(sum(shape.height(px, py) for shape in self.shapes))
         if self.raised:
+            dx, dy = slopes
             height = height + dx * (across - px) + dy * (along - py)
             height = height + self.raised * np.sqrt(1 + dx * dx + dy * dy)
-        return np.asarray(height)
+        return np.asarray(height), slopes
 
     def normal(self, x: Any, y: Any) -> np.ndarray:
         """Unit normal (..., 3) at x, y (...) m: (-dh/dx, -dh/dy, 1) over its length."""
@@ -136,8 +141,8 @@ class CurvedSurface:
     def distance(self, position: np.ndarray) -> np.ndarray:
         """Distance (...) in m of positions (..., 3) from the tangent plane under them, positive above."""
         point = np.asarray(position, dtype=float)
-        over = point[..., 2] - self.ground.height(point[..., 0], point[..., 1])
-        return np.asarray(over * self.ground.normal(point[..., 0], point[..., 1])[..., 2])
+        height, slopes = self.ground.height_and_slopes(point[..., 0], point[..., 1])
+        return np.asarray((point[..., 2] - height) / np.sqrt(1 + (slopes**2).sum(axis=0)))
 
     def plane_at(self, position: np.ndarray) -> Surface:
         """The tangent plane under a position (3,) m."""

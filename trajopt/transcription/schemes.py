@@ -18,7 +18,7 @@ A new scheme is one `SchemeFamily` in `FAMILIES`; nothing else asks for a scheme
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 
@@ -76,7 +76,7 @@ class Scheme:
 
     def interpolation(self, fractions: np.ndarray) -> np.ndarray:
         """Matrix (len(fractions), s) that evaluates the Lagrange polynomials through the points."""
-        return np.column_stack([basis(np.asarray(fractions, dtype=float)) for basis in _lagrange(self.c)])
+        return _values(self._lagrange[0], np.asarray(fractions, dtype=float))
 
     def lower_at(self, fraction: float) -> tuple[np.ndarray, np.ndarray]:
         """Weights (s,) of y in xi' (over h) and in xi (over h^2) at a fraction of the interval.
@@ -84,26 +84,41 @@ class Scheme:
         Those of the interpolant that a solution file is read with: the integrals of the Lagrange polynomials,
         and for the classic schemes the cubic that closes their gap to the next node.
         """
-        at, end = np.array([fraction]), np.ones(1)
-        rate, position = _integrals(self.c, at, 1)[0], _integrals(self.c, at, 2)[0]
+        rate, position = (_values(bases, np.array([fraction]))[0] for bases in self._lagrange[1:])
         ramp = fraction**2 * (3 - 2 * fraction)
-        closing = self.b2 - _integrals(self.c, end, 2)[0]
-        return rate + fraction * (self.b1 - _integrals(self.c, end, 1)[0]), position + ramp * closing
+        rate_gap, gap = self._gaps
+        return rate + fraction * rate_gap, position + ramp * gap
+
+    @cached_property
+    def _gaps(self) -> tuple[np.ndarray, np.ndarray]:
+        """By how much the integrals of the Lagrange polynomials miss the weights of the next node, (s,)."""
+        rate, position = (_values(bases, np.ones(1))[0] for bases in self._lagrange[1:])
+        return self.b1 - rate, self.b2 - position
+
+    @cached_property
+    def _lagrange(self) -> list[list[Polynomial]]:
+        """The Lagrange polynomials through the points, and their first and second integrals."""
+        bases = _lagrange(self.c)
+        return [[basis.integ(times) if times else basis for basis in bases] for times in range(3)]
 
     @cached_property
     def polynomials(self) -> np.ndarray:
         """Coefficients (3, s + 2, s), by powers of the fraction, of y in xi'', xi' / h and xi / h^2."""
         result = np.zeros((3, self.s + 2, self.s))
-        for j, basis in enumerate(_lagrange(self.c)):
-            for times in range(3):
-                coefficients = (basis.integ(times) if times else basis).coef
-                result[times, : len(coefficients), j] = coefficients
+        for times, bases in enumerate(self._lagrange):
+            for j, basis in enumerate(bases):
+                result[times, : len(basis.coef), j] = basis.coef
         return result
 
     def interpolation_rate(self, fractions: np.ndarray) -> np.ndarray:
         """Matrix (len(fractions), s) of the Lagrange polynomials' derivatives by the fraction."""
         where = np.asarray(fractions, dtype=float)
-        return np.column_stack([basis.deriv()(where) + 0 * where for basis in _lagrange(self.c)])
+        return np.column_stack([basis.deriv()(where) + 0 * where for basis in self._lagrange[0]])
+
+
+def _values(bases: Sequence[Polynomial], where: np.ndarray) -> np.ndarray:
+    """Values (len(where), len(bases)) of polynomials."""
+    return np.column_stack([basis(where) for basis in bases])
 
 
 def _lagrange(points: np.ndarray) -> list[Polynomial]:
@@ -117,7 +132,7 @@ def _lagrange(points: np.ndarray) -> list[Polynomial]:
 
 
 def _integrals(points: np.ndarray, ends: np.ndarray, times: int) -> np.ndarray:
-    return np.column_stack([basis.integ(times)(ends) for basis in _lagrange(points)])
+    return _values([basis.integ(times) for basis in _lagrange(points)], ends)
 
 
 def collocation(name: str, order: int, c: np.ndarray) -> Scheme:
