@@ -1,4 +1,4 @@
-"""The extension of trajopt/certify/integrator.cpp: forward dynamics with points in contact, integrated."""
+"""The extension of trajopt/certify/integrator.cpp: forward dynamics with points and soles in contact."""
 
 import numpy as np
 import pinocchio as pin
@@ -16,12 +16,25 @@ class Method:
 class Dynamics:
     """Forward dynamics of a model whose frames hold their place, by Pinocchio's proximal algorithm.
 
-    accuracy, softness, most: of the algorithm, as in `pinocchio.ProximalSettings`.
+    With soles, of 6 rows instead of 3, by a projection as in `contact_response`.
+
+    dimensions: of each frame, 3 or 6. arm: m, by which rotations are compared with positions. accuracy,
+    softness, most: of the proximal algorithm, as in `pinocchio.ProximalSettings`.
     """
 
     def __init__(
-        self, model: pin.Model, frames: list[int], accuracy: float, softness: float, most: int
+        self,
+        model: pin.Model,
+        frames: list[int],
+        dimensions: list[int],
+        arm: float,
+        accuracy: float,
+        softness: float,
+        most: int,
     ) -> None: ...
+    def accelerations(self, q: Reals, v: Reals, force: Reals) -> Reals:
+        """Accelerations (n, nv) at n states under generalised forces (n, nv); NaN where it does not converge."""
+
     def integrate(
         self,
         method: Method,

@@ -1,4 +1,4 @@
-// Forward dynamics with points in contact, and their integration: numeric Pinocchio on the model that Python has.
+// Forward dynamics with points and soles in contact, and their integration: numeric Pinocchio on the model that Python has.
 #include <boost/python.hpp>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -17,7 +17,10 @@
 
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
 #include <pinocchio/algorithm/crba.hpp>
+#include <pinocchio/algorithm/frames.hpp>
+#include <pinocchio/algorithm/jacobian.hpp>
 #include <pinocchio/algorithm/joint-configuration.hpp>
+#include <pinocchio/algorithm/kinematics.hpp>
 #include <pinocchio/algorithm/rnea.hpp>
 
 namespace nb = nanobind;
@@ -30,6 +33,7 @@ using Matrix = Eigen::MatrixXd;
 using Numbers = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Table = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Output = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
+using Output2 = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 Vector read(const Numbers& numbers, Eigen::Index size, const char* name) {
@@ -67,36 +71,48 @@ struct Method {
 };
 
 // Of steps: how much smaller than the one that would be just accurate enough, and bounds on their change.
+// As WELL_CONDITIONED of contact_response.py.
+constexpr double kConditioned = 1e-8;
 constexpr double kSafety = 0.9, kLeast = 0.2, kMost = 10.0, kExponent = 1.0 / 8.0;
 
 class Dynamics {
  public:
-  Dynamics(nb::object model, const std::vector<int>& frames, double accuracy, double softness, int most)
+  // Contacts at `frames` with 3 rows, or 6 of which the angular ones are taken times `arm` m.
+  Dynamics(nb::object model, const std::vector<int>& frames, const std::vector<int>& dimensions, double arm,
+           double accuracy, double softness, int most)
       : owner_(std::move(model)),
         model_(model_of(owner_)),
         data_(model_),
+        dimensions_(dimensions),
+        arm_(arm),
         accuracy_(accuracy),
         softness_(softness),
         most_(most) {
     for (int number : frames) {
       if (number < 0 || number >= model_.nframes) throw std::invalid_argument("a frame is not in the model");
-      const auto& frame = model_.frames[static_cast<std::size_t>(number)];
+      frames_.push_back(static_cast<pinocchio::FrameIndex>(number));
+      const auto& frame = model_.frames[frames_.back()];
       points_.emplace_back(pinocchio::CONTACT_3D, model_, frame.parentJoint, frame.placement,
                            pinocchio::LOCAL_WORLD_ALIGNED);
     }
+    if (dimensions_.size() != frames_.size()) throw std::invalid_argument("dimensions have a wrong size");
+    for (int size : dimensions_) rows_ += size;
+    soles_ = rows_ != 3 * static_cast<Eigen::Index>(frames_.size());
     for (const auto& point : points_) states_.emplace_back(point);
     pinocchio::initConstraintDynamics(model_, data_, points_, states_);
     for (std::size_t joint = 1; joint < model_.joints.size(); ++joint)
       additive_ = additive_ && model_.joints[joint].nq() == 1 && model_.joints[joint].nv() == 1;
   }
 
-  // Without contacts by the mass matrix: it is exact for inertias that differ by many orders.
+  // Without contacts by the mass matrix: it is exact for inertias that differ by many orders. So are soles, of which
+  // the proximal algorithm would hold the spatial, not the classical acceleration.
   const Vector& acceleration(const Vector& q, const Vector& v, const Vector& force) {
-    if (points_.empty()) {
+    if (points_.empty() || soles_) {
       pinocchio::crba(model_, data_, q);
-      const Eigen::LLT<Matrix, Eigen::Upper> factor(data_.M);
+      const Eigen::LLT<Matrix, Eigen::Lower> factor(data_.M.transpose());
       if (factor.info() != Eigen::Success) throw NotConverged();
       free_ = factor.solve(force - pinocchio::nonLinearEffects(model_, data_, q, v));
+      if (soles_) free_ += response(factor, q, v);
       if (!free_.allFinite()) throw NotConverged();
       return free_;
     }
@@ -104,6 +120,25 @@ class Dynamics {
     pinocchio::constraintDynamics(model_, data_, q, v, force, points_, states_, settings);
     if (settings.iter >= most_ || !data_.ddq.allFinite()) throw NotConverged();
     return data_.ddq;
+  }
+
+  // Accelerations (n, nv) at n states; NaN where the constraints' algorithm does not converge.
+  Output2 accelerations(const Table& q, const Table& v, const Table& force) {
+    const auto count = static_cast<Eigen::Index>(q.shape(0));
+    if (static_cast<int>(q.shape(1)) != model_.nq || static_cast<int>(v.shape(1)) != model_.nv ||
+        static_cast<int>(force.shape(1)) != model_.nv || v.shape(0) != q.shape(0) || force.shape(0) != q.shape(0))
+      throw std::invalid_argument("q, v or force have a wrong shape");
+    const RowMajor places = read(q), rates = read(v), forces = read(force);
+    auto* kept = new RowMajor(RowMajor::Constant(count, model_.nv, std::nan("")));
+    nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<RowMajor*>(p); });
+    {
+      nb::gil_scoped_release unlocked;
+      for (Eigen::Index row = 0; row < count; ++row) try {
+          kept->row(row) = acceleration(places.row(row), rates.row(row), forces.row(row));
+        } catch (const NotConverged&) {
+        }
+    }
+    return Output2(kept->data(), {static_cast<std::size_t>(count), static_cast<std::size_t>(model_.nv)}, owner);
   }
 
   // The state after `duration` from q, v under the generalised force actuation * coefficients^T (1, t, t^2, ...).
@@ -135,6 +170,34 @@ class Dynamics {
   }
 
  private:
+  // What contacts add to the free acceleration `free_`, where the mass matrix has that factor: see contact_response.py.
+  Vector response(const Eigen::LLT<Matrix, Eigen::Lower>& factor, const Vector& q, const Vector& v) {
+    pinocchio::forwardKinematics(model_, data_, q, v, Vector::Zero(model_.nv));
+    pinocchio::computeJointJacobians(model_, data_);
+    Matrix whitened(model_.nv, rows_), jacobian = Matrix::Zero(6, model_.nv);
+    Vector wanted(rows_), scale(6);
+    scale << 1.0, 1.0, 1.0, arm_, arm_, arm_;
+    Eigen::Index first = 0;
+    for (std::size_t k = 0; k < frames_.size(); first += dimensions_[k++]) {
+      const auto axes = pinocchio::LOCAL_WORLD_ALIGNED;
+      const Eigen::Index size = dimensions_[k];
+      pinocchio::getFrameJacobian(model_, data_, frames_[k], axes, jacobian.setZero());
+      const Vector drift = pinocchio::getFrameClassicalAcceleration(model_, data_, frames_[k], axes).toVector();
+      const Matrix rows = scale.head(size).asDiagonal() * jacobian.topRows(size);
+      wanted.segment(first, size) = -scale.head(size).cwiseProduct(drift.head(size)) - rows * free_;
+      whitened.middleCols(first, size) = rows.transpose();
+    }
+    factor.matrixL().solveInPlace(whitened);
+    const Matrix gram = whitened.transpose() * whitened;
+    const Eigen::LLT<Matrix> solver(gram);
+    const double largest = arm_ * arm_ / Matrix(factor.matrixL()).rowwise().squaredNorm().maxCoeff();
+    const double norm = gram.cwiseAbs().colwise().sum().maxCoeff();
+    const bool regular = solver.info() == Eigen::Success && norm * solver.rcond() > kConditioned * std::max(norm, largest);
+    if (!regular) throw NotConverged();
+    const Vector change = whitened * solver.solve(wanted);
+    return factor.matrixU().solve(change);
+  }
+
   Vector rate(double time, const Vector& state) {
     if (left_-- <= 0) throw Diverged();
     const Vector delta = state.head(model_.nv), velocity = state.tail(model_.nv);
@@ -208,7 +271,11 @@ class Dynamics {
   pinocchio::Data data_;
   std::vector<pinocchio::RigidConstraintModel> points_;
   std::vector<pinocchio::RigidConstraintData> states_;
-  double accuracy_, softness_;
+  std::vector<pinocchio::FrameIndex> frames_;
+  std::vector<int> dimensions_;
+  Eigen::Index rows_ = 0;
+  bool soles_ = false;
+  double arm_, accuracy_, softness_;
   int most_;
   bool additive_ = true;
   Vector start_, free_;
@@ -233,8 +300,9 @@ NB_MODULE(_integrator, module) {
           },
           "nodes"_a, "matrix"_a, "weights"_a, "error_5"_a, "error_3"_a);
   nb::class_<Dynamics>(module, "Dynamics")
-      .def(nb::init<nb::object, const std::vector<int>&, double, double, int>(), "model"_a, "frames"_a, "accuracy"_a,
-           "softness"_a, "most"_a)
+      .def(nb::init<nb::object, const std::vector<int>&, const std::vector<int>&, double, double, double, int>(),
+           "model"_a, "frames"_a, "dimensions"_a, "arm"_a, "accuracy"_a, "softness"_a, "most"_a)
+      .def("accelerations", &Dynamics::accelerations, "q"_a, "v"_a, "force"_a)
       .def("integrate", &Dynamics::integrate, "method"_a, "q"_a, "v"_a, "coefficients"_a, "actuation"_a, "duration"_a,
            "relative"_a, "absolute"_a, "evaluations"_a);
 }

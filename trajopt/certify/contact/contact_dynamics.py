@@ -174,11 +174,12 @@ class ContactDynamics:
 
     @cached_property
     def compiled(self) -> _integrator.Dynamics | None:
-        """The same dynamics for whole integrations; None where they are not those of points that hold."""
-        if set(self.contacts.dimensions) - {3} or self.independent is not None:
+        """The same dynamics for many states and whole integrations; None with joints that follow others."""
+        if self.independent is not None:
             return None
-        frames = [int(frame) for frame in self.contacts.frames]
-        return _integrator.Dynamics(self.model, frames, PROXIMAL, SOFTNESS, MOST_PROXIMAL)
+        contacts, settings = self.contacts, (PROXIMAL, SOFTNESS, MOST_PROXIMAL)
+        frames, dimensions = [int(frame) for frame in contacts.frames], list(contacts.dimensions)
+        return _integrator.Dynamics(self.model, frames, dimensions, contacts.moment_arm, *settings)
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""
@@ -195,8 +196,14 @@ class ContactDynamics:
 
     def accelerations(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the accelerations (n, nv) at n states."""
-        rows = zip(q, v, generalized_force, strict=True)
-        return np.array([self.acceleration(*row) for row in rows])
+        if self.compiled is None:
+            rows = zip(q, v, generalized_force, strict=True)
+            return np.array([self.acceleration(*row) for row in rows])
+        states = [np.ascontiguousarray(part, dtype=float) for part in (q, v, generalized_force)]
+        found = self.compiled.accelerations(*states)
+        for row in np.flatnonzero(~np.isfinite(found).all(axis=1)):
+            found[row] = self.acceleration(q[row], v[row], generalized_force[row])
+        return found
 
     def _projected(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         model, data, contacts = self.model, self._data, self.contacts
