@@ -16,6 +16,7 @@ from trajopt.errors import InputError
 from trajopt.terms import AccelerationCost
 from trajopt.terms.dynamics import require_sliding
 from trajopt.terrain.surface import Surface
+from trajopt_library import robots
 
 MASS, FRICTION, SPEED, GRAVITY = 2.0, 0.3, 1.5, 9.81
 # Far below the block's speed: friction is mu m g then, but for half the square of the ratio.
@@ -91,6 +92,20 @@ def test_dynamics_without_sliding_contacts_are_those_of_held_ones():
     np.testing.assert_allclose(
         found, ContactDynamics(robot.model, contacts).acceleration(*state), atol=ROUNDING
     )
+
+
+def test_compiled_dynamics_slide_and_hold_as_those_of_python():
+    robot, generator = robots.load("go2"), np.random.default_rng(5)
+    model = robot.model
+    surfaces = {0: slope(0.3), 2: slope(-0.2)}
+    dynamics = SlidingDynamics(model, ContactSet.of(model, robot.contacts), surfaces)
+    q = np.array([pin.integrate(model, robot.reference, 0.2 * generator.normal(size=18)) for _ in range(20)])
+    v, force = generator.normal(size=(2, 20, 18))
+    expected = np.array([dynamics.acceleration(*row) for row in zip(q, v, force, strict=True)])
+    found = dynamics.compiled.accelerations(q, v, force)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    with pytest.raises(ValueError, match="no point of that number holds its place"):
+        dynamics.compiled.slide(0, surfaces[0].normal, 0.5, 0.1)
 
 
 def test_a_sliding_surface_survives_its_description():

@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -60,6 +61,12 @@ const pinocchio::Model& model_of(nb::handle object) {
   return *static_cast<const pinocchio::Model*>(held);
 }
 
+// A surface on which a contact slides.
+struct Sliding {
+  Vector normal;
+  double friction, slip;
+};
+
 // Why an integration ends early: too many evaluations or no finite state; constraints whose algorithm does not converge.
 struct Diverged {};
 struct NotConverged {};
@@ -97,7 +104,7 @@ class Dynamics {
     }
     if (dimensions_.size() != frames_.size()) throw std::invalid_argument("dimensions have a wrong size");
     for (int size : dimensions_) rows_ += size;
-    soles_ = rows_ != 3 * static_cast<Eigen::Index>(frames_.size());
+    projected_ = rows_ != 3 * static_cast<Eigen::Index>(frames_.size());
     for (const auto& point : points_) states_.emplace_back(point);
     pinocchio::initConstraintDynamics(model_, data_, points_, states_);
     for (std::size_t joint = 1; joint < model_.joints.size(); ++joint)
@@ -105,14 +112,14 @@ class Dynamics {
   }
 
   // Without contacts by the mass matrix: it is exact for inertias that differ by many orders. So are soles, of which
-  // the proximal algorithm would hold the spatial, not the classical acceleration.
+  // the proximal algorithm would hold the spatial, not the classical acceleration, and contacts that slide.
   const Vector& acceleration(const Vector& q, const Vector& v, const Vector& force) {
-    if (points_.empty() || soles_) {
+    if (points_.empty() || projected_) {
       pinocchio::crba(model_, data_, q);
       const Eigen::LLT<Matrix, Eigen::Lower> factor(data_.M.transpose());
       if (factor.info() != Eigen::Success) throw NotConverged();
       free_ = factor.solve(force - pinocchio::nonLinearEffects(model_, data_, q, v));
-      if (soles_) free_ += response(factor, q, v);
+      if (projected_) free_ += response(factor, q, v);
       if (!free_.allFinite()) throw NotConverged();
       return free_;
     }
@@ -120,6 +127,17 @@ class Dynamics {
     pinocchio::constraintDynamics(model_, data_, q, v, force, points_, states_, settings);
     if (settings.iter >= most_ || !data_.ddq.allFinite()) throw NotConverged();
     return data_.ddq;
+  }
+
+  // Contact `number`, a point, slides on a surface with that normal, with friction times its normal force against its
+  // velocity within the surface, over the root of its square and that of the slip speed.
+  void slide(int number, const Numbers& normal, double friction, double slip) {
+    const auto index = static_cast<std::size_t>(number);
+    if (number < 0 || index >= frames_.size() || dimensions_[index] != 3 || sliding_.count(index) > 0)
+      throw std::invalid_argument("no point of that number holds its place");
+    sliding_[index] = {read(normal, 3, "normal"), friction, slip};
+    rows_ -= 2;
+    projected_ = true;
   }
 
   // Accelerations (n, nv) at n states; NaN where the constraints' algorithm does not converge.
@@ -170,32 +188,54 @@ class Dynamics {
   }
 
  private:
-  // What contacts add to the free acceleration `free_`, where the mass matrix has that factor: see contact_response.py.
+  // What contacts add to the free acceleration `free_`, where the mass matrix has that factor: see contact_response.py,
+  // and sliding.py for the force that a sliding contact has with its normal force.
   Vector response(const Eigen::LLT<Matrix, Eigen::Lower>& factor, const Vector& q, const Vector& v) {
     pinocchio::forwardKinematics(model_, data_, q, v, Vector::Zero(model_.nv));
     pinocchio::computeJointJacobians(model_, data_);
-    Matrix whitened(model_.nv, rows_), jacobian = Matrix::Zero(6, model_.nv);
+    Matrix held(model_.nv, rows_), pushed, jacobian = Matrix::Zero(6, model_.nv);
+    if (!sliding_.empty()) pushed.resize(model_.nv, rows_);
     Vector wanted(rows_), scale(6);
     scale << 1.0, 1.0, 1.0, arm_, arm_, arm_;
     Eigen::Index first = 0;
-    for (std::size_t k = 0; k < frames_.size(); first += dimensions_[k++]) {
+    for (std::size_t k = 0; k < frames_.size(); ++k) {
       const auto axes = pinocchio::LOCAL_WORLD_ALIGNED;
       const Eigen::Index size = dimensions_[k];
       pinocchio::getFrameJacobian(model_, data_, frames_[k], axes, jacobian.setZero());
       const Vector drift = pinocchio::getFrameClassicalAcceleration(model_, data_, frames_[k], axes).toVector();
-      const Matrix rows = scale.head(size).asDiagonal() * jacobian.topRows(size);
-      wanted.segment(first, size) = -scale.head(size).cwiseProduct(drift.head(size)) - rows * free_;
-      whitened.middleCols(first, size) = rows.transpose();
+      const auto surface = sliding_.find(k);
+      const bool slides = surface != sliding_.end();
+      Matrix rows = scale.head(size).asDiagonal() * jacobian.topRows(size), push = rows;
+      Vector moved = scale.head(size).cwiseProduct(drift.head(size));
+      if (slides) {
+        const auto& [normal, friction, slip] = surface->second;
+        const Vector velocity = rows * v, along = velocity - normal.dot(velocity) * normal;
+        push = (normal - friction / std::sqrt(along.squaredNorm() + slip * slip) * along).transpose() * rows;
+        moved = normal.transpose() * moved;
+        rows = normal.transpose() * rows.eval();
+      }
+      wanted.segment(first, rows.rows()) = -moved - rows * free_;
+      held.middleCols(first, rows.rows()) = rows.transpose();
+      if (!sliding_.empty()) pushed.middleCols(first, rows.rows()) = push.transpose();
+      first += rows.rows();
     }
-    factor.matrixL().solveInPlace(whitened);
-    const Matrix gram = whitened.transpose() * whitened;
-    const Eigen::LLT<Matrix> solver(gram);
+    factor.matrixL().solveInPlace(held);
+    if (!sliding_.empty()) factor.matrixL().solveInPlace(pushed);
+    const Matrix& force = sliding_.empty() ? held : pushed;
+    const Matrix gram = held.transpose() * force;
     const double largest = arm_ * arm_ / Matrix(factor.matrixL()).rowwise().squaredNorm().maxCoeff();
-    const double norm = gram.cwiseAbs().colwise().sum().maxCoeff();
-    const bool regular = solver.info() == Eigen::Success && norm * solver.rcond() > kConditioned * std::max(norm, largest);
-    if (!regular) throw NotConverged();
-    const Vector change = whitened * solver.solve(wanted);
-    return factor.matrixU().solve(change);
+    const double norm = gram.cwiseAbs().colwise().sum().maxCoeff(), least = kConditioned * std::max(norm, largest);
+    Vector forces;
+    if (sliding_.empty()) {
+      const Eigen::LLT<Matrix> solver(gram);
+      if (solver.info() != Eigen::Success || !(norm * solver.rcond() > least)) throw NotConverged();
+      forces = solver.solve(wanted);
+    } else {
+      const Eigen::PartialPivLU<Matrix> solver(gram);
+      if (!(norm * solver.rcond() > least)) throw NotConverged();
+      forces = solver.solve(wanted);
+    }
+    return factor.matrixU().solve(force * forces);
   }
 
   Vector rate(double time, const Vector& state) {
@@ -273,8 +313,9 @@ class Dynamics {
   std::vector<pinocchio::RigidConstraintData> states_;
   std::vector<pinocchio::FrameIndex> frames_;
   std::vector<int> dimensions_;
+  std::map<std::size_t, Sliding> sliding_;
   Eigen::Index rows_ = 0;
-  bool soles_ = false;
+  bool projected_ = false;
   double arm_, accuracy_, softness_;
   int most_;
   bool additive_ = true;
@@ -302,6 +343,7 @@ NB_MODULE(_integrator, module) {
   nb::class_<Dynamics>(module, "Dynamics")
       .def(nb::init<nb::object, const std::vector<int>&, const std::vector<int>&, double, double, double, int>(),
            "model"_a, "frames"_a, "dimensions"_a, "arm"_a, "accuracy"_a, "softness"_a, "most"_a)
+      .def("slide", &Dynamics::slide, "number"_a, "normal"_a, "friction"_a, "slip"_a)
       .def("accelerations", &Dynamics::accelerations, "q"_a, "v"_a, "force"_a)
       .def("integrate", &Dynamics::integrate, "method"_a, "q"_a, "v"_a, "coefficients"_a, "actuation"_a, "duration"_a,
            "relative"_a, "absolute"_a, "evaluations"_a);

@@ -26,7 +26,6 @@ from trajopt.certify.sliding import SlidingDynamics
 from trajopt.errors import InputError
 from trajopt.motion.quantities import MotionQuantities
 
-PhaseDynamics = ContactDynamics | SlidingDynamics
 RobotState = tuple[np.ndarray, np.ndarray]
 
 # Far below what is measured (1e-6 at best), far above rounding.
@@ -119,7 +118,7 @@ def _after_impact(motion: MotionQuantities, row: int, q: np.ndarray, v: np.ndarr
 
 def integrate_interval(
     motion: MotionQuantities,
-    dynamics: PhaseDynamics,
+    dynamics: ContactDynamics,
     number: int,
     q: np.ndarray,
     v: np.ndarray,
@@ -132,7 +131,7 @@ def integrate_interval(
     plan, model, nv = motion.solution, motion.solution.model, motion.solution.model.nv
     start, end = (float(time) for time in plan.interval_t[number])
     coefficients, powers = motion.inputs[number], np.arange(len(motion.inputs[number]))
-    compiled = dynamics.compiled if isinstance(dynamics, ContactDynamics) else None
+    compiled = dynamics.compiled
     if compiled is not None and not (motion.moved_by_rates or plan.description.joint_forces):
         absolute = ABSOLUTE_SHARE * relative_error
         actuation, duration = plan.actuation.matrix, end - start
@@ -163,7 +162,7 @@ def integrate_interval(
 
 
 def integrated_interval_error(
-    motion: MotionQuantities, dynamics: PhaseDynamics, number: int
+    motion: MotionQuantities, dynamics: ContactDynamics, number: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (nv,) of position and velocity at an interval's end, integrated from its planned start.
 
@@ -197,7 +196,7 @@ def _run(
         return None
 
 
-def phase_dynamics(motion: MotionQuantities, row: int) -> PhaseDynamics:
+def phase_dynamics(motion: MotionQuantities, row: int) -> ContactDynamics:
     """Dynamics of the phase of a sample: the contacts that are active in it, and what is carried."""
     phase = int(motion.solution.phase[row])
     model, held = motion.models[phase], active_contacts(motion, row)

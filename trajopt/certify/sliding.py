@@ -1,8 +1,13 @@
 """Sliding contacts in the check: their constrained motion, friction law and open-loop dynamics."""
 
+from functools import cached_property
+
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
+from trajopt import _integrator
+from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.traces import Trace
@@ -27,7 +32,7 @@ def sliding_error(motion: MotionQuantities) -> Trace:
     return Trace.of(error, rows, plan.contact_frames)
 
 
-class SlidingDynamics:
+class SlidingDynamics(ContactDynamics):
     """Forward dynamics with contacts of which some slide: only the acceleration.
 
         M a + h = tau + J_h^T f_h + D^T f_n        J_h a + .. = 0        n^T (J_s a + ..) = 0
@@ -37,9 +42,19 @@ class SlidingDynamics:
     """
 
     def __init__(self, model: pin.Model, contacts: ContactSet, surfaces: dict[int, Surface]) -> None:
-        self.model, self.contacts, self.surfaces = model, contacts, surfaces
-        self._data = model.createData()
+        super().__init__(model, contacts)
+        self.surfaces = surfaces
 
+    @cached_property
+    @override
+    def compiled(self) -> _integrator.Dynamics | None:
+        made = super().compiled
+        if made is not None:
+            for index, surface in self.surfaces.items():
+                made.slide(index, surface.normal, surface.friction, float(surface.slip_speed or 0.0))
+        return made
+
+    @override
     def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact forces."""
         model, data, nv = self.model, self._data, self.model.nv
@@ -63,8 +78,3 @@ class SlidingDynamics:
         matrix[:nv, :nv], matrix[:nv, nv:], matrix[nv:, :nv] = pin.crba(model, data, q), -push.T, constraint
         right = np.concatenate([generalized_force - pin.nle(model, data, q, v), -np.concatenate(drift)])
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0][:nv])
-
-    def accelerations(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
-        """Return accelerations (n, nv) at n states."""
-        rows = zip(q, v, generalized_force, strict=True)
-        return np.array([self.acceleration(*row) for row in rows])

@@ -240,7 +240,7 @@ class Problem:
             surfaces[name] = schedule.surface(phase, name, self.terrain, starts, radius)
         return surfaces
 
-    @property
+    @cached_property
     def _starts(self) -> dict[str, np.ndarray]:
         """Points of the ground under contacts at the start, m; not needed on flat ground or if it is free."""
         if isinstance(self.terrain, FlatGround) or self.periodicity is not None:

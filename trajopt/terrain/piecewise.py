@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -113,9 +114,16 @@ class PiecewiseTerrain:
         """
         if not distance:
             return self
-        shifted = PiecewiseTerrain(faces=tuple(face.offset(distance) for face in self.faces))
-        object.__setattr__(shifted, "raised", self.raised + distance)
-        return shifted
+        if distance not in self._parallel:
+            shifted = PiecewiseTerrain(faces=tuple(face.offset(distance) for face in self.faces))
+            object.__setattr__(shifted, "raised", self.raised + distance)
+            self._parallel[distance] = shifted
+        return self._parallel[distance]
+
+    @cached_property
+    def _parallel(self) -> dict[float, PiecewiseTerrain]:
+        """The parallel grounds that were asked for, by their distance in m."""
+        return {}
 
     def _heights(self, x: Any, y: Any) -> np.ndarray:
         """Heights (faces, ...) in m of all faces at x, y (...), -inf outside of them."""

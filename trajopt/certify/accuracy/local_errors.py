@@ -16,7 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.accuracy.named_points import NamedPoints
-from trajopt.certify.reintegration import PhaseDynamics, integrated_interval_error, phase_dynamics
+from trajopt.certify.contact.contact_dynamics import ContactDynamics
+from trajopt.certify.reintegration import integrated_interval_error, phase_dynamics
 from trajopt.motion.quantities import MotionQuantities
 
 # Points of the quadrature beyond those of the scheme.
@@ -53,7 +54,7 @@ def local_errors(motion: MotionQuantities) -> LocalErrors:
 
 
 def _collocated(
-    motion: MotionQuantities, dynamics: PhaseDynamics, numbers: range
+    motion: MotionQuantities, dynamics: ContactDynamics, numbers: range
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (n, nv) of positions and velocities at the ends of a phase's intervals."""
     plan = motion.solution
