@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
-from trajopt._integrator import Dynamics
+from trajopt._numeric import Dynamics
 from trajopt.certify.check import check
 from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.contact.contact_set import ContactSet

@@ -1,65 +1,14 @@
 // Forward dynamics with points and soles in contact, and their integration: numeric Pinocchio on the model that Python has.
-#include <boost/python.hpp>
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-#include <nanobind/stl/pair.h>
-#include <nanobind/stl/string.h>
-#include <nanobind/stl/vector.h>
+#include "../dynamics/numeric.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <map>
-#include <stdexcept>
-#include <string>
-#include <utility>
-#include <vector>
-
-#include <pinocchio/multibody.hpp>
 
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
 #include <pinocchio/algorithm/crba.hpp>
-#include <pinocchio/algorithm/frames.hpp>
-#include <pinocchio/algorithm/jacobian.hpp>
-#include <pinocchio/algorithm/joint-configuration.hpp>
-#include <pinocchio/algorithm/kinematics.hpp>
 #include <pinocchio/algorithm/rnea.hpp>
 
-namespace nb = nanobind;
-using namespace nb::literals;
-
 namespace {
-
-using Vector = Eigen::VectorXd;
-using Matrix = Eigen::MatrixXd;
-using Numbers = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Table = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Output = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
-using Output2 = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
-Vector read(const Numbers& numbers, Eigen::Index size, const char* name) {
-  if (static_cast<Eigen::Index>(numbers.size()) != size) throw std::invalid_argument(name + std::string(" has a wrong size"));
-  return Eigen::Map<const Vector>(numbers.data(), size);
-}
-
-Matrix read(const Table& table) {
-  return Eigen::Map<const RowMajor>(table.data(), static_cast<Eigen::Index>(table.shape(0)),
-                                    static_cast<Eigen::Index>(table.shape(1)));
-}
-
-Output to_numpy(const Vector& values) {
-  auto* kept = new Vector(values);
-  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<Vector*>(p); });
-  return Output(kept->data(), {static_cast<std::size_t>(kept->size())}, owner);
-}
-
-// The model within a pinocchio.Model of Python, which must outlive its use.
-const pinocchio::Model& model_of(nb::handle object) {
-  namespace converter = boost::python::converter;
-  void* held = converter::get_lvalue_from_python(object.ptr(), converter::registered<pinocchio::Model>::converters);
-  if (held == nullptr) throw nb::type_error("a pinocchio.Model is needed");
-  return *static_cast<const pinocchio::Model*>(held);
-}
 
 // A surface on which a contact slides.
 struct Sliding {
@@ -96,8 +45,7 @@ class Dynamics {
         softness_(softness),
         most_(most) {
     for (int number : frames) {
-      if (number < 0 || number >= model_.nframes) throw std::invalid_argument("a frame is not in the model");
-      frames_.push_back(static_cast<pinocchio::FrameIndex>(number));
+      frames_.push_back(frame_of(model_, number));
       const auto& frame = model_.frames[frames_.back()];
       points_.emplace_back(pinocchio::CONTACT_3D, model_, frame.parentJoint, frame.placement,
                            pinocchio::LOCAL_WORLD_ALIGNED);
@@ -141,7 +89,7 @@ class Dynamics {
   }
 
   // Accelerations (n, nv) at n states; NaN where the constraints' algorithm does not converge.
-  Output2 accelerations(const Table& q, const Table& v, const Table& force) {
+  OutputTable accelerations(const Table& q, const Table& v, const Table& force) {
     const auto count = static_cast<Eigen::Index>(q.shape(0));
     if (static_cast<int>(q.shape(1)) != model_.nq || static_cast<int>(v.shape(1)) != model_.nv ||
         static_cast<int>(force.shape(1)) != model_.nv || v.shape(0) != q.shape(0) || force.shape(0) != q.shape(0))
@@ -156,7 +104,7 @@ class Dynamics {
         } catch (const NotConverged&) {
         }
     }
-    return Output2(kept->data(), {static_cast<std::size_t>(count), static_cast<std::size_t>(model_.nv)}, owner);
+    return OutputTable(kept->data(), {static_cast<std::size_t>(count), static_cast<std::size_t>(model_.nv)}, owner);
   }
 
   // The state after `duration` from q, v under the generalised force actuation * coefficients^T (1, t, t^2, ...).
@@ -327,7 +275,8 @@ class Dynamics {
 
 }  // namespace
 
-NB_MODULE(_integrator, module) {
+NB_MODULE(_numeric, module) {
+  define_inverse_kinematics(module);
   nb::class_<Method>(module, "Method")
       .def(
           "__init__",

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from trajopt import _integrator
+from trajopt import _numeric
 
 Rate = Callable[[float, np.ndarray], np.ndarray]
 
@@ -152,7 +152,7 @@ _ERROR_3 = np.array(
 )
 
 # The same for compiled dynamics.
-METHOD = _integrator.Method(
+METHOD = _numeric.Method(
     _NODES,
     np.array([np.pad(row, (0, len(_NODES) - len(row))) for row in (np.zeros(0), *_MATRIX)]),
     _WEIGHTS,

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 from typing_extensions import override
 
-from trajopt import _integrator
+from trajopt import _numeric
 from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.motion.quantities import MotionQuantities
@@ -47,7 +47,7 @@ class SlidingDynamics(ContactDynamics):
 
     @cached_property
     @override
-    def compiled(self) -> _integrator.Dynamics | None:
+    def compiled(self) -> _numeric.Dynamics | None:
         made = super().compiled
         if made is not None:
             for index, surface in self.surfaces.items():

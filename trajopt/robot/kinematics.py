@@ -11,7 +11,6 @@ import pinocchio as pin
 from trajopt.arguments import checked
 from trajopt.dynamics.model_content import frame_content
 from trajopt.errors import InputError
-from trajopt.robot.actuators.mimic import followed
 from trajopt.robot.robot import Robot
 
 # A pose, or a position (3,) in m, for each frame by name.
@@ -19,13 +18,7 @@ Targets = Mapping[str, pin.SE3 | np.ndarray]
 # The same, by the frame's number.
 Goals = Sequence[tuple[int, pin.SE3 | np.ndarray]]
 
-# Levenberg-Marquardt: the damping starts small against joint Jacobians of order one, shrinks on
-# success, grows on failure; an error below the tolerance does not matter to a guess.
-FIRST_DAMPING = 1e-6
-# Keeps the normal equations of a redundant arm regular, four digits above rounding.
-LEAST_DAMPING = 1e-12
-DAMPING_GROWTH = 10.0
-MOST_ITERATIONS = 60
+# Of inverse kinematics: an error below it does not matter to a guess.
 TOLERANCE = 1e-10
 
 
@@ -98,29 +91,19 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
     """
     _require_size(robot, q)
     _require_targets(robot, targets)
-    model, data = robot.model, robot.model.createData()
     movable = robot.actuation.leading if move_base else robot.actuated_rows
-    independent = robot.actuation.independent
-    goals = _goals(model, targets)
-    damping, error = FIRST_DAMPING, _errors(model, data, q, goals)
-    for _ in range(MOST_ITERATIONS):
-        if np.linalg.norm(error) < TOLERANCE or damping > 1 / FIRST_DAMPING:
-            break
-        whole = _jacobian(model, data, q, goals)
-        if robot.mimics:
-            whole = whole @ independent @ independent.T
-        moving = movable[~_held_by_limits(robot, q, whole.T @ error)[movable]]
-        jacobian, step = whole[:, moving], np.zeros(robot.nv)
-        normal = jacobian.T @ jacobian + damping * np.eye(len(moving))
-        step[moving] = -np.linalg.solve(normal, jacobian.T @ error)
-        trial = np.clip(pin.integrate(model, q, step), robot.position_lower, robot.position_upper)
-        trial = followed(model, robot.mimics, trial)
-        trial_error = _errors(model, data, trial, goals)
-        if np.linalg.norm(trial_error) < np.linalg.norm(error):
-            q, error, damping = trial, trial_error, max(damping / DAMPING_GROWTH, LEAST_DAMPING)
-        else:
-            damping *= DAMPING_GROWTH
-    return Posture(q, float(np.linalg.norm(error)))
+    poses = [
+        target if isinstance(target, pin.SE3) else pin.SE3(np.eye(3), target) for target in targets.values()
+    ]
+    q, error = robot.posture_search.search(
+        np.ascontiguousarray(q, dtype=float),
+        [int(robot.model.getFrameId(name)) for name in targets],
+        np.array([[*pose.rotation.ravel(), *pose.translation] for pose in poses]),
+        [6 if isinstance(target, pin.SE3) else 3 for target in targets.values()],
+        movable.tolist(),
+        TOLERANCE,
+    )
+    return Posture(q, error)
 
 
 def _require_size(robot: Robot, q: np.ndarray) -> None:
@@ -137,20 +120,6 @@ def _require_targets(robot: Robot, targets: Targets) -> None:
             raise InputError(f"target of '{name}' has shape {np.shape(target)}", "allowed: (3,), or an SE3")
 
 
-def _held_by_limits(robot: Robot, q: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Directions (nv,) in which descent would leave the position limits: joints at a limit, pushed outwards.
-
-    Without them a step minimises over the others, and the search ends where no allowed direction descends
-    (projected Newton: Bertsekas, SIAM J. Control and Optimization 20, 1982).
-    """
-    held = np.zeros(robot.nv, dtype=bool)
-    of_q, of_v = robot.scalar_joints
-    value, slope = q[of_q], gradient[of_v]
-    low, high = robot.position_lower[of_q], robot.position_upper[of_q]
-    held[of_v] = ((value <= low) & (slope > 0)) | ((value >= high) & (slope < 0))
-    return held
-
-
 def _goals(model: pin.Model, targets: Targets) -> Goals:
     return [(model.getFrameId(name), target) for name, target in targets.items()]
 
@@ -165,18 +134,6 @@ def _errors(model: pin.Model, data: pin.Data, q: np.ndarray, goals: Goals) -> np
         else:
             parts.append(placement.translation - target)
     return np.concatenate(parts)
-
-
-def _jacobian(model: pin.Model, data: pin.Data, q: np.ndarray, goals: Goals) -> np.ndarray:
-    pin.computeJointJacobians(model, data, q)
-    blocks = []
-    for frame, target in goals:
-        if isinstance(target, pin.SE3):
-            relative = target.actInv(pin.updateFramePlacement(model, data, frame))
-            blocks.append(pin.Jlog6(relative) @ pin.getFrameJacobian(model, data, frame, pin.LOCAL))
-        else:
-            blocks.append(pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3])
-    return np.concatenate(blocks).reshape(-1, model.nv)  # a single joint gives vectors
 
 
 # Starts of the search for branches: the eight branches of a six-joint arm each attract some per cent of

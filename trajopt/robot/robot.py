@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from trajopt import _numeric
 from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import Base, base_of, position_limits
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
@@ -158,11 +159,13 @@ class Robot:
         return len(self.unactuated_rows)
 
     @cached_property
-    def scalar_joints(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of q, and of v, of the joints with one coordinate."""
-        joints = [joint for joint in self.model.joints if joint.nq == joint.nv == 1]
-        rows = np.array([[joint.idx_q, joint.idx_v] for joint in joints], dtype=int).reshape(-1, 2)
-        return rows[:, 0], rows[:, 1]
+    def posture_search(self) -> _numeric.InverseKinematics:
+        """Compiled search of `trajopt.robot.inverse_kinematics`."""
+        spread = self.actuation.independent if self.mimics else np.zeros((0, 0))
+        joints = [(*(joint.idx_q for joint in each.joints(self.model)), each) for each in self.mimics]
+        followers = np.array([[at, leader, each.ratio, each.offset] for at, leader, each in joints])
+        limits = np.array(self.position_lower, dtype=float), np.array(self.position_upper, dtype=float)
+        return _numeric.InverseKinematics(self.model, *limits, spread @ spread.T, followers.reshape(-1, 4))
 
     @property
     def nu(self) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from trajopt import _integrator
+from trajopt import _numeric
 from trajopt.arguments import checked
 from trajopt.certify.contact.contact_response import ContactRank, contact_rank, contact_response, mass_factor
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
@@ -173,13 +173,13 @@ class ContactDynamics:
         pin.initConstraintDynamics(model, self._data, self._constraints, self._states)
 
     @cached_property
-    def compiled(self) -> _integrator.Dynamics | None:
+    def compiled(self) -> _numeric.Dynamics | None:
         """The same dynamics for many states and whole integrations; None with joints that follow others."""
         if self.independent is not None:
             return None
         contacts, settings = self.contacts, (PROXIMAL, SOFTNESS, MOST_PROXIMAL)
         frames, dimensions = [int(frame) for frame in contacts.frames], list(contacts.dimensions)
-        return _integrator.Dynamics(self.model, frames, dimensions, contacts.moment_arm, *settings)
+        return _numeric.Dynamics(self.model, frames, dimensions, contacts.moment_arm, *settings)
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""

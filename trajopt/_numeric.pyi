@@ -1,4 +1,4 @@
-"""The extension of trajopt/certify/integrator.cpp: forward dynamics with points and soles in contact."""
+"""The extension of numeric Pinocchio: certify/integrator.cpp and robot/inverse_kinematics.cpp."""
 
 import numpy as np
 import pinocchio as pin
@@ -55,4 +55,29 @@ class Dynamics:
         From (q, v) under the generalised force (nv,) ``actuation @ coefficients.T @ [1, t, t^2, ...]``, t
         from 0 to 1 over ``duration`` s. Local errors are bounded as in `runge_kutta.integrate`, evaluations
         of the dynamics by ``evaluations``.
+        """
+
+class InverseKinematics:
+    """Search of postures by damped Gauss-Newton within position limits.
+
+    lower, upper: (nq,). projection: (nv, nv) onto rates with which joints follow others, (0, 0) for none;
+    followers: (n, 4) rows of q of the one that follows and of the one it follows, ratio and offset.
+    """
+
+    def __init__(
+        self, model: pin.Model, lower: Reals, upper: Reals, projection: Reals, followers: Reals
+    ) -> None: ...
+    def search(
+        self,
+        q: Reals,
+        frames: list[int],
+        poses: Reals,
+        sizes: list[int],
+        movable: list[int],
+        tolerance: float,
+    ) -> tuple[Reals, float]:
+        """Posture near ``q`` (nq,) and the norm of its errors, m and rad.
+
+        poses: (n, 12) rotation, row by row, and place of each frame's target. sizes: 6, or 3 for the place
+        alone. movable: rows of v.
         """
