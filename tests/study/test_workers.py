@@ -190,6 +190,23 @@ def test_tasks_are_pinned_and_have_one_thread_and_a_process_of_their_own():
         assert executor.submit(surroundings).result(WAIT)[0] == set(cores)
 
 
+@needs_proc
+def test_a_process_does_several_tasks_as_long_as_they_end_well():
+    with ProcessPerTaskExecutor(1, most_tasks=3) as executor:
+        pids = [executor.submit(os.getpid).result(WAIT) for _ in range(4)]
+        assert pids[0] == pids[1] == pids[2] != pids[3]
+        assert executor.submit(limited, SHORT, os.getpid).result(WAIT) == pids[3]
+        time.sleep(1.5 * SHORT)  # the limit was that of the task, not of the process
+        assert executor.submit(os.getpid).result(WAIT) == pids[3]
+        assert type(executor.submit(end_by, signal.SIGSEGV).exception(WAIT)) is LostTaskError
+        last = executor.submit(os.getpid).result(WAIT)
+        assert last != pids[3]
+        os.kill(last, signal.SIGKILL)  # while it waits for a task
+        while Path(f"/proc/{last}/cmdline").exists() and Path(f"/proc/{last}/cmdline").read_text():
+            time.sleep(0.01)
+        assert executor.submit(abs, -1).result(WAIT) == 1
+
+
 def test_a_server_that_dies_is_replaced():
     with ProcessPerTaskExecutor(1) as executor:
         assert executor.submit(end_server).result(WAIT) == "alive"

@@ -22,6 +22,8 @@ from trajopt.study.workers.task import (
 
 # Seconds between two calls of ``check`` during a wait.
 LOOK = 0.1
+# Tasks that one process does: robots and functions are loaded for the first of them.
+MOST_TASKS = 50
 # What became of a task: it has a value; it cannot have one; it took too long; its process was lost; it was
 # not begun.
 DONE, REFUSED, TIME_LIMIT, LOST, NOT_RUN = "done", "refused", "time_limit", "lost", "not_run"
@@ -137,7 +139,7 @@ def limited_anywhere(seconds: float, function: Callable[..., Any], *args: Any) -
 def local_executor(jobs: int) -> ProcessPerTaskExecutor:
     """Processes on this machine, so many at a time, with the modules of all studies loaded."""
     studies = (f"trajopt.study.{name}" for name in ("batch.solved_case", "suite.run", "sweep.run"))
-    return ProcessPerTaskExecutor(jobs, preload=(*problem_modules(), *studies))
+    return ProcessPerTaskExecutor(jobs, preload=(*problem_modules(), *studies), most_tasks=MOST_TASKS)
 
 
 @functools.cache

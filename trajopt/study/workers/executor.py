@@ -1,4 +1,4 @@
-"""An executor whose tasks may crash, hang or run out of memory: each has a separate process."""
+"""An executor whose tasks may crash, hang or run out of memory: no other task is in their process then."""
 
 import contextlib
 import multiprocessing
@@ -11,12 +11,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import forkserver, resource_tracker
-from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from typing import IO, Any, TypeVar
 
-from trajopt.study.workers.task import DONE, LIMIT, LostTaskError, TaskTimeoutError, serve_task
+from trajopt.study.workers.task import DONE, LIMIT, LostTaskError, TaskTimeoutError, serve_tasks
 
 _Result = TypeVar("_Result")
 # Environment of the server, and so of all tasks: one thread each, because there is a task per processor, and
@@ -47,8 +47,59 @@ def _forget_server() -> None:
 os.register_at_fork(after_in_child=_forget_server)
 
 
+class _Process:
+    """A process that does tasks, one after the other: its connection, and the file of what it says."""
+
+    def __init__(self, context: multiprocessing.context.ForkServerContext, core: int | None) -> None:
+        self.connection, theirs = context.Pipe()
+        self.said = tempfile.NamedTemporaryFile()  # noqa: SIM115, closed by `end`
+        self.tasks = 0
+        self.process = context.Process(target=serve_tasks, args=(theirs, self.said.name, core))
+        self.process.daemon = True
+        self.close_theirs = theirs.close
+
+    def start(self) -> None:
+        """Fork it, where the server runs."""
+        _fork(self.process)
+        self.close_theirs()
+
+    def answer(self, task: bytes) -> Any:
+        """The result of a task, or its TaskError."""
+        self.tasks += 1
+        limit = ""
+        try:
+            self.connection.send_bytes(task)
+            while True:
+                kind, value = self.connection.recv()
+                if kind == DONE:
+                    return value
+                if kind != LIMIT:
+                    raise value
+                limit = value
+        except (EOFError, OSError):
+            raise _lost(self.process, limit, self.said) from None
+
+    def end(self) -> None:
+        """End it with all that it started."""
+        _kill(self.process)
+        self.process.join()
+        self.connection.close()
+        self.said.close()
+
+
+@dataclass
+class _Slot:
+    """Where one task at a time runs: its processor, and a process that waits for the next task."""
+
+    core: int | None
+    idle: _Process | None = None
+
+
 class ProcessPerTaskExecutor(Executor):
     """Runs each task in a process that is forked for it from a server with all modules loaded.
+
+    With ``most_tasks`` above one a process whose task has ended with a result does the next one, up to that
+    number: robots and functions are loaded already.
 
     A task without a result raises a `TaskError` from its future, and does not affect others:
     `RefusedTaskError` for a TrajoptError, `TaskTimeoutError` beyond its own time limit
@@ -60,6 +111,7 @@ class ProcessPerTaskExecutor(Executor):
         max_workers: tasks at a time.
         cores: a processor for each of them, to which it is pinned; default: none is.
         preload: modules that the server loads, where it does not run yet; there is one server in a process.
+        most_tasks: that a process does.
     """
 
     def __init__(
@@ -68,15 +120,17 @@ class ProcessPerTaskExecutor(Executor):
         *,
         cores: Sequence[int] = (),
         preload: Sequence[str] = (),
+        most_tasks: int = 1,
     ) -> None:
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload([serve_task.__module__, *preload])
+        self._context.set_forkserver_preload([serve_tasks.__module__, *preload])
         self._threads = ThreadPoolExecutor(max_workers)
-        self._running: set[ForkServerProcess] = set()
-        self._cancelled = False
-        self._cores: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+        self._most_tasks = most_tasks
+        self._living: set[_Process] = set()
+        self._cancelled = self._closed = False
+        self._slots: queue.SimpleQueue[_Slot] = queue.SimpleQueue()
         for place in range(max_workers):
-            self._cores.put(cores[place] if cores else None)
+            self._slots.put(_Slot(cores[place] if cores else None))
 
     def submit(self, fn: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> Future[_Result]:
         """The future of ``fn(*args, **kwargs)``, called in another process."""
@@ -84,59 +138,54 @@ class ProcessPerTaskExecutor(Executor):
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Take no more tasks; with ``cancel_futures`` end those that run, too."""
+        self._closed = True
         if cancel_futures:
             with _processes:
                 self._cancelled = True
-                for process in self._running:
-                    _kill(process)
+                for process in self._living:
+                    _kill(process.process)
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
+        if wait:
+            with _processes:
+                while self._living:
+                    self._living.pop().end()
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self.shutdown(cancel_futures=kind is not None)
 
     def _run(self, task: bytes) -> Any:
         """Run one task to its end, in one of the threads."""
-        core = self._cores.get()
+        slot = self._slots.get()
+        process, slot.idle = slot.idle, None
+        if process is not None and process.connection.poll():  # closed: it was ended from outside
+            self._end(process)
+            process = None
+        goes_on = False
         try:
-            receiver, sender = self._context.Pipe(duplex=False)
-            with receiver, tempfile.NamedTemporaryFile() as said:
-                process = self._context.Process(target=serve_task, args=(sender, said.name, core, task))
-                with sender:
-                    self._start(process)
-                try:
-                    return self._answer(process, receiver, said)
-                finally:
-                    self._end(process)
+            process = process or self._started(slot.core)
+            result = process.answer(task)
+            goes_on = process.tasks < self._most_tasks and not self._closed
+            return result
         finally:
-            self._cores.put(core)
+            if goes_on:
+                slot.idle = process
+            elif process is not None:
+                self._end(process)
+            self._slots.put(slot)
 
-    def _start(self, process: ForkServerProcess) -> None:
-        process.daemon = True
+    def _started(self, core: int | None) -> _Process:
+        process = _Process(self._context, core)
         with _processes:
             if self._cancelled:
                 raise CancelledError
-            _fork(process)
-            self._running.add(process)
+            process.start()
+            self._living.add(process)
+        return process
 
-    def _end(self, process: ForkServerProcess) -> None:
+    def _end(self, process: _Process) -> None:
         with _processes:
-            _kill(process)
-            process.join()
-            self._running.discard(process)
-
-    def _answer(self, process: ForkServerProcess, receiver: Connection, said: IO[bytes]) -> Any:
-        """The result of a task, or its TaskError."""
-        limit = ""
-        while True:
-            try:
-                kind, value = receiver.recv()
-            except (EOFError, OSError):
-                raise _lost(process, limit, said) from None
-            if kind == DONE:
-                return value
-            if kind != LIMIT:
-                raise value
-            limit = value
+            process.end()
+            self._living.discard(process)
 
 
 def processors() -> int:

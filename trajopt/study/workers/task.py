@@ -1,5 +1,6 @@
-"""The process of a task: its time limit, and how it ends."""
+"""The process of tasks: their time limits, and how they end."""
 
+import contextlib
 import faulthandler
 import fcntl
 import gc
@@ -44,8 +45,8 @@ def limit_time(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def serve_task(answers: Connection, said: str, core: int | None, task: bytes) -> None:
-    """Do a pickled ``(function, args, kwargs)`` as the only task of this process.
+def serve_tasks(connection: Connection, said: str, core: int | None) -> None:
+    """Do pickled ``(function, args, kwargs)`` as they come, until the connection is closed.
 
     said: a file for output of libraries. core: the processor it is pinned to, if the system supports it.
     """
@@ -61,8 +62,12 @@ def serve_task(answers: Connection, said: str, core: int | None, task: bytes) ->
     gc.freeze()  # keeps the collector from touching pages shared with the server
     if core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
-    _answers = answers
-    answers.send_bytes(_answer(task))
+    _answers = connection
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            answer = _answer(connection.recv_bytes())
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            connection.send_bytes(answer)
     os._exit(0)  # at once: skips the destructors of libraries
 
 
