@@ -139,7 +139,8 @@ class Arm:
 
 def load(name: str | Robot) -> Arm:
     """Return the arm of that name. Raises InputError if it is not an arm, or has joints that cannot move."""
-    arm = Arm(robot=robots.load(name), tool=robots.tool_frame(name))
+    robot = robots.load(name)
+    arm = Arm(robot=robot, tool=robots.tool_frame(name, robot))
     require_moving(arm.robot)
     return arm
 

@@ -67,8 +67,8 @@ def kind(name: str | Robot) -> str:
     return KIND_OF_FEET[standing]
 
 
-def tool_frame(name: str | Robot) -> str:
-    """Return the name of an arm's tool frame: its module's ``TOOL``.
+def tool_frame(name: str | Robot, loaded: Robot | None = None) -> str:
+    """Return the name of an arm's tool frame: its module's ``TOOL``; ``loaded`` is the robot, if it is.
 
     A file at a path may leave it out, and a robot has none: then it is the last frame behind the last joint
     before a light hand. Raises `InputError`
@@ -82,7 +82,7 @@ def tool_frame(name: str | Robot) -> str:
     from trajopt.inspection.limbs import tool_joint  # takes a while to load
 
     given = _stated(name, "TOOL")
-    model = load(name).model
+    model = (loaded or load(name)).model
     carried = [frame.name for frame in model.frames if frame.parentJoint == tool_joint(model)]
     tool = carried[-1] if given is None else given
     if not model.existFrame(tool):

@@ -2,6 +2,7 @@
 
 import importlib
 from collections.abc import Mapping
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
 
@@ -11,6 +12,7 @@ from trajopt.errors import InputError, VersionMismatchError
 DISTRIBUTION = "trajopt-contacts"
 
 
+@lru_cache
 def installed_version(name: str) -> str:
     """Version of an installed distribution, or ``"none"``; of this package by its own name, ``trajopt``."""
     try:

@@ -8,12 +8,12 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING
 
 from trajopt.arguments import checked
 from trajopt.errors import TrajoptError, VersionMismatchError, in_file
-from trajopt.robot.catalogue import GROUP
+from trajopt.robot.catalogue import GROUP, offers
 
 if TYPE_CHECKING:
     from trajopt.problem.family import Family
@@ -29,7 +29,7 @@ def families() -> dict[str, Family]:
     """
     known: dict[str, Family] = {}
     origin: dict[str, str] = {}
-    for entry in {entry.value: entry for entry in entry_points(group=GROUP)}.values():
+    for entry in offers(GROUP):
         for name, family in _families_of(entry).items():
             if name in known:
                 raise TrajoptError(f"problem '{name}' is offered by both {origin[name]} and {entry.value}")
@@ -56,13 +56,13 @@ def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
 
 def published_optima() -> tuple[PublishedOptimum, ...]:
     """Return the problems with published optima of all packages that have some."""
-    modules = [entry.load() for entry in {e.value: e for e in entry_points(group=GROUP)}.values()]
+    modules = [entry.load() for entry in offers(GROUP)]
     return tuple(one for module in modules if hasattr(module, "published") for one in module.published())
 
 
 def problem_modules() -> tuple[str, ...]:
     """Return the modules of all packages that this process has loaded, for other processes to load."""
-    return tuple(entry.module for entry in entry_points(group=GROUP) if entry.module in sys.modules)
+    return tuple(entry.module for entry in offers(GROUP) if entry.module in sys.modules)
 
 
 @checked
