@@ -19,7 +19,7 @@ from trajopt.solution.grid import mesh_of
 from trajopt.solving import refinement
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.graded import solve_graded, tolerance_for
-from trajopt.solving.refinement import PATIENCE, Refinement
+from trajopt.solving.refinement import PATIENCE, Refinement, _balanced
 from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, remeshed
 from trajopt.solving.rounds import phase_errors
 from trajopt.solving.solving import solve
@@ -104,20 +104,28 @@ def test_broken_intervals_are_split_also_in_phases_that_are_remeshed():
     assert np.sum(np.array(made.fractions) > 2 / 3 + ROUNDING) == 2
 
 
-def test_a_phase_that_misses_round_after_round_is_split_everywhere():
+def test_around_what_a_phase_misses_round_after_round_neighbours_are_split():
     loop = Refinement(hop(), GRADE, True, {}, Exchange(hop()), None)
     mesh, good = (
-        Mesh.uniform("legendre:4", [2, 3, 2]),
+        Mesh.uniform("legendre:4", [2, 5, 2]),
         PhaseErrors(local=np.zeros(2), phase=0.5, unknowns=SIZES),
     )
-    errors, broken = [good, replace(good, phase=3.0), good], np.zeros(7)
-    broken[0] = 2.0
+    errors, broken = [good, replace(good, phase=3.0), good], np.zeros(9)
+    broken[3] = 2.0
     for number in range(PATIENCE + 1):
         found = loop._pressed(mesh, errors, broken)
-        assert (found[1:5] > 1).all() == (number == PATIENCE)
-    assert found[0] == 2.0
-    assert not found[5:].any()
-    assert not loop._pressed(mesh, [good] * 3, np.zeros(7)).any()
+        assert (found[[2, 4]] > 1).all() == (number == PATIENCE)
+    assert found[3] == 2.0
+    assert not found[[0, 1, 5, 6, 7, 8]].any()
+    assert not loop._pressed(mesh, [good] * 3, np.zeros(9)).any()
+
+
+def test_intervals_beside_split_ones_do_not_stay_much_wider():
+    widths = np.array([0.4, 0.4, 0.1, 0.05, 0.05])
+    found = _balanced(widths, np.array([0.0, 0.0, 0.0, 0.0, 9.0]))
+    assert (found > 1).tolist() == [False, True, True, True, True]
+    assert found[4] == 9.0
+    assert not _balanced(widths, np.zeros(5)).any()
 
 
 def test_error_all_over_a_phase_raises_its_degree():

@@ -49,8 +49,9 @@ LIMITS = ("effort_excess", "velocity_excess", "position_excess")
 # then the best one near it.
 SETTLED = 5e-3
 MOST_VARIABLES = 100_000
-# A phase that misses in more rounds than this, one after the other, is split everywhere.
-PATIENCE = 3
+# In a phase that misses in more rounds than this, one after the other, neighbours of intervals that are split
+# are split, too, and no interval stays this many times as wide as the next one.
+PATIENCE, BALANCE = 3, 2.5
 # Limit of the time of all rounds, s.
 MAX_TIME = 600.0
 # A solve from a motion on a coarser mesh is given up after so many times the iterations of the round before,
@@ -269,15 +270,17 @@ class Refinement:
         return remeshed(mesh, errors, broken, length, raise_degree=usual)
 
     def _pressed(self, mesh: Mesh, errors: Sequence[PhaseErrors], broken: np.ndarray) -> np.ndarray:
-        """What is ``broken`` (I,), and something everywhere in phases that miss round after round.
+        """What is ``broken`` (I,), and something around it in phases that miss round after round.
 
         There an optimum moves to intervals that are still wide.
         """
         parts = np.split(broken, np.cumsum(mesh.counts)[:-1])
         missed = [phase.phase > 1 or part.max() > 1 for phase, part in zip(errors, parts, strict=True)]
         self.missed = np.where(missed, self.missed + 1, 0)
-        least = np.where(self.missed > PATIENCE, np.nextafter(1.0, 2.0), 0.0)
-        return np.maximum(broken, np.repeat(least, mesh.counts))
+        return np.concatenate([
+            _balanced(np.array(phase.widths), part) if often else part
+            for phase, part, often in zip(mesh.phases, parts, self.missed > PATIENCE, strict=True)
+        ])  # fmt: skip
 
     def _error(self, report: CheckReport, index: int) -> float:
         """Error of a phase in what it does, over what is allowed."""
@@ -313,3 +316,15 @@ class Refinement:
             accuracy=None if best is None else best.accuracy,
         )
         return replace(made, solution=solution.with_statistics(graded=made.statistics))
+
+
+def _balanced(widths: np.ndarray, broken: np.ndarray) -> np.ndarray:
+    """What is ``broken`` (n,), with neighbours, and with intervals much wider than these will be."""
+    result, halved = broken.copy(), np.nextafter(1.0, 2.0)
+    wide = np.convolve(broken > 1, np.ones(3), mode="same") > 0
+    while wide.any():
+        result[wide & (result <= 1)] = halved
+        small = np.where(result > 1, widths / 2, widths)
+        beside = np.minimum(np.append(small[1:], np.inf), np.insert(small[:-1], 0, np.inf))
+        wide = (result <= 1) & (small > BALANCE * beside)
+    return result

@@ -68,6 +68,18 @@ class Collocation:
     def moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> sparse.csr_matrix:
         """Return the map to z at a fraction of an interval, with the wrenches of the contacts ``loads``."""
         layout, phase = self.layout, int(self.layout.phase_of[stage])
+        key = phase, float(layout.steps[stage]), fraction, loads
+        if key not in self._moment_gathers:
+            self._moment_gathers[key] = self._moment_gather(stage, fraction, loads)
+        return self._moment_gathers[key]
+
+    @cached_property
+    def _moment_gathers(self) -> dict[tuple[int, float, float, tuple[str, ...]], sparse.csr_matrix]:
+        """Maps that were asked for: those of many pairs of bodies are the same."""
+        return {}
+
+    def _moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> sparse.csr_matrix:
+        layout, phase = self.layout, int(self.layout.phase_of[stage])
         scheme, form = layout.scheme_of(phase), layout.form_of(phase)
         lower = self._lower_derivatives(stage, fraction, *scheme.lower_at(fraction))
         eye = np.eye(layout.window_size(stage))

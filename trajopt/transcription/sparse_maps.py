@@ -37,16 +37,21 @@ def _expand(matrix: sparse.csr_matrix, rows: np.ndarray) -> tuple[np.ndarray, np
 def _collect(
     row: np.ndarray, column: np.ndarray, source: np.ndarray, coefficient: np.ndarray, width: int
 ) -> DerivativeMap:
-    key = row.astype(np.int64) * width + column
-    targets, target = np.unique(key, return_inverse=True)
-    n_sources = int(source.max()) + 1 if len(source) else 0
-    matrix = sparse.csr_matrix((coefficient, (target, source)), shape=(len(targets), n_sources))
+    if not len(source):
+        none = np.zeros(0, dtype=np.int32)
+        return DerivativeMap(none, none, np.zeros(1, dtype=np.int32), none, np.zeros(0))
+    target = row.astype(np.int64) * width + column
+    order = np.lexsort((source, target))
+    target, source = target[order], source[order]
+    new_target = np.diff(target, prepend=-1) != 0
+    new_entry = new_target | (np.diff(source, prepend=-1) != 0)
+    first = np.flatnonzero(new_target)
     return DerivativeMap(
-        (targets // width).astype(np.int32),
-        (targets % width).astype(np.int32),
-        matrix.indptr.astype(np.int32),
-        matrix.indices.astype(np.int32),
-        matrix.data,
+        (target[first] // width).astype(np.int32),
+        (target[first] % width).astype(np.int32),
+        np.append(np.cumsum(new_entry)[first] - 1, new_entry.sum()).astype(np.int32),
+        source[new_entry].astype(np.int32),
+        np.add.reduceat(coefficient[order], np.flatnonzero(new_entry)),
     )
 
 

@@ -5,6 +5,7 @@ x_(k+1); the rows of each collocation point, or of an impact; the rows at node k
 is measured in its natural unit, so that one tolerance means the same everywhere.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -183,8 +184,12 @@ class Transcriber:
                         self.rows.add_blocks(blocks, k, i)
                         for i in range(layout.scheme_of(layout.stages[k].phase).s)
                     ]
-            for moment in self.moments.get(k, ()):
-                (numbers.moment[moment],) = self.rows.add_blocks(moment_terms[moment.term].blocks, k, -1)
+            for term, places in itertools.groupby(self.moments.get(k, ()), key=lambda place: place.term):
+                members = list(places)
+                ((name, row),) = moment_terms[term].blocks
+                bounds = (np.repeat(bound / row.unit, len(members)) for bound in (row.lower, row.upper))
+                added = self.rows.add(name, k, -1, *bounds).tolist()
+                numbers.moment.update(zip(members, added, strict=True))
             if k in impacts:
                 numbers.impact[k] = self.rows.add_blocks(impacts[k].blocks, k, -1)
             if k in nodes:
