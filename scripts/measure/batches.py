@@ -20,6 +20,11 @@ PROBLEM, ROBOT = "quadruped-trot", "go2"
 # Cases of the tree, and rows that are written.
 MANY, ROWS = 1_000_000, 10_000
 JUMP, JUMPS = "quadruped-jump-forward", 12
+# Problems of the throughput, what varies, and how many cases.
+MANY_CASES = (
+    ("ur5-reach", ["x=uniform(0.2,0.4)", "y=uniform(0.3,0.5)", "z=uniform(0.3,0.6)"], 200),
+    ("solo12-jump", ["distance=uniform(0,0.3)"], 100),
+)
 
 
 @click.command("batches")
@@ -44,6 +49,7 @@ def batches(many: int, rows: int) -> None:
     row(f"tree of {side * side} cases", f"{time.perf_counter() - begun:.0f} s, {memory:.1f} GB at most")
     _rows(result, rows)
     _starts()
+    _throughput()
 
 
 def _grid(count: int) -> list[BatchCase]:
@@ -93,3 +99,21 @@ def _total(cases: Sequence[BatchCase], neighbours: bool) -> tuple[int, float, in
         index = found.index
         seconds = sum(value or 0.0 for value in index["solver_time_s"].to_pylist())
         return len(found), seconds, sum(value or 0 for value in index["iterations"].to_pylist())
+
+
+def _throughput() -> None:
+    """Seconds a case one after the other in this process, and as batches."""
+    head("cases", "one after the other [s a case]", "batch, 1 process", "batch, 2", "from default guesses, 2")
+    for name, sample, count in MANY_CASES:
+        cases = batch_cases(name, sample=sample, count=count, seed=1)
+        trajopt.solve(trajopt.load(name))
+        begun = time.perf_counter()
+        for case in cases:
+            trajopt.solve(trajopt.load(name, **case.values))
+        seconds = [time.perf_counter() - begun]
+        for jobs, neighbours in ((1, True), (2, True), (2, False)):
+            with tempfile.TemporaryDirectory() as place:
+                begun = time.perf_counter()
+                trajopt.batch(cases, Path(place, "batch"), jobs=jobs, neighbours=neighbours)
+                seconds.append(time.perf_counter() - begun)
+        row(f"{count} of `{name}`", *(f"{total / count:.3f}" for total in seconds))

@@ -56,8 +56,11 @@ PATIENCE, BALANCE = 3, 2.5
 MAX_TIME = 600.0
 # A solve from a motion on a coarser mesh is given up after so many times the iterations of the round before,
 # and at least so many of iterations times variables: to give up a small one gains nothing. It is taken up
-# again, without that limit, where no other start is solved.
+# again, without that limit, where no other start is solved. Not with pairs of bodies that had no rows before:
+# then the motion is another one.
 GIVE_UP, GIVE_UP_LEAST = 3, 3e5
+# Iterations on the first mesh after which the problem's own is tried; then the first one is taken up again.
+MOST_FIRST = 200
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,7 @@ class Refinement:
             if self._left() <= LEAST_TIME:
                 return "the time is used"
             sideless = near >= DEEP and not new.isdisjoint(self.exchange.sided_pairs)
-            solution = self._solved_from(mesh, solution, sideless)
+            solution = self._solved_from(mesh, solution, sideless, limited=not (new or imposed))
         return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
 
     def _far_limits_imposed(self, report: CheckReport) -> bool:
@@ -144,17 +147,21 @@ class Refinement:
         return True
 
     def _first(self, mesh: Mesh, start: Solution | str | Path | None) -> Solution | None:
-        """The solution on the first mesh, or on the problem's own mesh where that fails.
+        """The solution on the first mesh, or on the problem's own mesh where that fails or takes long.
 
         Not where it is certified as infeasible without rows for bodies: IPOPT alone solved none of 14
         such settings on the own mesh, from two starts each.
         """
-        for tried in dict.fromkeys((mesh, *([chosen_mesh(self.problem)] if self.refine else []))):
+        own = chosen_mesh(self.problem) if self.refine else mesh
+        tries = [(mesh, None)] if own == mesh else [(mesh, MOST_FIRST), (own, None), (mesh, None)]
+        for number, (tried, most) in enumerate(tries):
+            if number == 2 and self.rounds[0].iterations < MOST_FIRST:
+                break
             if isinstance(start, Solution) and self.exchange.moments:
                 solution = self._solved_from(tried, start, sideless=False)
                 self.settled = False  # planes were laid along another problem's motion
             else:
-                solution = self._solved(tried, start)
+                solution = self._solved(tried, start, most=most)
             if solution is not None or self._is_over():
                 return solution
             if not self.exchange.moments and self.last and self.last.statistics.certified_infeasible:
@@ -204,7 +211,9 @@ class Refinement:
         self.rounds.append(Round.of(mesh, self.last))
         return self.last if self.last.converged else None
 
-    def _solved_from(self, mesh: Mesh, solution: Solution, sideless: bool) -> Solution | None:
+    def _solved_from(
+        self, mesh: Mesh, solution: Solution, sideless: bool, limited: bool = True
+    ) -> Solution | None:
         """From the last motion or from the guess, whichever is on the right side of bodies to pass.
 
         A motion that goes deep through a body that had no rows may be on no side of it (``sideless``); a
@@ -213,13 +222,13 @@ class Refinement:
         """
         starts = self.exchange.starts(solution, sideless and self.exchange.guess_is_clear())
         least = math.ceil(GIVE_UP_LEAST / unknowns_on_mesh(self.problem, mesh))
-        most = max(GIVE_UP * solution.statistics.iterations, least)
+        most = max(GIVE_UP * solution.statistics.iterations, least) if limited else None
         given_up: list[tuple[Problem, Solution | None]] = []
         for problem, start in starts:
             solved = self._solved(mesh, start, problem, most)
             if solved is not None or self._is_over():
                 break
-            if self.rounds[-1].iterations >= most:
+            if most is not None and self.rounds[-1].iterations >= most:
                 given_up.append((problem, start))
         while solved is None and given_up and not self._is_over():
             problem, start = given_up.pop(0)

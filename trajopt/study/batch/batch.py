@@ -33,7 +33,7 @@ def batch(
         cases: problems with values of their parameters, as of `trajopt.study.batch_cases`.
         folder: a new or an empty one, or with ``resume`` that of the same cases.
         executor: any of `concurrent.futures`, such as that of a Dask client; default: processes on this
-            machine. Each case runs in a process of its own where its worker runs.
+            machine. A case runs in a process that does no other at that time, where its worker runs.
         jobs: of these processes; default: one for each processor.
         resume: go on with a batch that was ended; cases that were lost or not saved are run again.
         on_row: called with every row of the index as it is written.
