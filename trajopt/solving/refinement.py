@@ -56,9 +56,9 @@ PATIENCE, BALANCE = 3, 2.5
 MAX_TIME = 600.0
 # A solve from a motion on a coarser mesh is given up after so many times the iterations of the round before,
 # and at least so many of iterations times variables: to give up a small one gains nothing. It is taken up
-# again, without that limit, where no other start is solved. Not with pairs of bodies that had no rows before:
-# then the motion is another one.
-GIVE_UP, GIVE_UP_LEAST = 3, 3e5
+# again, without that limit, where no other start is solved. The limit is DEEPER times as high where bodies
+# were deep in each other: the motion will be another one.
+GIVE_UP, GIVE_UP_LEAST, DEEPER = 3, 3e5, 2
 # Iterations on the first mesh after which the problem's own is tried; then the first one is taken up again.
 MOST_FIRST = 200
 
@@ -133,7 +133,7 @@ class Refinement:
             if self._left() <= LEAST_TIME:
                 return "the time is used"
             sideless = near >= DEEP and not new.isdisjoint(self.exchange.sided_pairs)
-            solution = self._solved_from(mesh, solution, sideless, limited=not (new or imposed))
+            solution = self._solved_from(mesh, solution, sideless, DEEPER if near >= DEEP else 1)
         return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
 
     def _far_limits_imposed(self, report: CheckReport) -> bool:
@@ -212,7 +212,7 @@ class Refinement:
         return self.last if self.last.converged else None
 
     def _solved_from(
-        self, mesh: Mesh, solution: Solution, sideless: bool, limited: bool = True
+        self, mesh: Mesh, solution: Solution, sideless: bool, patience: int = 1
     ) -> Solution | None:
         """From the last motion or from the guess, whichever is on the right side of bodies to pass.
 
@@ -222,13 +222,13 @@ class Refinement:
         """
         starts = self.exchange.starts(solution, sideless and self.exchange.guess_is_clear())
         least = math.ceil(GIVE_UP_LEAST / unknowns_on_mesh(self.problem, mesh))
-        most = max(GIVE_UP * solution.statistics.iterations, least) if limited else None
+        most = patience * max(GIVE_UP * solution.statistics.iterations, least)
         given_up: list[tuple[Problem, Solution | None]] = []
         for problem, start in starts:
             solved = self._solved(mesh, start, problem, most)
             if solved is not None or self._is_over():
                 break
-            if most is not None and self.rounds[-1].iterations >= most:
+            if self.rounds[-1].iterations >= most:
                 given_up.append((problem, start))
         while solved is None and given_up and not self._is_over():
             problem, start = given_up.pop(0)
