@@ -1,7 +1,7 @@
 """One case of a batch: solved to the grade from a neighbour's solution, or from its default guess."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from trajopt.arguments import checked
@@ -20,6 +20,8 @@ from trajopt.study.suite.failure import failure_text
 
 # Seconds of a case beside its solves: building, functions that are not in the cache yet, the check.
 BUILD_TIME = 300.0
+# Iterations on a mesh after which the start from a neighbour has gained nothing: its own guess is tried.
+MOST_FROM_NEIGHBOUR = 100
 # Seconds that a timer of every kernel can take.
 MOST_TIME = 1e9
 
@@ -103,6 +105,7 @@ def solve_case(case: BatchCase, settings: BatchSettings, start: bytes | None) ->
 
 def _from_neighbour(problem: Problem, settings: BatchSettings, start: bytes) -> list[Solution]:
     """The solve from a neighbour's solution; none where that has other phases or joints."""
+    settings = replace(settings, max_iterations=min(settings.max_iterations, MOST_FROM_NEIGHBOUR))
     try:
         return [_solved(problem, settings, Solution.from_bytes(start))]
     except InputError:
