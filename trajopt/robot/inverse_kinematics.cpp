@@ -52,7 +52,7 @@ class InverseKinematics {
         reduced.col(static_cast<Eigen::Index>(column)) = whole.col(moving[column]);
       Matrix normal = reduced.transpose() * reduced;
       normal.diagonal().array() += damping;
-      const Vector taken = normal.llt().solve(reduced.transpose() * error);
+      const Vector taken = normal.partialPivLu().solve(reduced.transpose() * error);
       Vector step = Vector::Zero(model_.nv);
       for (std::size_t row = 0; row < moving.size(); ++row) step[moving[row]] = -taken[static_cast<Eigen::Index>(row)];
       Vector trial = pinocchio::integrate(model_, q, step).cwiseMax(lower_).cwiseMin(upper_);

@@ -59,6 +59,8 @@ MAX_TIME = 600.0
 # again, without that limit, where no other start is solved. The limit is DEEPER times as high where bodies
 # were deep in each other: the motion will be another one.
 GIVE_UP, GIVE_UP_LEAST, DEEPER = 3, 3e5, 2
+# After so many rounds whose best motion is still this many times beyond what is allowed all is begun anew.
+FAR_ROUNDS, FAR = 4, 20.0
 # Iterations on the first mesh after which the problem's own is tried; then the first one is taken up again.
 MOST_FIRST = 200
 
@@ -132,6 +134,13 @@ class Refinement:
                 return f"the next mesh would have more than {MOST_VARIABLES} variables"
             if self._left() <= LEAST_TIME:
                 return "the time is used"
+            if (
+                examined == FAR_ROUNDS
+                and self._used(latest) > FAR
+                and (anew := self._begun_anew()) is not None
+            ):
+                solution, rounds = anew, rounds + examined
+                continue
             sideless = near >= DEEP and not new.isdisjoint(self.exchange.sided_pairs)
             solution = self._solved_from(mesh, solution, sideless, DEEPER if near >= DEEP else 1)
         return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
@@ -167,6 +176,21 @@ class Refinement:
             if not self.exchange.moments and self.last and self.last.statistics.certified_infeasible:
                 break
         return None
+
+    def _begun_anew(self) -> Solution | None:
+        """The solution from the guess on the problem's own mesh, without rows for bodies; None if none.
+
+        Where rounds from a coarse mesh do not come near the grade, they follow another optimum.
+        """
+        own = chosen_mesh(self.problem)
+        if not self.refine or own == self.rounds[0].mesh:
+            return None
+        kept, self.exchange = self.exchange, Exchange(self.problem)
+        solution = self._solved(own, None)
+        if solution is None:
+            self.exchange = kept
+        self.settled, self.missed = solution is not None, 0
+        return solution
 
     def _given(self, first: Solution) -> Solution | None:
         self.last = first

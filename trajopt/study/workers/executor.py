@@ -16,7 +16,7 @@ from multiprocessing import forkserver, resource_tracker
 from multiprocessing.context import ForkServerProcess
 from typing import IO, Any, TypeVar
 
-from trajopt.study.workers.task import DONE, LIMIT, LostTaskError, TaskTimeoutError, serve_tasks
+from trajopt.study.workers.task import BEGUN, DONE, LIMIT, LostTaskError, TaskTimeoutError, serve_tasks
 
 _Result = TypeVar("_Result")
 # Environment of the server, and so of all tasks: one thread each, because there is a task per processor, and
@@ -47,6 +47,10 @@ def _forget_server() -> None:
 os.register_at_fork(after_in_child=_forget_server)
 
 
+class _EndedError(Exception):
+    """A process was ended from outside while it waited for a task."""
+
+
 class _Process:
     """A process that does tasks, one after the other: its connection, and the file of what it says."""
 
@@ -64,19 +68,21 @@ class _Process:
         self.close_theirs()
 
     def answer(self, task: bytes) -> Any:
-        """The result of a task, or its TaskError."""
+        """The result of a task, or its TaskError; `_EndedError` where it was ended while it waited."""
         self.tasks += 1
-        limit = ""
+        limit, begun = "", False
         try:
             self.connection.send_bytes(task)
             while True:
                 kind, value = self.connection.recv()
                 if kind == DONE:
                     return value
-                if kind != LIMIT:
+                if kind not in (BEGUN, LIMIT):
                     raise value
-                limit = value
+                limit, begun = value, True
         except (EOFError, OSError):
+            if self.tasks > 1 and not begun:
+                raise _EndedError from None
             raise _lost(self.process, limit, self.said) from None
 
     def end(self) -> None:
@@ -157,13 +163,16 @@ class ProcessPerTaskExecutor(Executor):
         """Run one task to its end, in one of the threads."""
         slot = self._slots.get()
         process, slot.idle = slot.idle, None
-        if process is not None and process.connection.poll():  # closed: it was ended from outside
-            self._end(process)
-            process = None
         goes_on = False
         try:
             process = process or self._started(slot.core)
-            result = process.answer(task)
+            try:
+                result = process.answer(task)
+            except _EndedError:
+                self._end(process)
+                process = None
+                process = self._started(slot.core)
+                result = process.answer(task)
             goes_on = process.tasks < self._most_tasks and not self._closed
             return result
         finally:

@@ -13,8 +13,8 @@ from multiprocessing.connection import Connection
 
 from trajopt.errors import TrajoptError
 
-# Kinds of message from a task's process: the start of a time limit, the result, an error.
-LIMIT, DONE, FAILED = "limit", "done", "failed"
+# Kinds of message from a task's process: that it has begun, the start of a time limit, the result, an error.
+BEGUN, LIMIT, DONE, FAILED = "begun", "limit", "done", "failed"
 
 _answers: Connection | None = None
 
@@ -65,7 +65,9 @@ def serve_tasks(connection: Connection, said: str, core: int | None) -> None:
     _answers = connection
     with contextlib.suppress(EOFError, OSError):
         while True:
-            answer = _answer(connection.recv_bytes())
+            task = connection.recv_bytes()
+            connection.send((BEGUN, ""))
+            answer = _answer(task)
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             connection.send_bytes(answer)
     os._exit(0)  # at once: skips the destructors of libraries
