@@ -32,6 +32,7 @@ from trajopt.terms import (
 )
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import scheme
+from trajopt.transcription.transcription import chosen_mesh
 from trajopt_library import problems
 
 # Unknowns per node and per point of the made-up phases.
@@ -248,6 +249,26 @@ def test_solve_that_takes_long_on_a_finer_mesh_is_begun_anew_and_taken_up_where_
     assert [own.iterations for own in found.rounds[1:3]] == [1, 1]
     assert found.reached
     assert found.solution.statistics.objective == expected.solution.statistics.objective
+
+
+def test_rounds_that_stay_far_from_the_grade_are_begun_anew_on_the_own_mesh(monkeypatch):
+    mesh, own = Mesh.uniform("legendre:1", (3, 3, 3)), chosen_mesh(hop())
+    usual = solve_graded(hop(), mesh=mesh, accuracy=1e-3)
+    assert own not in [each.mesh for each in usual.rounds]
+    monkeypatch.setattr(refinement, "FAR_ROUNDS", 1)
+    monkeypatch.setattr(refinement, "FAR", 0.0)
+    found = solve_graded(hop(), mesh=mesh, accuracy=1e-3)
+    assert found.reached
+    assert [each.mesh for each in found.rounds[:2]] == [mesh, own]
+    assert own not in [each.mesh for each in solve_graded(hop(), mesh=mesh, refine=False).rounds]
+
+
+def test_a_first_mesh_that_takes_long_is_left_and_taken_up_again(monkeypatch):
+    monkeypatch.setattr(refinement, "MOST_FIRST", 2)
+    found = solve_graded(hop())
+    assert [each.status for each in found.rounds[:2]] == ["iteration_limit", "solved"]
+    assert found.rounds[0].iterations == 2
+    assert found.reached
 
 
 def test_limit_of_time_bounds_the_guess_and_the_checks(monkeypatch):
