@@ -134,11 +134,9 @@ class Refinement:
                 return f"the next mesh would have more than {MOST_VARIABLES} variables"
             if self._left() <= LEAST_TIME:
                 return "the time is used"
-            if (
-                examined == FAR_ROUNDS
-                and self._used(latest) > FAR
-                and (anew := self._begun_anew()) is not None
-            ):
+            hopeless = examined == FAR_ROUNDS and self.best is not None and self.best[0] > FAR
+            anew = self._begun_anew() if hopeless else None
+            if anew is not None:
                 solution, rounds = anew, rounds + examined
                 continue
             sideless = near >= DEEP and not new.isdisjoint(self.exchange.sided_pairs)
