@@ -21,7 +21,12 @@ class InverseKinematics {
         lower_(read(lower, model_.nq, "lower")),
         upper_(read(upper, model_.nq, "upper")),
         projection_(read(projection)),
-        followers_(read(followers)) {}
+        followers_(read(followers)),
+        position_of_(static_cast<std::size_t>(model_.nv), -1) {
+    for (std::size_t joint = 1; joint < model_.joints.size(); ++joint)
+      if (model_.joints[joint].nv() == 1 && model_.joints[joint].nq() == 1)
+        position_of_[static_cast<std::size_t>(model_.joints[joint].idx_v())] = model_.joints[joint].idx_q();
+  }
 
   // The posture near q, and the norm of what is left of the errors.
   std::pair<Output, double> search(const Numbers& start, const std::vector<int>& frames, const Table& poses,
@@ -117,12 +122,8 @@ class InverseKinematics {
   // step minimises over the others, and the search ends where no allowed direction descends (projected Newton:
   // Bertsekas, SIAM J. Control and Optimization 20, 1982).
   bool held_by_limit(const Vector& q, const Vector& slope, int row) const {
-    for (std::size_t joint = 1; joint < model_.joints.size(); ++joint)
-      if (model_.joints[joint].idx_v() == row && model_.joints[joint].nv() == 1 && model_.joints[joint].nq() == 1) {
-        const int at = model_.joints[joint].idx_q();
-        return (q[at] <= lower_[at] && slope[row] > 0) || (q[at] >= upper_[at] && slope[row] < 0);
-      }
-    return false;
+    const int at = position_of_[static_cast<std::size_t>(row)];
+    return at >= 0 && ((q[at] <= lower_[at] && slope[row] > 0) || (q[at] >= upper_[at] && slope[row] < 0));
   }
 
   nb::object owner_;
@@ -130,6 +131,7 @@ class InverseKinematics {
   pinocchio::Data data_;
   Vector lower_, upper_;
   Matrix projection_, followers_;
+  std::vector<int> position_of_;  // in q, of each row of v that is a joint with one coordinate; else -1
   std::vector<Goal> goals_;
   Eigen::Index rows_ = 0;
 };

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +15,6 @@ from trajopt.robot.robot import Robot
 
 # A pose, or a position (3,) in m, for each frame by name.
 Targets = Mapping[str, pin.SE3 | np.ndarray]
-# The same, by the frame's number.
-Goals = Sequence[tuple[int, pin.SE3 | np.ndarray]]
 
 # Of inverse kinematics: an error below it does not matter to a guess.
 TOLERANCE = 1e-10
@@ -92,18 +90,31 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
     _require_size(robot, q)
     _require_targets(robot, targets)
     movable = robot.actuation.leading if move_base else robot.actuated_rows
+    return _searched(robot, q, targets, movable, TOLERANCE)
+
+
+def _searched(
+    robot: Robot, q: np.ndarray, targets: Targets, movable: np.ndarray, tolerance: float
+) -> Posture:
+    """The posture near ``q`` by moving rows of v; ``q`` itself where its error is below the tolerance."""
     poses = [
         target if isinstance(target, pin.SE3) else pin.SE3(np.eye(3), target) for target in targets.values()
     ]
-    q, error = robot.posture_search.search(
-        np.ascontiguousarray(q, dtype=float),
-        [int(robot.model.getFrameId(name)) for name in targets],
-        np.array([[*pose.rotation.ravel(), *pose.translation] for pose in poses]),
-        [6 if isinstance(target, pin.SE3) else 3 for target in targets.values()],
-        movable.tolist(),
-        TOLERANCE,
+    return Posture(
+        *robot.posture_search.search(
+            np.ascontiguousarray(q, dtype=float),
+            [int(robot.model.getFrameId(name)) for name in targets],
+            np.array([[*pose.rotation.ravel(), *pose.translation] for pose in poses]),
+            _sizes(targets),
+            movable.tolist(),
+            tolerance,
+        )
     )
-    return Posture(q, error)
+
+
+def _sizes(targets: Targets) -> list[int]:
+    """Rows of each target: 6 of a pose, 3 of a position."""
+    return [6 if isinstance(target, pin.SE3) else 3 for target in targets.values()]
 
 
 def _require_size(robot: Robot, q: np.ndarray) -> None:
@@ -118,22 +129,6 @@ def _require_targets(robot: Robot, targets: Targets) -> None:
         frame_content(robot.model, name)
         if not isinstance(target, pin.SE3) and np.shape(target) != (3,):
             raise InputError(f"target of '{name}' has shape {np.shape(target)}", "allowed: (3,), or an SE3")
-
-
-def _goals(model: pin.Model, targets: Targets) -> Goals:
-    return [(model.getFrameId(name), target) for name, target in targets.items()]
-
-
-def _errors(model: pin.Model, data: pin.Data, q: np.ndarray, goals: Goals) -> np.ndarray:
-    pin.forwardKinematics(model, data, q)
-    parts = []
-    for frame, target in goals:
-        placement = pin.updateFramePlacement(model, data, frame)
-        if isinstance(target, pin.SE3):
-            parts.append(-pin.log6(placement.actInv(target)).vector)
-        else:
-            parts.append(placement.translation - target)
-    return np.concatenate(parts)
 
 
 # Starts of the search for branches: the eight branches of a six-joint arm each attract some per cent of
@@ -183,10 +178,7 @@ def inverse_kinematics_branches(
     near = robot.reference if near is None else np.asarray(near, dtype=float)
     _require_size(robot, near)
     _require_targets(robot, targets)
-    data = robot.model.createData()
-    goals = _goals(robot.model, targets)
-    rows = len(_errors(robot.model, data, near, goals))
-    redundant = robot.nu > rows
+    redundant = robot.nu > sum(_sizes(targets))
     if separation is None:
         separation = SEPARATION if redundant else SAME_BRANCH
     turning = _turning_joints(robot)
@@ -206,7 +198,7 @@ def inverse_kinematics_branches(
     if turns:
         branches = [turned for q in branches for turned in _all_turns(robot, q, turning)]
     branches.sort(key=lambda q: float(np.linalg.norm(pin.difference(robot.model, near, q))))
-    return tuple(Posture(q, float(np.linalg.norm(_errors(robot.model, data, q, goals)))) for q in branches)
+    return tuple(_searched(robot, q, targets, robot.actuated_rows, math.inf) for q in branches)
 
 
 def _turning_joints(robot: Robot) -> list[int]:

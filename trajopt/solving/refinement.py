@@ -160,20 +160,18 @@ class Refinement:
         such settings on the own mesh, from two starts each.
         """
         own = chosen_mesh(self.problem) if self.refine else mesh
-        tries = [(mesh, None)] if own == mesh else [(mesh, MOST_FIRST), (own, None), (mesh, None)]
-        for number, (tried, most) in enumerate(tries):
-            if number == 2 and self.rounds[0].iterations < MOST_FIRST:
-                break
+        for tried in dict.fromkeys((mesh, own)):
             if isinstance(start, Solution) and self.exchange.moments:
                 solution = self._solved_from(tried, start, sideless=False)
                 self.settled = False  # planes were laid along another problem's motion
             else:
-                solution = self._solved(tried, start, most=most)
+                solution = self._solved(tried, start, most=None if tried == own else MOST_FIRST)
             if solution is not None or self._is_over():
                 return solution
             if not self.exchange.moments and self.last and self.last.statistics.certified_infeasible:
-                break
-        return None
+                return None
+        left = own != mesh and not self.exchange.moments and self.rounds[0].iterations >= MOST_FIRST
+        return self._solved(mesh, start) if left else None
 
     def _begun_anew(self) -> Solution | None:
         """The solution from the guess on the problem's own mesh, without rows for bodies; None if none.
@@ -187,7 +185,8 @@ class Refinement:
         solution = self._solved(own, None)
         if solution is None:
             self.exchange = kept
-        self.settled, self.missed = solution is not None, 0
+        else:
+            self.settled, self.missed = True, 0
         return solution
 
     def _given(self, first: Solution) -> Solution | None:
