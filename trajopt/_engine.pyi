@@ -211,6 +211,9 @@ def solve_kkt(
     eigenvalues.
     """
 
+def product_rate(n: int, depth: int) -> float:
+    """Operations a second of the symmetric product, n by n of this depth, by which fronts are eliminated."""
+
 def solve_ipopt(
     nlp: Nlp,
     x0: Reals,
@@ -231,7 +234,8 @@ def solve_ipopt(
 
     The result has x, g, lam_g, lam_x (Lagrangian ``f + lam_g . g + lam_x . x``), f, primal, dual,
     complementarity (IPOPT's own, unscaled), max_violation (of rows and bounds, recomputed),
-    iterations, status (ApplicationReturnStatus), wall_time, function_time, timings. ``callback`` gets
+    iterations, status (ApplicationReturnStatus), wall_time, function_time, timings (s and how often), and
+    operations: floating-point ones that the systems solved stage by stage need. ``callback`` gets
     iteration, objective, primal, dual, barrier, step, regularization, line_search, restoration;
     False or KeyboardInterrupt stops with the current iterate, another exception is raised when the
     solver has stopped. Raises ValueError that names an unknown option or a value not allowed.

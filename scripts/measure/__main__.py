@@ -57,6 +57,8 @@ COMMANDS = (
     guesses.guesses,
     infeasible.infeasible,
     linear_systems.linear_systems,
+    linear_systems.fronts,
+    linear_systems.scaling,
     linear_systems.barrier,
     scenes.scenes,
     shapes.shapes,

@@ -1,16 +1,20 @@
-"""IPOPT with MUMPS and with the factorisation stage by stage: time of an iteration, in turns."""
+"""What an iteration of IPOPT costs: linear solvers, operations of the fronts, meshes, settings."""
 
+import math
+from collections import Counter
 from typing import Any
 
 import click
 import numpy as np
 
-from scripts.measure.shared import head, median, row
+from scripts.measure.shared import NOISE, head, median, row, timed
 from scripts.peers import problems as peers
 from scripts.peers.tasks import TASKS
+from trajopt import _engine
 from trajopt.problem.problem import Problem
 from trajopt.solvers.ipopt import LINEAR_SOLVER, STAGES
-from trajopt.solving.solving import prepare, solve, solve_prepared
+from trajopt.solvers.status import Status
+from trajopt.solving.solving import PreparedProblem, prepare, solve, solve_prepared
 from trajopt.transcription.guess import perturbed
 from trajopt_library import problems
 
@@ -24,7 +28,8 @@ CASES: tuple[tuple[str, dict[str, Any], str | None, int | None], ...] = (
     ("arm-pick-place", {"robot": "panda"}, None, None),
 )
 SOLVERS = ("mumps", STAGES)
-# Meshes of `--scaling`, of the first case.
+# Problems and meshes of `scaling`.
+GROWING = ("ur5-reach", "hopper-hop", "solo12-jump")
 INTERVALS = (25, 50, 100, 200, 400, 800)
 # Of `barrier`: tasks of docs/peers.md, each with the mesh that is compared there, and settings.
 MESHES = {
@@ -44,28 +49,26 @@ SETTINGS: dict[str, dict[str, Any]] = {
 SMALL_NOISE = 0.03
 
 
+# Of `fronts`: rows and depths of products by which the kernel's peak is found.
+PRODUCTS = ((48, 16), (96, 16), (96, 96), (160, 96))
+# Points that a tape is run at together.
+LANES = 8
+
+repeats_option = click.option("--repeats", default=5, help="Solves of each case with each.")
+
+
 @click.command("linear-systems")
-@click.option("--repeats", default=5, help="Solves of each case with each.")
-@click.option("--scaling", is_flag=True, help="Instead: meshes of the jump, with one thread and with two.")
-def linear_systems(repeats: int, scaling: bool) -> None:
-    """Median wall time of an iteration, functions included, and iterations, of one mesh each."""
-    if scaling:
-        over_meshes(repeats)
-    else:
-        against_mumps(repeats)
-
-
-def against_mumps(repeats: int) -> None:
-    """Iterations and their time with each linear solver, in turns."""
-    head("problem", "mesh", "iterations", "MUMPS [ms]", "iterations", "stages [ms]", "ratio")
+@repeats_option
+def linear_systems(repeats: int) -> None:
+    """Iterations and their median wall time, functions included, of one mesh each, with MUMPS and stages."""
+    head("problem, mesh", "iterations", "MUMPS [ms]", "iterations", "stages [ms]", "ratio")
     for name, values, scheme, intervals in CASES:
         problem = problems.load(name, **values)
         times, iterations = in_turns(
             problem, scheme, intervals, repeats, [{"options": {LINEAR_SOLVER: solver}} for solver in SOLVERS]
         )
         row(
-            " ".join([name, *(f"{key}={value}" for key, value in values.items())]),
-            f"{scheme}, {intervals}" if scheme else "its own",
+            _label(name, values, scheme, intervals),
             iterations[0],
             f"{times[0]:.1f}",
             iterations[1],
@@ -74,19 +77,115 @@ def against_mumps(repeats: int) -> None:
         )
 
 
-def over_meshes(repeats: int) -> None:
-    """Time of an iteration against the number of intervals, and the exponent that fits it."""
-    name, values, scheme, _ = CASES[0]
-    problem, found = problems.load(name, **values), []
-    head("intervals", "iterations", "one thread [ms]", "two threads [ms]", "ratio")
-    for intervals in INTERVALS:
-        times, iterations = in_turns(problem, scheme, intervals, repeats, [{"threads": 1}, {"threads": 2}])
-        found.append(times[0])
-        row(intervals, iterations[0], f"{times[0]:.1f}", f"{times[1]:.1f}", f"{times[1] / times[0]:.2f}")
-    exponent = np.polyfit(np.log(INTERVALS), np.log(found), 1)[0]
-    click.echo(
-        f"\nTime of an iteration with one thread grows with the intervals to the power of {exponent:.2f}."
+@click.command("fronts")
+@repeats_option
+def fronts(repeats: int) -> None:
+    """Time of an iteration against that of its fronts' operations at the kernel's peak, and its parts."""
+    shares_of = ("factorization_time", "substitution_time", "value_time", "first_time", "second_time")
+    head(
+        "problem, mesh",
+        "10^6 operations",
+        "at the peak [ms]",
+        "iteration [ms]",
+        "ratio",
+        "factorisation",
+        "substitution",
+        "values",
+        "first derivatives",
+        "second derivatives",
+        "IPOPT",
+        "lanes filled",
     )
+    best = 0.0
+    for name, values, scheme, intervals in CASES:
+        prepared = prepare(problems.load(name, **values), transcription=scheme, intervals=intervals)
+        solves, rates = [], []
+        for _ in range(repeats):
+            rates += [_engine.product_rate(*shape) for shape in PRODUCTS]
+            solves.append(timed(prepared).result)
+        solves.sort(key=lambda result: result.wall_time)
+        chosen, peak = solves[repeats // 2], max(rates)
+        best = max(best, peak)
+        figures, whole = chosen.figures, chosen.wall_time
+        ideal = figures["operations"] / peak
+        shares = [figures[part] / whole for part in shares_of]
+        row(
+            _label(name, values, scheme, intervals),
+            f"{figures['operations'] / chosen.iterations / 1e6:.1f}",
+            f"{1e3 * ideal / chosen.iterations:.2f}",
+            f"{1e3 * whole / chosen.iterations:.2f}",
+            f"{whole / ideal:.0f}",
+            *(f"{share:.0%}" for share in [*shares, 1 - sum(shares), _filled(prepared)]),
+        )
+    click.echo(
+        f"\nThe kernel's peak: {best / 1e9:.0f} GFLOP/s, the most of products of {PRODUCTS} rows and depths."
+    )
+
+
+@click.command("scaling")
+@click.option("--starts", default=5, help="From the guess and perturbed ones, of each mesh.")
+def scaling(starts: int) -> None:
+    """Finer meshes: iterations, time of one with one thread and with two, to build, and of the verdict."""
+    head(
+        "problem",
+        "intervals a phase",
+        "variables",
+        "iterations: guess, median",
+        "not solved",
+        "iteration [ms]",
+        "with two threads",
+        "solve [s]",
+        "build [s]",
+        "verdict [s]",
+    )
+    for name in GROWING:
+        problem, measured = problems.load(name), []
+        for intervals in INTERVALS:
+            one, two = (
+                prepare(problem, transcription="legendre:2", intervals=intervals, threads=threads)
+                for threads in (1, 2)
+            )
+            guesses = [
+                one.guess,
+                *(perturbed(one.transcription, one.guess, k, NOISE) for k in range(1, starts)),
+            ]
+            results, ratios = [], []
+            for guess in guesses:
+                results.append(timed(one, guess).result)
+                ratios.append(timed(two, guess).result.wall_time / results[-1].wall_time)
+            solved = [result for result in results if result.status is Status.SOLVED]
+            verdict = solve_prepared(one, one.guess, origin={}).statistics.verdict_time_s
+            iteration = median([result.wall_time / result.iterations for result in results])
+            whole = median([result.wall_time for result in solved])
+            measured.append((iteration, whole, one.build_time, verdict or np.nan))
+            row(
+                name,
+                intervals,
+                len(one.guess),
+                f"{results[0].iterations}, {median([result.iterations for result in solved]):.0f}",
+                len(results) - len(solved),
+                f"{1e3 * iteration:.1f}",
+                f"{median(ratios):.2f}",
+                *(f"{seconds:.2f}" for seconds in measured[-1][1:]),
+            )
+        powers = np.polyfit(np.log(INTERVALS), np.log(measured), 1)[0]
+        grows, *more = (f"N^{power:.2f}" for power in powers)
+        row(name, "grows as", "", "", "", grows, "", *more)
+
+
+def _filled(prepared: PreparedProblem) -> float:
+    """Part of the vector lanes that points of one instance fill, in second derivatives."""
+    points: Counter[_engine.Tape] = Counter()
+    for group in prepared.nlp.parts["groups"]:
+        points[group["second"]] += len(group["x_offset"])
+    needed = sum(tape.statements * count / LANES for tape, count in points.items())
+    return needed / sum(tape.statements * math.ceil(count / LANES) for tape, count in points.items())
+
+
+def _label(name: str, values: dict[str, Any], scheme: str | None, intervals: int | None) -> str:
+    """A case and its mesh."""
+    mesh = f", {scheme}@{intervals}" if scheme else ""
+    return " ".join([name, *(f"{key}={value}" for key, value in values.items())]) + mesh
 
 
 def in_turns(

@@ -135,7 +135,8 @@ class Problem:
                 what = "modes" if self.modes else "a velocity source"
                 raise InputError(f"the periodic problem '{self.name}' has {what}", "allowed: neither")
             closing_map(robot, self.periodicity, self.initial_q)
-            landing_at_start(robot, schedule, self.periodicity)
+            if self.holds_contacts:
+                landing_at_start(robot, schedule, self.periodicity)
         whole = () if self.dynamics is not None else schedule.names
         require_payloads(robot, schedule, self.payloads, [name for name in whole if name not in self.modes])
         if self.duration_bounds is not None:
@@ -304,10 +305,10 @@ class Problem:
         if self.periodicity is None:
             return ()
         first = self.schedule.phases[0].name
-        landing = landing_at_start(self.robot, self.schedule, self.periodicity)
         rows: tuple[NodeConstraint, ...] = ()
         if self.robot.base == "freeflyer":
             rows = (UnitRotation(at=start_of(first)),)
-        if landing and self.holds_contacts:
+        landing = landing_at_start(self.robot, self.schedule, self.periodicity) if self.holds_contacts else ()
+        if landing:
             rows += (ContactLanding(at=start_of(first), contacts=landing, terrain=self.terrain),)
         return rows

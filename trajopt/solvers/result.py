@@ -51,7 +51,9 @@ class Result:
     def from_engine(cls, raw: Mapping[str, Any], status: Status) -> Result:
         """The result of a solve by the engine, as it returns it, with what its status means."""
         same = {name: raw[name] for name in SAME_NAMES}
-        return cls(status=status, solver_status=raw["status"], objective=raw["f"], **same)
+        figures = {f"{name}_time": seconds for name, (seconds, _) in raw["timings"].items()}
+        figures["operations"] = raw["operations"]
+        return cls(status=status, solver_status=raw["status"], objective=raw["f"], figures=figures, **same)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -118,11 +118,11 @@ TRAJOPT_DISPATCHED void scale(double* out, const double* in, double factor, int 
     *reinterpret_cast<Lane*>(out + i) = *reinterpret_cast<const Lane*>(in + i) * factor;
 }
 
-int largest(const double* values, int from, int to) {
-  int found = from;
-  for (int i = from + 1; i < to; ++i)
-    if (std::abs(values[i]) > std::abs(values[found])) found = i;
-  return found;
+// The first entry in [from, to) of this magnitude, the largest; the first of all where there is none, as with NaN.
+int place_of(double most, const double* values, int from, int to) {
+  for (int i = from; i < to; ++i)
+    if (std::abs(values[i]) == most) return i;
+  return from;
 }
 
 // Eliminates the candidates of a matrix panel by panel.
@@ -174,7 +174,7 @@ class Elimination {
     const double own = std::abs(w[k]), most = magnitude(w, k + 1, limit_);
     if (!(std::max(own, most) > least_[pivots_.order[k]])) return 0;
     if (own >= kAlpha * most) return 1;
-    const int r = largest(w, k + 1, limit_);
+    const int r = place_of(most, w, k + 1, limit_);
     updated(p_, r, first_, done_, k, done_ + 1);
     const double* v = p_.work(done_ + 1);
     const double other = std::max(magnitude(v, k, r), magnitude(v, r + 1, limit_));

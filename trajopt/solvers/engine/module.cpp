@@ -116,7 +116,11 @@ nb::dict to_dict(const Outcome& outcome, const Nlp& nlp) {
   result["status"] = outcome.status;
   result["wall_time"] = outcome.wall_seconds;
   result["function_time"] = outcome.function_seconds;
-  result["timings"] = timings(nlp);
+  std::map<std::string, std::pair<double, int>> times = timings(nlp);
+  times["factorization"] = {outcome.kkt.factorization.seconds, outcome.kkt.factorization.count};
+  times["substitution"] = {outcome.kkt.substitution.seconds, outcome.kkt.substitution.count};
+  result["timings"] = times;
+  result["operations"] = outcome.kkt.operations;
   return result;
 }
 
@@ -281,6 +285,20 @@ std::optional<std::pair<Output, int>> solve_kkt(int n_x, int n_equal, int n_uneq
   return std::make_pair(to_numpy(solution), kkt.negative_eigenvalues());
 }
 
+// Multiplications and additions a second of the product by which fronts are eliminated, of n rows, in the cache.
+double product_rate(int n, int depth) {
+  require(0 < n && n <= 1024 && 0 < depth && depth <= 1024, "n and depth must be from 1 to 1024");
+  const int ld = n + kPadding;
+  Reals c(static_cast<std::size_t>(ld) * (n + 1)), l(static_cast<std::size_t>(ld) * depth + kPadding, 1e-3);
+  const double operations = static_cast<double>(n) * (n + 1) * depth;
+  const auto start = std::chrono::steady_clock::now();
+  std::chrono::duration<double> passed{};
+  int count = 0;
+  for (; passed.count() < 0.02; passed = std::chrono::steady_clock::now() - start, ++count)
+    subtract_product(c.data(), ld, l.data(), ld, l.data(), ld, n, n, depth);
+  return count * operations / passed.count();
+}
+
 nb::dict to_dict(const Iterate& it) {
   nb::dict result;
   for (const auto& [name, values] : {std::pair{"x", &it.x}, {"s", &it.s}, {"y", &it.y}, {"lower_x", &it.lower_x},
@@ -379,6 +397,7 @@ void bind_solvers(nb::module_& module) {
   module.attr("ALONE") = kAlone;
   module.def("solve_kkt", &solve_kkt, "n_x"_a, "n_equal"_a, "n_unequal"_a, "stage"_a, "row"_a, "column"_a, "value"_a,
              "rhs"_a, "threads"_a = 1);
+  module.def("product_rate", &product_rate, "n"_a, "depth"_a);
   module.def(
       "solve_ipopt",
       [](Nlp& nlp, const RealArray& x0, const RealArray& lbx, const RealArray& ubx, const RealArray& lbg,

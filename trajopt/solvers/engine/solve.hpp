@@ -36,6 +36,12 @@ using Unknowns = std::function<Reals()>;
 // Returns false to stop at the current iterate.
 using Callback = std::function<bool(const Iteration&, const Unknowns&)>;
 
+// Of the linear systems that are solved stage by stage; `operations` are those that all of them need.
+struct KktFigures {
+  Timing factorization, substitution;
+  double operations = 0;
+};
+
 // The iterate a solver ended at. The Lagrangian is f + lambda_g . g + lambda_x . x.
 struct Outcome {
   Reals x, g, lambda_g, lambda_x;
@@ -43,6 +49,7 @@ struct Outcome {
   int iterations = 0;
   std::string status;
   double wall_seconds = 0, function_seconds = 0;
+  KktFigures kkt;
 };
 
 // Fills in what is recomputed from x alone, and the times since `start`.

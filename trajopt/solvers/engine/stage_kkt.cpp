@@ -202,6 +202,23 @@ void StageKkt::store(int f, const Work& work) {
   own.carry.resize(own.n - count);
 }
 
+double StageKkt::factor_operations() const {
+  double count = 0;
+  for (const Factor& own : factors_)
+    for (int k = 0; k < own.pivots.count; ++k) count += static_cast<double>(own.n - k) * (own.n - k - 1);
+  for (const Inequality& own : structure_.inequalities)
+    count += static_cast<double>(own.terms.size()) * (own.terms.size() + 1);
+  return count;
+}
+
+double StageKkt::solve_operations() const {
+  double count = 0;
+  for (const Factor& own : factors_)
+    for (int k = 0; k < own.pivots.count; ++k) count += 4.0 * (own.n - k - 1) + 1;
+  for (const Inequality& own : structure_.inequalities) count += 4.0 * own.terms.size();
+  return count;
+}
+
 void StageKkt::solve(double* rhs) {
   const KktSizes& sizes = structure_.sizes;
   double *slack = rhs + sizes.slack(), *dual = rhs + sizes.inequality();

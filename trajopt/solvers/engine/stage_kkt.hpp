@@ -21,6 +21,10 @@ class StageKkt {
   bool factorize(const double* values);
   void solve(double* rhs);
   int negative_eigenvalues() const { return negative_; }
+  // Multiplications and additions that the last factorisation needs, and a right side with it: of the entries on and below
+  // the diagonal, without those that kernels make beyond them.
+  double factor_operations() const;
+  double solve_operations() const;
   // Pivots of at least a larger part of the entries of their columns; false where that is as large as is useful.
   bool raise_threshold();
 

@@ -15,9 +15,24 @@ namespace {
 using Ipopt::Index;
 using Ipopt::Number;
 
+// What the task returns, its time added.
+template <class Task>
+auto timed(Timing& timing, const Task& task) {
+  struct Clock {
+    Timing& timing;
+    std::chrono::steady_clock::time_point start = std::chrono::steady_clock::now();
+    ~Clock() {
+      timing.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+      ++timing.count;
+    }
+  } clock{timing};
+  return task();
+}
+
 class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
  public:
-  StageSolver(std::vector<int> stage, const Bounds& bounds, int threads) : all_(std::move(stage)), threads_(threads) {
+  StageSolver(std::vector<int> stage, const Bounds& bounds, int threads, KktFigures& figures)
+      : all_(std::move(stage)), threads_(threads), figures_(figures) {
     for (std::size_t i = 0; i < all_.size(); ++i)
       if (bounds.lower_x[i] != bounds.upper_x[i]) free_.push_back(all_[i]);
     for (std::size_t i = 0; i < bounds.lower_g.size(); ++i)
@@ -44,10 +59,13 @@ class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
   Ipopt::ESymSolverStatus MultiSolve(bool changed, const Index*, const Index*, Index count, Number* rhs,
                                      bool check_inertia, Index negative) override {
     if (changed || std::exchange(changed_, false)) {
-      if (!kkt_->factorize(values_.data())) return Ipopt::SYMSOLVER_SINGULAR;
+      const bool regular = timed(figures_.factorization, [&] { return kkt_->factorize(values_.data()); });
+      figures_.operations += kkt_->factor_operations();
+      if (!regular) return Ipopt::SYMSOLVER_SINGULAR;
       if (check_inertia && kkt_->negative_eigenvalues() != negative) return Ipopt::SYMSOLVER_WRONG_INERTIA;
     }
-    for (Index k = 0; k < count; ++k) kkt_->solve(rhs + static_cast<std::ptrdiff_t>(k) * sizes_.all());
+    for (Index k = 0; k < count; ++k, rhs += sizes_.all()) timed(figures_.substitution, [&] { kkt_->solve(rhs); });
+    figures_.operations += count * kkt_->solve_operations();
     return Ipopt::SYMSOLVER_SUCCESS;
   }
 
@@ -62,6 +80,7 @@ class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
  private:
   std::vector<int> all_, free_;  // stages of all variables, and of those that are not fixed
   int threads_;
+  KktFigures& figures_;
   KktSizes sizes_;
   std::vector<double> values_;
   std::unique_ptr<StageKkt> kkt_;
@@ -70,12 +89,13 @@ class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
 
 class Builder : public Ipopt::AlgorithmBuilder {
  public:
-  Builder(const std::vector<int>& stage, const Bounds& bounds, int threads)
-      : stage_(stage), bounds_(bounds), threads_(threads) {}
+  Builder(const std::vector<int>& stage, const Bounds& bounds, int threads, KktFigures& figures)
+      : stage_(stage), bounds_(bounds), threads_(threads), figures_(figures) {}
 
   Ipopt::SmartPtr<Ipopt::SymLinearSolver> SymLinearSolverFactory(const Ipopt::Journalist&, const Ipopt::OptionsList&,
                                                                  const std::string&) override {
-    Ipopt::SmartPtr<Ipopt::SparseSymLinearSolverInterface> own = new StageSolver(stage_, bounds_, threads_);
+    Ipopt::SmartPtr<Ipopt::SparseSymLinearSolverInterface> own = 
+        new StageSolver(stage_, bounds_, threads_, figures_);
     return new Ipopt::TSymLinearSolver(own, nullptr);
   }
 
@@ -83,12 +103,14 @@ class Builder : public Ipopt::AlgorithmBuilder {
   const std::vector<int>& stage_;
   const Bounds& bounds_;
   int threads_;
+  KktFigures& figures_;
 };
 
 }  // namespace
 
-Ipopt::SmartPtr<Ipopt::AlgorithmBuilder> stage_builder(const std::vector<int>& stage, const Bounds& bounds, int threads) {
-  return new Builder(stage, bounds, threads);
+Ipopt::SmartPtr<Ipopt::AlgorithmBuilder> stage_builder(const std::vector<int>& stage, const Bounds& bounds, int threads,
+                                                       KktFigures& figures) {
+  return new Builder(stage, bounds, threads, figures);
 }
 
 }  // namespace trajopt

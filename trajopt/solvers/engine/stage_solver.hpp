@@ -9,8 +9,8 @@
 
 namespace trajopt {
 
-// Builds IPOPT's algorithm with it. stage: of each variable, as in `StageFronts`.
+// Builds IPOPT's algorithm with it. stage: of each variable, as in `StageFronts`. Figures are added up.
 Ipopt::SmartPtr<Ipopt::AlgorithmBuilder> stage_builder(const std::vector<int>& stage, const Bounds& bounds,
-                                                       int threads);
+                                                       int threads, KktFigures& figures);
 
 }  // namespace trajopt
