@@ -191,3 +191,23 @@ def test_solves_use_one_thread_of_blas(nlp, problem):
     blas.openblas_set_num_threads(2)
     solve_ipopt(nlp, problem)
     assert blas.openblas_get_num_threads() == 1
+
+
+def test_linear_systems_are_counted_and_timed(nlp, problem):
+    result = solve_ipopt(nlp, problem, stage=np.zeros(len(problem.x0), dtype=np.int32))
+    timings = result["timings"]
+    seconds, factorizations = timings["factorization"]
+    assert factorizations >= result["iterations"]
+    assert timings["substitution"][1] >= 2 * result["iterations"]  # the step, and its refinement
+    assert 0 < seconds <= result["wall_time"]
+    n = len(problem.x0) + len(problem.lbg)  # in one dense front at most
+    most = factorizations * n**3 + timings["substitution"][1] * 4 * n**2
+    assert 0 < result["operations"] < most
+    assert solve_ipopt(nlp, problem)["operations"] == 0  # MUMPS' systems
+
+
+@pytest.mark.parametrize(("n", "depth"), [(0, 1), (1, 0), (1025, 1)])
+def test_products_of_other_sizes_are_refused(n, depth):
+    with pytest.raises(ValueError, match="1 to 1024"):
+        _engine.product_rate(n, depth)
+    assert _engine.product_rate(8, 8) > 0

@@ -51,8 +51,8 @@ class Result:
     def from_engine(cls, raw: Mapping[str, Any], status: Status) -> Result:
         """The result of a solve by the engine, as it returns it, with what its status means."""
         same = {name: raw[name] for name in SAME_NAMES}
-        figures = {f"{name}_time": seconds for name, (seconds, _) in raw["timings"].items()}
-        figures["operations"] = raw["operations"]
+        figures = {f"{name}_time_s": raw["timings"][name][0] for name in ("factorization", "substitution")}
+        figures["kkt_operations"] = raw["operations"]
         return cls(status=status, solver_status=raw["status"], objective=raw["f"], figures=figures, **same)
 
 
