@@ -1,0 +1,155 @@
+"""Modes: which contacts are on the ground when, read from forces and heights of a motion."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+import numpy as np
+
+from trajopt.schedule.gaits import SUPPORTS
+
+# A contact is on the ground where its normal force is at least this part of the weight.
+LOADED = 0.03
+# A contact that neither rises nor moves by more than this, over the robot's length, has not been lifted.
+LIFTED = 0.02
+
+
+@dataclass(frozen=True)
+class ModeSequence:
+    """Contacts and duration in s of each mode, one after the other.
+
+    shift: s by which a cycle begins later than the motion it was read from. dropped: modes too short for the
+    mesh that were left out; unlifted: swings that were none.
+    """
+
+    modes: tuple[tuple[tuple[str, ...], float], ...]
+    shift: float = 0.0
+    dropped: int = 0
+    unlifted: int = 0
+
+    @property
+    def duration(self) -> float:
+        """The sum of durations, s."""
+        return sum(duration for _, duration in self.modes)
+
+    @property
+    def key(self) -> tuple[tuple[str, ...], ...]:
+        """Contacts of each mode: the same for schedules that differ in durations alone."""
+        return tuple(contacts for contacts, _ in self.modes)
+
+    def names(self) -> list[str]:
+        """Names of the phases, by the number of feet on the ground: double_1, flight_1, double_2, ..."""
+        counts: Counter[str] = Counter()
+        names = []
+        for contacts, _ in self.modes:
+            kind = SUPPORTS[len(contacts)] if len(contacts) < len(SUPPORTS) else f"support{len(contacts)}"
+            counts[kind] += 1
+            names.append(f"{kind}_{counts[kind]}")
+        return names
+
+    def __str__(self) -> str:
+        parts = ("+".join(contacts) or "flight" for contacts, _ in self.modes)
+        return ", ".join(f"{part} {duration:.3g} s" for part, (_, duration) in zip(parts, self.modes, strict=True))
+
+    def from_touchdown(self) -> "ModeSequence":
+        """The same cycle, begun at a touchdown where it has one."""
+        for start in range(len(self.modes)):
+            if set(self.modes[start][0]) - set(self.modes[start - 1][0]):
+                begin = sum(duration for _, duration in self.modes[:start])
+                turned = self.modes[start:] + self.modes[:start]
+                return replace(self, modes=turned, shift=self.shift + begin)
+        return self
+
+    def without_short(self, least: float, periodic: bool) -> "ModeSequence":
+        """Without modes shorter than ``least`` s: the shortest first goes to the neighbours it differs least from."""
+        modes, shift, dropped = [*self.modes], self.shift, self.dropped
+        while len(modes) > 1:
+            index = min(range(len(modes)), key=lambda i: modes[i][1])
+            contacts, duration = modes[index]
+            if duration >= least:
+                break
+            dropped += 1
+            near = [i % len(modes) for i in (index - 1, index + 1) if periodic or 0 <= i < len(modes)]
+            changes = [len(set(modes[i][0]) ^ set(contacts)) for i in near]
+            taking = [i for i, change in zip(near, changes, strict=True) if change == min(changes)]
+            for i in dict.fromkeys(taking):
+                modes[i] = (modes[i][0], modes[i][1] + duration / len(dict.fromkeys(taking)))
+            if index == 0 and periodic:  # what the last mode takes is before the cycle begins
+                shift += duration * (len(modes) - 1 in taking) / len(dict.fromkeys(taking))
+            modes.pop(index)
+            joined = ModeSequence(tuple(modes), shift)._joined(periodic)
+            modes, shift = [*joined.modes], joined.shift
+        return replace(self, modes=tuple(modes), shift=shift, dropped=dropped)
+
+    def _joined(self, periodic: bool) -> "ModeSequence":
+        """Neighbours with the same contacts as one mode."""
+        groups = [
+            (contacts, sum(duration for _, duration in group))
+            for contacts, group in groupby(self.modes, key=lambda mode: mode[0])
+        ]
+        shift = self.shift
+        if periodic and len(groups) > 1 and groups[0][0] == groups[-1][0]:
+            contacts, last = groups.pop()
+            groups[0] = (contacts, groups[0][1] + last)
+            shift -= last
+        return replace(self, modes=tuple(groups), shift=shift)
+
+
+def read_modes(
+    contacts: Sequence[str],
+    times: np.ndarray,
+    duration: float,
+    loaded: np.ndarray,
+    gaps: np.ndarray,
+    places: np.ndarray,
+    *,
+    length: float,
+    cycle: np.ndarray | None = None,
+    ends: tuple[Sequence[str], Sequence[str]] | None = None,
+) -> ModeSequence:
+    """The modes of a motion at n times within its duration.
+
+    Args:
+        contacts: names (nc).
+        times: (n,) s, rising.
+        duration: of the motion, s.
+        loaded: (n, nc) whether the contact's force is that of a contact.
+        gaps: (n, nc) heights over the ground, m.
+        places: (n, nc, 3) positions, m.
+        length: of the robot, m.
+        cycle: of a cycle, how far it moves on (3,), m.
+        ends: contacts that stand at the start and at the end.
+    """
+    on, unlifted, n = loaded.copy(), 0, len(times)
+    for column in range(len(contacts)):
+        for rows in _runs(~on[:, column], cycle is not None):
+            before, after = rows[0] - 1, rows[-1] + 1
+            if cycle is None and (before < 0 or after >= n):
+                continue
+            moved = places[after % n, column] - places[before % n, column]
+            if cycle is not None and (before < 0 or after % n <= before):
+                moved = moved + cycle
+            if max(gaps[rows, column].max(), float(np.linalg.norm(moved))) < LIFTED * length:
+                on[rows, column], unlifted = True, unlifted + 1
+    if ends is not None:
+        for row, standing in zip((0, -1), ends, strict=True):
+            on[row] = [name in standing for name in contacts]
+    borders = np.concatenate([[0.0], (times[1:] + times[:-1]) / 2, [duration]])
+    modes = tuple(
+        (tuple(name for name, touches in zip(contacts, row, strict=True) if touches), float(width))
+        for row, width in zip(on, np.diff(borders), strict=True)
+    )
+    return replace(ModeSequence(modes)._joined(cycle is not None), unlifted=unlifted)
+
+
+def _runs(flags: np.ndarray, periodic: bool) -> list[list[int]]:
+    """Indices of each run of true flags; in a cycle one may go over the end."""
+    runs = [
+        [index for index, _ in group]
+        for flag, group in groupby(enumerate(flags.tolist()), key=lambda entry: entry[1])
+        if flag
+    ]
+    if periodic and len(runs) > 1 and runs[0][0] == 0 and runs[-1][-1] == len(flags) - 1:
+        runs[0] = runs.pop() + runs[0]
+    return [] if flags.all() else runs

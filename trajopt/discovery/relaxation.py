@@ -1,0 +1,191 @@
+"""Contacts without phases: complementarity of force, height and speed within a slack that is made smaller.
+
+With the gap g >= 0 of each contact (of each corner of a sole), its vertical force f >= 0 and its twist v, all in
+natural units,
+
+    f g <= slack,    |f v| <= slack
+
+hold at collocation points of one phase in which every contact may push. A first solve with a large slack lets
+feet push from where they are; each further one starts from the last with a smaller slack (Manchester, Doshi,
+Wood, Kuindersma, "Contact-implicit trajectory optimization using variational integrators", IJRR 38, 2019, and
+Patel, Shield, Kazi, Johnson, Biegler, "Contact-implicit trajectory optimization using orthogonal collocation",
+RA-L 4, 2019, tighten in the same way). The motion that results is a proposal: hard contacts decide.
+"""
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from typing_extensions import override
+
+from trajopt.arguments import NonNegative, Positive
+from trajopt.discovery.ground import gap, smooth_gap
+from trajopt.discovery.modes import LOADED, ModeSequence, read_modes
+from trajopt.discovery.task import ContactTask
+from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.solution.solution import Solution
+from trajopt.solvers.result import StoppingCriteria
+from trajopt.solving.solving import prepare, solve_prepared
+from trajopt.terms.context import Context
+from trajopt.terms.dynamics import BaseDynamics
+from trajopt.terms.interfaces import NodeConstraint, NodePlace, PointConstraint, Rows, Term
+from trajopt.terms.landing import contact_points
+from trajopt.terms.terminal import TerminalRest, TerminalState, configuration_difference
+from trajopt.terrain.terrain import Terrain
+from trajopt.transcription.guess import perturbed
+from trajopt.transcription.mesh import Mesh
+
+# Slacks of the solves, one after the other.
+SLACKS = (0.3, 0.1, 0.03, 0.01, 0.003)
+SCHEME = "legendre:2"
+# Intervals in each sqrt(l / g) of the motion, and at most.
+PER_UNIT, LEAST_INTERVALS, MOST_INTERVALS = 5, 12, 60
+MOST_ITERATIONS = 300
+# A mode shorter than so many intervals is not resolved.
+SHORTEST = 1.5
+# Standard deviation of the noise on the guess, scaled units.
+NOISE = 0.1
+PHASE = "all"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelaxedContacts(PointConstraint):
+    """Every contact pushes only near the ground, where it hardly moves; see the module."""
+
+    slack: Positive
+    terrain: Terrain
+
+    @override
+    def rows(self, context: Context, units: Units) -> Rows:
+        gaps, products, speeds = [], [], []
+        slack = context.parameter(self.slack)
+        for contact in context.contacts:
+            frame, force = context.frame(contact.frame), context.wrenches[contact.name][2] / units.force
+            for point in contact_points(context, contact):
+                height = smooth_gap(self.terrain, point, contact.radius, units.length, context.parameter)
+                gaps.append(height / units.length)
+                products.append(force * height / units.length / slack)
+            held = list(context.held_rows(contact))
+            twist = frame.velocity[held] / ca.DM(units.twist[held])
+            speeds.append(force * twist / slack)
+            gaps.append(force)
+        above, near, still = (ca.vertcat(*parts) for parts in (gaps, products, speeds))
+        n = near.numel(), still.numel()
+        lower = np.concatenate([np.zeros(above.numel()), np.full(n[0], -np.inf), np.full(n[1], -1.0)])
+        upper = np.concatenate([np.full(above.numel(), np.inf), np.ones(n[0] + n[1])])
+        return Rows.create(ca.vertcat(above, near, still), lower, upper, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WholeEnd(NodeConstraint):
+    """The motion ends in a configuration (nq,), or at rest (None), in all directions: no contact holds it."""
+
+    q: np.ndarray | None
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        if self.q is None:
+            return Rows.create(context.dxi / units.velocity, 0, 0, 1.0)
+        return Rows.create(configuration_difference(context, self.q) / units.position, 0, 0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Relaxation:
+    """A motion without phases, the modes read from it, and what each solve took.
+
+    solution: of the least slack that was solved; None without one. stages: slack, status, iterations and
+    objective of each solve. seconds: of the solver.
+    """
+
+    solution: Solution | None
+    modes: ModeSequence | None
+    stages: tuple[tuple[float, str, int, float | None], ...]
+    seconds: float
+
+
+def relaxed_motion(
+    task: ContactTask, *, seed: NonNegative = 0, intervals: int | None = None, max_time: float = 60.0
+) -> Relaxation:
+    """Solve a task with relaxed contacts, from legs that stand still; a ``seed`` other than 0 adds noise."""
+    solution: Solution | None = None
+    stages, seconds = [], 0.0
+    count = intervals or _intervals(task)
+    for slack in SLACKS:
+        prepared = prepare(_relaxed(task, slack), mesh=Mesh.uniform(SCHEME, (count,)), start=solution)
+        start = prepared.guess
+        if seed and solution is None:
+            start = perturbed(prepared.transcription, start, int(seed), NOISE)
+        left = max_time - seconds
+        if left <= 0:
+            break
+        stop = StoppingCriteria(max_iterations=MOST_ITERATIONS, max_time=left)
+        found = solve_prepared(prepared, start, origin={}, judge=False, stop=stop)
+        figures = found.statistics
+        seconds += figures.wall_time_s
+        stages.append((slack, figures.status, figures.iterations, figures.objective))
+        if not found.converged:
+            break
+        solution = found
+    modes = None if solution is None else modes_of(task, solution, count)
+    return Relaxation(solution=solution, modes=modes, stages=tuple(stages), seconds=seconds)
+
+
+def modes_of(task: ContactTask, solution: Solution, intervals: int) -> ModeSequence:
+    """The modes of a relaxed motion; a cycle begins at a touchdown."""
+    robot, rows = task.robot, solution.collocation
+    q, duration = solution.q[rows], float(solution.t[-1])
+    places = np.array([list(contact_positions(robot, each).values()) for each in q])
+    radii = [contact.radius for contact in robot.contacts]
+    gaps = [
+        [gap(task.problem.terrain, place, radius) for place, radius in zip(feet, radii, strict=True)]
+        for feet in places
+    ]
+    standing = None
+    if not task.periodic:
+        last = q[-1] if task.end is None else task.end
+        standing = task.standing(solution.q[0]), task.standing(last)
+    modes = read_modes(
+        [contact.name for contact in robot.contacts],
+        solution.t[rows],
+        duration,
+        solution.f[rows][:, :, 2] > LOADED * robot.weight,
+        np.array(gaps),
+        places,
+        length=robot.length,
+        cycle=task.travel(solution.q[0], solution.q[-1]) if task.periodic else None,
+        ends=standing,
+    ).without_short(SHORTEST * duration / intervals, task.periodic)
+    return modes.from_touchdown() if task.periodic else modes
+
+
+def _intervals(task: ContactTask) -> int:
+    unit = np.sqrt(task.robot.length / gravity_of(task.robot.model))
+    return int(np.clip(round(PER_UNIT * task.duration / unit), LEAST_INTERVALS, MOST_INTERVALS))
+
+
+def _relaxed(task: ContactTask, slack: float) -> Problem:
+    low, high = task.duration_range
+    names = tuple(contact.name for contact in task.robot.contacts)
+    free = (low, high) if high > low else None
+    schedule = Schedule((Phase(name=PHASE, duration=task.duration, contacts=names, duration_bounds=free),))
+    terms = [_everywhere(term) for term in task.terms]
+    return replace(
+        task.problem,
+        name=f"{task.problem.name}-relaxed",
+        schedule=schedule,
+        dynamics=(BaseDynamics(),),
+        terms=(*terms, RelaxedContacts(slack=slack, terrain=task.problem.terrain)),
+        guess=task.still,
+        duration_bounds=None,
+    )
+
+
+def _everywhere(term: Term) -> Term:
+    """An end in all directions in place of one in those that contacts leave free."""
+    if isinstance(term, TerminalState):
+        return WholeEnd(q=term.q)
+    return WholeEnd(q=None) if isinstance(term, TerminalRest) else term

@@ -1,0 +1,182 @@
+"""A task: what of a problem does not depend on its phases, and problems of other schedules for it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.discovery.ground import gap
+from trajopt.discovery.modes import LIFTED, ModeSequence
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import contact_positions, frame_pose
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Motion, Phase, Schedule
+from trajopt.terms.interfaces import Term
+from trajopt.terms.swing import SwingArc, SwingClearance, SwingOver
+from trajopt.terms.swing_planning import swing_arcs, swing_clearance
+from trajopt.terms.terminal import TerminalState
+from trajopt.terrain.patch import Patch
+from trajopt.terrain.piecewise import PiecewiseTerrain
+
+# Height of swings over the robot's length, where the problem's terms say none.
+CLEARANCE = 0.05
+# Durations of a schedule that was found are free within these multiples of what was found.
+FREE = (0.3, 2.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactTask:
+    """A problem without its phases: the robot, the ground, where it starts, and terms that name no phase.
+
+    left_out: names of terms that act in phases of the problem's own schedule, and are no part of the task.
+    """
+
+    problem: Problem
+    terms: tuple[Term, ...]
+    left_out: tuple[str, ...]
+    clearance: float
+
+    @classmethod
+    def of(cls, problem: Problem) -> "ContactTask":
+        """The task of a problem. Raises `InputError` for one whose model depends on its phases."""
+        robot, label = problem.robot, f"the schedule of '{problem.name}' cannot be found"
+        if not robot.contacts or robot.base == "fixed":
+            raise InputError(f"{label}: '{robot.name}' has no feet on a moving base", "allowed: legged robots")
+        for what, given in (("minimal coordinates", problem.modes), ("payloads", problem.payloads)):
+            if given:
+                raise InputError(f"{label}: it has {what} in phases", "allowed: the same model in all phases")
+        if problem.actuation != "torque" or not problem.holds_contacts:
+            raise InputError(f"{label}: torques are no control", "allowed: full dynamics, actuation 'torque'")
+        if problem.periodicity is not None and problem.periodicity.mirror:
+            raise InputError(
+                f"{label}: it is half of a mirrored cycle", "allowed: a whole cycle, as with cycle=full"
+            )
+        swings = [term for term in problem.terms if isinstance(term, SwingArc | SwingClearance | SwingOver)]
+        heights = [term.height for term in swings]
+        others = [term for term in problem.terms if term not in swings]
+        kept = tuple(term for term in others if term.phases is None and not term.made_for_schedule)
+        return cls(
+            problem=problem,
+            terms=kept,
+            left_out=tuple(dict.fromkeys(term.name for term in others if term not in kept)),
+            clearance=max(heights) if heights else CLEARANCE * robot.length,
+        )
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self.problem.robot
+
+    @property
+    def duration(self) -> float:
+        """Nominal duration of the motion, s."""
+        return self.problem.schedule.duration
+
+    @property
+    def duration_range(self) -> tuple[float, float]:
+        """Least and greatest duration of the motion, s."""
+        return self.problem.duration_bounds or self.problem.schedule.duration_range
+
+    @property
+    def periodic(self) -> bool:
+        """Whether the motion is a cycle."""
+        return self.problem.periodicity is not None
+
+    @property
+    def end(self) -> np.ndarray | None:
+        """The configuration (nq,) in which the motion ends; None where no term says it."""
+        return next((term.q for term in self.terms if isinstance(term, TerminalState)), None)
+
+    def travel(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """How far the base is moved from one configuration (nq,) to another (3,), m, world."""
+        frame = self.robot.model.names[1]
+        places = [frame_pose(self.robot, q, frame).translation for q in (first, last)]
+        return np.asarray(places[1] - places[0])
+
+    def still(self, t: float) -> np.ndarray:
+        """A configuration (nq,) at ``t`` s of the plainest guess: a straight path of the base, legs still."""
+        robot = self.robot
+        first = self.problem.guess_at(0.0).copy()
+        last = self.problem.guess_at(self.duration).copy() if self.end is None else self.end.copy()
+        if self.periodic:
+            n = robot.model.joints[1].nq
+            first[n:] = last[n:] = robot.reference[n:]
+        return np.asarray(pin.interpolate(robot.model, first, last, min(max(t / self.duration, 0.0), 1.0)))
+
+    def standing(self, q: np.ndarray) -> tuple[str, ...]:
+        """Names of the contacts that touch the ground at ``q`` (nq,)."""
+        near = LIFTED * self.robot.length
+        places = contact_positions(self.robot, q)
+        heights = {name: gap(self.problem.terrain, place, self.robot.contact(name).radius) for name, place in places.items()}
+        return tuple(name for name, height in heights.items() if height < near)
+
+    def with_modes(self, modes: ModeSequence, guess: Motion) -> Problem:
+        """The problem with hard contacts in the schedule that was found; durations are free.
+
+        Raises:
+            InputError: for a schedule that the problem cannot have.
+        """
+        schedule = self._schedule(modes, guess)
+        problem, names = self.problem, tuple(contact.name for contact in self.robot.contacts)
+        images = {name: name for name in names} if self.periodic else None
+        terrain, swings = problem.terrain, ()
+        if isinstance(terrain, PiecewiseTerrain):
+            swings = swing_clearance(self.robot, schedule, terrain, height=self.clearance, guess=guess)
+        elif any(set(names) - set(phase.contacts) for phase in schedule.phases):
+            lifted = tuple(n for n in names if any(n not in phase.contacts for phase in schedule.phases))
+            swings = swing_arcs(schedule, lifted, height=self.clearance, terrain=terrain, next_name=images)
+        low, high = self.duration_range
+        return replace(
+            problem,
+            name=f"{problem.name}-found",
+            schedule=schedule,
+            terms=(*self.terms, *swings),
+            guess=guess,
+            duration_bounds=(low, high),
+            default_intervals=max(problem.default_intervals, 4 * len(schedule.phases)),
+        )
+
+    def _schedule(self, modes: ModeSequence, guess: Motion) -> Schedule:
+        """Phases of the modes; a contact's last landing is where the motion has to end."""
+        names, last = modes.names(), {}
+        for index, (contacts, _) in enumerate(modes.modes):
+            before = modes.modes[index - 1][0] if index or self.periodic else contacts
+            last |= {name: index for name in contacts if name not in before}
+        ends = {} if self.end is None else contact_positions(self.robot, self.end)
+        phases, time = [], 0.0
+        for index, (contacts, duration) in enumerate(modes.modes):
+            before = modes.modes[index - 1][0] if index or self.periodic else contacts
+            footholds, patches = {}, {}
+            for name in contacts:
+                if name in before:
+                    continue
+                if name in ends and last[name] == index:
+                    footholds[name] = self._on_ground(name, ends[name])
+                elif isinstance(self.problem.terrain, PiecewiseTerrain):
+                    place = contact_positions(self.robot, guess(time))[name]
+                    patches[name] = self._face(place)
+            phases.append(
+                Phase(
+                    name=names[index],
+                    duration=duration,
+                    contacts=contacts,
+                    footholds=footholds,
+                    patches=patches,
+                    duration_bounds=(FREE[0] * duration, FREE[1] * duration),
+                )
+            )
+            time += duration
+        return Schedule(tuple(phases))
+
+    def _on_ground(self, name: str, place: np.ndarray) -> np.ndarray:
+        """The point (3,) of the ground under a contact's origin."""
+        return np.array([*place[:2], place[2] - gap(self.problem.terrain, place, 0.0)])
+
+    def _face(self, place: np.ndarray) -> Patch:
+        """The face nearest to a landing."""
+        terrain = self.problem.terrain
+        assert isinstance(terrain, PiecewiseTerrain)
+        under = terrain.face_at(float(place[0]), float(place[1]))
+        off = [float(np.linalg.norm(face.nearest(place) - place)) for face in terrain.faces]
+        return under or terrain.faces[int(np.argmin(off))]
