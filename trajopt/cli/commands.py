@@ -31,6 +31,7 @@ COMMANDS = {
     "check": "trajopt.cli.check:check_command",
     "continue": "trajopt.cli.continuation:continue_command",
     "diagnose": "trajopt.cli.check:diagnose_command",
+    "discover": "trajopt.cli.discover:discover_command",
     "drive": "trajopt.cli.drive:drive_command",
     "export": "trajopt.cli.export:export_command",
     "list": "trajopt.cli.list:list_command",

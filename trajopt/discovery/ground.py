@@ -8,7 +8,6 @@ import numpy as np
 
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
-from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Terrain

@@ -50,7 +50,9 @@ class ModeSequence:
 
     def __str__(self) -> str:
         parts = ("+".join(contacts) or "flight" for contacts, _ in self.modes)
-        return ", ".join(f"{part} {duration:.3g} s" for part, (_, duration) in zip(parts, self.modes, strict=True))
+        return ", ".join(
+            f"{part} {duration:.3g} s" for part, (_, duration) in zip(parts, self.modes, strict=True)
+        )
 
     def from_touchdown(self) -> "ModeSequence":
         """The same cycle, begun at a touchdown where it has one."""
@@ -62,12 +64,16 @@ class ModeSequence:
         return self
 
     def without_short(self, least: float, periodic: bool) -> "ModeSequence":
-        """Without modes shorter than ``least`` s: the shortest first goes to the neighbours it differs least from."""
+        """Without modes shorter than ``least`` s: each goes to the neighbours that it differs least from.
+
+        The first and the last of a motion that is no cycle stay.
+        """
         modes, shift, dropped = [*self.modes], self.shift, self.dropped
-        while len(modes) > 1:
-            index = min(range(len(modes)), key=lambda i: modes[i][1])
+        while True:
+            inner = range(len(modes)) if periodic else range(1, len(modes) - 1)
+            index = min(inner, key=lambda i: modes[i][1], default=0)
             contacts, duration = modes[index]
-            if duration >= least:
+            if len(inner) < 1 or len(modes) < 2 or duration >= least:
                 break
             dropped += 1
             near = [i % len(modes) for i in (index - 1, index + 1) if periodic or 0 <= i < len(modes)]

@@ -1,15 +1,15 @@
 """Contacts without phases: complementarity of force, height and speed within a slack that is made smaller.
 
-With the gap g >= 0 of each contact (of each corner of a sole), its vertical force f >= 0 and its twist v, all in
+With the gap g >= 0 of each contact (of each corner of a sole), its vertical force f >= 0 and its twist v, in
 natural units,
 
     f g <= slack,    |f v| <= slack
 
 hold at collocation points of one phase in which every contact may push. A first solve with a large slack lets
-feet push from where they are; each further one starts from the last with a smaller slack (Manchester, Doshi,
-Wood, Kuindersma, "Contact-implicit trajectory optimization using variational integrators", IJRR 38, 2019, and
-Patel, Shield, Kazi, Johnson, Biegler, "Contact-implicit trajectory optimization using orthogonal collocation",
-RA-L 4, 2019, tighten in the same way). The motion that results is a proposal: hard contacts decide.
+feet push from where they are; each further one starts from the last with a smaller slack, as in Manchester,
+Doshi, Wood, Kuindersma, "Contact-implicit trajectory optimization using variational integrators", IJRR 38
+(2019), and Patel, Shield, Kazi, Johnson, Biegler, "Contact-implicit trajectory optimization using orthogonal
+collocation", RA-L 4 (2019). The motion that results is a proposal: hard contacts decide.
 """
 
 from dataclasses import dataclass, replace
@@ -40,7 +40,7 @@ from trajopt.transcription.guess import perturbed
 from trajopt.transcription.mesh import Mesh
 
 # Slacks of the solves, one after the other.
-SLACKS = (0.3, 0.1, 0.03, 0.01, 0.003)
+SLACKS = (0.1, 0.03, 0.01, 0.003)
 SCHEME = "legendre:2"
 # Intervals in each sqrt(l / g) of the motion, and at most.
 PER_UNIT, LEAST_INTERVALS, MOST_INTERVALS = 5, 12, 60
@@ -98,12 +98,13 @@ class Relaxation:
     """A motion without phases, the modes read from it, and what each solve took.
 
     solution: of the least slack that was solved; None without one. stages: slack, status, iterations and
-    objective of each solve. seconds: of the solver.
+    objective of each solve. solved: how many of them were. seconds: of the solver.
     """
 
     solution: Solution | None
     modes: ModeSequence | None
     stages: tuple[tuple[float, str, int, float | None], ...]
+    solved: int
     seconds: float
 
 
@@ -112,7 +113,7 @@ def relaxed_motion(
 ) -> Relaxation:
     """Solve a task with relaxed contacts, from legs that stand still; a ``seed`` other than 0 adds noise."""
     solution: Solution | None = None
-    stages, seconds = [], 0.0
+    stages, seconds, solved = [], 0.0, 0
     count = intervals or _intervals(task)
     for slack in SLACKS:
         prepared = prepare(_relaxed(task, slack), mesh=Mesh.uniform(SCHEME, (count,)), start=solution)
@@ -129,9 +130,9 @@ def relaxed_motion(
         stages.append((slack, figures.status, figures.iterations, figures.objective))
         if not found.converged:
             break
-        solution = found
+        solution, solved = found, solved + 1
     modes = None if solution is None else modes_of(task, solution, count)
-    return Relaxation(solution=solution, modes=modes, stages=tuple(stages), seconds=seconds)
+    return Relaxation(solution=solution, modes=modes, stages=tuple(stages), solved=solved, seconds=seconds)
 
 
 def modes_of(task: ContactTask, solution: Solution, intervals: int) -> ModeSequence:

@@ -42,7 +42,9 @@ class ContactTask:
         """The task of a problem. Raises `InputError` for one whose model depends on its phases."""
         robot, label = problem.robot, f"the schedule of '{problem.name}' cannot be found"
         if not robot.contacts or robot.base == "fixed":
-            raise InputError(f"{label}: '{robot.name}' has no feet on a moving base", "allowed: legged robots")
+            raise InputError(
+                f"{label}: '{robot.name}' has no feet on a moving base", "allowed: legged robots"
+            )
         for what, given in (("minimal coordinates", problem.modes), ("payloads", problem.payloads)):
             if given:
                 raise InputError(f"{label}: it has {what} in phases", "allowed: the same model in all phases")
@@ -94,6 +96,12 @@ class ContactTask:
         places = [frame_pose(self.robot, q, frame).translation for q in (first, last)]
         return np.asarray(places[1] - places[0])
 
+    def moved(self, q: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """A configuration (nq,) with the base ``by`` (3,) m away, world."""
+        moved, rows = q.copy(), [0, 1, 2] if self.robot.base == "freeflyer" else [0, 2]
+        moved[: len(rows)] += by[rows]
+        return moved
+
     def still(self, t: float) -> np.ndarray:
         """A configuration (nq,) at ``t`` s of the plainest guess: a straight path of the base, legs still."""
         robot = self.robot
@@ -108,7 +116,10 @@ class ContactTask:
         """Names of the contacts that touch the ground at ``q`` (nq,)."""
         near = LIFTED * self.robot.length
         places = contact_positions(self.robot, q)
-        heights = {name: gap(self.problem.terrain, place, self.robot.contact(name).radius) for name, place in places.items()}
+        heights = {
+            name: gap(self.problem.terrain, place, self.robot.contact(name).radius)
+            for name, place in places.items()
+        }
         return tuple(name for name, height in heights.items() if height < near)
 
     def with_modes(self, modes: ModeSequence, guess: Motion) -> Problem:
@@ -120,7 +131,8 @@ class ContactTask:
         schedule = self._schedule(modes, guess)
         problem, names = self.problem, tuple(contact.name for contact in self.robot.contacts)
         images = {name: name for name in names} if self.periodic else None
-        terrain, swings = problem.terrain, ()
+        terrain = problem.terrain
+        swings: tuple[Term, ...] = ()
         if isinstance(terrain, PiecewiseTerrain):
             swings = swing_clearance(self.robot, schedule, terrain, height=self.clearance, guess=guess)
         elif any(set(names) - set(phase.contacts) for phase in schedule.phases):
@@ -139,7 +151,8 @@ class ContactTask:
 
     def _schedule(self, modes: ModeSequence, guess: Motion) -> Schedule:
         """Phases of the modes; a contact's last landing is where the motion has to end."""
-        names, last = modes.names(), {}
+        names = modes.names()
+        last: dict[str, int] = {}
         for index, (contacts, _) in enumerate(modes.modes):
             before = modes.modes[index - 1][0] if index or self.periodic else contacts
             last |= {name: index for name in contacts if name not in before}

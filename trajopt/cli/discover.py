@@ -1,0 +1,180 @@
+"""``trajopt discover``: schedules of contacts for a problem or a goal, found and certified."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from trajopt.cli.input import (
+    NOT_REACHED,
+    WholeNumber,
+    default_option,
+    json_option,
+    parse_settings,
+    value_option,
+)
+from trajopt.cli.report import console, plain_table, say, to_json
+from trajopt.errors import InputError, not_among
+from trajopt.solution.output import check_output
+
+if TYPE_CHECKING:
+    from trajopt.discovery.discover import Candidate, Discovery
+    from trajopt.discovery.task import ContactTask
+
+SEEDS, MOST, JOBS = WholeNumber(0, 1000), WholeNumber(1, 1000), WholeNumber(1, 1024)
+GOAL = ("x", "y", "yaw")
+OBSTACLES = {"box": "height", "gap": "width"}
+TERRAIN_FORM = "allowed: flat, box:height=METRES or gap:width=METRES"
+TIME_FORM = "allowed: seconds, such as 1.5, or bounds, such as 1:2"
+
+
+@click.command("discover")
+@click.argument("problem")
+@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A parameter of the problem.")
+@click.option(
+    "--goal", multiple=True, metavar="NAME=VALUE", help="Of a robot: x, y in m, yaw in rad, to stand at."
+)
+@value_option("--terrain", "KIND", "Of a robot: flat, box:height=METRES, gap:width=METRES.  [default: flat]")
+@value_option("--time", "SECONDS", "Of a robot: duration, or bounds LOW:HIGH.  [default: from the way]")
+@default_option("--seeds", 4, "N", "Relaxed motions, from noise beside legs that stand.", kind=SEEDS)
+@click.option("--no-known", is_flag=True, help="Without gaits, hops and steps that are known.")
+@default_option("--most", 12, "N", "Schedules that are solved with hard contacts, at most.", kind=MOST)
+@default_option("--max-time", 30.0, "SECONDS", "For each relaxed motion, and each schedule.", kind=float)
+@value_option("--jobs", "N", "Processes.  [default: one for each processor]", JOBS)
+@value_option("--output-dir", "DIR", "Folder for the candidates.  [default: none]", Path)
+@click.option("--resume", is_flag=True, help="Go on with the candidates of the folder.")
+@value_option("--schedule-out", "FILE.py", "Write the best schedule as Python.", Path)
+@value_option("--output", "FILE.npz", "Write the best motion.", Path)
+@json_option
+def discover_command(
+    problem: str,
+    settings: tuple[str, ...],
+    goal: tuple[str, ...],
+    terrain: str | None,
+    time: str | None,
+    no_known: bool,
+    output_dir: Path | None,
+    resume: bool,
+    schedule_out: Path | None,
+    output: Path | None,
+    as_json: bool,
+    **arguments: Any,
+) -> int:
+    """Find who touches when, for PROBLEM, whose own phases are not used, or for the goal of a robot.
+
+    Proposals come from relaxed contacts, and from gaits, hops and steps that are known. Each is solved with
+    hard contacts and free durations until its motion holds at any time. Exit status 0 where one does, 1 where
+    none does.
+    """
+    from trajopt.discovery.discover import discover, nearest_gait, schedule_source
+
+    if resume and output_dir is None:
+        raise InputError("--resume has no folder to go on with", "allowed: with --output-dir")
+    for path in (schedule_out, output):
+        if path is not None:
+            check_output(path)
+    task = _task(problem, settings, goal, terrain, time)
+    shown = console()
+
+    def told(candidate: Candidate) -> None:
+        if not as_json:
+            shown.print(_line(candidate), highlight=False)
+
+    found = discover(task, known=not no_known, folder=output_dir, resume=resume, told=told, **arguments)
+    best = found.best
+    if best and schedule_out is not None and best[0].modes is not None:
+        schedule_out.write_text(schedule_source(best[0].modes))
+    if best and output is not None and best[0].solution is not None:
+        best[0].solution.save(output)
+    if as_json:
+        say(to_json(found.to_dict()))
+    else:
+        _print(found, nearest_gait(task, best[0].modes) if best and best[0].modes else None)
+    return 0 if best else NOT_REACHED
+
+
+def _task(
+    problem: str, settings: tuple[str, ...], goal: tuple[str, ...], terrain: str | None, time: str | None
+) -> ContactTask:
+    from trajopt.discovery.goal import Destination, obstacle, task_to
+    from trajopt.discovery.task import ContactTask
+    from trajopt.problem.catalogue import families
+    from trajopt.problem.family import choose
+    from trajopt.robot.catalogue import robot as load_robot
+
+    if problem in families():
+        named = {"--goal": goal, "--terrain": terrain, "--time": time}
+        for name, given in named.items():
+            if given:
+                raise InputError(
+                    f"{name} has no effect on the problem '{problem}'", "allowed: --set, or a robot's name"
+                )
+        return ContactTask.of(choose(families(), problem).load(parse_settings(settings, "--set")))
+    if settings:
+        raise InputError(
+            f"--set has no effect on the robot '{problem}'", "allowed: --goal, or a problem's name"
+        )
+    robot = load_robot(problem)
+    values = {name: _number(name, text) for name, text in parse_settings(goal, "--goal").items()}
+    for name in values:
+        if name not in GOAL:
+            raise not_among(GOAL, name, f"a goal has no '{name}'")
+    low, high = _span(time)
+    span = None if low == high else (low, high)
+    place = Destination(**values, duration=(low + high) / 2 if high else None, duration_range=span)
+    kind, _, size = (terrain or "flat").partition(":")
+    if kind == "flat" and not size:
+        return task_to(robot, place)
+    name, _, text = size.partition("=")
+    if OBSTACLES.get(kind) != name:
+        raise InputError(f"--terrain '{terrain}' has the wrong form", TERRAIN_FORM)
+    return task_to(robot, place, obstacle(robot, kind, _number(name, text), place))
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{name} is '{text}'", "allowed: a finite number")
+    return value
+
+
+def _span(text: str | None) -> tuple[float, float]:
+    """Least and greatest duration, s; 0 and 0 without one."""
+    if text is None:
+        return 0.0, 0.0
+    try:
+        parts = [float(part) for part in text.split(":")]
+    except ValueError:
+        parts = []
+    if len(parts) not in (1, 2) or not all(0 < part < math.inf for part in parts) or parts != sorted(parts):
+        raise InputError(f"--time is '{text}'", TIME_FORM)
+    return parts[0], parts[-1]
+
+
+def _line(candidate: Candidate) -> str:
+    what = candidate.why if candidate.objective is None else f"objective {candidate.objective:.5g}"
+    return f"{candidate.source:<16} {candidate.status:<10} {candidate.seconds:6.2f} s  {what}"
+
+
+def _print(found: Discovery, gait: tuple[str, float] | None) -> None:
+    shown = console()
+    if found.task.left_out:
+        shown.print(f"no part of the task, since bound to its own phases: {', '.join(found.task.left_out)}")
+    if not found.best:
+        shown.print(f"no schedule was found, in {found.seconds:.1f} s of solvers")
+        return
+    rows = [
+        [each.source, f"{each.objective:.5g}", str(len(each.modes.modes)), str(each.modes)]
+        for each in found.best[:3]
+        if each.modes is not None
+    ]
+    shown.print(plain_table(("best", "objective", "phases", "contacts"), rows))
+    if gait is not None:
+        shown.print(f"nearest known gait of the best: {gait[0]}, {100 * gait[1]:.0f} % of a period away")
+    shown.print(f"{len(found.candidates)} candidates, {found.seconds:.1f} s of solvers")

@@ -1,0 +1,123 @@
+"""A goal without a problem of the catalogue: where a robot stands at the end, on what ground, and when."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.arguments import Positive, checked
+from trajopt.discovery.task import CLEARANCE, ContactTask
+from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.errors import InputError
+from trajopt.guesses.over_terrain import standing_on
+from trajopt.problem.problem import Problem
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.terms.friction import FrictionPyramid, SoleCone
+from trajopt.terms.interfaces import Term
+from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
+from trajopt.terms.objectives import effort_costs
+from trajopt.terms.terminal import TerminalRest, TerminalState
+from trajopt.terrain.flat import FlatGround
+from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.terrain import Terrain
+
+# Default duration in sqrt(l / g): to push off and come to rest, and more for each length of the way.
+STANDING, EACH_LENGTH = 4.0, 3.0
+# Distance of feet from an edge at the start, over the robot's length, and ground behind it, the same.
+FROM_EDGE, BEYOND = 0.15, 3.0
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class Destination:
+    """Where a robot that stands at the origin stands at the end, and when.
+
+    Args:
+        x: forward, m.
+        y: to the left, m.
+        yaw: turn to the left, rad.
+        duration: s; None: from the way.
+        duration_range: least and greatest, s, of a free duration; None: it is as given.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    duration: Positive | None = None
+    duration_range: tuple[float, float] | None = None
+
+
+@checked
+def task_to(robot: Robot, goal: Destination, terrain: Terrain | None = None) -> ContactTask:
+    """The least torques with which a robot gets there from standing: a task for `discover`.
+
+    Raises:
+        InputError: for a robot without feet on a moving base, and ground that its legs do not reach.
+    """
+    if not robot.contacts or robot.base == "fixed":
+        raise InputError(f"'{robot.name}' has no feet on a moving base", "allowed: legged robots")
+    ground = FlatGround() if terrain is None else terrain
+    start, end = (_standing(robot, ground, place) for place in (Destination(), goal))
+    unit = math.sqrt(robot.length / gravity_of(robot.model))
+    way = math.hypot(goal.x, goal.y) / robot.length
+    low, high = goal.duration_range or (0.0, 0.0)
+    duration = goal.duration or (low + high) / 2 or (STANDING + EACH_LENGTH * way) * unit
+    if goal.duration_range is not None and not 0 < low <= duration <= high < math.inf:
+        raise InputError(
+            f"the duration is between {low:g} and {high:g} s", "allowed: positive, the lower one first"
+        )
+    names = tuple(contact.name for contact in robot.contacts)
+    phase = Phase(name="all", duration=duration, contacts=names, duration_bounds=goal.duration_range)
+    kinds = {contact.kind for contact in robot.contacts}
+    cones: tuple[Term, ...] = (FrictionPyramid(),) if "point" in kinds else ()
+    cones += (SoleCone(),) if "surface" in kinds else ()
+    limits = (TorqueLimits(), PositionLimits(), VelocityLimits())
+
+    costs = (*effort_costs(), *limits, *cones)
+    problem = Problem(
+        name=f"{robot.name}-to-goal",
+        robot=robot,
+        schedule=Schedule((phase,)),
+        terrain=ground,
+        initial_q=start,
+        terms=costs,
+        guess=partial(_straight, robot, start, end, duration),
+    )
+    terms = (*costs, TerminalState(q=end), TerminalRest(q=end))
+    return ContactTask(problem=problem, terms=terms, left_out=(), clearance=CLEARANCE * robot.length)
+
+
+def _straight(robot: Robot, start: np.ndarray, end: np.ndarray, duration: float, t: float) -> np.ndarray:
+    """The configuration (nq,) at ``t`` s on the straight way between two."""
+    return np.asarray(pin.interpolate(robot.model, start, end, min(max(t / duration, 0.0), 1.0)))
+
+
+def _standing(robot: Robot, terrain: Terrain, place: Destination) -> np.ndarray:
+    """The reference posture (nq,) moved to a place, feet on the ground there."""
+    q = robot.reference.copy()
+    if robot.base == "planar":
+        if place.y or place.yaw:
+            raise InputError(f"'{robot.name}' moves in a plane, the goal is beside it", "allowed: x alone")
+        q[0] += place.x
+        return q
+    turn = pin.Quaternion(pin.utils.rotate("z", place.yaw) @ pin.Quaternion(q[3:7]).matrix())
+    q[:2] = np.array([place.x, place.y]) + pin.utils.rotate("z", place.yaw)[:2, :2] @ q[:2]
+    q[3:7] = turn.coeffs()
+    return q if isinstance(terrain, FlatGround) else standing_on(replace(robot, reference=q), terrain)
+
+
+@checked
+def obstacle(robot: Robot, kind: str, size: float, goal: Destination) -> PiecewiseTerrain:
+    """A box of a height or a gap of a width, m, ahead of the fore feet: the goal is on or behind it."""
+    feet = np.array(list(contact_positions(robot, robot.reference).values()))
+    edge = float(feet[:, 0].max()) + FROM_EDGE * robot.length
+    if kind == "gap":
+        return PiecewiseTerrain.gap(size, at=(edge, 0.0))
+    length = goal.x + float(feet[:, 0].max()) + BEYOND * robot.length - edge
+    return PiecewiseTerrain.box(
+        size, length, float(np.ptp(feet[:, 1])) + 2 * BEYOND * robot.length, at=(edge + length / 2, 0.0)
+    )

@@ -1,0 +1,158 @@
+"""Proposals: modes from relaxed contacts and from known gaits and hops, each with a motion to begin from."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.discovery.modes import ModeSequence
+from trajopt.discovery.relaxation import relaxed_motion
+from trajopt.discovery.task import ContactTask
+from trajopt.errors import InputError
+from trajopt.guesses.base_path import BaseWaypoint
+from trajopt.guesses.gaits import Pace, plan_of_cycle
+from trajopt.guesses.legged import legged_guess
+from trajopt.schedule.gait_transitions import transition
+from trajopt.schedule.gaits import gait_names, gait_of
+from trajopt.schedule.schedule import Motion, Phase, Schedule
+
+# A relaxed motion is no proposal above this slack: feet still push from a distance.
+MOST_SLACK = 0.01
+# Samples of a motion that is kept.
+SAMPLES = 201
+# Parts of the duration of the known ones that do not repeat: push, flight and landing of a hop; standing at
+# both ends of steps.
+HOP = (0.4, 0.2, 0.4)
+STAND = 0.15
+MOST_CYCLES = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Proposal:
+    """Modes from a ``source``, and samples of a motion: times (n,) s from the start of its modes, q (n, nq).
+
+    objective, slack: of the relaxed motion. seconds: of solvers. why: there are no modes.
+    """
+
+    source: str
+    modes: ModeSequence | None = None
+    times: np.ndarray | None = None
+    q: np.ndarray | None = None
+    objective: float | None = None
+    slack: float | None = None
+    seconds: float = 0.0
+    why: str = ""
+
+    def guess(self, task: ContactTask) -> Motion:
+        """The motion at any time within its samples."""
+        model, times, q = task.robot.model, self.times, self.q
+        assert times is not None
+        assert q is not None
+
+        def at(t: float) -> np.ndarray:
+            right = int(np.clip(np.searchsorted(times, t), 1, len(times) - 1))
+            part = (t - times[right - 1]) / (times[right] - times[right - 1])
+            return np.asarray(pin.interpolate(model, q[right - 1], q[right], float(np.clip(part, 0.0, 1.0))))
+
+        return at
+
+
+def relaxed_proposal(task: ContactTask, seed: int, max_time: float) -> Proposal:
+    """The modes of a relaxed motion; ``max_time`` s of the solver."""
+    found = relaxed_motion(task, seed=seed, max_time=max_time)
+    source = f"relaxed:{seed}"
+    if found.solution is None or found.modes is None:
+        return Proposal(source=source, seconds=found.seconds, why="no relaxed motion was found")
+    slack = [slack for slack, *_ in found.stages][found.solved - 1]
+    objective = found.solution.statistics.objective
+    if slack > MOST_SLACK:
+        why = f"contacts could not be tightened below a slack of {slack:g} (asked {MOST_SLACK:g})"
+        return Proposal(source=source, objective=objective, slack=slack, seconds=found.seconds, why=why)
+    duration, shift = float(found.solution.t[-1]), found.modes.shift
+    times = np.linspace(0.0, duration, SAMPLES)
+    q = found.solution.sample(times=times).q
+    if task.periodic:
+        times, q = _turned(task, q, times, shift)
+    return Proposal(
+        source=source,
+        modes=found.modes,
+        times=times,
+        q=q,
+        objective=objective,
+        slack=slack,
+        seconds=found.seconds,
+    )
+
+
+def _turned(
+    task: ContactTask, q: np.ndarray, times: np.ndarray, shift: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples of a cycle from ``shift`` s on: of two cycles in a row, moved to where the first began."""
+    duration = times[-1]
+    cycle = task.travel(q[0], q[-1])
+    shift = shift % duration
+    twice = np.concatenate([q[:-1], np.array([task.moved(each, cycle) for each in q])])
+    begins = np.concatenate([times[:-1], times + duration]) - shift
+    kept = (begins >= -times[1]) & (begins <= duration + times[1])
+    first = twice[np.flatnonzero(kept)[0]]
+    back = -task.travel(q[0], first)
+    back[2] = 0.0
+    return begins[kept], np.array([task.moved(each, back) for each in twice[kept]])
+
+
+def known_proposals(task: ContactTask) -> Iterator[Proposal]:
+    """Gaits by their names, and from standing to standing hops and steps; of robots for which these exist."""
+    for source, phases in _known(task):
+        modes = ModeSequence(tuple((phase.contacts, phase.duration) for phase in phases))
+        times = np.linspace(0.0, modes.duration, SAMPLES)
+        try:
+            motion = _known_motion(task, Schedule(phases))
+        except InputError as error:
+            yield Proposal(source=source, why=f"{error}")
+            continue
+        yield Proposal(source=source, modes=modes, times=times, q=np.array([motion(float(t)) for t in times]))
+
+
+def _known(task: ContactTask) -> Iterator[tuple[str, tuple[Phase, ...]]]:
+    robot, duration = task.robot, task.duration
+    names = tuple(contact.name for contact in robot.contacts)
+    try:
+        gaits = gait_names(robot)
+    except InputError:
+        gaits = ()
+    if task.periodic:
+        for name in gaits:
+            yield f"gait:{name}", gait_of(robot, name).phases(duration)
+        return
+    push, flight, landing = (
+        Phase(name=name, duration=part * duration, contacts=feet)
+        for name, part, feet in zip(("push", "flight", "landing"), HOP, (names, (), names), strict=True)
+    )
+    yield "hop", (push, flight, landing)
+    for name in gaits:
+        gait = gait_of(robot, name)
+        for cycles in range(1, MOST_CYCLES + 1) if len(names) > 1 else ():
+            period, stand = duration * (1 - 2 * STAND) / cycles, STAND * duration
+            phases = transition(gait, period, cycles=cycles, stand=stand, rest=stand)
+            scale = duration / sum(phase.duration for phase in phases)
+            scaled = [(phase.name, scale * phase.duration, phase.contacts) for phase in phases]
+            yield f"steps:{name}:{cycles}", tuple(Phase(name=n, duration=d, contacts=c) for n, d, c in scaled)
+
+
+def _known_motion(task: ContactTask, schedule: Schedule) -> Motion:
+    """Legs by inverse kinematics under a straight path of the base; on other bases legs that stand."""
+    robot, duration = task.robot, task.duration
+    if robot.base != "freeflyer":
+        return task.still
+    first, last = task.still(0.0), task.still(duration)
+    way = task.travel(first, last)
+    if task.periodic:
+        pace = Pace(velocity=(way[0] / duration, way[1] / duration))
+        return plan_of_cycle(robot, schedule, pace, mirror=None, clearance=1.5 * task.clearance).guess
+    turn = pin.log3(pin.Quaternion(last[3:7]).matrix() @ pin.Quaternion(first[3:7]).matrix().T)
+    path = [
+        BaseWaypoint(time=0.0, position=first[:3]),
+        BaseWaypoint(time=duration, position=last[:3], turn=turn),
+    ]
+    return legged_guess(robot, schedule, path, start=first, terrain=task.problem.terrain)
