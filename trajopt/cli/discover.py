@@ -21,7 +21,9 @@ from trajopt.errors import InputError, not_among
 from trajopt.solution.output import check_output
 
 if TYPE_CHECKING:
-    from trajopt.discovery.discover import Candidate, Discovery
+    from collections.abc import Callable
+
+    from trajopt.discovery.search import Candidate, Discovery
     from trajopt.discovery.task import ContactTask
 
 SEEDS, MOST, JOBS = WholeNumber(0, 1000), WholeNumber(1, 1000), WholeNumber(1, 1024)
@@ -69,15 +71,15 @@ def discover_command(
     hard contacts and free durations until its motion holds at any time. Exit status 0 where one does, 1 where
     none does.
     """
-    from trajopt.discovery.discover import discover, nearest_gait, schedule_source
+    from trajopt.discovery.search import discover, nearest_gait, nearest_reached, schedule_source
 
     if resume and output_dir is None:
         raise InputError("--resume has no folder to go on with", "allowed: with --output-dir")
     for path in (schedule_out, output):
         if path is not None:
             check_output(path)
-    task = _task(problem, settings, goal, terrain, time)
-    shown = console()
+    make = _tasks(problem, settings, goal, terrain, time)
+    task, shown = make(1.0), console()
 
     def told(candidate: Candidate) -> None:
         if not as_json:
@@ -93,12 +95,21 @@ def discover_command(
         say(to_json(found.to_dict()))
     else:
         _print(found, nearest_gait(task, best[0].modes) if best and best[0].modes else None)
+    if not best and goal and not as_json:
+        near = nearest_reached(
+            make, known=not no_known, **(arguments | {"seeds": min(arguments["seeds"], 2)})
+        )
+        reached = "none of a half, a quarter and an eighth of the way is reached"
+        if near is not None:
+            reached = f"{near[0]:g} of the way is reached: objective {near[1].best[0].objective:.5g}"
+        shown.print(reached)
     return 0 if best else NOT_REACHED
 
 
-def _task(
+def _tasks(
     problem: str, settings: tuple[str, ...], goal: tuple[str, ...], terrain: str | None, time: str | None
-) -> ContactTask:
+) -> Callable[[float], ContactTask]:
+    """The task of a part of the way to the goal."""
     from trajopt.discovery.goal import Destination, obstacle, task_to
     from trajopt.discovery.task import ContactTask
     from trajopt.problem.catalogue import families
@@ -112,7 +123,8 @@ def _task(
                 raise InputError(
                     f"{name} has no effect on the problem '{problem}'", "allowed: --set, or a robot's name"
                 )
-        return ContactTask.of(choose(families(), problem).load(parse_settings(settings, "--set")))
+        task = ContactTask.of(choose(families(), problem).load(parse_settings(settings, "--set")))
+        return lambda _: task
     if settings:
         raise InputError(
             f"--set has no effect on the robot '{problem}'", "allowed: --goal, or a problem's name"
@@ -124,14 +136,18 @@ def _task(
             raise not_among(GOAL, name, f"a goal has no '{name}'")
     low, high = _span(time)
     span = None if low == high else (low, high)
-    place = Destination(**values, duration=(low + high) / 2 if high else None, duration_range=span)
     kind, _, size = (terrain or "flat").partition(":")
-    if kind == "flat" and not size:
-        return task_to(robot, place)
     name, _, text = size.partition("=")
-    if OBSTACLES.get(kind) != name:
+    if (kind, size) != ("flat", "") and OBSTACLES.get(kind) != name:
         raise InputError(f"--terrain '{terrain}' has the wrong form", TERRAIN_FORM)
-    return task_to(robot, place, obstacle(robot, kind, _number(name, text), place))
+    extent = None if kind == "flat" else _number(name, text)
+
+    def make(part: float) -> ContactTask:
+        way = {name: part * value for name, value in values.items()}
+        place = Destination(**way, duration=(low + high) / 2 if high else None, duration_range=span)
+        return task_to(robot, place, None if extent is None else obstacle(robot, kind, extent, place))
+
+    return make
 
 
 def _number(name: str, text: str) -> float:

@@ -1,5 +1,5 @@
-from .discover import Discovery as Discovery
-from .discover import discover as discover
+from .search import Discovery as Discovery
+from .search import discover as discover
 from .goal import Destination as Destination
 from .goal import task_to as task_to
 from .modes import ModeSequence as ModeSequence

@@ -10,7 +10,7 @@ from trajopt.discovery.modes import ModeSequence
 from trajopt.discovery.relaxation import relaxed_motion
 from trajopt.discovery.task import ContactTask
 from trajopt.errors import InputError
-from trajopt.guesses.base_path import BaseWaypoint
+from trajopt.guesses.base_path import BaseWaypoint, flights
 from trajopt.guesses.gaits import Pace, plan_of_cycle
 from trajopt.guesses.legged import legged_guess
 from trajopt.schedule.gait_transitions import transition
@@ -134,7 +134,10 @@ def _known(task: ContactTask) -> Iterator[tuple[str, tuple[Phase, ...]]]:
         gait = gait_of(robot, name)
         for cycles in range(1, MOST_CYCLES + 1) if len(names) > 1 else ():
             period, stand = duration * (1 - 2 * STAND) / cycles, STAND * duration
-            phases = transition(gait, period, cycles=cycles, stand=stand, rest=stand)
+            try:
+                phases = transition(gait, period, cycles=cycles, stand=stand, rest=stand)
+            except InputError:  # so few cycles do not lift each foot
+                continue
             scale = duration / sum(phase.duration for phase in phases)
             scaled = [(phase.name, scale * phase.duration, phase.contacts) for phase in phases]
             yield f"steps:{name}:{cycles}", tuple(Phase(name=n, duration=d, contacts=c) for n, d, c in scaled)
@@ -151,8 +154,10 @@ def _known_motion(task: ContactTask, schedule: Schedule) -> Motion:
         pace = Pace(velocity=(way[0] / duration, way[1] / duration))
         return plan_of_cycle(robot, schedule, pace, mirror=None, clearance=1.5 * task.clearance).guess
     turn = pin.log3(pin.Quaternion(last[3:7]).matrix() @ pin.Quaternion(first[3:7]).matrix().T)
+    times = sorted({0.0, duration, *(time for flight in flights(schedule) for time in flight)})
+    parts = np.diff([0.0, *times]) / duration
     path = [
-        BaseWaypoint(time=0.0, position=first[:3]),
-        BaseWaypoint(time=duration, position=last[:3], turn=turn),
+        BaseWaypoint(time=time, position=first[:3] + way * time / duration, turn=part * turn)
+        for time, part in zip(times, parts, strict=True)
     ]
     return legged_guess(robot, schedule, path, start=first, terrain=task.problem.terrain)

@@ -1,6 +1,8 @@
 """A task: what of a problem does not depend on its phases, and problems of other schedules for it."""
 
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -8,8 +10,10 @@ import pinocchio as pin
 from trajopt.discovery.ground import gap
 from trajopt.discovery.modes import LIFTED, ModeSequence
 from trajopt.errors import InputError
+from trajopt.problem.periodicity import PAIRED
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions, frame_pose
+from trajopt.robot.mirror import find_mirror, paired_contacts
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terms.interfaces import Term
@@ -50,16 +54,12 @@ class ContactTask:
                 raise InputError(f"{label}: it has {what} in phases", "allowed: the same model in all phases")
         if problem.actuation != "torque" or not problem.holds_contacts:
             raise InputError(f"{label}: torques are no control", "allowed: full dynamics, actuation 'torque'")
-        if problem.periodicity is not None and problem.periodicity.mirror:
-            raise InputError(
-                f"{label}: it is half of a mirrored cycle", "allowed: a whole cycle, as with cycle=full"
-            )
         swings = [term for term in problem.terms if isinstance(term, SwingArc | SwingClearance | SwingOver)]
         heights = [term.height for term in swings]
         others = [term for term in problem.terms if term not in swings]
         kept = tuple(term for term in others if term.phases is None and not term.made_for_schedule)
         return cls(
-            problem=problem,
+            problem=_whole_cycle(problem, kept),
             terms=kept,
             left_out=tuple(dict.fromkeys(term.name for term in others if term not in kept)),
             clearance=max(heights) if heights else CLEARANCE * robot.length,
@@ -193,3 +193,42 @@ class ContactTask:
         under = terrain.face_at(float(place[0]), float(place[1]))
         off = [float(np.linalg.norm(face.nearest(place) - place)) for face in terrain.faces]
         return under or terrain.faces[int(np.argmin(off))]
+
+
+def _whole_cycle(problem: Problem, terms: tuple[Term, ...]) -> Problem:
+    """The problem with the other half of its cycle, where it has one half and its mirror image."""
+    periodicity, robot = problem.periodicity, problem.robot
+    if periodicity is None or not periodicity.mirror:
+        return problem
+    pairs = paired_contacts(robot, find_mirror(robot), PAIRED)
+    images = {contact.name: robot.contacts[pairs[i]].name for i, contact in enumerate(robot.contacts)}
+    half = [
+        Phase(name=phase.name, duration=phase.duration, contacts=phase.contacts)
+        for phase in problem.schedule.phases
+    ]
+    other = [
+        replace(phase, name=f"{phase.name}_mirrored", contacts=tuple(images[name] for name in phase.contacts))
+        for phase in half
+    ]
+
+    def twice(numbers: Any) -> Any:
+        return numbers and tuple(2 * number for number in numbers)
+
+    duration = problem.schedule.duration
+    first, last = problem.guess_at(0.0), problem.guess_at(duration)
+    return replace(
+        problem,
+        schedule=Schedule((*half, *other)),
+        periodicity=replace(periodicity, mirror=False, translation=twice(periodicity.translation)),
+        terms=terms,
+        guess=partial(_carried_on, robot, first, last, duration),
+        duration_bounds=twice(problem.duration_bounds),
+        default_intervals=2 * problem.default_intervals,
+    )
+
+
+def _carried_on(robot: Robot, first: np.ndarray, last: np.ndarray, duration: float, t: float) -> np.ndarray:
+    """The first configuration (nq,), its base moved at the mean velocity from that to the last."""
+    q = first.copy()
+    q[:3] += (last - first)[:3] * t / duration if robot.base == "freeflyer" else 0.0
+    return q

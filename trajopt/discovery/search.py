@@ -159,6 +159,30 @@ def discover(
     return Discovery(task=task, candidates=tuple(records.candidates))
 
 
+def nearest_reached(
+    make: Callable[[float], ContactTask], *, halvings: int = 3, **settings: Any
+) -> tuple[float, Discovery] | None:
+    """The largest part of the way to a goal for which a schedule is found, by bisection; None for none.
+
+    Args:
+        make: the task of a part of the way, 0 to 1, of which the whole has no schedule.
+        halvings: parts that are tried.
+        settings: of `discover`.
+    """
+    low, high, best = 0.0, 1.0, None
+    for _ in range(halvings):
+        part = (low + high) / 2
+        try:
+            found = discover(make(part), **settings)
+        except InputError:
+            found = None
+        if found is not None and found.best:
+            low, best = part, (part, found)
+        else:
+            high = part
+    return best
+
+
 def _order(proposal: Proposal) -> tuple[bool, float, str]:
     """Relaxed ones by what they cost, then those that are known."""
     return proposal.objective is None, proposal.objective or 0.0, proposal.source

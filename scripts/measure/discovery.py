@@ -1,0 +1,278 @@
+"""Schedules that are found: against the library's own, by speed, for random goals, from random starts."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+import trajopt
+from scripts.measure.shared import head, row
+from trajopt.discovery import Destination, Discovery, discover, relaxation, task_to
+from trajopt.discovery.search import CERTIFIED, certified, nearest_gait
+from trajopt.discovery.goal import obstacle
+from trajopt.discovery.proposals import relaxed_proposal
+from trajopt.discovery.task import ContactTask
+from trajopt.dynamics import gravity_of
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt_library import problems, robots
+
+SPEEDS = (0.2, 0.5, 0.8, 1.2)
+# Problems beside trots at these speeds, over sqrt(g l).
+TASKS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("hopper-hop", {}),
+    ("biped-gait", {"robot": "bolt"}),
+    ("biped-gait", {"robot": "g1"}),
+    ("biped-gait", {"robot": "talos"}),
+    ("quadruped-box-up", {"robot": "go2"}),
+    ("quadruped-box-down", {"robot": "go2"}),
+    ("quadruped-gap", {"robot": "solo12"}),
+    ("quadruped-stand-up", {"robot": "go2"}),
+)
+GAIT_SPEEDS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.05, 1.2)
+# Of `discovery-slacks`.
+SEQUENCES = ((0.3, 0.1, 0.03, 0.01, 0.003), (0.3, 0.03, 0.003), (0.1, 0.03, 0.01, 0.003), (0.1, 0.005))
+SLACK_TASKS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("quadruped-trot", {"robot": "go2"}),
+    ("quadruped-trot", {"robot": "solo12", "speed": 1.2}),
+    ("hopper-hop", {}),
+    ("quadruped-box-up", {"robot": "go2"}),
+    ("quadruped-gap", {"robot": "solo12"}),
+)
+# Of random goals: over the robot's length, and rad; a box of a height, or level ground.
+ROBOTS = ("go2", "solo12", "anymal_c")
+WAY, ASIDE, TURN, HEIGHT = (0.3, 2.0), 0.3, 0.5, (0.1, 0.4)
+
+
+def speed_of(robot: str, relative: float) -> float:
+    """A speed over sqrt(g l), m/s."""
+    body = robots.load(robot)
+    return relative * math.sqrt(gravity_of(body.model) * body.length)
+
+
+@click.command("discovery")
+@click.option("--seeds", default=3, help="Relaxed motions of each.")
+def discovery(seeds: int) -> None:
+    """Cost of the best schedule that is found over that of the library's own, and what it takes."""
+    head(
+        "problem",
+        "own cost",
+        "found cost",
+        "ratio",
+        "from",
+        "nearest gait",
+        "phases",
+        "candidates",
+        "solvers over own",
+    )
+    trots = [
+        ("quadruped-trot", {"robot": robot, "speed": speed_of(robot, speed)})
+        for robot in ("go2", "solo12")
+        for speed in SPEEDS
+    ]
+    for name, values in (*TASKS, *trots):
+        problem = problems.load(name, **values)
+        own = trajopt.solve(problem, max_time=60.0)
+        found = discover(problem, seeds=seeds)
+        cycles = found.task.duration / problem.schedule.duration
+        label = " ".join(
+            [name, *(f"{k}={v:.2g}" if isinstance(v, float) else f"{k}={v}" for k, v in values.items())]
+        )
+        _row(label, found, cycles * (own.statistics.objective or math.nan), _seconds(own))
+
+
+def _row(label: str, found: Discovery, cost: float, seconds: float) -> None:
+    count = f"{len(found.best)} of {len(found.candidates)}"
+    if not found.best:
+        row(label, f"{cost:.4g}", "none", "", "", "", "", count, f"{found.seconds / seconds:.0f}")
+        return
+    best = found.best[0]
+    assert best.objective is not None
+    assert best.modes is not None
+    gait = nearest_gait(found.task, best.modes)
+    row(
+        label,
+        f"{cost:.4g}",
+        f"{best.objective:.4g}",
+        f"{best.objective / cost:.2f}",
+        best.source,
+        "" if gait is None else f"{gait[0]} ({100 * gait[1]:.0f} %)",
+        len(best.modes.modes),
+        count,
+        f"{found.seconds / seconds:.0f}",
+    )
+
+
+def _seconds(solution: trajopt.Solution) -> float:
+    return sum(each.wall_time_s for each in solution.statistics.rounds)
+
+
+@click.command("gaits-by-speed")
+@click.option("--robot", default="go2")
+@click.option("--figure", type=Path, help="Also draw it.")
+def gaits_by_speed(robot: str, figure: Path | None) -> None:
+    """Cost of transport over speed, with the gait that was found."""
+    head(
+        "speed over sqrt(g l)",
+        "Froude number",
+        "cost of transport",
+        "gait",
+        "duty factors",
+        "from",
+        "next best",
+    )
+    points = []
+    for relative in GAIT_SPEEDS:
+        problem = problems.load(
+            "quadruped-trot", robot=robot, speed=speed_of(robot, relative), goal="transport"
+        )
+        found = discover(problem, seeds=4)
+        if not found.best:
+            row(relative, f"{relative**2:.2g}", "none", "", "", "", "")
+            continue
+        best, other = found.best[0], found.best[1:2]
+        assert best.modes is not None
+        gait = nearest_gait(found.task, best.modes) or ("", 0.0)
+        duty = sorted(_duty(best.modes.modes).values())
+        points.append((relative, best.objective or 0.0, gait[0]))
+        row(
+            relative,
+            f"{relative**2:.2g}",
+            f"{best.objective:.3f}",
+            f"{gait[0]} ({100 * gait[1]:.0f} %)",
+            f"{duty[0]:.2f} to {duty[-1]:.2f}",
+            best.source,
+            f"{other[0].source}, {other[0].objective:.3f}" if other else "",
+        )
+    if figure is not None:
+        _draw(points, robot, figure)
+
+
+def _duty(modes: tuple[tuple[tuple[str, ...], float], ...]) -> dict[str, float]:
+    whole = sum(duration for _, duration in modes)
+    names = {name for contacts, _ in modes for name in contacts}
+    return {name: sum(time for contacts, time in modes if name in contacts) / whole for name in names}
+
+
+def _draw(points: list[tuple[float, float, str]], robot: str, path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 3.6), layout="constrained")
+    axes = figure.subplots()
+    x, y = ([point[k] for point in points] for k in (0, 1))
+    axes.plot(x, y, color="0.7", zorder=1)
+    for gait in dict.fromkeys(point[2] for point in points):
+        own = [point for point in points if point[2] == gait]
+        axes.scatter([p[0] for p in own], [p[1] for p in own], label=gait, zorder=2)
+    for relative, label in (
+        (math.sqrt(0.5), "walk to trot, Fr 0.5"),
+        (math.sqrt(2.5), "trot to gallop, Fr 2.5"),
+    ):
+        axes.axvline(relative, color="0.6", linestyle="--", linewidth=0.8)
+        axes.text(relative, axes.get_ylim()[1], f" {label}", fontsize=7, va="top", rotation=90, ha="right")
+    axes.set(
+        xlabel="speed over sqrt(g l)",
+        ylabel="cost of transport",
+        title=f"Gaits that were found, {robot}",
+        ylim=(0, None),
+    )
+    axes.legend(frameon=False)
+    figure.savefig(path)
+
+
+@click.command("discovery-goals")
+@click.option("--count", default=10, help="Goals of each robot.")
+@click.option("--seed", default=1)
+def goals(count: int, seed: int) -> None:
+    """Random goals in reach of each robot, on level ground or on a box: how many are certified."""
+    head("robot", "goals", "certified", "best from relaxed contacts", "solvers [s], median", "not certified")
+    for name in ROBOTS:
+        rng, robot = np.random.default_rng(seed), robots.load(name)
+        results, missed = [], []
+        while len(results) < count:
+            way, aside, turn, box, high = rng.uniform(size=5)
+            goal = Destination(
+                x=float(np.interp(way, (0, 1), WAY)) * robot.length,
+                y=(2 * aside - 1) * ASIDE * robot.length,
+                yaw=(2 * turn - 1) * TURN,
+            )
+            height = float(np.interp(high, (0, 1), HEIGHT)) * robot.length
+            try:
+                task = task_to(robot, goal, obstacle(robot, "box", height, goal) if box < 0.5 else None)
+            except InputError:  # no posture there by inverse kinematics: not reachable
+                continue
+            found = discover(task, seeds=2, most=6)
+            results.append(found)
+            if not found.best:
+                missed.append(
+                    f"{goal.x:.2f}, {goal.y:.2f} m" + (f", box {height:.2f} m" if box < 0.5 else "")
+                )
+        solved = [each for each in results if each.best]
+        relaxed = sum(each.best[0].source.startswith("relaxed") for each in solved)
+        seconds = float(np.median([each.seconds for each in results]))
+        row(name, count, len(solved), relaxed, f"{seconds:.1f}", "; ".join(missed))
+
+
+@click.command("discovery-starts")
+@click.option("--starts", default=10)
+def starts(starts: int) -> None:
+    """Spread of the cost that is found from random starts of the same task."""
+    head(
+        "problem",
+        "certified",
+        "least cost",
+        "median",
+        "largest",
+        "different schedules",
+        "solvers [s], median",
+    )
+    for name, values in (
+        ("quadruped-trot", {"robot": "go2"}),
+        ("hopper-hop", {}),
+        ("quadruped-box-up", {"robot": "go2"}),
+    ):
+        problem: Problem = problems.load(name, **values)
+        task = ContactTask.of(problem)
+        candidates = []
+        for seed in range(1, starts + 1):
+            proposal = relaxed_proposal(task, seed, 30.0)
+            if proposal.modes is not None:
+                candidates.append(certified(task, proposal, 30.0))
+        costs = sorted(each.objective for each in candidates if each.objective is not None)
+        different = {
+            each.modes.key for each in candidates if each.objective is not None and each.modes is not None
+        }
+        seconds = float(np.median([each.seconds for each in candidates]))
+        figures = (
+            [f"{value:.4g}" for value in (costs[0], float(np.median(costs)), costs[-1])]
+            if costs
+            else [""] * 3
+        )
+        row(
+            " ".join([name, *values.values()]),
+            f"{len(costs)} of {starts}",
+            *figures,
+            len(different),
+            f"{seconds:.1f}",
+        )
+
+
+@click.command("discovery-slacks")
+def slacks() -> None:
+    """Proposals that are certified, by the slacks of the relaxed solves: five tasks, two starts each."""
+    head("slacks", "certified, of ten", "solvers of all [s]")
+    usual = relaxation.SLACKS
+    for sequence in SEQUENCES:
+        relaxation.SLACKS = sequence
+        count, seconds = 0, 0.0
+        for name, values in SLACK_TASKS:
+            task = ContactTask.of(problems.load(name, **values))
+            for seed in range(2):
+                proposal = relaxed_proposal(task, seed, 20.0)
+                candidate = None if proposal.modes is None else certified(task, proposal, 20.0)
+                count += candidate is not None and candidate.status == CERTIFIED
+                seconds += proposal.seconds if candidate is None else candidate.seconds
+        row(", ".join(f"{slack:g}" for slack in sequence), count, f"{seconds:.0f}")
+    relaxation.SLACKS = usual
