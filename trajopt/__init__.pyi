@@ -1,6 +1,7 @@
 from . import robot as robot
 from .certify.check import check as check
 from .diagnosis.diagnose import diagnose as diagnose
+from .discovery.search import discover as discover
 from .errors import InputError as InputError
 from .errors import TrajoptError as TrajoptError
 from .export.writing import export_motion as export_motion

@@ -10,9 +10,9 @@ import numpy as np
 import trajopt
 from scripts.measure.shared import head, row
 from trajopt.discovery import Destination, Discovery, discover, relaxation, task_to
-from trajopt.discovery.search import CERTIFIED, certified, nearest_gait
 from trajopt.discovery.goal import obstacle
 from trajopt.discovery.proposals import relaxed_proposal
+from trajopt.discovery.search import CERTIFIED, certified, nearest_gait
 from trajopt.discovery.task import ContactTask
 from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError

@@ -86,6 +86,7 @@ def fronts(repeats: int) -> None:
     head(
         "problem, mesh",
         "10^6 operations",
+        "peak [GFLOP/s]",
         "at the peak [ms]",
         "iteration [ms]",
         "ratio",
@@ -97,7 +98,6 @@ def fronts(repeats: int) -> None:
         "IPOPT",
         "lanes filled",
     )
-    best = 0.0
     for name, values, scheme, intervals in CASES:
         prepared = prepare(problems.load(name, **values), transcription=scheme, intervals=intervals)
         solves, rates = [], []
@@ -108,21 +108,18 @@ def fronts(repeats: int) -> None:
             solves.append((result.wall_time, result, [functions[kind][0] for kind in KINDS]))
         whole, chosen, functions_s = sorted(solves, key=lambda solve: solve[0])[repeats // 2]
         figures, peak = chosen.figures, max(rates)
-        best = max(best, peak)
         ideal = figures["kkt_operations"] / peak
         parts = [figures["factorization_time_s"], figures["substitution_time_s"], *functions_s]
         shares = [part / whole for part in parts]
         row(
             _label(name, values, scheme, intervals),
             f"{figures['kkt_operations'] / chosen.iterations / 1e6:.1f}",
+            f"{peak / 1e9:.0f}",
             f"{1e3 * ideal / chosen.iterations:.2f}",
             f"{1e3 * whole / chosen.iterations:.2f}",
             f"{whole / ideal:.0f}",
             *(f"{share:.0%}" for share in [*shares, 1 - sum(shares), _filled(prepared)]),
         )
-    click.echo(
-        f"\nThe kernel's peak: {best / 1e9:.0f} GFLOP/s, the most of products of {PRODUCTS} rows and depths."
-    )
 
 
 @click.command("scaling")

@@ -1,0 +1,70 @@
+"""``trajopt discover``: what it prints and writes, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.command_lines import assert_refused, invoke
+from trajopt.schedule import Schedule
+from trajopt.solution.solution import Solution
+
+QUICK = ("--seeds", 1, "--jobs", 1)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_best_is_printed_and_written(folder: Path) -> None:
+    result = invoke("discover", "hopper-hop", *QUICK, "--schedule-out", "hop.py", "--output", "hop.npz")
+    assert result.exit_code == 0
+    assert "certified" in result.stdout
+    assert "candidates" in result.stdout.splitlines()[-1]
+    scope: dict[str, Schedule] = {}
+    exec(Path("hop.py").read_text(), scope)
+    solution = Solution.load("hop.npz")
+    assert solution.success
+    assert [phase.name for phase in scope["SCHEDULE"].phases] == list(solution.phase_names)
+
+
+def test_json_has_every_candidate_and_resuming_tries_none_again(folder: Path) -> None:
+    words = ("discover", "hopper-hop", *QUICK, "--output-dir", "found", "--json")
+    first, again = (json.loads(invoke(*words, *more).stdout) for more in ((), ("--resume",)))
+    assert first == again
+    assert {each["source"] for each in first["candidates"]} == {"relaxed:0", "hop"}
+    assert (folder / "found" / "relaxed-0.npz").exists()
+
+
+def test_a_goal_that_is_too_far_ends_with_the_part_of_the_way_that_is_reached(folder: Path) -> None:
+    result = invoke("discover", "hopper", "--goal", "x=1.5", "--time", 1.2, *QUICK)
+    assert result.exit_code == 1
+    assert "of the way is reached" in result.stdout.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("go2", "--set", "a=1"), "--set has no effect on the robot"),
+        (("hopper-hop", "--goal", "x=1"), "--goal has no effect on the problem"),
+        (("hopper-hop", "--terrain", "flat"), "--terrain has no effect on the problem"),
+        (("hopper-hop", "--time", "1"), "--time has no effect on the problem"),
+        (("go2", "--goal", "z=1"), "a goal has no 'z'"),
+        (("go2", "--goal", "x=nan"), "allowed: a finite number"),
+        (("go2", "--terrain", "box"), "has the wrong form"),
+        (("go2", "--terrain", "gap:height=1"), "has the wrong form"),
+        (("go2", "--terrain", "box:height=inf"), "allowed: a finite number"),
+        (("go2", "--time", "2:1"), "--time is '2:1'"),
+        (("go2", "--time", "nan"), "--time is 'nan'"),
+        (("hopper-hop", "--resume"), "with --output-dir"),
+        (("ur5-reach",), "no feet on a moving base"),
+        (("hopper-hop", "--seeds", "0", "--no-known"), "nothing is proposed"),
+        (("hopper-hop", "--max-time", "nan"), "max_time"),
+        (("hopper-hop", "--output", "none/x.npz"), "cannot write none/x.npz"),
+        (("nothing",), "is unknown"),
+    ],
+)
+def test_what_is_refused_is_one_line(words: tuple[str, ...], reason: str) -> None:
+    assert_refused(invoke("discover", *words), reason)
