@@ -1,16 +1,17 @@
 """Schedules that are found without one: costs, certificates, known answers, refusals, records."""
 
 import json
+import time
 
 import casadi as ca
 import numpy as np
 import pytest
 
 import trajopt
-from trajopt.discovery import ContactTask, Destination, discover, relaxed_motion, task_to
-from trajopt.discovery.search import CERTIFIED, RECORD, nearest_gait, nearest_reached
+from trajopt.discovery import ContactTask, Destination, discover, relaxed_motion, search, task_to
 from trajopt.discovery.goal import obstacle
 from trajopt.discovery.ground import gap, smooth_gap
+from trajopt.discovery.search import CERTIFIED, RECORD, nearest_gait, nearest_reached
 from trajopt.errors import InputError
 from trajopt.robot import contact_positions
 from trajopt.terrain import FlatGround, PiecewiseTerrain, SmoothTerrain, Wave
@@ -177,3 +178,21 @@ def test_goals_that_no_posture_reaches_are_refused():
         task_to(go2, high, obstacle(go2, "box", 1.0, high))
     with pytest.raises(InputError, match="no feet"):
         task_to(robots.load("ur5"), Destination())
+
+
+def test_processes_find_the_same_schedules(hop):
+    found = discover(problems.load("hopper-hop"), seeds=2, jobs=2)
+    costs = {each.source: each.objective for each in found.candidates}
+    assert costs == pytest.approx({each.source: each.objective for each in hop.candidates}, nan_ok=True)
+
+
+def test_a_process_that_takes_too_long_is_a_reason(monkeypatch):
+    monkeypatch.setattr(search, "relaxed_proposal", _sleep)
+    monkeypatch.setattr(search, "BESIDE", 0.05)
+    found = discover(problems.load("hopper-hop"), seeds=2, known=False, jobs=2, max_time=20.0)
+    assert [each.source for each in found.candidates] == ["relaxed:0", "relaxed:1"]
+    assert all("1 s" in each.why for each in found.candidates)
+
+
+def _sleep(*_):
+    time.sleep(60)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from trajopt.discovery.search import schedule_source
 from trajopt.discovery.modes import ModeSequence, read_modes
+from trajopt.discovery.search import schedule_source
 from trajopt.schedule import Schedule
 
 LENGTH = 0.3

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from trajopt.discovery.task import ContactTask
 
 SEEDS, MOST, JOBS = WholeNumber(0, 1000), WholeNumber(1, 1000), WholeNumber(1, 1024)
-GOAL = ("x", "y", "yaw")
+GOAL, CYCLE = ("x", "y", "yaw"), ("robot", "speed")
+# Words in place of a robot's name, which is set then.
+KINDS = ("quadruped", "biped")
 OBSTACLES = {"box": "height", "gap": "width"}
 TERRAIN_FORM = "allowed: flat, box:height=METRES or gap:width=METRES"
 TIME_FORM = "allowed: seconds, such as 1.5, or bounds, such as 1:2"
@@ -39,6 +41,7 @@ TIME_FORM = "allowed: seconds, such as 1.5, or bounds, such as 1:2"
 @click.option(
     "--goal", multiple=True, metavar="NAME=VALUE", help="Of a robot: x, y in m, yaw in rad, to stand at."
 )
+@click.option("--periodic", is_flag=True, help="Of a robot: a cycle, with --set speed=M/S.")
 @value_option("--terrain", "KIND", "Of a robot: flat, box:height=METRES, gap:width=METRES.  [default: flat]")
 @value_option("--time", "SECONDS", "Of a robot: duration, or bounds LOW:HIGH.  [default: from the way]")
 @default_option("--seeds", 4, "N", "Relaxed motions, from noise beside legs that stand.", kind=SEEDS)
@@ -55,6 +58,7 @@ def discover_command(
     problem: str,
     settings: tuple[str, ...],
     goal: tuple[str, ...],
+    periodic: bool,
     terrain: str | None,
     time: str | None,
     no_known: bool,
@@ -78,7 +82,7 @@ def discover_command(
     for path in (schedule_out, output):
         if path is not None:
             check_output(path)
-    make = _tasks(problem, settings, goal, terrain, time)
+    make = _tasks(problem, settings, goal, terrain, time, periodic=periodic)
     task, shown = make(1.0), console()
 
     def told(candidate: Candidate) -> None:
@@ -107,7 +111,13 @@ def discover_command(
 
 
 def _tasks(
-    problem: str, settings: tuple[str, ...], goal: tuple[str, ...], terrain: str | None, time: str | None
+    problem: str,
+    settings: tuple[str, ...],
+    goal: tuple[str, ...],
+    terrain: str | None,
+    time: str | None,
+    *,
+    periodic: bool,
 ) -> Callable[[float], ContactTask]:
     """The task of a part of the way to the goal."""
     from trajopt.discovery.goal import Destination, obstacle, task_to
@@ -117,13 +127,17 @@ def _tasks(
     from trajopt.robot.catalogue import robot as load_robot
 
     if problem in families():
-        named = {"--goal": goal, "--terrain": terrain, "--time": time}
+        named = {"--goal": goal, "--terrain": terrain, "--time": time, "--periodic": periodic}
         for name, given in named.items():
             if given:
                 raise InputError(
                     f"{name} has no effect on the problem '{problem}'", "allowed: --set, or a robot's name"
                 )
         task = ContactTask.of(choose(families(), problem).load(parse_settings(settings, "--set")))
+        return lambda _: task
+    low, high = _span(time)
+    if periodic:
+        task = _cycle(problem, settings, (low, high), {"--goal": goal, "--terrain": terrain})
         return lambda _: task
     if settings:
         raise InputError(
@@ -134,7 +148,6 @@ def _tasks(
     for name in values:
         if name not in GOAL:
             raise not_among(GOAL, name, f"a goal has no '{name}'")
-    low, high = _span(time)
     span = None if low == high else (low, high)
     kind, _, size = (terrain or "flat").partition(":")
     name, _, text = size.partition("=")
@@ -148,6 +161,31 @@ def _tasks(
         return task_to(robot, place, None if extent is None else obstacle(robot, kind, extent, place))
 
     return make
+
+
+def _cycle(
+    name: str, settings: tuple[str, ...], span: tuple[float, float], unused: dict[str, Any]
+) -> ContactTask:
+    """A cycle of a robot, by its name or as ``--set robot=`` of a kind."""
+    from trajopt.discovery.goal import cycle_of
+    from trajopt.robot.catalogue import robot as load_robot
+
+    for option, given in unused.items():
+        if given:
+            raise InputError(f"{option} has no effect on a cycle", "allowed: --set speed=M/S, --time")
+    values = parse_settings(settings, "--set")
+    for key in values:
+        if key not in CYCLE:
+            raise not_among(CYCLE, key, f"a cycle has no '{key}'")
+    if "speed" not in values:
+        raise InputError("a cycle has no speed", "allowed: --set speed=M/S")
+    if span[0] != span[1]:
+        raise InputError(f"the period of a cycle is {span[0]:g} to {span[1]:g} s", "allowed: one number")
+    if (name in KINDS) != ("robot" in values):
+        raise InputError(
+            f"the robot of '{name}' is not clear", f"allowed: its name, or {KINDS[0]} --set robot=NAME"
+        )
+    return cycle_of(load_robot(values.get("robot", name)), _number("speed", values["speed"]), span[1] or None)
 
 
 def _number(name: str, text: str) -> float:

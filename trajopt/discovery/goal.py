@@ -12,6 +12,7 @@ from trajopt.discovery.task import CLEARANCE, ContactTask
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses.over_terrain import standing_on
+from trajopt.problem.periodicity import Periodicity
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
@@ -21,12 +22,15 @@ from trajopt.terms.interfaces import Term
 from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 from trajopt.terms.objectives import effort_costs
 from trajopt.terms.terminal import TerminalRest, TerminalState
+from trajopt.terms.tracking import TrackingCost
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.terrain import Terrain
 
 # Default duration in sqrt(l / g): to push off and come to rest, and more for each length of the way.
 STANDING, EACH_LENGTH = 4.0, 3.0
+# Strides of cycles, see `cycle_of`, and the weight of the base's distance from its mean motion.
+STRIDE, GROWTH, SLOWEST, TRACKING = 2.4, 0.34, 0.06, 0.1
 # Distance of feet from an edge at the start, over the robot's length, and ground behind it, the same.
 FROM_EDGE, BEYOND = 0.15, 3.0
 
@@ -58,8 +62,7 @@ def task_to(robot: Robot, goal: Destination, terrain: Terrain | None = None) -> 
     Raises:
         InputError: for a robot without feet on a moving base, and ground that its legs do not reach.
     """
-    if not robot.contacts or robot.base == "fixed":
-        raise InputError(f"'{robot.name}' has no feet on a moving base", "allowed: legged robots")
+    require_feet(robot)
     ground = FlatGround() if terrain is None else terrain
     start, end = (_standing(robot, ground, place) for place in (Destination(), goal))
     unit = math.sqrt(robot.length / gravity_of(robot.model))
@@ -72,12 +75,7 @@ def task_to(robot: Robot, goal: Destination, terrain: Terrain | None = None) -> 
         )
     names = tuple(contact.name for contact in robot.contacts)
     phase = Phase(name="all", duration=duration, contacts=names, duration_bounds=goal.duration_range)
-    kinds = {contact.kind for contact in robot.contacts}
-    cones: tuple[Term, ...] = (FrictionPyramid(),) if "point" in kinds else ()
-    cones += (SoleCone(),) if "surface" in kinds else ()
-    limits = (TorqueLimits(), PositionLimits(), VelocityLimits())
-
-    costs = (*effort_costs(), *limits, *cones)
+    costs = _costs_and_limits(robot)
     problem = Problem(
         name=f"{robot.name}-to-goal",
         robot=robot,
@@ -108,6 +106,64 @@ def _standing(robot: Robot, terrain: Terrain, place: Destination) -> np.ndarray:
     q[:2] = np.array([place.x, place.y]) + pin.utils.rotate("z", place.yaw)[:2, :2] @ q[:2]
     q[3:7] = turn.coeffs()
     return q if isinstance(terrain, FlatGround) else standing_on(replace(robot, reference=q), terrain)
+
+
+@checked
+def cycle_of(robot: Robot, speed: float, period: Positive | None = None) -> ContactTask:
+    """A periodic motion at a mean speed forward, m/s, of the least torques: a task for `discover`.
+
+    Args:
+        robot: with feet on a moving base.
+        speed: m/s, forward.
+        period: s; None: strides of 2.4 Fr^0.34 lengths with the Froude number Fr = speed^2 / (g l), of at
+            least 0.06 (Alexander, Jayes, "A dynamic similarity hypothesis for the gaits of quadrupedal
+            mammals", J. Zool. 201, 1983).
+
+    Raises:
+        InputError: for a robot without feet on a moving base.
+    """
+    require_feet(robot)
+    unit = math.sqrt(robot.length / gravity_of(robot.model))
+    relative = max(abs(speed) * unit / robot.length, math.sqrt(SLOWEST))
+    duration = period or STRIDE * relative ** (2 * GROWTH - 1) * unit
+    motion = partial(_moving, robot, speed)
+    problem = Problem(
+        name=f"{robot.name}-cycle",
+        robot=robot,
+        schedule=_lifting(robot, duration),
+        terms=(*_costs_and_limits(robot), TrackingCost(reference=motion, part="base", weight=TRACKING)),
+        guess=motion,
+        periodicity=Periodicity(velocity=(speed, 0.0, 0.0)),
+        duration_bounds=(duration, duration),
+    )
+    return ContactTask.of(problem)
+
+
+def _moving(robot: Robot, speed: float, t: float) -> np.ndarray:
+    """The reference posture (nq,), moved forward."""
+    q = robot.reference.copy()
+    q[0] += speed * t
+    return q
+
+
+def _lifting(robot: Robot, duration: float) -> Schedule:
+    """A cycle that a problem accepts: standing, then flight; `discover` does not use it."""
+    names = tuple(contact.name for contact in robot.contacts)
+    phases = (("stand", names), ("flight", ()))
+    return Schedule(tuple(Phase(name=name, duration=duration / 2, contacts=feet) for name, feet in phases))
+
+
+def require_feet(robot: Robot) -> None:
+    """Raise `InputError` for a robot without feet on a moving base."""
+    if not robot.contacts or robot.base == "fixed":
+        raise InputError(f"'{robot.name}' has no feet on a moving base", "allowed: legged robots")
+
+
+def _costs_and_limits(robot: Robot) -> tuple[Term, ...]:
+    kinds = {contact.kind for contact in robot.contacts}
+    cones: tuple[Term, ...] = (FrictionPyramid(),) if "point" in kinds else ()
+    cones += (SoleCone(),) if "surface" in kinds else ()
+    return (*effort_costs(), TorqueLimits(), PositionLimits(), VelocityLimits(), *cones)
 
 
 @checked

@@ -131,11 +131,10 @@ def discover(
     records = _Records(task, folder, resume)
     done = {each.source for each in records.candidates}
     wanted = [seed for seed in range(seeds) if f"relaxed:{seed}" not in done]
+    tried = _each(jobs, relaxed_proposal, [(task, seed, max_time) for seed in wanted], max_time)
     relaxed = [
-        proposal
-        for _, proposal in _each(
-            jobs, relaxed_proposal, [(task, seed, max_time) for seed in wanted], max_time
-        )
+        value if isinstance(value, Proposal) else Proposal(source=f"relaxed:{wanted[k]}", why=str(value))
+        for k, value in tried
     ]
     proposals = [
         *relaxed,
