@@ -208,7 +208,7 @@ def goals(count: int, seed: int) -> None:
                 task = task_to(robot, goal, obstacle(robot, "box", height, goal) if box < 0.5 else None)
             except InputError:  # no posture there by inverse kinematics: not reachable
                 continue
-            found = discover(task, seeds=2, most=6)
+            found = discover(task, seeds=3, most=4, max_time=15.0, jobs=None)
             results.append(found)
             if not found.best:
                 missed.append(

@@ -44,6 +44,12 @@ def test_a_goal_that_is_too_far_ends_with_the_part_of_the_way_that_is_reached(fo
     assert "of the way is reached" in result.stdout.splitlines()[-1]
 
 
+def test_a_cycle_of_a_robot_is_found(folder: Path) -> None:
+    result = invoke("discover", "hopper", "--periodic", "--set", "speed=0.5", *QUICK)
+    assert result.exit_code == 0
+    assert "nearest known gait of the best: hop" in result.stdout
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
@@ -58,6 +64,12 @@ def test_a_goal_that_is_too_far_ends_with_the_part_of_the_way_that_is_reached(fo
         (("go2", "--terrain", "box:height=inf"), "allowed: a finite number"),
         (("go2", "--time", "2:1"), "--time is '2:1'"),
         (("go2", "--time", "nan"), "--time is 'nan'"),
+        (("hopper", "--periodic"), "a cycle has no speed"),
+        (("hopper", "--periodic", "--set", "speed=1", "--set", "a=1"), "a cycle has no 'a'"),
+        (("hopper", "--periodic", "--set", "speed=1", "--goal", "x=1"), "--goal has no effect on a cycle"),
+        (("hopper", "--periodic", "--set", "speed=1", "--time", "1:2"), "the period of a cycle is 1 to 2 s"),
+        (("quadruped", "--periodic", "--set", "speed=1"), "the robot of 'quadruped' is not clear"),
+        (("hopper-hop", "--periodic"), "--periodic has no effect on the problem"),
         (("hopper-hop", "--resume"), "with --output-dir"),
         (("ur5-reach",), "no feet on a moving base"),
         (("hopper-hop", "--seeds", "0", "--no-known"), "nothing is proposed"),

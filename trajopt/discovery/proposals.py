@@ -132,7 +132,9 @@ def _known(task: ContactTask) -> Iterator[tuple[str, tuple[Phase, ...]]]:
     yield "hop", (push, flight, landing)
     for name in gaits:
         gait = gait_of(robot, name)
-        for cycles in range(1, MOST_CYCLES + 1) if len(names) > 1 else ():
+        if not all(support.feet for support in gait.supports()):
+            continue  # from standing to standing it has no flights
+        for cycles in range(1, MOST_CYCLES + 1):
             period, stand = duration * (1 - 2 * STAND) / cycles, STAND * duration
             try:
                 phases = transition(gait, period, cycles=cycles, stand=stand, rest=stand)
