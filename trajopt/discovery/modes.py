@@ -10,7 +10,7 @@ import numpy as np
 from trajopt.schedule.gaits import SUPPORTS
 
 # A contact is on the ground where its normal force is at least this part of the weight.
-LOADED = 0.03
+LOADED = 0.06
 # A contact that neither rises nor moves by more than this, over the robot's length, has not been lifted.
 LIFTED = 0.02
 

@@ -15,6 +15,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.mirror import find_mirror, paired_contacts
 from trajopt.robot.robot import Robot
+from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terms.interfaces import Term
 from trajopt.terms.swing import SwingArc, SwingClearance, SwingOver
@@ -52,6 +53,11 @@ class ContactTask:
         for what, given in (("minimal coordinates", problem.modes), ("payloads", problem.payloads)):
             if given:
                 raise InputError(f"{label}: it has {what} in phases", "allowed: the same model in all phases")
+        walls = [name for phase in problem.schedule.phases for name in phase.surfaces]
+        if walls:
+            raise InputError(
+                f"{label}: phases say what '{walls[0]}' touches", "allowed: contacts with the terrain alone"
+            )
         if problem.actuation != "torque" or not problem.holds_contacts:
             raise InputError(f"{label}: torques are no control", "allowed: full dynamics, actuation 'torque'")
         swings = [term for term in problem.terms if isinstance(term, SwingArc | SwingClearance | SwingOver)]
@@ -156,7 +162,7 @@ class ContactTask:
         for index, (contacts, _) in enumerate(modes.modes):
             before = modes.modes[index - 1][0] if index or self.periodic else contacts
             last |= {name: index for name in contacts if name not in before}
-        ends = {} if self.end is None else contact_positions(self.robot, self.end)
+        ends = {} if self.end is None else footholds_at(self.robot, self.end, self.problem.terrain)
         phases, time = [], 0.0
         for index, (contacts, duration) in enumerate(modes.modes):
             before = modes.modes[index - 1][0] if index or self.periodic else contacts
@@ -165,7 +171,7 @@ class ContactTask:
                 if name in before:
                     continue
                 if name in ends and last[name] == index:
-                    footholds[name] = self._on_ground(name, ends[name])
+                    footholds[name] = ends[name]
                 elif isinstance(self.problem.terrain, PiecewiseTerrain):
                     place = contact_positions(self.robot, guess(time))[name]
                     patches[name] = self._face(place)
@@ -181,10 +187,6 @@ class ContactTask:
             )
             time += duration
         return Schedule(tuple(phases))
-
-    def _on_ground(self, name: str, place: np.ndarray) -> np.ndarray:
-        """The point (3,) of the ground under a contact's origin."""
-        return np.array([*place[:2], place[2] - gap(self.problem.terrain, place, 0.0)])
 
     def _face(self, place: np.ndarray) -> Patch:
         """The face nearest to a landing."""
