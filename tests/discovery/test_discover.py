@@ -79,6 +79,16 @@ def test_a_box_that_can_be_stepped_is_not_jumped():
     assert found.task.left_out == ("frames_above",)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "robot"),
+    [("biped-jump-forward", "talos"), ("quadruped-waves", "solo12"), ("quadruped-stepping-stones", "go2")],
+)
+def test_soles_curved_ground_and_stones(name, robot):
+    found = discover(problems.load(name, robot=robot), seeds=2, known=False)
+    assert not trajopt.check(found.best[0].solution).failures()
+
+
 def test_half_a_mirrored_cycle_becomes_a_whole_one():
     problem = problems.load("biped-gait", robot="bolt")
     task = ContactTask.of(problem)
@@ -116,8 +126,9 @@ def test_records_are_resumed(tmp_path):
     assert again.best[0].solution.statistics.objective == first.best[0].objective
     more = discover(problem, seeds=2, folder=tmp_path, resume=True)
     assert len(more.candidates) == len(first.candidates) + 1
-    with pytest.raises(InputError, match="has candidates of hopper-hop"):
-        discover(problems.load("hopper-gait"), seeds=1, folder=tmp_path, resume=True)
+    for other in (problems.load("hopper-gait"), problems.load("hopper-hop", distance=0.21)):
+        with pytest.raises(InputError, match="has candidates of another task"):
+            discover(other, seeds=1, folder=tmp_path, resume=True)
     (tmp_path / RECORD).write_text("{")
     with pytest.raises(InputError, match="no record of a discovery"):
         discover(problem, seeds=1, folder=tmp_path, resume=True)
@@ -128,6 +139,7 @@ def test_records_are_resumed(tmp_path):
     [
         ("ur5-reach", {}, "no feet on a moving base"),
         ("hopper-hop", {"coordinates": "minimal"}, "minimal coordinates"),
+        ("talos-wall", {}, "phases say what 'hand' touches"),
     ],
 )
 def test_problems_without_a_schedule_to_find_are_refused(name, values, reason):

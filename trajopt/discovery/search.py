@@ -88,7 +88,7 @@ class Discovery:
     def to_dict(self) -> dict[str, Any]:
         """JSON-able: the task, and every candidate."""
         return {
-            "problem": self.task.problem.name,
+            "task": self.task.describe(),
             "left_out": list(self.task.left_out),
             "candidates": [each.to_dict() for each in self.candidates],
         }
@@ -131,7 +131,8 @@ def discover(
     records = _Records(task, folder, resume)
     done = {each.source for each in records.candidates}
     wanted = [seed for seed in range(seeds) if f"relaxed:{seed}" not in done]
-    tried = _each(jobs, relaxed_proposal, [(task, seed, max_time) for seed in wanted], max_time)
+    limit = BESIDE * max_time
+    tried = _each(jobs, relaxed_proposal, [(task, seed, max_time) for seed in wanted], limit)
     relaxed = [
         value if isinstance(value, Proposal) else Proposal(source=f"relaxed:{wanted[k]}", why=str(value))
         for k, value in tried
@@ -150,7 +151,7 @@ def discover(
             told(records.add(_rejected(proposal, why)))
         else:
             trials.append(proposal)
-    ended = _each(jobs, certified, [(task, each, max_time) for each in trials], BESIDE * max_time)
+    ended = _each(jobs, certified, [(task, each, max_time) for each in trials], limit)
     for index, candidate in ended:
         if not isinstance(candidate, Candidate):
             candidate = _rejected(trials[index], str(candidate))
@@ -297,7 +298,7 @@ def _each(
         waiting = deque(range(len(arguments)))
 
         def make(index: int) -> Task:
-            return Task(name=str(index), limit=BESIDE * limit, function=function, args=arguments[index])
+            return Task(name=str(index), limit=limit, function=function, args=arguments[index])
 
         for ended in run_tasks(waiting, make, cluster.executor, window=cluster.window, check=cluster.check):
             yield ended.key, ended.value if ended.kind == DONE else ended.detail
@@ -326,10 +327,10 @@ class _Records:
             raise InputError(
                 f"{self.folder / RECORD} is no record of a discovery", "allowed: without --resume"
             ) from None
-        if content.get("problem") != self.task.problem.name:
+        if content.get("task") != self.task.describe():
             raise InputError(
-                f"{self.folder} has candidates of {content.get('problem')}",
-                f"this is {self.task.problem.name}",
+                f"{self.folder} has candidates of another task, or of other values",
+                "allowed: without --resume",
             )
         return dict(content)
 

@@ -71,6 +71,20 @@ class ContactTask:
             clearance=max(heights) if heights else CLEARANCE * robot.length,
         )
 
+    def describe(self) -> dict[str, Any]:
+        """JSON-able: what tells it from another task."""
+        problem, end = self.problem, self.end
+        return {
+            "problem": problem.name,
+            "robot": problem.robot.name,
+            "parameters": {name: str(value) for name, value in problem.parameters.items()},
+            "duration": [*self.duration_range],
+            "terrain": problem.terrain.describe(),
+            "start": problem.initial_q.tolist(),
+            "end": None if end is None else end.tolist(),
+            "terms": [term.name for term in self.terms],
+        }
+
     @property
     def robot(self) -> Robot:
         """The robot."""
