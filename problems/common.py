@@ -17,14 +17,13 @@ from trajopt.robot import Robot, quadruped_legs
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import (
     Actuation,
-    FrictionPyramid,
     PositionLimits,
-    SoleCone,
     Term,
     TerminalRest,
     TerminalState,
     TorqueLimits,
     VelocityLimits,
+    contact_cones,
     effort_costs,
     swing_clearance,
 )
@@ -206,13 +205,6 @@ def freed(schedule: Schedule, *within: Range) -> Schedule:
     )
 
 
-def contact_cones(robot: Robot) -> tuple[Term, ...]:
-    """Friction pyramids of point contacts and wrench cones of soles."""
-    kinds = {contact.kind for contact in robot.contacts}
-    points: tuple[Term, ...] = (FrictionPyramid(),) if "point" in kinds else ()
-    return (*points, SoleCone()) if "surface" in kinds else points
-
-
 def torque_limits(
     robot: Robot, torque_limit: float | None = None, torque_share: float | None = None
 ) -> TorqueLimits:
@@ -275,7 +267,7 @@ def problem(
     swings: tuple[Term, ...] = ()
     if clearance is not None:
         swings = swing_clearance(robot, schedule, ground, height=clearance, guess=guess)
-    touching = contact_cones(robot) if cones is None else cones
+    touching = contact_cones(robot.contacts) if cones is None else cones
     arrival = (TerminalState(q=end), TerminalRest(q=end)) if isinstance(end, np.ndarray) else end
     return Problem(
         name=name,

@@ -9,7 +9,7 @@ from trajopt.dynamics import gravity_of
 from trajopt.guesses import Pace, commanded_motion, plan_of_cycle
 from trajopt.problem import Parameter, Problem
 from trajopt.robot import Robot
-from trajopt.schedule import Gait, Motion, Schedule
+from trajopt.schedule import Gait, Motion, Schedule, stride_period
 from trajopt.terms import REST, Term, TrackingCost, goal_terms, swing_arcs
 from trajopt.terrain import FlatGround
 
@@ -49,9 +49,7 @@ class Style:
 
     def period(self, robot: Robot, speed: float) -> float:
         """Period in s at ``speed`` m/s: stride length over speed; a slower gait keeps the default period."""
-        unit = math.sqrt(gravity_of(robot.model) * robot.length)
-        root = max(abs(speed) / unit, math.sqrt(self.froude))
-        return self.stride * root ** (2 * self.growth - 1) * robot.length / unit
+        return stride_period(robot, speed, stride=self.stride, growth=self.growth, slowest=self.froude)
 
 
 STYLES = {

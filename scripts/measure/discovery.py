@@ -8,16 +8,19 @@ import click
 import numpy as np
 
 import trajopt
-from scripts.measure.shared import head, row
+from scripts.measure.shared import head, named, row
 from trajopt.discovery import Destination, Discovery, discover, relaxation, task_to
+from trajopt.discovery.gait_likeness import nearest_gait
 from trajopt.discovery.goal import obstacle
 from trajopt.discovery.proposals import relaxed_proposal
-from trajopt.discovery.search import CERTIFIED, certified, nearest_gait
+from trajopt.discovery.records import CERTIFIED
+from trajopt.discovery.search import certified
 from trajopt.discovery.task import ContactTask
 from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError
 from trajopt.motion.energy_use import cost_of_transport
 from trajopt.problem.problem import Problem
+from trajopt.solving.ladder import total_effort
 from trajopt_library import problems, robots
 
 SPEEDS = (0.2, 0.5, 0.8, 1.2)
@@ -79,10 +82,11 @@ def discovery(seeds: int) -> None:
         own = trajopt.solve(problem, max_time=60.0)
         found = discover(problem, seeds=seeds)
         cycles = found.task.duration / problem.schedule.duration
-        label = " ".join(
-            [name, *(f"{k}={v:.2g}" if isinstance(v, float) else f"{k}={v}" for k, v in values.items())]
+        shown = {key: f"{value:.2g}" if isinstance(value, float) else value for key, value in values.items()}
+        label = named(name, shown)
+        _row(
+            label, found, cycles * (own.statistics.objective or math.nan), total_effort([own])["wall_time_s"]
         )
-        _row(label, found, cycles * (own.statistics.objective or math.nan), _seconds(own))
 
 
 def _row(label: str, found: Discovery, cost: float, seconds: float) -> None:
@@ -107,10 +111,6 @@ def _row(label: str, found: Discovery, cost: float, seconds: float) -> None:
         f"{found.seconds / seconds:.0f}",
         f"{min(near) / seconds:.0f}" if near else "none",
     )
-
-
-def _seconds(solution: trajopt.Solution) -> float:
-    return sum(each.wall_time_s for each in solution.statistics.rounds)
 
 
 @click.command("gaits-by-speed")
@@ -138,7 +138,7 @@ def gaits_by_speed(robot: str, figure: Path | None) -> None:
         best, other = found.best[0], found.best[1:2]
         assert best.modes is not None
         gait = nearest_gait(found.task, best.modes) or ("", 0.0)
-        duty = sorted(_duty(best.modes.modes).values())
+        duty = sorted(best.modes.duty().values())
         transport = [cost_of_transport(each.solution) for each in found.best[:2] if each.solution]
         points.append((relative, transport[0], gait[0]))
         row(
@@ -153,12 +153,6 @@ def gaits_by_speed(robot: str, figure: Path | None) -> None:
         )
     if figure is not None:
         _draw(points, robot, figure)
-
-
-def _duty(modes: tuple[tuple[tuple[str, ...], float], ...]) -> dict[str, float]:
-    whole = sum(duration for _, duration in modes)
-    names = {name for contacts, _ in modes for name in contacts}
-    return {name: sum(time for contacts, time in modes if name in contacts) / whole for name in names}
 
 
 def _draw(points: list[tuple[float, float, str]], robot: str, path: Path) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import click
 
 import trajopt
-from scripts.measure.shared import head, row
+from scripts.measure.shared import head, named, row
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import MOST_ROUNDS, solve_graded
 from trajopt_library import problems
@@ -26,7 +26,7 @@ def grades() -> None:
     head(*TITLES)
     for name, values in MOTIONS:
         problem = problems.load(name, **values)
-        motion = " ".join([name, *(f"{key}={value}" for key, value in values.items())])
+        motion = named(name, values)
         for word, rounds in (("draft", 1), ("default", MOST_ROUNDS)):
             found = solve_graded(problem, max_rounds=rounds)
             row(motion, word, f"{found.spent:.2f}", *_figures(found.solution))

@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from scripts.measure.shared import head, row
+from scripts.measure.shared import head, named, row
 from trajopt.solving.graded import Graded, solve_graded
 from trajopt_library import problems
 
@@ -33,7 +33,7 @@ def infeasible(max_time: float) -> None:
             solve_graded(problems.load(name, **fixed, **{parameter: value}), max_time=max_time)
             for value in (bad, good)
         )
-        title = " ".join([name, *(f"{key}={value}" for key, value in fixed.items())])
+        title = named(name, fixed)
         iterations = sum(one.iterations for one in found.rounds)
         times = found.spent, partner.spent
         row(

@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 import click
+import numpy as np
 
 import trajopt
-from scripts.measure.shared import NOISE, head, median, row
+from scripts.measure.shared import NOISE, head, median, named, row
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import first_mesh
@@ -37,7 +38,7 @@ def least_time(starts: int) -> None:
         changed = [_fixed(problem, solution, factor) for factor in SLOWER]
         limitless = [term for term in problem.terms if not isinstance(term, VelocityLimits)]
         changed.append(replace(problem, terms=tuple(limitless)))
-        row(_named(name, **values), cell, *(_iterations(each, starts)[0] for each in changed))
+        row(named(name, values), cell, *(_iterations(each, starts)[0] for each in changed))
 
 
 @click.command("arm-rounds")
@@ -48,15 +49,11 @@ def arm_rounds() -> None:
         solution = trajopt.solve(problems.load(name, robot=robot))
         rounds = solution.statistics.rounds
         row(
-            _named(name, robot=robot),
+            named(name, {"robot": robot}),
             ", ".join(str(each.iterations) for each in rounds),
             ", ".join(f"{1e3 * each.wall_time_s / each.iterations:.1f}" for each in rounds),
             f"{sum(each.wall_time_s for each in rounds):.1f}",
         )
-
-
-def _named(name: str, **values: str) -> str:
-    return " ".join([name, *(f"{key}={value}" for key, value in values.items())])
 
 
 def _iterations(problem: Problem, starts: int) -> tuple[str, Solution]:
@@ -73,23 +70,14 @@ def _iterations(problem: Problem, starts: int) -> tuple[str, Solution]:
 
 def _fixed(problem: Problem, solution: Solution, factor: float) -> Problem:
     """The problem with the solution's durations times a factor, and its guess stretched over them."""
-    ends = [
-        float(solution.interval_t[rows.stop - 1, 1]) for rows in map(solution.intervals_of, _phases(problem))
-    ]
-    begins, phases, before = [0.0, *ends[:-1]], [], 0.0
-    pieces = []
-    for phase, begin, end in zip(problem.schedule.phases, begins, ends, strict=True):
-        duration = factor * (end - begin)
-        pieces.append((factor * begin, before, phase.duration / duration))
-        phases.append(replace(phase, duration=duration, duration_bounds=None))
-        before += phase.duration
-
-    def guess(t: float):  # type: ignore[no-untyped-def]
-        begin, usual, speed = [piece for piece in pieces if piece[0] <= t + 1e-12][-1]
-        return problem.guess_at(usual + (t - begin) * speed)
-
-    return replace(problem, schedule=replace(problem.schedule, phases=tuple(phases)), guess=guess)
-
-
-def _phases(problem: Problem) -> range:
-    return range(len(problem.schedule.phases))
+    usual = problem.schedule.phases
+    phases = tuple(
+        replace(phase, duration=factor * duration, duration_bounds=None)
+        for phase, duration in zip(usual, solution.phase_durations, strict=True)
+    )
+    before, after = (np.cumsum([0.0, *(phase.duration for phase in each)]) for each in (usual, phases))
+    return replace(
+        problem,
+        schedule=replace(problem.schedule, phases=phases),
+        guess=lambda t: problem.guess_at(float(np.interp(t, after, before))),
+    )

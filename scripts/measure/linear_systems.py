@@ -7,7 +7,7 @@ from typing import Any
 import click
 import numpy as np
 
-from scripts.measure.shared import NOISE, head, median, row, timed
+from scripts.measure.shared import NOISE, head, median, named, row, timed
 from scripts.peers import problems as peers
 from scripts.peers.tasks import TASKS
 from trajopt import _engine
@@ -185,7 +185,7 @@ def _filled(prepared: PreparedProblem) -> float:
 def _label(name: str, values: dict[str, Any], scheme: str | None, intervals: int | None) -> str:
     """A case and its mesh."""
     mesh = f", {scheme}@{intervals}" if scheme else ""
-    return " ".join([name, *(f"{key}={value}" for key, value in values.items())]) + mesh
+    return named(name, values) + mesh
 
 
 def in_turns(

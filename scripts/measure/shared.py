@@ -2,8 +2,9 @@
 
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import click
 import numpy as np
@@ -70,6 +71,11 @@ def sizes(solution: Solution) -> list[str]:
     statistics, rounds = solution.statistics, solution.statistics.rounds
     counts = statistics.variables, statistics.constraints, sum(each.iterations for each in rounds)
     return [*map(str, counts), f"{sum(each.wall_time_s for each in rounds):.2f}"]
+
+
+def named(name: str, values: Mapping[str, Any]) -> str:
+    """A problem with its parameters, as on the command line."""
+    return " ".join([name, *(f"{key}={value}" for key, value in values.items())])
 
 
 def median(values: Sequence[float]) -> float:

@@ -4,7 +4,7 @@ import time
 
 import click
 
-from scripts.measure.shared import head, row, solver_option, verdict
+from scripts.measure.shared import head, named, row, solver_option, verdict
 from trajopt import Problem, solve
 from trajopt.reduced.two_stage import base_rows_problem, recover_torques
 from trajopt.reduced.wrench_distribution import redistribute_wrenches
@@ -35,7 +35,7 @@ def two_stage(solver: str) -> None:
     """
     head(*TITLES)
     for name, parameters in CASES:
-        title = " ".join([name, *(f"{key}={value}" for key, value in parameters.items())])
+        title = named(name, parameters)
         compare(title, problems.load(name, **parameters), solver)
 
 

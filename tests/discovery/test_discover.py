@@ -9,9 +9,11 @@ import pytest
 
 import trajopt
 from trajopt.discovery import ContactTask, Destination, discover, relaxed_motion, search, task_to
+from trajopt.discovery.gait_likeness import nearest_gait
 from trajopt.discovery.goal import obstacle
 from trajopt.discovery.ground import gap, smooth_gap
-from trajopt.discovery.search import CERTIFIED, RECORD, nearest_gait, nearest_reached
+from trajopt.discovery.records import CERTIFIED, RECORD
+from trajopt.discovery.search import nearest_reached
 from trajopt.errors import InputError
 from trajopt.robot import contact_positions
 from trajopt.terrain import FlatGround, PiecewiseTerrain, SmoothTerrain, Wave

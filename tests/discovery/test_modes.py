@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from trajopt.discovery.modes import ModeSequence, read_modes
-from trajopt.discovery.search import schedule_source
 from trajopt.schedule import Schedule
 
 LENGTH = 0.3
@@ -77,7 +76,7 @@ def test_a_short_first_mode_of_a_cycle_moves_its_begin():
 def test_the_schedule_is_written_as_python():
     modes = ModeSequence(((("a",), 0.5), ((), 0.25), (("a", "b"), 0.25)))
     scope: dict[str, Schedule] = {}
-    exec(schedule_source(modes), scope)
+    exec(modes.source(), scope)
     phases = scope["SCHEDULE"].phases
     assert [phase.name for phase in phases] == ["single_1", "flight_1", "double_1"]
     assert [(phase.contacts, phase.duration) for phase in phases] == list(modes.modes)

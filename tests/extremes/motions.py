@@ -16,6 +16,7 @@ from trajopt.terms import (
     TerminalState,
     TorqueLimits,
     VelocityLimits,
+    contact_cones,
     effort_costs,
 )
 from trajopt.terrain.flat import FlatGround
@@ -55,7 +56,7 @@ def stand(
             TorqueLimits(),
             PositionLimits(),
             VelocityLimits(),
-            *((FrictionCone(),) if exact else common.contact_cones(robot)),
+            *((FrictionCone(),) if exact else contact_cones(robot.contacts)),
             TerminalState(q=robot.reference),
             TerminalRest(q=robot.reference),
         ),

@@ -20,10 +20,10 @@ from trajopt.terms import (
     TerminalState,
     TorqueLimits,
     VelocityLimits,
+    contact_cones,
     effort_costs,
 )
 from trajopt.terrain.flat import FlatGround
-from trajopt_library.problems import common
 
 # Duration of a phase on legs, s: long against what a step of a small quadruped takes at least.
 PHASE = 0.2
@@ -139,7 +139,7 @@ def legged(
             TorqueLimits(),
             PositionLimits(),
             VelocityLimits(),
-            *common.contact_cones(robot),
+            *contact_cones(robot.contacts),
             TerminalState(q=goal),
             TerminalRest(q=goal),
             *extra,

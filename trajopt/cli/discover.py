@@ -17,13 +17,13 @@ from trajopt.cli.input import (
     value_option,
 )
 from trajopt.cli.report import console, plain_table, say, to_json
-from trajopt.errors import InputError, not_among
-from trajopt.solution.output import check_output
+from trajopt.errors import InputError, expanded, not_among
+from trajopt.solution.output import check_output, replacing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trajopt.discovery.search import Candidate, Discovery
+    from trajopt.discovery.records import Candidate, Discovery
     from trajopt.discovery.task import ContactTask
 
 SEEDS, MOST, JOBS = WholeNumber(0, 1000), WholeNumber(1, 1000), WholeNumber(1, 1024)
@@ -75,7 +75,8 @@ def discover_command(
     hard contacts and free durations until its motion holds at any time. Exit status 0 where one does, 1 where
     none does.
     """
-    from trajopt.discovery.search import discover, nearest_gait, nearest_reached, schedule_source
+    from trajopt.discovery.gait_likeness import nearest_gait
+    from trajopt.discovery.search import discover, nearest_reached
 
     if resume and output_dir is None:
         raise InputError("--resume has no folder to go on with", "allowed: with --output-dir")
@@ -89,16 +90,18 @@ def discover_command(
         if not as_json:
             shown.print(_line(candidate), highlight=False)
 
-    found = discover(task, known=not no_known, folder=output_dir, resume=resume, told=told, **arguments)
-    best = found.best
-    if best and schedule_out is not None and best[0].modes is not None:
-        schedule_out.write_text(schedule_source(best[0].modes))
+    discovery = discover(task, known=not no_known, folder=output_dir, resume=resume, told=told, **arguments)
+    best = discovery.best
+    modes = best[0].modes if best else None
+    if modes is not None and schedule_out is not None:
+        with replacing(expanded(schedule_out)) as path:
+            path.write_text(modes.source())
     if best and output is not None and best[0].solution is not None:
         best[0].solution.save(output)
     if as_json:
-        say(to_json(found.to_dict()))
+        say(to_json(discovery.to_dict()))
     else:
-        _print(found, nearest_gait(task, best[0].modes) if best and best[0].modes else None)
+        _print(discovery, None if modes is None else nearest_gait(task, modes))
     if not best and goal and not as_json:
         near = nearest_reached(
             make, known=not no_known, **(arguments | {"seeds": min(arguments["seeds"], 2)})
@@ -216,19 +219,21 @@ def _line(candidate: Candidate) -> str:
     return f"{candidate.source:<16} {candidate.status:<10} {candidate.seconds:6.2f} s  {what}"
 
 
-def _print(found: Discovery, gait: tuple[str, float] | None) -> None:
+def _print(discovery: Discovery, gait: tuple[str, float] | None) -> None:
     shown = console()
-    if found.task.left_out:
-        shown.print(f"no part of the task, since bound to its own phases: {', '.join(found.task.left_out)}")
-    if not found.best:
-        shown.print(f"no schedule was found, in {found.seconds:.1f} s of solvers")
+    if discovery.task.left_out:
+        shown.print(
+            f"no part of the task, since bound to its own phases: {', '.join(discovery.task.left_out)}"
+        )
+    if not discovery.best:
+        shown.print(f"no schedule was found, in {discovery.seconds:.1f} s of solvers")
         return
     rows = [
         [each.source, f"{each.objective:.5g}", str(len(each.modes.modes)), str(each.modes)]
-        for each in found.best[:3]
+        for each in discovery.best[:3]
         if each.modes is not None
     ]
     shown.print(plain_table(("best", "objective", "phases", "contacts"), rows))
     if gait is not None:
         shown.print(f"nearest known gait of the best: {gait[0]}, {100 * gait[1]:.0f} % of a period away")
-    shown.print(f"{len(found.candidates)} candidates, {found.seconds:.1f} s of solvers")
+    shown.print(f"{len(discovery.candidates)} candidates, {discovery.seconds:.1f} s of solvers")

@@ -8,29 +8,30 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import Positive, checked
-from trajopt.discovery.task import CLEARANCE, ContactTask
-from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.discovery.task import CLEARANCE, ContactTask, require_feet
 from trajopt.errors import InputError
 from trajopt.guesses.over_terrain import standing_on
 from trajopt.problem.periodicity import Periodicity
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
+from trajopt.schedule.gaits import stride_period
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms.friction import FrictionPyramid, SoleCone
+from trajopt.terms.friction import contact_cones
 from trajopt.terms.interfaces import Term
 from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 from trajopt.terms.objectives import effort_costs
 from trajopt.terms.terminal import TerminalRest, TerminalState
-from trajopt.terms.tracking import TrackingCost
+from trajopt.terms.tracking import KeyFrames, TrackingCost
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.terrain import Terrain
 
 # Default duration in sqrt(l / g): to push off and come to rest, and more for each length of the way.
 STANDING, EACH_LENGTH = 4.0, 3.0
-# Strides of cycles, see `cycle_of`, and the weight of the base's distance from its mean motion.
-STRIDE, GROWTH, SLOWEST, TRACKING = 2.4, 0.34, 0.06, 0.1
+# Weight of the base's distance from the mean motion of a cycle.
+TRACKING = 0.1
 # Distance of feet from an edge at the start, over the robot's length, and ground behind it, the same.
 FROM_EDGE, BEYOND = 0.15, 3.0
 
@@ -65,7 +66,7 @@ def task_to(robot: Robot, goal: Destination, terrain: Terrain | None = None) -> 
     require_feet(robot)
     ground = FlatGround() if terrain is None else terrain
     start, end = (_standing(robot, ground, place) for place in (Destination(), goal))
-    unit = math.sqrt(robot.length / gravity_of(robot.model))
+    unit = Units(robot).time
     way = math.hypot(goal.x, goal.y) / robot.length
     low, high = goal.duration_range or (0.0, 0.0)
     duration = goal.duration or (low + high) / 2 or (STANDING + EACH_LENGTH * way) * unit
@@ -83,15 +84,10 @@ def task_to(robot: Robot, goal: Destination, terrain: Terrain | None = None) -> 
         terrain=ground,
         initial_q=start,
         terms=costs,
-        guess=partial(_straight, robot, start, end, duration),
+        guess=KeyFrames(robot, np.array([0.0, duration]), np.array([start, end])),
     )
     terms = (*costs, TerminalState(q=end), TerminalRest(q=end))
     return ContactTask(problem=problem, terms=terms, left_out=(), clearance=CLEARANCE * robot.length)
-
-
-def _straight(robot: Robot, start: np.ndarray, end: np.ndarray, duration: float, t: float) -> np.ndarray:
-    """The configuration (nq,) at ``t`` s on the straight way between two."""
-    return np.asarray(pin.interpolate(robot.model, start, end, min(max(t / duration, 0.0), 1.0)))
 
 
 def _standing(robot: Robot, terrain: Terrain, place: Destination) -> np.ndarray:
@@ -115,17 +111,13 @@ def cycle_of(robot: Robot, speed: float, period: Positive | None = None) -> Cont
     Args:
         robot: with feet on a moving base.
         speed: m/s, forward.
-        period: s; None: strides of 2.4 Fr^0.34 lengths with the Froude number Fr = speed^2 / (g l), of at
-            least 0.06 (Alexander, Jayes, "A dynamic similarity hypothesis for the gaits of quadrupedal
-            mammals", J. Zool. 201, 1983).
+        period: s; None: `stride_period`.
 
     Raises:
         InputError: for a robot without feet on a moving base.
     """
     require_feet(robot)
-    unit = math.sqrt(robot.length / gravity_of(robot.model))
-    relative = max(abs(speed) * unit / robot.length, math.sqrt(SLOWEST))
-    duration = period or STRIDE * relative ** (2 * GROWTH - 1) * unit
+    duration = period or stride_period(robot, speed)
     motion = partial(_moving, robot, speed)
     problem = Problem(
         name=f"{robot.name}-cycle",
@@ -153,17 +145,9 @@ def _lifting(robot: Robot, duration: float) -> Schedule:
     return Schedule(tuple(Phase(name=name, duration=duration / 2, contacts=feet) for name, feet in phases))
 
 
-def require_feet(robot: Robot) -> None:
-    """Raise `InputError` for a robot without feet on a moving base."""
-    if not robot.contacts or robot.base == "fixed":
-        raise InputError(f"'{robot.name}' has no feet on a moving base", "allowed: legged robots")
-
-
 def _costs_and_limits(robot: Robot) -> tuple[Term, ...]:
-    kinds = {contact.kind for contact in robot.contacts}
-    cones: tuple[Term, ...] = (FrictionPyramid(),) if "point" in kinds else ()
-    cones += (SoleCone(),) if "surface" in kinds else ()
-    return (*effort_costs(), TorqueLimits(), PositionLimits(), VelocityLimits(), *cones)
+    limits = (TorqueLimits(), PositionLimits(), VelocityLimits())
+    return (*effort_costs(), *limits, *contact_cones(robot.contacts))
 
 
 @checked

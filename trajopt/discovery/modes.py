@@ -1,13 +1,12 @@
 """Modes: which contacts are on the ground when, read from forces and heights of a motion."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
 
-from trajopt.schedule.gaits import SUPPORTS
+from trajopt.schedule.gaits import support_names
 
 # A contact is on the ground where its normal force is at least this part of the weight.
 LOADED = 0.06
@@ -40,13 +39,20 @@ class ModeSequence:
 
     def names(self) -> list[str]:
         """Names of the phases, by the number of feet on the ground: double_1, flight_1, double_2, ..."""
-        counts: Counter[str] = Counter()
-        names = []
-        for contacts, _ in self.modes:
-            kind = SUPPORTS[len(contacts)] if len(contacts) < len(SUPPORTS) else f"support{len(contacts)}"
-            counts[kind] += 1
-            names.append(f"{kind}_{counts[kind]}")
-        return names
+        return support_names(self.key)
+
+    def duty(self) -> dict[str, float]:
+        """Part of the whole duration in which each contact is on the ground, of those that ever are."""
+        feet = dict.fromkeys(name for contacts in self.key for name in contacts)
+        on = {foot: sum(time for contacts, time in self.modes if foot in contacts) for foot in feet}
+        return {foot: time / self.duration for foot, time in on.items()}
+
+    def source(self) -> str:
+        """The schedule as Python that a problem can use."""
+        lines = ["from trajopt.schedule import Phase, Schedule", "", "SCHEDULE = Schedule(", "    ("]
+        for name, (contacts, duration) in zip(self.names(), self.modes, strict=True):
+            lines.append(f"        Phase(name={name!r}, duration={duration:.6g}, contacts={contacts!r}),")
+        return "\n".join([*lines, "    )", ")", ""])
 
     def __str__(self) -> str:
         parts = ("+".join(contacts) or "flight" for contacts, _ in self.modes)
@@ -78,11 +84,12 @@ class ModeSequence:
             dropped += 1
             near = [i % len(modes) for i in (index - 1, index + 1) if periodic or 0 <= i < len(modes)]
             changes = [len(set(modes[i][0]) ^ set(contacts)) for i in near]
-            taking = [i for i, change in zip(near, changes, strict=True) if change == min(changes)]
-            for i in dict.fromkeys(taking):
-                modes[i] = (modes[i][0], modes[i][1] + duration / len(dict.fromkeys(taking)))
-            if index == 0 and periodic:  # what the last mode takes is before the cycle begins
-                shift += duration * (len(modes) - 1 in taking) / len(dict.fromkeys(taking))
+            taking = {i for i, change in zip(near, changes, strict=True) if change == min(changes)}
+            share = duration / len(taking)
+            for i in taking:
+                modes[i] = (modes[i][0], modes[i][1] + share)
+            if index == 0 and len(modes) - 1 in taking:  # what the last one takes is before the cycle begins
+                shift += share
             modes.pop(index)
             joined = ModeSequence(tuple(modes), shift)._joined(periodic)
             modes, shift = [*joined.modes], joined.shift

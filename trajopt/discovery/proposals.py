@@ -1,7 +1,7 @@
 """Proposals: modes from relaxed contacts and from known gaits and hops, each with a motion to begin from."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +16,7 @@ from trajopt.guesses.legged import legged_guess
 from trajopt.schedule.gait_transitions import transition
 from trajopt.schedule.gaits import gait_names, gait_of
 from trajopt.schedule.schedule import Motion, Phase, Schedule
+from trajopt.terms.tracking import KeyFrames
 
 # A relaxed motion is no proposal above this slack: feet still push from a distance.
 MOST_SLACK = 0.01
@@ -30,59 +31,36 @@ MOST_CYCLES = 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """Modes from a ``source``, and samples of a motion: times (n,) s from the start of its modes, q (n, nq).
+    """Modes from a ``source``, and a motion from the start of these modes on.
 
     objective, slack: of the relaxed motion. seconds: of solvers. why: there are no modes.
     """
 
     source: str
     modes: ModeSequence | None = None
-    times: np.ndarray | None = None
-    q: np.ndarray | None = None
+    motion: Motion | None = None
     objective: float | None = None
     slack: float | None = None
     seconds: float = 0.0
     why: str = ""
 
-    def guess(self, task: ContactTask) -> Motion:
-        """The motion at any time within its samples."""
-        model, times, q = task.robot.model, self.times, self.q
-        assert times is not None
-        assert q is not None
-
-        def at(t: float) -> np.ndarray:
-            right = int(np.clip(np.searchsorted(times, t), 1, len(times) - 1))
-            part = (t - times[right - 1]) / (times[right] - times[right - 1])
-            return np.asarray(pin.interpolate(model, q[right - 1], q[right], float(np.clip(part, 0.0, 1.0))))
-
-        return at
-
 
 def relaxed_proposal(task: ContactTask, seed: int, max_time: float) -> Proposal:
     """The modes of a relaxed motion; ``max_time`` s of the solver."""
-    found = relaxed_motion(task, seed=seed, max_time=max_time)
-    source = f"relaxed:{seed}"
-    if found.solution is None or found.modes is None:
-        return Proposal(source=source, seconds=found.seconds, why="no relaxed motion was found")
-    slack = [slack for slack, *_ in found.stages][found.solved - 1]
-    objective = found.solution.statistics.objective
+    relaxed = relaxed_motion(task, seed=seed, max_time=max_time)
+    solution, modes, slack = relaxed.solution, relaxed.modes, relaxed.slack
+    bare = Proposal(source=f"relaxed:{seed}", slack=slack, seconds=relaxed.seconds)
+    if solution is None or modes is None or slack is None:
+        return replace(bare, why="no relaxed motion was found")
+    bare = replace(bare, objective=solution.statistics.objective)
     if slack > MOST_SLACK:
         why = f"contacts could not be tightened below a slack of {slack:g} (asked {MOST_SLACK:g})"
-        return Proposal(source=source, objective=objective, slack=slack, seconds=found.seconds, why=why)
-    duration, shift = float(found.solution.t[-1]), found.modes.shift
-    times = np.linspace(0.0, duration, SAMPLES)
-    q = found.solution.sample(times=times).q
+        return replace(bare, why=why)
+    times = np.linspace(0.0, float(solution.t[-1]), SAMPLES)
+    q = solution.sample(times=times).q
     if task.periodic:
-        times, q = _turned(task, q, times, shift)
-    return Proposal(
-        source=source,
-        modes=found.modes,
-        times=times,
-        q=q,
-        objective=objective,
-        slack=slack,
-        seconds=found.seconds,
-    )
+        times, q = _turned(task, q, times, modes.shift)
+    return replace(bare, modes=modes, motion=KeyFrames(task.robot, times, q))
 
 
 def _turned(
@@ -105,13 +83,14 @@ def known_proposals(task: ContactTask) -> Iterator[Proposal]:
     """Gaits by their names, and from standing to standing hops and steps; of robots for which these exist."""
     for source, phases in _known(task):
         modes = ModeSequence(tuple((phase.contacts, phase.duration) for phase in phases))
-        times = np.linspace(0.0, modes.duration, SAMPLES)
         try:
             motion = _known_motion(task, Schedule(phases))
         except InputError as error:
             yield Proposal(source=source, why=f"{error}")
             continue
-        yield Proposal(source=source, modes=modes, times=times, q=np.array([motion(float(t)) for t in times]))
+        times = np.linspace(0.0, modes.duration, SAMPLES)
+        frames = KeyFrames(task.robot, times, np.array([motion(float(t)) for t in times]))
+        yield Proposal(source=source, modes=modes, motion=frames)
 
 
 def _known(task: ContactTask) -> Iterator[tuple[str, tuple[Phase, ...]]]:

@@ -22,7 +22,6 @@ from trajopt.arguments import NonNegative, Positive
 from trajopt.discovery.ground import gap, smooth_gap
 from trajopt.discovery.modes import LOADED, ModeSequence, read_modes
 from trajopt.discovery.task import ContactTask
-from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.units import Units
@@ -97,14 +96,14 @@ class WholeEnd(NodeConstraint):
 class Relaxation:
     """A motion without phases, the modes read from it, and what each solve took.
 
-    solution: of the least slack that was solved; None without one. stages: slack, status, iterations and
-    objective of each solve. solved: how many of them were. seconds: of the solver.
+    solution: of the least slack that was solved, and that ``slack``; None without one. stages: slack, status,
+    iterations and objective of each solve. seconds: of the solver.
     """
 
     solution: Solution | None
     modes: ModeSequence | None
+    slack: float | None
     stages: tuple[tuple[float, str, int, float | None], ...]
-    solved: int
     seconds: float
 
 
@@ -112,27 +111,27 @@ def relaxed_motion(
     task: ContactTask, *, seed: NonNegative = 0, intervals: int | None = None, max_time: float = 60.0
 ) -> Relaxation:
     """Solve a task with relaxed contacts, from legs that stand still; a ``seed`` other than 0 adds noise."""
-    solution: Solution | None = None
-    stages, seconds, solved = [], 0.0, 0
+    solution, reached = None, None
+    stages, seconds = [], 0.0
     count = intervals or _intervals(task)
     for slack in SLACKS:
+        left = max_time - seconds
+        if left <= 0:
+            break
         prepared = prepare(_relaxed(task, slack), mesh=Mesh.uniform(SCHEME, (count,)), start=solution)
         start = prepared.guess
         if seed and solution is None:
             start = perturbed(prepared.transcription, start, int(seed), NOISE)
-        left = max_time - seconds
-        if left <= 0:
-            break
         stop = StoppingCriteria(max_iterations=MOST_ITERATIONS, max_time=left)
-        found = solve_prepared(prepared, start, origin={}, judge=False, stop=stop)
-        figures = found.statistics
+        tightened = solve_prepared(prepared, start, origin={}, judge=False, stop=stop)
+        figures = tightened.statistics
         seconds += figures.wall_time_s
         stages.append((slack, figures.status, figures.iterations, figures.objective))
-        if not found.converged:
+        if not tightened.converged:
             break
-        solution, solved = found, solved + 1
+        solution, reached = tightened, slack
     modes = None if solution is None else modes_of(task, solution, count)
-    return Relaxation(solution=solution, modes=modes, stages=tuple(stages), solved=solved, seconds=seconds)
+    return Relaxation(solution=solution, modes=modes, slack=reached, stages=tuple(stages), seconds=seconds)
 
 
 def modes_of(task: ContactTask, solution: Solution, intervals: int) -> ModeSequence:
@@ -164,8 +163,8 @@ def modes_of(task: ContactTask, solution: Solution, intervals: int) -> ModeSeque
 
 
 def _intervals(task: ContactTask) -> int:
-    unit = np.sqrt(task.robot.length / gravity_of(task.robot.model))
-    return int(np.clip(round(PER_UNIT * task.duration / unit), LEAST_INTERVALS, MOST_INTERVALS))
+    units = task.duration / Units(task.robot).time
+    return int(np.clip(round(PER_UNIT * units), LEAST_INTERVALS, MOST_INTERVALS))
 
 
 def _relaxed(task: ContactTask, slack: float) -> Problem:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,83 +13,24 @@ import numpy as np
 from trajopt.arguments import checked
 from trajopt.discovery.modes import ModeSequence
 from trajopt.discovery.proposals import Proposal, known_proposals, relaxed_proposal
+from trajopt.discovery.records import CERTIFIED, REJECTED, Candidate, Discovery, Records
 from trajopt.discovery.task import FREE, ContactTask
-from trajopt.errors import InputError, expanded
+from trajopt.errors import InputError
+from trajopt.motion.configurations import geodesic_motion
 from trajopt.problem.problem import Problem
-from trajopt.schedule.gaits import Gait, gait_names, gait_of
-from trajopt.solution.output import replacing
 from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve
+from trajopt.solving.ladder import total_effort
 from trajopt.study.cluster import local_or
 from trajopt.study.runner import DONE, Task, run_tasks
 
 SEEDS, MOST, MAX_TIME = 4, 12, 30.0
-RECORD = "discovery.json"
 # Durations that differ by less in all, over that of the motion, are the same schedule.
 ALIKE = 0.2
 # A phase at its least duration is meant to vanish; relative to the bound.
 AT_BOUND = 1.02
 # Beside the solver's limit of time: to build, to examine and to solve once more without phases that vanish.
 BESIDE = 4.0
-CERTIFIED, REJECTED = "certified", "rejected"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Candidate:
-    """A schedule that was tried: where it is from, what rounding changed, and what became of it.
-
-    relaxed_objective, slack: of the motion it was read from. dropped, unlifted: modes too short for the mesh
-    and swings that were none, left out by rounding. vanished: phases that shrank to nothing and were taken
-    out. objective: with hard contacts. why: it was rejected. seconds: of solvers. solution: if certified.
-    """
-
-    source: str
-    modes: ModeSequence | None
-    status: str
-    relaxed_objective: float | None = None
-    slack: float | None = None
-    vanished: int = 0
-    objective: float | None = None
-    why: str = ""
-    seconds: float = 0.0
-    solution: Solution | None = field(default=None, repr=False)
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able, without the solution."""
-        modes = self.modes
-        told = {name: value for name, value in vars(self).items() if name not in ("solution", "modes")}
-        return told | {
-            "modes": modes and [[list(contacts), duration] for contacts, duration in modes.modes],
-            "dropped": modes and modes.dropped,
-            "unlifted": modes and modes.unlifted,
-        }
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Discovery:
-    """All candidates of a task, in the order in which they ended; seconds of solvers in all."""
-
-    task: ContactTask
-    candidates: tuple[Candidate, ...]
-
-    @property
-    def best(self) -> tuple[Candidate, ...]:
-        """Those that are certified, the least objective first."""
-        certified = [each for each in self.candidates if each.status == CERTIFIED]
-        return tuple(sorted(certified, key=lambda each: each.objective or 0.0))
-
-    @property
-    def seconds(self) -> float:
-        """Of solvers, in all."""
-        return sum(each.seconds for each in self.candidates)
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able: the task, and every candidate."""
-        return {
-            "task": self.task.describe(),
-            "left_out": list(self.task.left_out),
-            "candidates": [each.to_dict() for each in self.candidates],
-        }
 
 
 @checked
@@ -128,7 +67,7 @@ def discover(
             "nothing is proposed or solved", "allowed: seeds or known ones, most >= 1, max_time > 0"
         )
     task = problem if isinstance(problem, ContactTask) else ContactTask.of(problem)
-    records = _Records(task, folder, resume)
+    records = Records(task, folder, resume=resume)
     done = {each.source for each in records.candidates}
     wanted = [seed for seed in range(seeds) if f"relaxed:{seed}" not in done]
     limit = BESIDE * max_time
@@ -173,11 +112,11 @@ def nearest_reached(
     for _ in range(halvings):
         part = (low + high) / 2
         try:
-            found = discover(make(part), **settings)
+            discovery = discover(make(part), **settings)
         except InputError:
-            found = None
-        if found is not None and found.best:
-            low, best = part, (part, found)
+            discovery = None
+        if discovery is not None and discovery.best:
+            low, best = part, (part, discovery)
         else:
             high = part
     return best
@@ -211,10 +150,10 @@ def _rejected(proposal: Proposal, why: str) -> Candidate:
 def certified(task: ContactTask, proposal: Proposal, max_time: float) -> Candidate:
     """Solve a proposal with hard contacts until its motion holds, without phases that shrink to nothing."""
     assert proposal.modes is not None
+    assert proposal.motion is not None
     rejected = _rejected(proposal, "")
     try:
-        problem = task.with_modes(proposal.modes, proposal.guess(task))
-        solution = solve(problem, max_time=max_time)
+        solution = solve(task.with_modes(proposal.modes, proposal.motion), max_time=max_time)
     except InputError as error:
         return replace(rejected, why=f"{error}")
     seconds = proposal.seconds + _spent(solution)
@@ -235,7 +174,7 @@ def certified(task: ContactTask, proposal: Proposal, max_time: float) -> Candida
     return replace(
         rejected,
         status=CERTIFIED,
-        modes=replace(modes, modes=tuple(zip(modes.key, durations_of(best), strict=True))),
+        modes=replace(modes, modes=tuple(zip(modes.key, best.phase_durations, strict=True))),
         objective=figures.objective,
         vanished=vanished,
         seconds=seconds,
@@ -243,22 +182,13 @@ def certified(task: ContactTask, proposal: Proposal, max_time: float) -> Candida
     )
 
 
-def durations_of(solution: Solution) -> list[float]:
-    """Durations of the phases, s."""
-    ends = [
-        float(solution.interval_t[solution.intervals_of(k).stop - 1, 1])
-        for k in range(len(solution.phase_names))
-    ]
-    return np.diff([float(solution.t[0]), *ends]).tolist()
-
-
 def without_vanished(modes: ModeSequence, solution: Solution, periodic: bool) -> ModeSequence | None:
     """The modes without those that a motion has at their least duration; None where there is none."""
-    found = durations_of(solution)
+    durations = solution.phase_durations
     least = [AT_BOUND * FREE[0] * duration for _, duration in modes.modes]
-    if len(found) != len(least) or all(a > b for a, b in zip(found, least, strict=True)):
+    if len(durations) != len(least) or all(a > b for a, b in zip(durations, least, strict=True)):
         return None
-    timed = [(key, 0.0 if a <= b else a) for key, a, b in zip(modes.key, found, least, strict=True)]
+    timed = [(key, 0.0 if a <= b else a) for key, a, b in zip(modes.key, durations, least, strict=True)]
     shortest = min((duration for _, duration in timed if duration), default=0.0)
     fewer = ModeSequence(tuple(timed), dropped=modes.dropped, unlifted=modes.unlifted)
     fewer = fewer.without_short(shortest / 2, periodic)
@@ -266,19 +196,18 @@ def without_vanished(modes: ModeSequence, solution: Solution, periodic: bool) ->
 
 
 def _again(task: ContactTask, modes: ModeSequence, solution: Solution, max_time: float) -> Solution | None:
-    times = solution.t[np.concatenate([[True], np.diff(solution.t) > 0])]
-    moved = modes.shift if task.periodic else 0.0
-    if moved:
-        return None  # the cycle would begin elsewhere
-    before = Proposal(source="", modes=modes, times=times, q=solution.sample(times=times).q)
+    """The problem of fewer modes, solved from a solution; None where its cycle would begin elsewhere."""
+    if task.periodic and modes.shift:
+        return None
     try:
-        return solve(task.with_modes(modes, before.guess(task)), max_time=max_time)
+        return solve(task.with_modes(modes, geodesic_motion(solution, task.robot)), max_time=max_time)
     except InputError:
         return None
 
 
 def _spent(solution: Solution) -> float:
-    return sum(each.wall_time_s for each in solution.statistics.rounds)
+    """Time of the solver in all rounds, s."""
+    return float(total_effort([solution])["wall_time_s"])
 
 
 def _objective(solution: Solution) -> float:
@@ -302,104 +231,3 @@ def _each(
 
         for ended in run_tasks(waiting, make, cluster.executor, window=cluster.window, check=cluster.check):
             yield ended.key, ended.value if ended.kind == DONE else ended.detail
-
-
-class _Records:
-    """Candidates as they end, in a folder where there is one: a file of all, and each certified motion."""
-
-    def __init__(self, task: ContactTask, folder: Path | str | None, resume: bool) -> None:
-        self.task, self.candidates = task, list[Candidate]()
-        self.folder = None if folder is None else expanded(folder)
-        if self.folder is None:
-            return
-        if self.folder.exists() and not self.folder.is_dir():
-            raise InputError(f"{self.folder} is not a folder", "allowed: a folder, or a new one")
-        self.folder.mkdir(parents=True, exist_ok=True)
-        if resume and (self.folder / RECORD).exists():
-            self.candidates = [self._read(each) for each in self._content()["candidates"]]
-
-    def _content(self) -> dict[str, Any]:
-        assert self.folder is not None
-        try:
-            content = json.loads((self.folder / RECORD).read_text())
-            content["candidates"]
-        except (ValueError, KeyError, TypeError):
-            raise InputError(
-                f"{self.folder / RECORD} is no record of a discovery", "allowed: without --resume"
-            ) from None
-        if content.get("task") != self.task.describe():
-            raise InputError(
-                f"{self.folder} has candidates of another task, or of other values",
-                "allowed: without --resume",
-            )
-        return dict(content)
-
-    def _read(self, told: dict[str, Any]) -> Candidate:
-        modes = told.pop("modes")
-        counts = {name: told.pop(name) or 0 for name in ("dropped", "unlifted")}
-        read = modes and ModeSequence(tuple((tuple(names), float(time)) for names, time in modes), **counts)
-        file = self._file(told["source"])
-        solution = Solution.load(file) if told["status"] == CERTIFIED else None
-        return Candidate(**told, modes=read, solution=solution)
-
-    def _file(self, source: str) -> Path:
-        assert self.folder is not None
-        return self.folder / f"{re.sub(r'[^A-Za-z0-9]+', '-', source)}.npz"
-
-    def add(self, candidate: Candidate) -> Candidate:
-        """Keep a candidate; its file is complete before the record names it."""
-        self.candidates.append(candidate)
-        if self.folder is not None:
-            if candidate.solution is not None:
-                candidate.solution.save(self._file(candidate.source))
-            content = Discovery(task=self.task, candidates=tuple(self.candidates)).to_dict()
-            with replacing(self.folder / RECORD) as path:
-                path.write_text(json.dumps(content, indent=1))
-        return candidate
-
-
-def schedule_source(modes: ModeSequence) -> str:
-    """The schedule as Python that a problem can use."""
-    lines = ["from trajopt.schedule import Phase, Schedule", "", "SCHEDULE = Schedule(", "    ("]
-    for name, (contacts, duration) in zip(modes.names(), modes.modes, strict=True):
-        lines.append(f"        Phase(name={name!r}, duration={duration:.6g}, contacts={contacts!r}),")
-    return "\n".join([*lines, "    )", ")", ""])
-
-
-def nearest_gait(task: ContactTask, modes: ModeSequence) -> tuple[str, float] | None:
-    """The known gait whose touchdowns and duty factors are nearest, and how far, as part of a period."""
-    try:
-        names = gait_names(task.robot)
-    except InputError:
-        return None
-    found = _as_gait(modes)
-    if found is None or not task.periodic:
-        return None
-    away = {name: _apart(found, gait_of(task.robot, name)) for name in names}
-    best = min(away, key=lambda name: away[name])
-    return best, away[best]
-
-
-def _as_gait(modes: ModeSequence) -> Gait | None:
-    """Duty factors and touchdowns of a cycle in which every foot steps once; else None."""
-    feet = {name for contacts in modes.key for name in contacts}
-    begins = np.concatenate([[0.0], np.cumsum([duration for _, duration in modes.modes])]) / modes.duration
-    duty, offsets = {}, {}
-    for foot in sorted(feet):
-        on = [foot in contacts for contacts in modes.key]
-        lands = [i for i in range(len(on)) if on[i] and not on[i - 1]]
-        if len(lands) != 1:
-            return None
-        offsets[foot] = float(begins[lands[0]])
-        duty[foot] = sum(d for (c, d) in modes.modes if foot in c) / modes.duration
-    return Gait(name="found", duty=duty, offsets=offsets) if feet else None
-
-
-def _apart(one: Gait, other: Gait) -> float:
-    """Mean difference of touchdowns, at the best shift in time, and of duty factors."""
-    feet = [foot for foot in other.feet if foot in one.feet]
-    if len(feet) < len(other.feet):
-        return 1.0
-    lags = np.array([one.offsets[foot] - other.offsets[foot] for foot in feet])
-    apart = min(np.abs((lags - lag + 0.5) % 1.0 - 0.5).mean() for lag in lags)
-    return float(apart + np.mean([abs(one.duty_of(foot) - other.duty_of(foot)) for foot in feet]) / 2)

@@ -1,11 +1,9 @@
 """A task: what of a problem does not depend on its phases, and problems of other schedules for it."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from trajopt.discovery.ground import gap
 from trajopt.discovery.modes import LIFTED, ModeSequence
@@ -21,6 +19,7 @@ from trajopt.terms.interfaces import Term
 from trajopt.terms.swing import SwingArc, SwingClearance, SwingOver
 from trajopt.terms.swing_planning import swing_arcs, swing_clearance
 from trajopt.terms.terminal import TerminalState
+from trajopt.terms.tracking import KeyFrames
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 
@@ -46,10 +45,7 @@ class ContactTask:
     def of(cls, problem: Problem) -> "ContactTask":
         """The task of a problem. Raises `InputError` for one whose model depends on its phases."""
         robot, label = problem.robot, f"the schedule of '{problem.name}' cannot be found"
-        if not robot.contacts or robot.base == "fixed":
-            raise InputError(
-                f"{label}: '{robot.name}' has no feet on a moving base", "allowed: legged robots"
-            )
+        require_feet(robot)
         for what, given in (("minimal coordinates", problem.modes), ("payloads", problem.payloads)):
             if given:
                 raise InputError(f"{label}: it has {what} in phases", "allowed: the same model in all phases")
@@ -122,15 +118,16 @@ class ContactTask:
         moved[: len(rows)] += by[rows]
         return moved
 
-    def still(self, t: float) -> np.ndarray:
-        """A configuration (nq,) at ``t`` s of the plainest guess: a straight path of the base, legs still."""
+    @property
+    def still(self) -> KeyFrames:
+        """The plainest guess: a straight path of the base, legs still in a cycle, else from start to end."""
         robot = self.robot
-        first = self.problem.guess_at(0.0).copy()
-        last = self.problem.guess_at(self.duration).copy() if self.end is None else self.end.copy()
+        first, last = self.problem.guess_at(0.0).copy(), self.end
+        last = (self.problem.guess_at(self.duration) if last is None else last).copy()
         if self.periodic:
             n = robot.model.joints[1].nq
             first[n:] = last[n:] = robot.reference[n:]
-        return np.asarray(pin.interpolate(robot.model, first, last, min(max(t / self.duration, 0.0), 1.0)))
+        return KeyFrames(robot, np.array([0.0, self.duration]), np.array([first, last]))
 
     def standing(self, q: np.ndarray) -> tuple[str, ...]:
         """Names of the contacts that touch the ground at ``q`` (nq,)."""
@@ -152,11 +149,11 @@ class ContactTask:
         problem, names = self.problem, tuple(contact.name for contact in self.robot.contacts)
         images = {name: name for name in names} if self.periodic else None
         terrain = problem.terrain
+        lifted = tuple(name for name in names if any(name not in contacts for contacts in modes.key))
         swings: tuple[Term, ...] = ()
         if isinstance(terrain, PiecewiseTerrain):
             swings = swing_clearance(self.robot, schedule, terrain, height=self.clearance, guess=guess)
-        elif any(set(names) - set(phase.contacts) for phase in schedule.phases):
-            lifted = tuple(n for n in names if any(n not in phase.contacts for phase in schedule.phases))
+        elif lifted:
             swings = swing_arcs(schedule, lifted, height=self.clearance, terrain=terrain, next_name=images)
         low, high = self.duration_range
         return replace(
@@ -171,27 +168,24 @@ class ContactTask:
 
     def _schedule(self, modes: ModeSequence, guess: Motion) -> Schedule:
         """Phases of the modes; a contact's last landing is where the motion has to end."""
-        names = modes.names()
-        last: dict[str, int] = {}
-        for index, (contacts, _) in enumerate(modes.modes):
-            before = modes.modes[index - 1][0] if index or self.periodic else contacts
-            last |= {name: index for name in contacts if name not in before}
-        ends = {} if self.end is None else footholds_at(self.robot, self.end, self.problem.terrain)
+        terrain, feet = self.problem.terrain, [set(contacts) for contacts in modes.key]
+        before = [feet[-1] if self.periodic else feet[0], *feet[:-1]]
+        landing = [
+            [n for n in key if n not in earlier] for key, earlier in zip(modes.key, before, strict=True)
+        ]
+        last = {name: index for index, names in enumerate(landing) for name in names}
+        ends = {} if self.end is None else footholds_at(self.robot, self.end, terrain)
         phases, time = [], 0.0
-        for index, (contacts, duration) in enumerate(modes.modes):
-            before = modes.modes[index - 1][0] if index or self.periodic else contacts
-            footholds, patches = {}, {}
-            for name in contacts:
-                if name in before:
-                    continue
-                if name in ends and last[name] == index:
-                    footholds[name] = ends[name]
-                elif isinstance(self.problem.terrain, PiecewiseTerrain):
-                    place = contact_positions(self.robot, guess(time))[name]
-                    patches[name] = self._face(place)
+        for index, (name, (contacts, duration)) in enumerate(zip(modes.names(), modes.modes, strict=True)):
+            footholds = {n: ends[n] for n in landing[index] if n in ends and last[n] == index}
+            elsewhere = [n for n in landing[index] if n not in footholds]
+            patches = {}
+            if elsewhere and isinstance(terrain, PiecewiseTerrain):
+                places = contact_positions(self.robot, guess(time))
+                patches = {n: _face(terrain, places[n]) for n in elsewhere}
             phases.append(
                 Phase(
-                    name=names[index],
+                    name=name,
                     duration=duration,
                     contacts=contacts,
                     footholds=footholds,
@@ -202,13 +196,18 @@ class ContactTask:
             time += duration
         return Schedule(tuple(phases))
 
-    def _face(self, place: np.ndarray) -> Patch:
-        """The face nearest to a landing."""
-        terrain = self.problem.terrain
-        assert isinstance(terrain, PiecewiseTerrain)
-        under = terrain.face_at(float(place[0]), float(place[1]))
-        off = [float(np.linalg.norm(face.nearest(place) - place)) for face in terrain.faces]
-        return under or terrain.faces[int(np.argmin(off))]
+
+def require_feet(robot: Robot) -> None:
+    """Raise `InputError` for a robot without feet on a moving base."""
+    if not robot.contacts or robot.base == "fixed":
+        raise InputError(f"'{robot.name}' has no feet on a moving base", "allowed: legged robots")
+
+
+def _face(terrain: PiecewiseTerrain, place: np.ndarray) -> Patch:
+    """The face under a landing, or the nearest one."""
+    under = terrain.face_at(float(place[0]), float(place[1]))
+    off = [float(np.linalg.norm(face.nearest(place) - place)) for face in terrain.faces]
+    return under or terrain.faces[int(np.argmin(off))]
 
 
 def _whole_cycle(problem: Problem, terms: tuple[Term, ...]) -> Problem:
@@ -231,20 +230,15 @@ def _whole_cycle(problem: Problem, terms: tuple[Term, ...]) -> Problem:
         return numbers and tuple(2 * number for number in numbers)
 
     duration = problem.schedule.duration
-    first, last = problem.guess_at(0.0), problem.guess_at(duration)
+    first = problem.guess_at(0.0)
+    last = first.copy()  # a mirror image needs a free-flyer
+    last[:3] += 2 * (problem.guess_at(duration) - first)[:3]
     return replace(
         problem,
         schedule=Schedule((*half, *other)),
         periodicity=replace(periodicity, mirror=False, translation=twice(periodicity.translation)),
         terms=terms,
-        guess=partial(_carried_on, robot, first, last, duration),
+        guess=KeyFrames(robot, np.array([0.0, 2 * duration]), np.array([first, last])),
         duration_bounds=twice(problem.duration_bounds),
         default_intervals=2 * problem.default_intervals,
     )
-
-
-def _carried_on(robot: Robot, first: np.ndarray, last: np.ndarray, duration: float, t: float) -> np.ndarray:
-    """The first configuration (nq,), its base moved at the mean velocity from that to the last."""
-    q = first.copy()
-    q[:3] += (last - first)[:3] * t / duration if robot.base == "freeflyer" else 0.0
-    return q

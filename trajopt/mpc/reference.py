@@ -27,7 +27,7 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.costs import AccelerationCost, TorqueCost, WrenchCost
-from trajopt.terms.friction import FrictionPyramid, SoleCone
+from trajopt.terms.friction import contact_cones
 from trajopt.terms.interfaces import Cost, Term
 from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 
@@ -151,14 +151,13 @@ def leg_terms(
     torque_rows: bool = True,
 ) -> tuple[Term, ...]:
     """Costs and hard limits of a robot on legs, whose contacts in each phase are these."""
-    kinds = {robot.contact(name).kind for names in contacts for name in names}
-    cones = (("point", FrictionPyramid()), ("surface", SoleCone()))
+    touching = [robot.contact(name) for names in contacts for name in names]
     return (
         ReferenceCost(weight=1.0, weights=weights),
         TorqueCost(weight=weights.torque),
-        *([WrenchCost(weight=weights.wrench)] if kinds else []),
+        *([WrenchCost(weight=weights.wrench)] if touching else []),
         AccelerationCost(weight=weights.acceleration, joints_only=True),
-        *(cone for kind, cone in cones if kind in kinds),
+        *contact_cones(touching),
         *([TorqueLimits()] if torque_rows else []),
         VelocityLimits(),
         PositionLimits(),

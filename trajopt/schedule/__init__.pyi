@@ -3,6 +3,7 @@ from .gaits import BIPED as BIPED
 from .gaits import QUADRUPED as QUADRUPED
 from .gaits import Gait as Gait
 from .gaits import gait_of as gait_of
+from .gaits import stride_period as stride_period
 from .moment import END as END
 from .moment import Moment as Moment
 from .moment import Target as Target

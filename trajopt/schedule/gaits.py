@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 
 from trajopt.arguments import checked
+from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError, not_among, require_positive
 from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
 from trajopt.robot.robot import Robot
@@ -31,6 +32,8 @@ SIMULTANEOUS = 1e-9
 # A support shorter than this fraction of the period is rejected: two events are meant to be one, or a duty
 # factor is wrong. A millisecond in a tenth of a second is also less than a step of any grid.
 SHORTEST = 0.01
+# Strides of symmetrical gaits, see `stride_period`.
+STRIDE, GROWTH, SLOWEST = 2.4, 0.34, 0.06
 # Names of supports by the number of feet on the ground.
 SUPPORTS = ("flight", "single", "double", "triple", "quadruple")
 
@@ -240,22 +243,45 @@ def phases_of(
             f"durations are free between {lower:g} and {upper:g} of the nominal ones",
             "allowed: 0 < lower <= 1 <= upper",
         )
-    counts: Counter[str] = Counter()
     phases = []
-    for support in supports:
-        feet = len(support.feet)
-        kind = SUPPORTS[feet] if feet < len(SUPPORTS) else f"support{feet}"
-        counts[kind] += 1
+    supports = tuple(supports)
+    for name, support in zip(support_names([each.feet for each in supports]), supports, strict=True):
         duration = support.part * period
         phases.append(
             Phase(
-                name=f"{kind}_{counts[kind]}",
+                name=name,
                 duration=duration,
                 contacts=support.feet,
                 duration_bounds=None if bounds is None else (lower * duration, upper * duration),
             )
         )
     return tuple(phases)
+
+
+def support_names(contacts: Iterable[Collection[str]]) -> list[str]:
+    """Names of phases with these contacts, by how many there are: double_1, flight_1, double_2, ..."""
+    counts: Counter[str] = Counter()
+    names = []
+    for feet in map(len, contacts):
+        kind = SUPPORTS[feet] if feet < len(SUPPORTS) else f"support{feet}"
+        counts[kind] += 1
+        names.append(f"{kind}_{counts[kind]}")
+    return names
+
+
+@checked
+def stride_period(
+    robot: Robot, speed: float, *, stride: float = STRIDE, growth: float = GROWTH, slowest: float = SLOWEST
+) -> float:
+    """Duration in s of a stride of ``stride`` Fr^``growth`` lengths at ``speed`` m/s.
+
+    Fr = speed^2 / (g l) is the Froude number, at least ``slowest``: a slower gait keeps that one's duration
+    (Alexander, Jayes, "A dynamic similarity hypothesis for the gaits of quadrupedal mammals", J. Zool. 201,
+    1983).
+    """
+    unit = math.sqrt(gravity_of(robot.model) * robot.length)
+    root = max(abs(speed) / unit, math.sqrt(slowest))
+    return stride * root ** (2 * growth - 1) * robot.length / unit
 
 
 def _quadruped(name: str, duty: float, hind: tuple[float, float], front: tuple[float, float]) -> Gait:

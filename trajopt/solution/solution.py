@@ -236,6 +236,11 @@ class Solution:
         """Samples of each phase."""
         return runs(self.phase)
 
+    @property
+    def phase_durations(self) -> tuple[float, ...]:
+        """Duration of each phase, s."""
+        return tuple(float(self.t[rows.stop - 1] - self.t[rows.start]) for rows in self.phases)
+
     def intervals_of(self, phase: int) -> range:
         """Return the numbers of a phase's intervals."""
         rows = self.phases[phase]

@@ -7,7 +7,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms.costs import AccelerationCost, WrenchCost
-from trajopt.terms.friction import FrictionPyramid, SoleCone
+from trajopt.terms.friction import contact_cones
 from trajopt.terrain.flat import FlatGround
 
 # Long enough to look at, s; a motion at rest needs no fine grid.
@@ -25,8 +25,6 @@ def rest(robot: Robot, duration: float = DURATION) -> Problem:
     robot starts at rest: a posture that falls over falls.
     """
     feet = standing_feet(robot)
-    kinds = {contact.kind for contact in feet}
-    cones = [cone for kind, cone in (("point", FrictionPyramid()), ("surface", SoleCone())) if kind in kinds]
     spread = (WrenchCost(weight=SPREAD),) if feet else ()
     return Problem(
         name="rest",
@@ -35,7 +33,7 @@ def rest(robot: Robot, duration: float = DURATION) -> Problem:
         terrain=FlatGround(friction=FRICTION),
         initial_q=robot.reference,
         initial_v=np.zeros(robot.nv),
-        terms=(AccelerationCost(weight=1.0), *spread, *cones),
+        terms=(AccelerationCost(weight=1.0), *spread, *contact_cones(feet)),
         guess=lambda _: robot.reference,
         default_intervals=INTERVALS,
     )

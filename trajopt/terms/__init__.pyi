@@ -30,6 +30,7 @@ from .friction import FrictionPyramid as FrictionPyramid
 from .friction import NormalForce as NormalForce
 from .friction import SoleCone as SoleCone
 from .friction import SoleLimits as SoleLimits
+from .friction import contact_cones as contact_cones
 from .interfaces import AtMoment as AtMoment
 from .interfaces import Cost as Cost
 from .interfaces import DuringPhases as DuringPhases

@@ -320,3 +320,11 @@ class NormalForce(PointConstraint):
         if contact not in context.loaded_contacts:
             return None
         return Rows.create(surface_force(context, contact)[2], *self._bounds, units.force)
+
+
+@checked
+def contact_cones(contacts: Iterable[Contact]) -> tuple[ContactConstraint, ...]:
+    """Friction pyramids where there are point contacts, wrench cones where there are soles."""
+    kinds = {contact.kind for contact in contacts}
+    cones: tuple[tuple[str, ContactConstraint], ...] = (("point", FrictionPyramid()), ("surface", SoleCone()))
+    return tuple(cone for kind, cone in cones if kind in kinds)

@@ -113,13 +113,8 @@ def _phase(plan: Solution, reference: Solution, points: NamedPoints, phase: int)
     for q, q_reference in zip(planned.q, other.q, strict=True):
         apart = [*state_distance(plan.model, q_reference, q), points.farthest(q_reference, q)]
         state = np.maximum(state, apart)
-    durations = (_span(plan, phase), _span(reference, phase))
+    durations = (plan.phase_durations[phase], reference.phase_durations[phase])
     return _Apart(state=state, torque=planned.tau - other.tau, durations=durations)
-
-
-def _span(solution: Solution, phase: int) -> float:
-    rows = solution.phases[phase]
-    return float(solution.t[rows.stop - 1] - solution.t[rows.start])
 
 
 def _sampled(solution: Solution, phase: int, fractions: np.ndarray) -> MotionSample:

@@ -14,10 +14,6 @@ namespace {
 
 typedef double Vector __attribute__((vector_size(64), may_alias));
 
-double seconds_since(std::chrono::steady_clock::time_point start) {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
 double apply(const Csr& map, int row, const double* values) {
   double sum = 0;
   for (int e = map.indptr[row]; e < map.indptr[row + 1]; ++e) sum += map.coefficient[e] * values[map.index[e]];
@@ -165,7 +161,7 @@ void Nlp::run(Kind kind, const double* x, double sigma, const double* lambda) {
     for (std::size_t i = next_++; i < batches_[kind].size(); i = next_++)
       run_batch(kind, batches_[kind][i], work_[thread].data(), x, sigma, lambda);
   });
-  timings_[kind].seconds += seconds_since(start);
+  timings_[kind].add(start);
   ++timings_[kind].count;
 }
 
@@ -194,7 +190,7 @@ void Nlp::update_value(const double* x) {
   for (int row = 0; row < problem_.n_g; ++row) g_[row] = apply(problem_.linear, row, x);
   for (std::size_t i = 0; i < problem_.groups.size(); ++i) scatter_rows(outputs_[kValue][i], problem_.groups[i]);
   valid_[kValue] = true;
-  timings_[kValue].seconds += seconds_since(start);
+  timings_[kValue].add(start);
 }
 
 void Nlp::update_first(const double* x) {
@@ -207,7 +203,7 @@ void Nlp::update_first(const double* x) {
   jacobian_ = problem_.jac_constant;
   scatter_entries(kFirst, jacobian_);
   valid_[kFirst] = true;
-  timings_[kFirst].seconds += seconds_since(start);
+  timings_[kFirst].add(start);
 }
 
 void Nlp::scatter_gradient(Outputs& outputs, const Group& group) {
@@ -291,7 +287,7 @@ Reals Nlp::hessian(const double* x, double sigma, const double* lambda) {
   const auto start = std::chrono::steady_clock::now();
   std::fill(hessian_.begin(), hessian_.end(), 0.0);
   scatter_entries(kSecond, hessian_);
-  timings_[kSecond].seconds += seconds_since(start);
+  timings_[kSecond].add(start);
   return hessian_;
 }
 

@@ -60,6 +60,9 @@ struct NonFinite {
 struct Timing {
   double seconds = 0;
   int count = 0;
+  void add(std::chrono::steady_clock::time_point start) {
+    seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  }
 };
 
 // Evaluates f, g and their derivatives; each distinct x is evaluated once per kind. Several threads may use it at

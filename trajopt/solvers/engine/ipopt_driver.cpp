@@ -197,7 +197,7 @@ Outcome solve_ipopt(Nlp& nlp, const Reals& x0, const Bounds& bounds, const Optio
   if (status == Ipopt::Solve_Succeeded && stage.empty()) {
     status = application->OptimizeTNLP(adapter);
   } else if (status == Ipopt::Solve_Succeeded) {
-    Ipopt::SmartPtr<Ipopt::AlgorithmBuilder> builder = 
+    Ipopt::SmartPtr<Ipopt::AlgorithmBuilder> builder =
         stage_builder(stage, bounds, nlp.problem().threads, adapter->outcome.kkt);
     const Ipopt::SmartPtr<const Ipopt::Journalist> journalist = GetRawPtr(application->Jnlst());
     status = application->OptimizeNLP(new Ipopt::TNLPAdapter(GetRawPtr(adapter), journalist), builder);

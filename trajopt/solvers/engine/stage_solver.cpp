@@ -15,20 +15,6 @@ namespace {
 using Ipopt::Index;
 using Ipopt::Number;
 
-// What the task returns, its time added.
-template <class Task>
-auto timed(Timing& timing, const Task& task) {
-  struct Clock {
-    Timing& timing;
-    std::chrono::steady_clock::time_point start = std::chrono::steady_clock::now();
-    ~Clock() {
-      timing.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-      ++timing.count;
-    }
-  } clock{timing};
-  return task();
-}
-
 class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
  public:
   StageSolver(std::vector<int> stage, const Bounds& bounds, int threads, KktFigures& figures)
@@ -59,12 +45,18 @@ class StageSolver : public Ipopt::SparseSymLinearSolverInterface {
   Ipopt::ESymSolverStatus MultiSolve(bool changed, const Index*, const Index*, Index count, Number* rhs,
                                      bool check_inertia, Index negative) override {
     if (changed || std::exchange(changed_, false)) {
-      const bool regular = timed(figures_.factorization, [&] { return kkt_->factorize(values_.data()); });
+      const auto start = std::chrono::steady_clock::now();
+      const bool regular = kkt_->factorize(values_.data());
+      figures_.factorization.add(start);
+      ++figures_.factorization.count;
       figures_.operations += kkt_->factor_operations();
       if (!regular) return Ipopt::SYMSOLVER_SINGULAR;
       if (check_inertia && kkt_->negative_eigenvalues() != negative) return Ipopt::SYMSOLVER_WRONG_INERTIA;
     }
-    for (Index k = 0; k < count; ++k, rhs += sizes_.all()) timed(figures_.substitution, [&] { kkt_->solve(rhs); });
+    const auto start = std::chrono::steady_clock::now();
+    for (Index k = 0; k < count; ++k) kkt_->solve(rhs + static_cast<std::ptrdiff_t>(k) * sizes_.all());
+    figures_.substitution.add(start);
+    figures_.substitution.count += count;
     figures_.operations += count * kkt_->solve_operations();
     return Ipopt::SYMSOLVER_SUCCESS;
   }
@@ -94,7 +86,7 @@ class Builder : public Ipopt::AlgorithmBuilder {
 
   Ipopt::SmartPtr<Ipopt::SymLinearSolver> SymLinearSolverFactory(const Ipopt::Journalist&, const Ipopt::OptionsList&,
                                                                  const std::string&) override {
-    Ipopt::SmartPtr<Ipopt::SparseSymLinearSolverInterface> own = 
+    Ipopt::SmartPtr<Ipopt::SparseSymLinearSolverInterface> own =
         new StageSolver(stage_, bounds_, threads_, figures_);
     return new Ipopt::TSymLinearSolver(own, nullptr);
   }

@@ -1,0 +1,125 @@
+"""What became of the candidates of a task, kept in a folder as they end."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trajopt.discovery.modes import ModeSequence
+from trajopt.discovery.task import ContactTask
+from trajopt.errors import InputError, expanded
+from trajopt.solution.solution import Solution
+from trajopt.study.workers.records import JsonLines
+
+RECORD = "discovery.jsonl"
+CERTIFIED, REJECTED = "certified", "rejected"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """A schedule that was tried: where it is from, what rounding changed, and what became of it.
+
+    relaxed_objective, slack: of the motion it was read from. dropped, unlifted: modes too short for the mesh
+    and swings that were none, left out by rounding. vanished: phases that shrank to nothing and were taken
+    out. objective: with hard contacts. why: it was rejected. seconds: of solvers. solution: if certified.
+    """
+
+    source: str
+    modes: ModeSequence | None
+    status: str
+    relaxed_objective: float | None = None
+    slack: float | None = None
+    vanished: int = 0
+    objective: float | None = None
+    why: str = ""
+    seconds: float = 0.0
+    solution: Solution | None = field(default=None, repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able, without the solution."""
+        modes = self.modes
+        told = {name: value for name, value in vars(self).items() if name not in ("solution", "modes")}
+        return told | {
+            "modes": modes and [[list(contacts), duration] for contacts, duration in modes.modes],
+            "dropped": modes and modes.dropped,
+            "unlifted": modes and modes.unlifted,
+        }
+
+    @classmethod
+    def from_dict(cls, told: Mapping[str, Any], solution: Solution | None) -> Candidate:
+        """The candidate that `to_dict` wrote. Raises KeyError, TypeError or ValueError for anything else."""
+        fields = dict(told)
+        modes = fields.pop("modes")
+        counts = {name: fields.pop(name) or 0 for name in ("dropped", "unlifted")}
+        read = modes and ModeSequence(tuple((tuple(names), float(time)) for names, time in modes), **counts)
+        return cls(**fields, modes=read, solution=solution)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Discovery:
+    """All candidates of a task, in the order in which they ended; seconds of solvers in all."""
+
+    task: ContactTask
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def best(self) -> tuple[Candidate, ...]:
+        """Those that are certified, the least objective first."""
+        held = [each for each in self.candidates if each.status == CERTIFIED]
+        return tuple(sorted(held, key=lambda each: each.objective or 0.0))
+
+    @property
+    def seconds(self) -> float:
+        """Of solvers, in all."""
+        return sum(each.seconds for each in self.candidates)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able: the task, and every candidate."""
+        return {
+            "task": self.task.describe(),
+            "left_out": list(self.task.left_out),
+            "candidates": [each.to_dict() for each in self.candidates],
+        }
+
+
+class Records:
+    """Candidates as they end; with a folder, the task and each of them a line, and each certified motion."""
+
+    def __init__(self, task: ContactTask, folder: Path | str | None, *, resume: bool) -> None:
+        self.task, self.candidates = task, list[Candidate]()
+        self.folder = None if folder is None else expanded(folder)
+        path = None if self.folder is None else self.folder / RECORD
+        self._lines = JsonLines(path)
+        kept = self._lines.open(resume=resume)
+        if path is not None and path.read_text().strip() and (not kept or "task" not in kept[0]):
+            raise InputError(f"{path} is no record of a discovery", "allowed: without --resume")
+        if not kept:
+            self._lines.append({"task": task.describe()})
+        elif kept[0]["task"] != task.describe():
+            raise InputError(
+                f"{self.folder} has candidates of another task, or of other values",
+                "allowed: without --resume",
+            )
+        for each in kept[1:]:
+            with suppress(KeyError, TypeError, ValueError, InputError):  # incomplete: it is tried again
+                self.candidates.append(self._read(each))
+
+    def _read(self, told: Mapping[str, Any]) -> Candidate:
+        solution = Solution.load(self._file(told["source"])) if told["status"] == CERTIFIED else None
+        return Candidate.from_dict(told, solution)
+
+    def _file(self, source: str) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{re.sub(r'[^A-Za-z0-9]+', '-', source)}.npz"
+
+    def add(self, candidate: Candidate) -> Candidate:
+        """Keep a candidate; its file is complete before its line names it."""
+        self.candidates.append(candidate)
+        if self.folder is not None and candidate.solution is not None:
+            candidate.solution.save(self._file(candidate.source))
+        self._lines.append(candidate.to_dict())
+        return candidate
