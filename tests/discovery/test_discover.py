@@ -12,7 +12,7 @@ from trajopt.discovery import ContactTask, Destination, discover, relaxed_motion
 from trajopt.discovery.gait_likeness import nearest_gait
 from trajopt.discovery.goal import obstacle
 from trajopt.discovery.ground import gap, smooth_gap
-from trajopt.discovery.records import CERTIFIED, RECORD
+from trajopt.discovery.records import CERTIFIED, RECORD, SCREENED, UNTRIED
 from trajopt.discovery.search import nearest_reached
 from trajopt.errors import InputError
 from trajopt.robot import contact_positions
@@ -36,8 +36,9 @@ def test_a_hop_is_found_and_costs_no_more_than_the_librarys_own(hop):
 
 
 def test_every_candidate_is_told_with_the_reason(hop):
-    sources = [each.source for each in hop.candidates]
-    assert sorted(sources) == ["hop", "relaxed:0", "relaxed:1"]
+    sources = {each.source for each in hop.candidates}
+    assert sources >= {"hop", "relaxed:0", "relaxed:1"}
+    assert len(sources) == len(hop.candidates)
     for each in hop.candidates:
         assert (each.status == CERTIFIED) == (each.objective is not None) == (not each.why)
     json.dumps(hop.to_dict())
@@ -120,6 +121,34 @@ def test_the_nearest_part_of_a_way_that_is_too_far():
     assert found.best
 
 
+def test_without_effort_only_the_first_proposals_are_tried(hop):
+    found = discover(problems.load("hopper-hop"), seeds=3, effort=1e-3)
+    assert found.best
+    untried = [each for each in found.candidates if each.status == UNTRIED]
+    assert {each.source for each in untried} >= {"relaxed:1", "relaxed:2"}
+    assert all(each.seconds == 0 and each.why == "the effort was used" for each in untried)
+    assert found.effort < hop.effort
+
+
+def test_only_the_best_on_a_coarse_mesh_are_certified():
+    problem = problems.load("quadruped-trot", robot="solo12")
+    found = discover(problem, seeds=1, keep=2)
+    compared = [each for each in found.candidates if each.status == SCREENED and each.screened is not None]
+    assert compared
+    assert len(found.best) <= 3
+    assert all(each.screened >= found.best[0].screened * 0.98 for each in compared)
+    gaits = [each.source for each in found.candidates if each.source.startswith("gait:")]
+    assert len(gaits) == len(set(gaits))
+
+
+def test_a_neighbour_of_the_best_schedule_is_better():
+    """Relaxed contacts of G1 have phases on both feet that cost more than they bring."""
+    found = discover(problems.load("biped-gait", robot="g1"), seeds=1, known=False)
+    relaxed = next(each for each in found.candidates if each.source == "relaxed:0")
+    assert found.best[0].objective <= relaxed.objective
+    assert found.best[0].source.startswith("relaxed:0")
+
+
 def test_records_are_resumed(tmp_path):
     problem = problems.load("hopper-hop")
     first = discover(problem, seeds=1, folder=tmp_path)
@@ -127,7 +156,9 @@ def test_records_are_resumed(tmp_path):
     assert again.to_dict() == first.to_dict()
     assert again.best[0].solution.statistics.objective == first.best[0].objective
     more = discover(problem, seeds=2, folder=tmp_path, resume=True)
-    assert len(more.candidates) == len(first.candidates) + 1
+    assert {each.source for each in more.candidates} - {each.source for each in first.candidates} >= {
+        "relaxed:1"
+    }
     for other in (problems.load("hopper-gait"), problems.load("hopper-hop", distance=0.21)):
         with pytest.raises(InputError, match="has candidates of another task"):
             discover(other, seeds=1, folder=tmp_path, resume=True)
@@ -204,7 +235,7 @@ def test_a_process_that_takes_too_long_is_a_reason(monkeypatch):
     monkeypatch.setattr(search, "relaxed_proposal", _sleep)
     monkeypatch.setattr(search, "BESIDE", 0.05)
     found = discover(problems.load("hopper-hop"), seeds=2, known=False, jobs=2, max_time=20.0)
-    assert [each.source for each in found.candidates] == ["relaxed:0", "relaxed:1"]
+    assert [each.source for each in found.candidates][:2] == ["relaxed:0", "relaxed:1"]
     assert all("1 s" in each.why for each in found.candidates)
 
 

@@ -46,9 +46,14 @@ TIME_FORM = "allowed: seconds, such as 1.5, or bounds, such as 1:2"
 @value_option("--time", "SECONDS", "Of a robot: duration, or bounds LOW:HIGH.  [default: from the way]")
 @default_option("--seeds", 4, "N", "Relaxed motions, from noise beside legs that stand.", kind=SEEDS)
 @click.option("--no-known", is_flag=True, help="Without gaits, hops and steps that are known.")
-@default_option("--most", 12, "N", "Schedules that are solved with hard contacts, at most.", kind=MOST)
+@default_option(
+    "--keep", 3, "N", "Schedules that are certified, of those about as good as the best.", kind=MOST
+)
+@default_option("--most", 12, "N", "Schedules that are tried until their motion holds, at most.", kind=MOST)
+@default_option("--effort", 15.0, "RATIO", "Of all solves, over that of the easiest schedule.", kind=float)
 @default_option("--max-time", 30.0, "SECONDS", "For each relaxed motion, and each schedule.", kind=float)
 @value_option("--jobs", "N", "Processes.  [default: one for each processor]", JOBS)
+@value_option("--scheduler", "ADDRESS", "Dask scheduler, e.g. tcp://127.0.0.1:8786.")
 @value_option("--output-dir", "DIR", "Folder for the candidates.  [default: none]", Path)
 @click.option("--resume", is_flag=True, help="Go on with the candidates of the folder.")
 @value_option("--schedule-out", "FILE.py", "Write the best schedule as Python.", Path)
@@ -71,9 +76,9 @@ def discover_command(
 ) -> int:
     """Find who touches when, for PROBLEM, whose own phases are not used, or for the goal of a robot.
 
-    Proposals come from relaxed contacts, and from gaits, hops and steps that are known. Each is solved with
-    hard contacts and free durations until its motion holds at any time. Exit status 0 where one does, 1 where
-    none does.
+    Proposals come from relaxed contacts, from gaits, hops and steps that are known, and from neighbours of
+    the best. All are solved with hard contacts and free durations on a coarse mesh, the best of them until
+    their motion holds at any time. Exit status 0 where one does, 1 where none does.
     """
     from trajopt.discovery.gait_likeness import nearest_gait
     from trajopt.discovery.search import discover, nearest_reached

@@ -1,6 +1,6 @@
 """Modes: which contacts are on the ground when, read from forces and heights of a motion."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -12,6 +12,8 @@ from trajopt.schedule.gaits import support_names
 LOADED = 0.06
 # A contact that neither rises nor moves by more than this, over the robot's length, has not been lifted.
 LIFTED = 0.02
+# Relative duration below which a mode is none; times at which sequences are compared.
+TINY, SAMPLES = 1e-6, 100
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,18 @@ class ModeSequence:
         on = {foot: sum(time for contacts, time in self.modes if foot in contacts) for foot in feet}
         return {foot: time / self.duration for foot, time in on.items()}
 
+    def apart(self, other: "ModeSequence") -> float:
+        """Part of the time in which a contact is on the ground in one cycle only, at the best shift."""
+        names = sorted({name for key in (*self.key, *other.key) for name in key})
+        one, two = (each._active(names) for each in (self, other))
+        return float(min((one != np.roll(two, shift, axis=1)).mean() for shift in range(SAMPLES)))
+
+    def _active(self, names: Sequence[str]) -> np.ndarray:
+        """Whether each contact is on the ground at times between begin and end (n, SAMPLES)."""
+        ends = np.cumsum([duration for _, duration in self.modes]) / self.duration
+        at = np.searchsorted(ends[:-1], (np.arange(SAMPLES) + 0.5) / SAMPLES)
+        return np.array([[name in self.key[index] for index in at] for name in names])
+
     def source(self) -> str:
         """The schedule as Python that a problem can use."""
         lines = ["from trajopt.schedule import Phase, Schedule", "", "SCHEDULE = Schedule(", "    ("]
@@ -68,6 +82,21 @@ class ModeSequence:
                 turned = self.modes[start:] + self.modes[:start]
                 return replace(self, modes=turned, shift=self.shift + begin)
         return self
+
+    def neighbours(self, periodic: bool) -> Iterator[tuple[str, "ModeSequence"]]:
+        """Sequences with one mode less, and with two changes of contacts the other way round, by names."""
+        inner = range(len(self.modes)) if periodic else range(1, len(self.modes) - 1)
+        for k in inner:
+            contacts, duration = self.modes[k]
+            timed = replace(self, modes=(*self.modes[:k], (contacts, 0.0), *self.modes[k + 1 :]))
+            yield f"without-{k}", timed.without_short(duration * TINY, periodic)
+            before, after = (set(self.modes[(k + step) % len(self.modes)][0]) for step in (-1, 1))
+            middle = before ^ after ^ set(contacts)
+            if len(self.modes) > 2 and middle not in (set(contacts), before, after):
+                names = dict.fromkeys(name for key in self.key for name in key)
+                swapped = tuple(name for name in names if name in middle)
+                turned = (*self.modes[:k], (swapped, duration), *self.modes[k + 1 :])
+                yield f"swapped-{k}", replace(self, modes=turned)
 
     def without_short(self, least: float, periodic: bool) -> "ModeSequence":
         """Without modes shorter than ``least`` s: each goes to the neighbours that it differs least from.

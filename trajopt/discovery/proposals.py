@@ -16,6 +16,7 @@ from trajopt.guesses.legged import legged_guess
 from trajopt.schedule.gait_transitions import transition
 from trajopt.schedule.gaits import gait_names, gait_of
 from trajopt.schedule.schedule import Motion, Phase, Schedule
+from trajopt.solution.solution import Solution
 from trajopt.terms.tracking import KeyFrames
 
 # A relaxed motion is no proposal above this slack: feet still push from a distance.
@@ -33,7 +34,8 @@ MOST_CYCLES = 3
 class Proposal:
     """Modes from a ``source``, and a motion from the start of these modes on.
 
-    objective, slack: of the relaxed motion. seconds: of solvers. why: there are no modes.
+    objective, slack: of the relaxed motion. screened: objective with hard contacts on a coarse mesh. seconds,
+    effort: of solvers, effort as iterations times variables. why: it is rejected.
     """
 
     source: str
@@ -41,26 +43,42 @@ class Proposal:
     motion: Motion | None = None
     objective: float | None = None
     slack: float | None = None
+    screened: float | None = None
     seconds: float = 0.0
+    effort: float = 0.0
     why: str = ""
 
 
-def relaxed_proposal(task: ContactTask, seed: int, max_time: float) -> Proposal:
+def relaxed_name(seed: int, fine: bool = False) -> str:
+    """The source of a relaxed motion."""
+    return f"relaxed:{seed}" + (":fine" if fine else "")
+
+
+def relaxed_proposal(task: ContactTask, seed: int, max_time: float, fine: bool = False) -> Proposal:
     """The modes of a relaxed motion; ``max_time`` s of the solver."""
-    relaxed = relaxed_motion(task, seed=seed, max_time=max_time)
+    relaxed = relaxed_motion(task, seed=seed, max_time=max_time, fine=fine)
     solution, modes, slack = relaxed.solution, relaxed.modes, relaxed.slack
-    bare = Proposal(source=f"relaxed:{seed}", slack=slack, seconds=relaxed.seconds)
+    bare = Proposal(
+        source=relaxed_name(seed, fine), slack=slack, seconds=relaxed.seconds, effort=relaxed.effort
+    )
     if solution is None or modes is None or slack is None:
         return replace(bare, why="no relaxed motion was found")
     bare = replace(bare, objective=solution.statistics.objective)
     if slack > MOST_SLACK:
         why = f"contacts could not be tightened below a slack of {slack:g} (asked {MOST_SLACK:g})"
         return replace(bare, why=why)
+    return replace(
+        bare, modes=modes, motion=key_frames(task, solution, modes.shift if task.periodic else 0.0)
+    )
+
+
+def key_frames(task: ContactTask, solution: Solution, shift: float = 0.0) -> KeyFrames:
+    """The motion of a solution, of a cycle from ``shift`` s on."""
     times = np.linspace(0.0, float(solution.t[-1]), SAMPLES)
     q = solution.sample(times=times).q
-    if task.periodic:
-        times, q = _turned(task, q, times, modes.shift)
-    return replace(bare, modes=modes, motion=KeyFrames(task.robot, times, q))
+    if shift:
+        times, q = _turned(task, q, times, shift)
+    return KeyFrames(task.robot, times, q)
 
 
 def _turned(

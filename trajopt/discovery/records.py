@@ -16,7 +16,8 @@ from trajopt.solution.solution import Solution
 from trajopt.study.workers.records import JsonLines
 
 RECORD = "discovery.jsonl"
-CERTIFIED, REJECTED = "certified", "rejected"
+# Screened: solved on a coarse mesh alone; untried: not even that.
+CERTIFIED, REJECTED, SCREENED, UNTRIED = "certified", "rejected", "screened", "untried"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,8 +25,10 @@ class Candidate:
     """A schedule that was tried: where it is from, what rounding changed, and what became of it.
 
     relaxed_objective, slack: of the motion it was read from. dropped, unlifted: modes too short for the mesh
-    and swings that were none, left out by rounding. vanished: phases that shrank to nothing and were taken
-    out. objective: with hard contacts. why: it was rejected. seconds: of solvers. solution: if certified.
+    and swings that were none, left out by rounding. screened: objective with hard contacts on a coarse mesh.
+    vanished: phases that shrank to nothing and were taken out. objective: with hard contacts. why: it was
+    rejected or not tried. seconds, effort: of solvers, effort as iterations times variables. solution: if
+    certified.
     """
 
     source: str
@@ -33,10 +36,12 @@ class Candidate:
     status: str
     relaxed_objective: float | None = None
     slack: float | None = None
+    screened: float | None = None
     vanished: int = 0
     objective: float | None = None
     why: str = ""
     seconds: float = 0.0
+    effort: float = 0.0
     solution: Solution | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
@@ -77,6 +82,11 @@ class Discovery:
         """Of solvers, in all."""
         return sum(each.seconds for each in self.candidates)
 
+    @property
+    def effort(self) -> float:
+        """Iterations times variables of all solves."""
+        return sum(each.effort for each in self.candidates)
+
     def to_dict(self) -> dict[str, Any]:
         """JSON-able: the task, and every candidate."""
         return {
@@ -93,6 +103,8 @@ class Records:
         self.task, self.candidates = task, list[Candidate]()
         self.folder = None if folder is None else expanded(folder)
         path = None if self.folder is None else self.folder / RECORD
+        if path is not None and path.exists() and path.stat().st_size and not resume:
+            raise InputError(f"{self.folder} has candidates", "allowed: --resume, or another folder")
         self._lines = JsonLines(path)
         kept = self._lines.open(resume=resume)
         if path is not None and path.read_text().strip() and (not kept or "task" not in kept[0]):
@@ -106,7 +118,9 @@ class Records:
             )
         for each in kept[1:]:
             with suppress(KeyError, TypeError, ValueError, InputError):  # incomplete: it is tried again
-                self.candidates.append(self._read(each))
+                candidate = self._read(each)
+                if candidate.status != UNTRIED:
+                    self.candidates.append(candidate)
 
     def _read(self, told: Mapping[str, Any]) -> Candidate:
         solution = Solution.load(self._file(told["source"])) if told["status"] == CERTIFIED else None

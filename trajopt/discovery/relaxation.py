@@ -41,8 +41,10 @@ from trajopt.transcription.mesh import Mesh
 # Slacks of the solves, one after the other.
 SLACKS = (0.1, 0.03, 0.01, 0.003)
 SCHEME = "legendre:2"
-# Intervals in each sqrt(l / g) of the motion, and at most.
+# Intervals in each sqrt(l / g) of a motion, the least and the most; fewer in each, but on a fine mesh, where
+# intervals times nv are more than LARGE: Go2 with 24.
 PER_UNIT, LEAST_INTERVALS, MOST_INTERVALS = 5, 12, 60
+LARGE, PER_UNIT_LARGE = 432, 3
 MOST_ITERATIONS = 300
 # A mode shorter than so many intervals is not resolved.
 SHORTEST = 1.5
@@ -97,7 +99,7 @@ class Relaxation:
     """A motion without phases, the modes read from it, and what each solve took.
 
     solution: of the least slack that was solved, and that ``slack``; None without one. stages: slack, status,
-    iterations and objective of each solve. seconds: of the solver.
+    iterations and objective of each solve. seconds: of the solver; effort: iterations times variables.
     """
 
     solution: Solution | None
@@ -105,15 +107,21 @@ class Relaxation:
     slack: float | None
     stages: tuple[tuple[float, str, int, float | None], ...]
     seconds: float
+    effort: float
 
 
 def relaxed_motion(
-    task: ContactTask, *, seed: NonNegative = 0, intervals: int | None = None, max_time: float = 60.0
+    task: ContactTask,
+    *,
+    seed: NonNegative = 0,
+    intervals: int | None = None,
+    max_time: float = 60.0,
+    fine: bool = False,
 ) -> Relaxation:
     """Solve a task with relaxed contacts, from legs that stand still; a ``seed`` other than 0 adds noise."""
     solution, reached = None, None
-    stages, seconds = [], 0.0
-    count = intervals or _intervals(task)
+    stages, seconds, effort = [], 0.0, 0.0
+    count = intervals or intervals_of(task, fine)
     for slack in SLACKS:
         left = max_time - seconds
         if left <= 0:
@@ -125,13 +133,20 @@ def relaxed_motion(
         stop = StoppingCriteria(max_iterations=MOST_ITERATIONS, max_time=left)
         tightened = solve_prepared(prepared, start, origin={}, judge=False, stop=stop)
         figures = tightened.statistics
-        seconds += figures.wall_time_s
+        seconds, effort = seconds + figures.wall_time_s, effort + figures.iterations * figures.variables
         stages.append((slack, figures.status, figures.iterations, figures.objective))
         if not tightened.converged:
             break
         solution, reached = tightened, slack
     modes = None if solution is None else modes_of(task, solution, count)
-    return Relaxation(solution=solution, modes=modes, slack=reached, stages=tuple(stages), seconds=seconds)
+    return Relaxation(
+        solution=solution,
+        modes=modes,
+        slack=reached,
+        stages=tuple(stages),
+        seconds=seconds,
+        effort=effort,
+    )
 
 
 def modes_of(task: ContactTask, solution: Solution, intervals: int) -> ModeSequence:
@@ -162,9 +177,13 @@ def modes_of(task: ContactTask, solution: Solution, intervals: int) -> ModeSeque
     return modes.from_touchdown() if task.periodic else modes
 
 
-def _intervals(task: ContactTask) -> int:
+def intervals_of(task: ContactTask, fine: bool) -> int:
+    """Intervals of a relaxed motion."""
     units = task.duration / Units(task.robot).time
-    return int(np.clip(round(PER_UNIT * units), LEAST_INTERVALS, MOST_INTERVALS))
+    wanted = PER_UNIT * units
+    if not fine:
+        wanted = max(PER_UNIT_LARGE * units, min(wanted, LARGE / task.robot.nv))
+    return int(np.clip(round(wanted), LEAST_INTERVALS, MOST_INTERVALS))
 
 
 def _relaxed(task: ContactTask, slack: float) -> Problem:

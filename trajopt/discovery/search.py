@@ -1,36 +1,42 @@
-"""From a task to schedules with hard contacts: propose, certify, choose."""
+"""From a task to schedules with hard contacts: propose, screen, certify, choose."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from trajopt.arguments import checked
-from trajopt.discovery.modes import ModeSequence
-from trajopt.discovery.proposals import Proposal, known_proposals, relaxed_proposal
-from trajopt.discovery.records import CERTIFIED, REJECTED, Candidate, Discovery, Records
-from trajopt.discovery.task import FREE, ContactTask
+from trajopt.discovery.proposals import Proposal, key_frames, known_proposals, relaxed_name, relaxed_proposal
+from trajopt.discovery.records import REJECTED, SCREENED, UNTRIED, Candidate, Discovery, Records
+from trajopt.discovery.relaxation import intervals_of
+from trajopt.discovery.task import ContactTask
+from trajopt.discovery.trials import ROUNDS, certified, screened, untried
 from trajopt.errors import InputError
-from trajopt.motion.configurations import geodesic_motion
 from trajopt.problem.problem import Problem
-from trajopt.solution.solution import Solution
-from trajopt.solving.graded import solve
-from trajopt.solving.ladder import total_effort
-from trajopt.study.cluster import local_or
+from trajopt.solvers.status import Status
+from trajopt.solving.graded import MOST_ROUNDS
+from trajopt.study.cluster import chosen_cluster
 from trajopt.study.runner import DONE, Task, run_tasks
+from trajopt.study.workers.executor import processors
 
-SEEDS, MOST, MAX_TIME = 4, 12, 30.0
+SEEDS, MOST, MAX_TIME, KEEP, EFFORT = 4, 12, 30.0, 3, 15.0
+# Solves at a time on a cluster; known schedules and neighbours that are screened at a time.
+AHEAD, AT_A_TIME = 4, 4
+# A schedule beside the best is certified if on the coarse mesh it costs at most so much more, relative; one
+# beside those that are kept if it costs so much less.
+CLOSE, BETTER = 0.1, 0.02
 # Durations that differ by less in all, over that of the motion, are the same schedule.
 ALIKE = 0.2
-# A phase at its least duration is meant to vanish; relative to the bound.
-AT_BOUND = 1.02
 # Beside the solver's limit of time: to build, to examine and to solve once more without phases that vanish.
 BESIDE = 4.0
+INFEASIBLE = Status.INFEASIBLE.word
+# Index and value of each call as it ends; as text why its process was lost or took too long.
+Run = Callable[[Callable[..., Any], Sequence[tuple[Any, ...]]], Iterator[tuple[int, Any]]]
 
 
 @checked
@@ -39,22 +45,33 @@ def discover(
     *,
     seeds: int = SEEDS,
     known: bool = True,
+    keep: int = KEEP,
     most: int = MOST,
+    effort: float = EFFORT,
     max_time: float = MAX_TIME,
     jobs: int | None = 1,
+    scheduler: str | None = None,
     folder: Path | str | None = None,
     resume: bool = False,
     told: Callable[[Candidate], object] = id,
 ) -> Discovery:
     """Find schedules of contacts for a task, and motions with hard contacts that hold at any time.
 
+    A relaxed motion comes first, then known schedules, more relaxed motions, and neighbours of the best
+    schedule, as long as effort is left. All are solved on a coarse mesh, and those with the least objective
+    there until their motion holds.
+
     Args:
         problem: whose phases are not used, or a task, as from `task_to`.
         seeds: relaxed motions, the first from legs that stand still, others from noise beside it.
         known: whether gaits, hops and steps that are known are proposed, too.
-        most: schedules that are solved with hard contacts, at most.
+        keep: schedules about as good as the best that are certified, too, up to so many in all.
+        most: schedules that are tried until their motion holds, at most.
+        effort: of all solves, over that of the easiest one whose motion holds, in iterations times variables:
+            beyond it nothing is begun.
         max_time: s of the solver, for each relaxed motion and each schedule.
         jobs: processes; 1 stays in this one; None: one for each processor.
+        scheduler: address of a running Dask scheduler, instead of processes here.
         folder: where candidates are kept as they end; None keeps nothing.
         resume: whether candidates that are there are not tried again.
         told: called with each candidate as it ends.
@@ -62,39 +79,27 @@ def discover(
     Raises:
         InputError: for a problem whose schedule cannot be found, and a folder that cannot be written.
     """
-    if min(seeds, most) < 0 or seeds + known == 0 or most == 0 or max_time <= 0:
+    if min(seeds, most, keep) < 0 or seeds + known == 0 or 0 in (most, keep) or min(max_time, effort) <= 0:
         raise InputError(
-            "nothing is proposed or solved", "allowed: seeds or known ones, most >= 1, max_time > 0"
+            "nothing is proposed or solved",
+            "allowed: seeds or known ones, most >= 1, keep >= 1, max_time > 0, effort > 0",
         )
     task = problem if isinstance(problem, ContactTask) else ContactTask.of(problem)
     records = Records(task, folder, resume=resume)
     done = {each.source for each in records.candidates}
-    wanted = [seed for seed in range(seeds) if f"relaxed:{seed}" not in done]
-    limit = BESIDE * max_time
-    tried = _each(jobs, relaxed_proposal, [(task, seed, max_time) for seed in wanted], limit)
-    relaxed = [
-        value if isinstance(value, Proposal) else Proposal(source=f"relaxed:{wanted[k]}", why=str(value))
-        for k, value in tried
-    ]
-    proposals = [
-        *relaxed,
-        *(each for each in (known_proposals(task) if known else ()) if each.source not in done),
-    ]
-    trials: list[Proposal] = []
-    for proposal in sorted(proposals, key=_order):
-        same = next((each.source for each in trials if _alike(each, proposal)), "")
-        why = proposal.why or (same and f"the same modes as {same}")
-        if not why and len(trials) >= most:
-            why = f"{most} schedules that come before are tried"
-        if why:
-            told(records.add(_rejected(proposal, why)))
-        else:
-            trials.append(proposal)
-    ended = _each(jobs, certified, [(task, each, max_time) for each in trials], limit)
-    for index, candidate in ended:
-        if not isinstance(candidate, Candidate):
-            candidate = _rejected(trials[index], str(candidate))
-        told(records.add(candidate))
+    with _workers(jobs, scheduler, BESIDE * max_time) as run:
+        wave = AHEAD if scheduler is not None else processors() if jobs is None else jobs
+        search = _Search(task, records, run, wave, keep, most, effort, max_time, told)
+        seed = deque(each for each in range(seeds) if relaxed_name(each) not in done)
+        search.tried(search.relaxed([seed.popleft()] if seed else []))
+        names = search.in_turn(search.ordered(known))
+        while seed and search.has_effort(relaxed=True):
+            search.tried(search.relaxed([seed.popleft() for _ in range(min(wave, len(seed)))]))
+        if not search.best and intervals_of(task, fine=True) > intervals_of(task, fine=False):
+            again = [each for each in range(seeds) if relaxed_name(each, fine=True) not in done]
+            search.tried(search.relaxed(again, fine=True))
+        search.improved()
+        search.finished([*names, *(Proposal(source=relaxed_name(each)) for each in seed)])
     return Discovery(task=task, candidates=tuple(records.candidates))
 
 
@@ -122,9 +127,165 @@ def nearest_reached(
     return best
 
 
-def _order(proposal: Proposal) -> tuple[bool, float, str]:
-    """Relaxed ones by what they cost, then those that are known."""
-    return proposal.objective is None, proposal.objective or 0.0, proposal.source
+@dataclass
+class _Search:
+    """Proposals that wait, the least objective on a coarse mesh first; all that were screened; attempts.
+
+    given_up: what was not certified on the first meshes, with its proposal. easiest: least effort of a
+    motion that holds. relaxing: effort of the last relaxed motions.
+    """
+
+    task: ContactTask
+    records: Records
+    run: Run
+    wave: int
+    keep: int
+    most: int
+    effort: float
+    max_time: float
+    told: Callable[[Candidate], object]
+    waiting: list[Proposal] = field(default_factory=list)
+    screened: list[Proposal] = field(default_factory=list)
+    given_up: list[tuple[Proposal, Candidate]] = field(default_factory=list)
+    attempts: int = 0
+    easiest: float = math.inf
+    relaxing: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.easiest = min((each.effort for each in self.best), default=math.inf)
+
+    @property
+    def best(self) -> tuple[Candidate, ...]:
+        return Discovery(task=self.task, candidates=tuple(self.records.candidates)).best
+
+    @property
+    def spent(self) -> float:
+        ended = [*self.records.candidates, *(each for _, each in self.given_up)]
+        return sum(each.effort for each in ended) + sum(each.effort for each in self.waiting)
+
+    def has_effort(self, *, relaxed: bool = False) -> bool:
+        """Whether effort is left; for relaxed motions as much as the last ones took."""
+        return self.spent + (self.relaxing if relaxed else 0.0) <= self.effort * self.easiest
+
+    def relaxed(self, seeds: Sequence[int], fine: bool = False) -> Iterator[Proposal]:
+        """Proposals of relaxed motions."""
+        arguments = [(self.task, seed, self.max_time, fine) for seed in seeds]
+        for k, value in self.run(relaxed_proposal, arguments):
+            proposal = value
+            if not isinstance(value, Proposal):
+                proposal = Proposal(source=relaxed_name(seeds[k], fine), why=str(value))
+            self.relaxing = proposal.effort
+            yield proposal
+
+    def ordered(self, known: bool) -> list[Proposal]:
+        """Known proposals: of cycles the most like the relaxed motion first, else the fewest phases first."""
+        found = next((each.modes for each in self.screened if each.modes), None)
+
+        def place(proposal: Proposal) -> tuple[float, int]:
+            modes = proposal.modes
+            if modes is None:
+                return 0.0, 0
+            return found.apart(modes) if found and self.task.periodic else 0.0, len(modes.modes)
+
+        return sorted(known_proposals(self.task), key=place) if known else []
+
+    def tried(self, proposals: Iterable[Proposal]) -> None:
+        """Screen proposals, and certify the best of all that wait."""
+        proposals = [*proposals]
+        new: list[Proposal] = []
+        for each in proposals:
+            same = next((other.source for other in (*self.screened, *new) if _alike(other, each)), "")
+            why = each.why or (same and f"the same modes as {same}")
+            if why:
+                self._tell(untried(each, why, REJECTED))
+            else:
+                new.append(each)
+        for k, value in self.run(screened, [(self.task, each, self.max_time) for each in new]):
+            new[k] = value if isinstance(value, Proposal) else replace(new[k], why=str(value))
+        for each in new:
+            if each.why:
+                self._tell(untried(each, each.why, REJECTED))
+            else:
+                self.waiting.append(each)
+                self.screened.append(each)
+        self.waiting.sort(key=_promise)
+        while chosen := self._chosen():
+            self._certify(chosen, ROUNDS)
+
+    def _chosen(self) -> list[Proposal]:
+        """Those that are certified next, as many as there are processes."""
+        best, chosen = self.best, list[Proposal]()
+        while self.waiting and len(chosen) < self.wave and self.attempts < self.most:
+            reference = min((each.screened or each.objective or 0.0 for each in best), default=math.inf)
+            enough = len(best) + len(chosen) >= self.keep
+            limit = reference * (1 - BETTER if enough else 1 + CLOSE)
+            if best and (_promise(self.waiting[0])[0] > limit or not self.has_effort()):
+                break
+            chosen.append(self.waiting.pop(0))
+            self.attempts += 1
+        return chosen
+
+    def _certify(self, proposals: Sequence[Proposal], rounds: int) -> None:
+        arguments = [(self.task, each, self.max_time, rounds) for each in proposals]
+        for k, value in self.run(certified, arguments):
+            proposal = proposals[k]
+            candidate = value if isinstance(value, Candidate) else untried(proposal, str(value), REJECTED)
+            hopeless = INFEASIBLE in candidate.why
+            if candidate.objective is None and rounds == ROUNDS and not hopeless:
+                self.given_up.append((proposal, candidate))
+                continue
+            if candidate.objective is not None:
+                self.easiest = min(self.easiest, candidate.effort - proposal.effort)
+            self._tell(candidate)
+
+    def improved(self) -> None:
+        """Try neighbours of the best schedule until none is better or the effort is used."""
+        keep, self.keep, best = self.keep, 1, None
+        while self.best and self.best[0] is not best:
+            best = self.best[0]
+            assert best.modes is not None
+            assert best.solution is not None
+            motion = key_frames(self.task, best.solution)
+            self.in_turn(
+                Proposal(source=f"{best.source}:{name}", modes=modes, motion=motion)
+                for name, modes in best.modes.neighbours(self.task.periodic)
+                if not (self.task.periodic and modes.shift != best.modes.shift)
+            )
+        self.keep = keep
+
+    def in_turn(self, proposals: Iterable[Proposal]) -> list[Proposal]:
+        """Try proposals that are not on record, some at a time; those for which no effort was left."""
+        done = {each.source for each in self.records.candidates}
+        left = [each for each in proposals if each.source not in done]
+        while left and self.has_effort():
+            self.tried(left[:AT_A_TIME])
+            left = left[AT_A_TIME:]
+        return left
+
+    def finished(self, unsolved: Iterable[Proposal]) -> None:
+        """Take up what was given up where nothing is certified, and tell of all that was not tried."""
+        self.given_up.sort(key=lambda pair: _promise(pair[0]))
+        for _ in range(self.keep):
+            if self.best or not self.given_up:
+                break
+            proposal, first = self.given_up.pop(0)
+            more = replace(proposal, seconds=first.seconds, effort=first.effort)
+            self._certify([more], MOST_ROUNDS)
+        for _, candidate in self.given_up:
+            self._tell(candidate)
+        for each in self.waiting:
+            told = "not solved" if each.screened is None else f"objective {each.screened:.5g}"
+            self._tell(untried(each, f"on a coarse mesh {told}", SCREENED))
+        for each in unsolved:
+            self._tell(untried(each, each.why or "the effort was used", UNTRIED))
+
+    def _tell(self, candidate: Candidate) -> None:
+        self.told(self.records.add(candidate))
+
+
+def _promise(proposal: Proposal) -> tuple[float, str]:
+    """The least objective on a coarse mesh first; those that were not solved there last."""
+    return math.inf if proposal.screened is None else proposal.screened, proposal.source
 
 
 def _alike(one: Proposal, other: Proposal) -> bool:
@@ -135,99 +296,28 @@ def _alike(one: Proposal, other: Proposal) -> bool:
     return sum(apart) < ALIKE * one.modes.duration
 
 
-def _rejected(proposal: Proposal, why: str) -> Candidate:
-    return Candidate(
-        source=proposal.source,
-        modes=proposal.modes,
-        status=REJECTED,
-        relaxed_objective=proposal.objective,
-        slack=proposal.slack,
-        why=why,
-        seconds=proposal.seconds,
-    )
+@contextmanager
+def _workers(jobs: int | None, scheduler: str | None, limit: float) -> Iterator[Run]:
+    """Where calls run: in this process, in others, or on a Dask cluster, with a limit of time in s."""
 
+    def here(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+        return ((index, function(*each)) for index, each in enumerate(arguments))
 
-def certified(task: ContactTask, proposal: Proposal, max_time: float) -> Candidate:
-    """Solve a proposal with hard contacts until its motion holds, without phases that shrink to nothing."""
-    assert proposal.modes is not None
-    assert proposal.motion is not None
-    rejected = _rejected(proposal, "")
-    try:
-        solution = solve(task.with_modes(proposal.modes, proposal.motion), max_time=max_time)
-    except InputError as error:
-        return replace(rejected, why=f"{error}")
-    seconds = proposal.seconds + _spent(solution)
-    best, modes, vanished = solution, proposal.modes, 0
-    fewer = without_vanished(proposal.modes, solution, task.periodic)
-    if solution.success and fewer is not None:
-        again = _again(task, fewer, solution, max_time)
-        if again is not None:
-            seconds += _spent(again)
-            if again.success and _objective(again) <= _objective(solution) * (1 + 1e-3):
-                best, modes, vanished = again, fewer, len(proposal.modes.modes) - len(fewer.modes)
-    figures = best.statistics
-    if not best.success:
-        missed = f": {', '.join(figures.failures)}" if figures.failures else ""
-        return replace(
-            rejected, why=f"with hard contacts {figures.status.replace('_', ' ')}{missed}", seconds=seconds
-        )
-    return replace(
-        rejected,
-        status=CERTIFIED,
-        modes=replace(modes, modes=tuple(zip(modes.key, best.phase_durations, strict=True))),
-        objective=figures.objective,
-        vanished=vanished,
-        seconds=seconds,
-        solution=best,
-    )
-
-
-def without_vanished(modes: ModeSequence, solution: Solution, periodic: bool) -> ModeSequence | None:
-    """The modes without those that a motion has at their least duration; None where there is none."""
-    durations = solution.phase_durations
-    least = [AT_BOUND * FREE[0] * duration for _, duration in modes.modes]
-    if len(durations) != len(least) or all(a > b for a, b in zip(durations, least, strict=True)):
-        return None
-    timed = [(key, 0.0 if a <= b else a) for key, a, b in zip(modes.key, durations, least, strict=True)]
-    shortest = min((duration for _, duration in timed if duration), default=0.0)
-    fewer = ModeSequence(tuple(timed), dropped=modes.dropped, unlifted=modes.unlifted)
-    fewer = fewer.without_short(shortest / 2, periodic)
-    return replace(fewer, dropped=modes.dropped) if shortest else None
-
-
-def _again(task: ContactTask, modes: ModeSequence, solution: Solution, max_time: float) -> Solution | None:
-    """The problem of fewer modes, solved from a solution; None where its cycle would begin elsewhere."""
-    if task.periodic and modes.shift:
-        return None
-    try:
-        return solve(task.with_modes(modes, geodesic_motion(solution, task.robot)), max_time=max_time)
-    except InputError:
-        return None
-
-
-def _spent(solution: Solution) -> float:
-    """Time of the solver in all rounds, s."""
-    return float(total_effort([solution])["wall_time_s"])
-
-
-def _objective(solution: Solution) -> float:
-    value = solution.statistics.objective
-    return np.inf if value is None else value
-
-
-def _each(
-    jobs: int | None, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], limit: float
-) -> Iterator[tuple[int, Any]]:
-    """Index and value of each call as it ends; as text why its process was lost or took too long."""
-    if jobs == 1 or len(arguments) < 2:
-        for index, each in enumerate(arguments):
-            yield index, function(*each)
+    if jobs == 1 and scheduler is None:
+        yield here
         return
-    with local_or(None, jobs) as cluster:
-        waiting = deque(range(len(arguments)))
+    with chosen_cluster(scheduler, jobs) as cluster:
 
-        def make(index: int) -> Task:
-            return Task(name=str(index), limit=limit, function=function, args=arguments[index])
+        def run(
+            function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
+        ) -> Iterator[tuple[int, Any]]:
+            def make(index: int) -> Task:
+                return Task(name=str(index), limit=limit, function=function, args=arguments[index])
 
-        for ended in run_tasks(waiting, make, cluster.executor, window=cluster.window, check=cluster.check):
-            yield ended.key, ended.value if ended.kind == DONE else ended.detail
+            waiting = deque(range(len(arguments)))
+            for ended in run_tasks(
+                waiting, make, cluster.executor, window=cluster.window, check=cluster.check
+            ):
+                yield ended.key, ended.value if ended.kind == DONE else ended.detail
+
+        yield run

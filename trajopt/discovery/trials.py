@@ -1,0 +1,143 @@
+"""One schedule with hard contacts: what it costs on a coarse mesh, and its motion that holds at any time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from trajopt.discovery.modes import ModeSequence
+from trajopt.discovery.proposals import Proposal, key_frames
+from trajopt.discovery.records import CERTIFIED, REJECTED, Candidate
+from trajopt.discovery.task import FREE, ContactTask
+from trajopt.errors import InputError
+from trajopt.schedule.schedule import Motion
+from trajopt.solution.solution import Solution
+from trajopt.solving.graded import MOST_ROUNDS, solve_graded
+from trajopt.solving.solving import solve as solve_on_mesh
+from trajopt.transcription.mesh import Mesh
+
+# The mesh on which schedules are compared: scheme and part of the problem's intervals; tolerance and limit of
+# iterations.
+COARSE, PART, TOLERANCE, ITERATIONS = "legendre:2", 0.25, 1e-3, 40
+# Meshes of a first attempt to certify, and iterations on each.
+ROUNDS, PATIENCE = 3, 150
+# A phase at its least duration is meant to vanish; relative to the bound.
+AT_BOUND = 1.02
+
+
+def screened(task: ContactTask, proposal: Proposal, max_time: float) -> Proposal:
+    """The proposal with its objective on a coarse mesh; without one where that is not solved."""
+    assert proposal.modes is not None
+    assert proposal.motion is not None
+    try:
+        problem = task.with_modes(proposal.modes, proposal.motion)
+        counts = problem.schedule.intervals(problem.default_intervals)
+        mesh = Mesh.uniform(COARSE, [max(round(PART * count), 1) for count in counts])
+        solution = solve_on_mesh(
+            problem,
+            mesh=mesh,
+            tolerance=TOLERANCE,
+            max_iterations=ITERATIONS,
+            max_time=max_time,
+            judge=False,
+        )
+    except InputError as error:
+        return replace(proposal, why=f"{error}")
+    objective = solution.statistics.objective if solution.converged else None
+    return replace(
+        proposal,
+        screened=objective,
+        seconds=proposal.seconds + spent(solution)[0],
+        effort=proposal.effort + spent(solution)[1],
+    )
+
+
+def certified(task: ContactTask, proposal: Proposal, max_time: float, rounds: int = MOST_ROUNDS) -> Candidate:
+    """Solve a proposal with hard contacts until its motion holds, without phases that shrink to nothing."""
+    assert proposal.modes is not None
+    assert proposal.motion is not None
+    rejected = untried(proposal, "", REJECTED)
+    limits: dict[str, Any] = {"max_time": max_time, "max_rounds": rounds}
+    if rounds == ROUNDS:
+        limits["max_iterations"] = PATIENCE
+    solution = _solved(task, proposal.modes, proposal.motion, limits)
+    if solution is None:
+        return replace(rejected, why="the problem cannot have this schedule")
+    tried = [solution]
+    best, modes, vanished = solution, proposal.modes, 0
+    fewer = without_vanished(proposal.modes, solution, task.periodic)
+    if solution.success and fewer is not None and not (task.periodic and fewer.shift):
+        again = _solved(task, fewer, key_frames(task, solution), limits)
+        if again is not None:
+            tried.append(again)
+            if again.success and _objective(again) <= _objective(solution) * (1 + 1e-3):
+                best, modes, vanished = again, fewer, len(proposal.modes.modes) - len(fewer.modes)
+    used = np.sum([spent(each) for each in tried], axis=0)
+    rejected = replace(
+        rejected, seconds=rejected.seconds + float(used[0]), effort=rejected.effort + float(used[1])
+    )
+    figures = best.statistics
+    if not best.success:
+        missed = f": {', '.join(figures.failures)}" if figures.failures else ""
+        return replace(rejected, why=f"with hard contacts {figures.status.replace('_', ' ')}{missed}")
+    return replace(
+        rejected,
+        status=CERTIFIED,
+        modes=replace(modes, modes=tuple(zip(modes.key, best.phase_durations, strict=True))),
+        objective=figures.objective,
+        vanished=vanished,
+        solution=best,
+    )
+
+
+def untried(proposal: Proposal, why: str, status: str) -> Candidate:
+    """A proposal that is not certified, with the reason."""
+    return Candidate(
+        source=proposal.source,
+        modes=proposal.modes,
+        status=status,
+        relaxed_objective=proposal.objective,
+        slack=proposal.slack,
+        screened=proposal.screened,
+        why=why,
+        seconds=proposal.seconds,
+        effort=proposal.effort,
+    )
+
+
+def spent(solution: Solution) -> tuple[float, float]:
+    """Time of the solver in all rounds, s, and their iterations times variables."""
+    rounds = solution.statistics.rounds
+    return sum(each.wall_time_s for each in rounds), float(
+        sum(each.iterations * each.variables for each in rounds)
+    )
+
+
+def without_vanished(modes: ModeSequence, solution: Solution, periodic: bool) -> ModeSequence | None:
+    """The modes without those that a motion has at their least duration; None where there is none."""
+    durations = solution.phase_durations
+    least = [AT_BOUND * FREE[0] * duration for _, duration in modes.modes]
+    if len(durations) != len(least) or all(a > b for a, b in zip(durations, least, strict=True)):
+        return None
+    timed = [(key, 0.0 if a <= b else a) for key, a, b in zip(modes.key, durations, least, strict=True)]
+    shortest = min((duration for _, duration in timed if duration), default=0.0)
+    fewer = ModeSequence(tuple(timed), dropped=modes.dropped, unlifted=modes.unlifted)
+    fewer = fewer.without_short(shortest / 2, periodic)
+    return replace(fewer, dropped=modes.dropped) if shortest else None
+
+
+def _solved(
+    task: ContactTask, modes: ModeSequence, motion: Motion, limits: dict[str, Any]
+) -> Solution | None:
+    """The motion of a schedule; None where the problem cannot have it."""
+    try:
+        return solve_graded(task.with_modes(modes, motion), **limits).solution
+    except InputError:
+        return None
+
+
+def _objective(solution: Solution) -> float:
+    value = solution.statistics.objective
+    return np.inf if value is None else value
