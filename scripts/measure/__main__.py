@@ -60,6 +60,7 @@ COMMANDS = (
     discovery.goals,
     discovery.starts,
     discovery.slacks,
+    discovery.sorters,
     grades.grades,
     guesses.guesses,
     infeasible.infeasible,

@@ -1,26 +1,31 @@
 """Schedules that are found: against the library's own, by speed, for random goals, from random starts."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
+from scipy.stats import spearmanr
 
 import trajopt
 from scripts.measure.shared import head, named, row
 from trajopt.discovery import Destination, Discovery, discover, relaxation, task_to
 from trajopt.discovery.gait_likeness import nearest_gait
 from trajopt.discovery.goal import obstacle
-from trajopt.discovery.proposals import relaxed_proposal
+from trajopt.discovery.proposals import known_proposals, relaxed_proposal
 from trajopt.discovery.records import CERTIFIED
-from trajopt.discovery.search import certified
 from trajopt.discovery.task import ContactTask
+from trajopt.discovery.trials import certified, screened, spent
 from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError
 from trajopt.motion.energy_use import cost_of_transport
 from trajopt.problem.problem import Problem
-from trajopt.solving.ladder import total_effort
+from trajopt.reduced.single_rigid_body import body_problem
+from trajopt.reduced.two_stage import standing_share
+from trajopt.solving.solving import solve as solve_on_mesh
+from trajopt.terms.costs import TorqueCost, WrenchCost
 from trajopt_library import problems, robots
 
 SPEEDS = (0.2, 0.5, 0.8, 1.2)
@@ -44,6 +49,13 @@ SLACK_TASKS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("hopper-hop", {}),
     ("quadruped-box-up", {"robot": "go2"}),
     ("quadruped-gap", {"robot": "solo12"}),
+)
+SORTED_TASKS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("quadruped-trot", {"robot": "solo12", "speed": 0.29}),
+    ("quadruped-trot", {"robot": "go2", "speed": 1.4}),
+    ("quadruped-box-up", {"robot": "go2"}),
+    ("quadruped-gap", {"robot": "solo12"}),
+    ("quadruped-stand-up", {"robot": "go2"}),
 )
 # Of random goals: over the robot's length, and rad; a box of a height, or level ground.
 ROBOTS = ("go2", "solo12", "anymal_c")
@@ -69,8 +81,8 @@ def discovery(seeds: int) -> None:
         "nearest gait",
         "phases",
         "candidates",
-        "solvers over own: all",
-        "quickest within 5 %, alone",
+        "solvers over own: time",
+        "iterations times variables",
     )
     trots = [
         ("quadruped-trot", {"robot": robot, "speed": speed_of(robot, speed)})
@@ -84,21 +96,19 @@ def discovery(seeds: int) -> None:
         cycles = found.task.duration / problem.schedule.duration
         shown = {key: f"{value:.2g}" if isinstance(value, float) else value for key, value in values.items()}
         label = named(name, shown)
-        _row(
-            label, found, cycles * (own.statistics.objective or math.nan), total_effort([own])["wall_time_s"]
-        )
+        _row(label, found, cycles * (own.statistics.objective or math.nan), spent(own))
 
 
-def _row(label: str, found: Discovery, cost: float, seconds: float) -> None:
+def _row(label: str, found: Discovery, cost: float, own: tuple[float, float]) -> None:
     count = f"{len(found.best)} of {len(found.candidates)}"
+    ratios = f"{found.seconds / own[0]:.0f}", f"{found.effort / own[1]:.0f}"
     if not found.best:
-        row(label, f"{cost:.4g}", "none", "", "", "", "", count, f"{found.seconds / seconds:.0f}", "")
+        row(label, f"{cost:.4g}", "none", "", "", "", "", count, *ratios)
         return
     best = found.best[0]
     assert best.objective is not None
     assert best.modes is not None
     gait = nearest_gait(found.task, best.modes)
-    near = [each.seconds for each in found.best if (each.objective or 0.0) <= 1.05 * cost]
     row(
         label,
         f"{cost:.4g}",
@@ -108,8 +118,7 @@ def _row(label: str, found: Discovery, cost: float, seconds: float) -> None:
         "" if gait is None else f"{gait[0]} ({100 * gait[1]:.0f} %)",
         len(best.modes.modes),
         count,
-        f"{found.seconds / seconds:.0f}",
-        f"{min(near) / seconds:.0f}" if near else "none",
+        *ratios,
     )
 
 
@@ -179,6 +188,57 @@ def _draw(points: list[tuple[float, float, str]], robot: str, path: Path) -> Non
     )
     axes.legend(frameon=False)
     figure.savefig(path)
+
+
+@click.command("discovery-sorters")
+def sorters() -> None:
+    """What tells good schedules from bad ones before they are certified: rank correlation with their cost."""
+    head(
+        "problem",
+        "known schedules",
+        "coarse mesh",
+        "single rigid body",
+        "likeness to a relaxed motion",
+        "solver time over that of the first mesh: coarse mesh",
+        "single rigid body",
+    )
+    for name, values in SORTED_TASKS:
+        task = ContactTask.of(problems.load(name, **values))
+        relaxed = relaxed_proposal(task, 1, 30.0)
+        figures: list[list[float]] = []
+        seconds = np.zeros(3)
+        for proposal in known_proposals(task):
+            if proposal.modes is None or proposal.motion is None:
+                continue
+            problem = task.with_modes(proposal.modes, proposal.motion)
+            draft = trajopt.solve(problem, draft=True, max_time=30.0)
+            coarse = screened(task, proposal, 30.0)
+            body = solve_on_mesh(_body(problem), intervals=problem.default_intervals // 3, judge=False)
+            seconds += spent(draft)[0], coarse.seconds, spent(body)[0]
+            away = math.nan if relaxed.modes is None else relaxed.modes.apart(proposal.modes)
+            solved = [each.statistics.objective if each.converged else math.inf for each in (draft, body)]
+            figures.append(
+                [solved[0], math.inf if coarse.screened is None else coarse.screened, solved[1], away]
+            )
+        cost, *others = np.array(figures).T
+        ranks = [float(spearmanr(cost, other).statistic) for other in others]
+        label = named(
+            name, {key: value if isinstance(value, str) else f"{value:.2g}" for key, value in values.items()}
+        )
+        row(
+            label,
+            len(figures),
+            *(f"{rank:.2f}" for rank in ranks),
+            *(f"{s:.2f}" for s in seconds[1:] / seconds[0]),
+        )
+
+
+def _body(problem: Problem) -> Problem:
+    """The problem of one rigid body, with wrenches that cost what torques do in standing still."""
+    body = body_problem(replace(problem, periodicity=None))
+    share = standing_share(problem.robot)
+    costs = (WrenchCost(weight=share * term.weight) for term in problem.terms if isinstance(term, TorqueCost))
+    return replace(body, terms=(*body.terms, *costs), periodicity=problem.periodicity)
 
 
 @click.command("discovery-goals")

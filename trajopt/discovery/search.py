@@ -67,8 +67,8 @@ def discover(
         known: whether gaits, hops and steps that are known are proposed, too.
         keep: schedules about as good as the best that are certified, too, up to so many in all.
         most: schedules that are tried until their motion holds, at most.
-        effort: of all solves, over that of the easiest one whose motion holds, in iterations times variables:
-            beyond it nothing is begun.
+        effort: of all solves, over that of the easiest schedule that is certified, on its first mesh, in
+            iterations times variables: beyond it nothing is begun.
         max_time: s of the solver, for each relaxed motion and each schedule.
         jobs: processes; 1 stays in this one; None: one for each processor.
         scheduler: address of a running Dask scheduler, instead of processes here.
@@ -131,8 +131,8 @@ def nearest_reached(
 class _Search:
     """Proposals that wait, the least objective on a coarse mesh first; all that were screened; attempts.
 
-    given_up: what was not certified on the first meshes, with its proposal. easiest: least effort of a
-    motion that holds. relaxing: effort of the last relaxed motions.
+    given_up: what was not certified on the first meshes, with its proposal. relaxing: effort of the last
+    relaxed motion.
     """
 
     task: ContactTask
@@ -148,11 +148,7 @@ class _Search:
     screened: list[Proposal] = field(default_factory=list)
     given_up: list[tuple[Proposal, Candidate]] = field(default_factory=list)
     attempts: int = 0
-    easiest: float = math.inf
     relaxing: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.easiest = min((each.effort for each in self.best), default=math.inf)
 
     @property
     def best(self) -> tuple[Candidate, ...]:
@@ -165,7 +161,9 @@ class _Search:
 
     def has_effort(self, *, relaxed: bool = False) -> bool:
         """Whether effort is left; for relaxed motions as much as the last ones took."""
-        return self.spent + (self.relaxing if relaxed else 0.0) <= self.effort * self.easiest
+        first = (each.solution.statistics.rounds[0] for each in self.best if each.solution)
+        easiest = min((each.iterations * each.variables for each in first), default=math.inf)
+        return self.spent + (self.relaxing if relaxed else 0.0) <= self.effort * easiest
 
     def relaxed(self, seeds: Sequence[int], fine: bool = False) -> Iterator[Proposal]:
         """Proposals of relaxed motions."""
@@ -215,14 +213,19 @@ class _Search:
     def _chosen(self) -> list[Proposal]:
         """Those that are certified next, as many as there are processes."""
         best, chosen = self.best, list[Proposal]()
-        while self.waiting and len(chosen) < self.wave and self.attempts < self.most:
-            reference = min((each.screened or each.objective or 0.0 for each in best), default=math.inf)
+        reference = min((each.screened or each.objective or 0.0 for each in best), default=math.inf)
+        failed = {each.modes and each.modes.key for each, _ in self.given_up} if best else set()
+        for proposal in [*self.waiting]:
             enough = len(best) + len(chosen) >= self.keep
             limit = reference * (1 - BETTER if enough else 1 + CLOSE)
-            if best and (_promise(self.waiting[0])[0] > limit or not self.has_effort()):
+            if len(chosen) == self.wave or self.attempts >= self.most:
                 break
-            chosen.append(self.waiting.pop(0))
-            self.attempts += 1
+            if best and (_promise(proposal)[0] > limit or not self.has_effort()):
+                break
+            if proposal.modes and proposal.modes.key not in failed:
+                chosen.append(proposal)
+                self.waiting.remove(proposal)
+                self.attempts += 1
         return chosen
 
     def _certify(self, proposals: Sequence[Proposal], rounds: int) -> None:
@@ -234,8 +237,6 @@ class _Search:
             if candidate.objective is None and rounds == ROUNDS and not hopeless:
                 self.given_up.append((proposal, candidate))
                 continue
-            if candidate.objective is not None:
-                self.easiest = min(self.easiest, candidate.effort - proposal.effort)
             self._tell(candidate)
 
     def improved(self) -> None:

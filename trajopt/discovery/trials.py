@@ -22,7 +22,7 @@ from trajopt.transcription.mesh import Mesh
 # iterations.
 COARSE, PART, TOLERANCE, ITERATIONS = "legendre:2", 0.25, 1e-3, 40
 # Meshes of a first attempt to certify, and iterations on each.
-ROUNDS, PATIENCE = 3, 150
+ROUNDS, PATIENCE = 3, 100
 # A phase at its least duration is meant to vanish; relative to the bound.
 AT_BOUND = 1.02
 
