@@ -80,3 +80,24 @@ def test_the_schedule_is_written_as_python():
     phases = scope["SCHEDULE"].phases
     assert [phase.name for phase in phases] == ["single_1", "flight_1", "double_1"]
     assert [(phase.contacts, phase.duration) for phase in phases] == list(modes.modes)
+
+
+def test_neighbours_have_one_mode_less_or_two_changes_the_other_way_round():
+    modes = ModeSequence(((FEET, 0.3), (("a",), 0.2), ((), 0.1), (FEET, 0.4)))
+    near = dict(modes.neighbours(False))
+    assert near["without-1"].key == (FEET, (), FEET)
+    assert near["swapped-1"].key == (FEET, ("b",), (), FEET)
+    assert "without-0" not in near  # a motion that is no cycle keeps its ends
+    assert "without-3" not in near
+    for each in near.values():
+        assert each.duration == pytest.approx(modes.duration)
+    assert "without-3" in dict(modes.neighbours(True))
+
+
+def test_cycles_are_apart_by_the_time_in_which_a_contact_is_down_in_one_only():
+    trot = ModeSequence(((("a",), 0.5), (("b",), 0.5)))
+    late = ModeSequence(((("b",), 1.0), (("a",), 1.0)))
+    stand = ModeSequence(((FEET, 1.0),))
+    assert trot.apart(late) == pytest.approx(0.0)  # at the best shift, whatever the period
+    assert trot.apart(stand) == pytest.approx(0.5)
+    assert stand.apart(trot) == trot.apart(stand)

@@ -12,8 +12,8 @@ from trajopt.schedule.gaits import support_names
 LOADED = 0.06
 # A contact that neither rises nor moves by more than this, over the robot's length, has not been lifted.
 LIFTED = 0.02
-# Relative duration below which a mode is none; times at which sequences are compared.
-TINY, SAMPLES = 1e-6, 100
+# Times at which sequences are compared.
+SAMPLES = 100
 
 
 @dataclass(frozen=True)
@@ -84,19 +84,26 @@ class ModeSequence:
         return self
 
     def neighbours(self, periodic: bool) -> Iterator[tuple[str, "ModeSequence"]]:
-        """Sequences with one mode less, and with two changes of contacts the other way round, by names."""
-        inner = range(len(self.modes)) if periodic else range(1, len(self.modes) - 1)
-        for k in inner:
+        """Sequences with one mode less, and with two changes of contacts the other way round, by names.
+
+        The first mode stays, and the last one of a motion that is no cycle.
+        """
+        count = len(self.modes)
+        for k in range(1, count if periodic else count - 1):
             contacts, duration = self.modes[k]
-            timed = replace(self, modes=(*self.modes[:k], (contacts, 0.0), *self.modes[k + 1 :]))
-            yield f"without-{k}", timed.without_short(duration * TINY, periodic)
-            before, after = (set(self.modes[(k + step) % len(self.modes)][0]) for step in (-1, 1))
+            modes, halves = [*self.modes], (k - 1, k + 1) if k + 1 < count else (k - 1, k - 1)
+            for i in halves:
+                modes[i] = (modes[i][0], modes[i][1] + duration / 2)
+            modes.pop(k)
+            yield f"without-{k}", replace(self, modes=tuple(modes))._joined(periodic)
+            before, after = (set(self.modes[i % count][0]) for i in (k - 1, k + 1))
             middle = before ^ after ^ set(contacts)
-            if len(self.modes) > 2 and middle not in (set(contacts), before, after):
+            if count > 2 and middle not in (set(contacts), before, after):
                 names = dict.fromkeys(name for key in self.key for name in key)
                 swapped = tuple(name for name in names if name in middle)
-                turned = (*self.modes[:k], (swapped, duration), *self.modes[k + 1 :])
-                yield f"swapped-{k}", replace(self, modes=turned)
+                modes = [*self.modes]
+                modes[k] = (swapped, duration)
+                yield f"swapped-{k}", replace(self, modes=tuple(modes))
 
     def without_short(self, least: float, periodic: bool) -> "ModeSequence":
         """Without modes shorter than ``least`` s: each goes to the neighbours that it differs least from.
