@@ -1,4 +1,4 @@
-"""Humanoids on feet and hands: they push off a wall, lean on a table and reach beyond it, climb between rails."""
+"""Humanoids on feet and hands: they push off a wall, lean on a table to reach beyond it, climb with rails."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,17 +31,13 @@ PUSH, RECOVER, APPROACH, REACH, MOVE = 2.0, 5.0, 5.0, 5.0, 3.5
 # height over that of the base. The table is solid beneath a layer for hands, of which the contact is a ball.
 TABLE, GOAL_AHEAD, GOAL_UP, LAYER = 1.0, 2.2, 1.2, 0.05
 TABLE_SIDES, EDGE = (0.6, 1.2, 0.04), 0.1  # m; the hand is EDGE from the edge
-# Steps and rails over the height of the base; a run over a sole; where a step begins, and rails ahead of feet.
+# Steps and rails over the height of the base, a run over a sole; where steps begin; rails: ahead, apart.
 RISE, RUN, RAIL, SOLES, BEFORE_HEEL, AHEAD, APART = 0.35, 0.45, 0.75, 1.25, 0.1, 0.15, 1.3
 # In the guess the base shifts this part of the way to the foot that stands, and has covered these fractions
 # forward and upward at the ends of a step's phases.
 SWAY, FORWARD, UPWARD = 0.4, (0.0, 0.1, 0.35, 0.65, 0.95), (0.0, 0.0, 0.2, 0.35, 1.0)
 CLEARANCE = 0.05
-INTERVALS = {
-    "humanoid-push-off": 30,
-    "humanoid-lean": 60,
-    "humanoid-climb": 20,
-}  # of climbing, for each phase
+INTERVALS, OF_PHASE = 30, 20
 
 Poses = Mapping[str, pin.SE3]
 
@@ -49,12 +45,12 @@ Poses = Mapping[str, pin.SE3]
 @picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KeyPostures:
-    """Guess: from posture (nq,) to posture, one at each end of a phase; contacts held, feet swung over terrain."""
+    """Guess: from posture (nq,) to posture, one at each end of a phase; contacts hold, feet swing."""
 
     robot: Robot
     schedule: Schedule
     postures: Sequence[np.ndarray]
-    terrain: Terrain = FlatGround()
+    terrain: Terrain | None = None
 
     def __call__(self, t: float) -> np.ndarray:
         """The posture (nq,) at ``t`` s."""
@@ -64,11 +60,11 @@ class KeyPostures:
         s = float((t - ends[index]) / phase.duration) + 1
         begin, end = (contact_poses(self.robot, posture) for posture in (before, after))
         places = {name: end[name] for name in phase.contacts}
-        sole = max(contact.half_length for contact in self.robot.contacts)
-        swing = swing_path(self.terrain, lift(self.robot), reach=sole)
         for foot in set(biped_legs(self.robot)) - set(phase.contacts):
-            ends_of_swing = begin[foot].translation, end[foot].translation
-            places[foot] = pin.SE3(end[foot].rotation, swing(foot, *ends_of_swing, s))
+            reach = self.robot.contact(foot).half_length
+            swing = swing_path(self.terrain or FlatGround(), lift(self.robot), reach=reach)
+            position = swing(foot, begin[foot].translation, end[foot].translation, s)
+            places[foot] = pin.SE3(end[foot].rotation, position)
         q = np.asarray(pin.interpolate(self.robot.model, before, after, smooth_step(s)))
         return inverse_kinematics(self.robot, q, contact_targets(self.robot, places)).q
 
@@ -109,7 +105,7 @@ def middle_of(robot: Robot) -> np.ndarray:
 
 
 def shoulders(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Where arms begin (3,), m, world, by the hand's name: at the first joint that carries this hand alone."""
+    """Where arms begin (3,), m, world, by the hand's name: the first joint that carries this hand alone."""
     model, data = robot.model, robot.model.createData()
     pin.forwardKinematics(model, data, q)
     frames = {name: model.frames[model.getFrameId(robot.contact(name).frame)] for name in bipeds.hands(robot)}
@@ -164,9 +160,8 @@ def build_push_off(
     start = touching(values["distance"])
     if start.error > pushing.REACHED:
         raise InputError(
-            f"hands of '{body.name}', which leans by {lean:g} rad, do not reach a wall {values['distance']:g} m"
-            " ahead of its soles",
-            f"allowed: up to {near + way:.3f} m, and farther than its shoulders and hands",
+            f"hands of '{body.name}', lean {lean:g} rad, miss a wall {values['distance']:g} m from its soles",
+            f"allowed: up to {near + way:.3f} m, and not much nearer than {near:.3f} m",
         )
     place = middle + np.array([values["distance"], 0.0, 0.0])
     wall = Surface(point=place, normal=common.wall_normal(0.0), friction=wall_friction)
@@ -187,7 +182,7 @@ def build_push_off(
         end=body.reference,
         initial_q=start.q,
         parameters=values,
-        default_intervals=INTERVALS["humanoid-push-off"],
+        default_intervals=INTERVALS,
     )
 
 
@@ -241,7 +236,7 @@ def build_lean(
         more=(Clearance(obstacles=(solid,)),),
         end=(FramePose(frame=body.contact(right).frame, position=goal), TerminalRest(q=end.q)),
         parameters=values,
-        default_intervals=INTERVALS["humanoid-lean"],
+        default_intervals=2 * INTERVALS,
     )
 
 
@@ -263,69 +258,52 @@ def build_climb(*, robot: str, steps: float, friction: float, **given: float | N
     edge = float(middle[0]) - sole / 2 + (1 - BEFORE_HEEL) * run
     terrain = PiecewiseTerrain.stairs(rise, run, count, at=(edge, 0.0), friction=friction)
     (left, right), (left_hand, right_hand) = biped_legs(body), bipeds.hands(body)
-    base, sides = body.reference[:3], {}
-    for name in (left, right):
-        sides[name] = SWAY * float(poses[name].translation[1] - base[1])
-    places, rails, phases, postures = dict(soles(body)), {}, [], [body.reference]
+    base, feet, hands = pin.XYZQUATToSE3(body.reference[:7]), (left, right), (left_hand, right_hand)
+    places, rails, postures = dict(soles(body)), {}, [body.reference]
+    phases: list[Phase] = []
 
-    def moved(name: str, contacts: Sequence[str], shift: np.ndarray, then: Poses, time: float = move) -> None:
-        """Add a phase on ``contacts``, and the posture at its end, with those at ``then`` at their new places."""
-        new = [each for each in contacts if not phases or each not in phases[-1].contacts]
-        lands = {
-            each: rails[each].point if each in rails else places[each].translation for each in new if phases
-        }
-        on = {each: rails[each] for each in contacts if each in rails}
-        phases.append(Phase(name=name, duration=time, contacts=tuple(contacts), surfaces=on, footholds=lands))
-        pose = pin.SE3(pin.XYZQUATToSE3(body.reference[:7]).rotation, base + shift)
-        wanted = {**{each: places[each] for each in contacts}, **then}
+    def moved(name: str, on: Sequence[str], shift: np.ndarray, then: Poses, time: float = move) -> None:
+        """Add a phase on contacts and the posture at its end, where those of ``then`` are in their places."""
+        lands = [each for each in on if phases and each not in phases[-1].contacts]
+        touched = {each: rails[each].point if each in rails else places[each].translation for each in lands}
+        surfaces = {each: rails[each] for each in on if each in rails}
+        phases.append(
+            Phase(name=name, duration=time, contacts=tuple(on), surfaces=surfaces, footholds=touched)
+        )
+        pose, wanted = at(shift) * base, {**{each: places[each] for each in on}, **then}
         found = reached(body, postures[-1], pose, wanted, move=True)
         if found.error > pushing.REACHED:
             raise InputError(
-                f"'{body.name}' misses contacts of phase '{name}' by {found.error:.3g} m",
+                f"'{body.name}' misses places of contacts in phase '{name}' by {found.error:.3g} m",
                 "allowed: lower or less deep steps, or rails at another height",
             )
         postures.append(found.q)
         places.update(then)
 
-    feet, hands = (left, right), (left_hand, right_hand)
-    for k in range(count):
-        shifts = [
-            way * (k + np.array([x, 0.0, z])) + np.array([0.0, y, 0.0])
-            for x, z, y in zip(
-                FORWARD, UPWARD, (0.0, sides[left], sides[left], sides[right], sides[right]), strict=True
-            )
-        ]
-        holds = {
-            hand: np.array([middle[0] + AHEAD * up, APART * poses[hand].translation[1], rail]) + (k + 1) * way
-            for hand in hands
-        }
-        grips = {hand: at(hold + body.contact(hand).radius * UP) for hand, hold in holds.items()}
+    def grasped(hand: str, step: int) -> pin.SE3:
+        ahead = np.array([middle[0] + AHEAD * up, APART * poses[hand].translation[1], rail])
+        rails[hand] = Surface(point=ahead + (step + 1) * way, normal=UP, bilateral=True)
+        return at(rails[hand].point + body.contact(hand).radius * UP)
+
+    for step in range(count):
+        aside = np.array([0, *(SWAY * poses[foot].translation[1] for foot in (left, left, right, right))])
+        shifts = way * (step + np.transpose([FORWARD, np.zeros(5), UPWARD]))
+        shifts[:, 1] = aside
         for index, (hand, other) in enumerate((hands, hands[::-1])):
-            on = (*feet, other) if index or k else feet
-            moved(f"{hand}_{k + 1}", on, shifts[index], {hand: grips[hand]})
-            rails[hand] = Surface(point=holds[hand], normal=UP, bilateral=True)
-        for index, (foot, other) in enumerate(((right, left), (left, right))):
-            then = {foot: pin.SE3(places[foot].rotation, places[foot].translation + way)}
-            moved(f"{foot}_{k + 1}", (other, *hands), shifts[2 + 2 * index], then)
+            on = (*feet, other) if other in rails else feet
+            rails.pop(hand, None)
+            moved(f"{hand}_{step + 1}", on, shifts[index], {hand: grasped(hand, step)})
+        for index, (foot, other) in enumerate((feet[::-1], feet)):
+            moved(
+                f"{foot}_{step + 1}", (other, *hands), shifts[2 + 2 * index], {foot: at(way) * places[foot]}
+            )
             if not index:
-                moved(f"double_{k + 1}", (*feet, *hands), shifts[3], {}, move / 2)
+                moved(f"double_{step + 1}", (*feet, *hands), shifts[3], {}, move / 2)
     moved("hold", (*feet, *hands), count * way, {}, move / 2)
     moved("rest", feet, count * way, {})
     schedule, end = Schedule(tuple(phases)), common.displaced(body, count * way)
     guess = KeyPostures(robot=body, schedule=schedule, postures=(*postures[:-1], end), terrain=terrain)
-    walking = Schedule(
-        tuple(
-            replace(
-                phase,
-                contacts=on,
-                surfaces={},
-                footholds={n: p for n, p in phase.footholds.items() if n in on},
-            )
-            for phase in phases
-            for on in [tuple(name for name in phase.contacts if name in feet)]
-        )
-    )
-    legs = replace(body, contacts=tuple(body.contact(name) for name in feet))
+    legs = replace(body, contacts=tuple(body.contact(name) for name in feet))  # hands swing in the air
     return common.problem(
         "humanoid-climb",
         body,
@@ -333,10 +311,10 @@ def build_climb(*, robot: str, steps: float, friction: float, **given: float | N
         guess,
         torque_share=share,
         terrain=terrain,
-        more=swing_clearance(legs, walking, terrain, height=lift(body), guess=guess),
+        more=swing_clearance(legs, schedule, terrain, height=lift(body), guess=guess),
         end=end,
         parameters=values,
-        default_intervals=INTERVALS["humanoid-climb"] * len(phases),
+        default_intervals=OF_PHASE * len(phases),
     )
 
 
@@ -356,7 +334,7 @@ FAMILIES = (
             common.length(
                 "distance",
                 None,
-                "distance of the wall ahead of the soles' middle (default: from the arms)",
+                "distance of the wall from the soles' middle (default: for bent arms)",
                 (0.0, 3.0),
             ),
             common.duration("push", None, "duration until the hands leave the wall", (0.05, 5.0)),
@@ -371,7 +349,7 @@ FAMILIES = (
         name="humanoid-lean",
         robots=("g1",),
         phases=("approach", "stretch"),
-        summary="lean on a table with the left hand and reach far beyond the toes with the right, at rest at the end",
+        summary="lean on a table with the left hand to reach far beyond it with the right, at rest",
         parameters=(
             _lean(0.4),
             common.length("distance", None, "distance of the left hand from the soles' middle", (0.0, 3.0)),
@@ -392,7 +370,7 @@ FAMILIES = (
         name="humanoid-climb",
         robots=("g1",),
         phases=("left_hand", "right_hand", "right", "double", "left", "hold", "rest"),
-        summary="climb high steps between two rails, hands and feet one after the other, then let go and rest",
+        summary="climb high steps between two rails, hands and feet one after the other, and rest",
         parameters=(
             common.number("steps", 1.0, "", "number of steps", (1.0, 5.0)),
             common.length("rise", None, "height of a step (default: 0.35 of the base's height)", (0.01, 1.0)),

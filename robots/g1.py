@@ -1,4 +1,4 @@
-"""Unitree G1, the 33 kg humanoid, on two soles, its waist locked; with its arms and hands, or these locked, too."""
+"""Unitree G1, the 33 kg humanoid, on two soles; its waist is locked, so are its arms, if not asked for."""
 
 import numpy as np
 import pinocchio as pin
@@ -19,11 +19,11 @@ HIP_PITCH, KNEE, ANKLE_PITCH = -0.5253, 1.1, -0.5747  # rad
 # Arms hang beside the body with bent elbows.
 SHOULDER_PITCH, SHOULDER_ROLL, ELBOW = 0.2, 0.2, 0.9  # rad
 ARMS = ("shoulder", "elbow", "wrist")
-# The front of the rubber hand is within 3 mm of a ball around this point in its frame; of the right one mirrored.
+# A ball around this point of the left rubber hand's frame touches, at the fingertips; the right one mirrored.
 HAND_CENTRE, HAND_RADIUS = (0.1, -0.02, 0.01), 0.03  # m
 
-# Inertia of rotors on the joint side, kg m^2, as in MuJoCo Menagerie's unitree_g1/g1.xml; the URDF has none. Without
-# it a hand that is pressed on a wall turns about the point of contact within some 10 ms.
+# Inertia of rotors on the joint side, kg m^2, as in MuJoCo Menagerie's unitree_g1/g1.xml; the URDF has none.
+# Without it a hand that is pressed on a wall turns about the point of contact within some 10 ms.
 ARMATURE = 0.01
 
 

@@ -1,4 +1,4 @@
-"""Talos, the 90 kg humanoid of PAL Robotics: two soles, and the left hand as a point contact, or both hands."""
+"""Talos, the 90 kg humanoid of PAL Robotics: two soles, and the left hand or both as points."""
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +15,7 @@ HALF_LENGTH, HALF_WIDTH = 0.1, 0.06
 HALF_SITTING = {"3": -0.411, "4": 0.859, "5": -0.448}
 ARM = {"1": 0.25, "2": 0.25, "3": 0.0, "4": -1.6, "5": 0.0, "6": 0.0, "7": 0.0}
 LOCKED = ("gripper", "head", "torso")
-# The tips of a gripper's fingers, 6 cm around its axis, end on a plane 3 cm beyond this point of the wrist's flange.
+# A ball around this point of the wrist's flange touches, between the tips of the gripper's fingers.
 GRIP_CENTRE, GRIP_RADIUS = (0.0, 0.0, -0.15), 0.03  # m
 PATH = "talos_data/robots/talos_reduced.urdf"
 
@@ -37,7 +37,7 @@ def build() -> Robot:
 
 
 def with_arms() -> Robot:
-    """Return Talos with the joints of both arms; contacts ``left_hand`` and ``right_hand``: ends of grippers."""
+    """Return Talos with both arms; contacts ``left_hand`` and ``right_hand`` are the ends of its grippers."""
     described = Robot.from_urdf(robot_file(PATH), name="talos")
     model = pin.Model(described.model)
     for side in SIDES:
