@@ -21,10 +21,21 @@ STYLES = {
 
 
 def build(
-    *, style: str, name: str, robot: str, cycle: str, friction: float, torque_share: float, **commanded: Any
+    *,
+    style: str,
+    name: str,
+    robot: str,
+    cycle: str,
+    feet: str,
+    heel: float | None,
+    toe: float | None,
+    friction: float,
+    torque_share: float,
+    **commanded: Any,
 ) -> Problem:
     """Build one periodic gait; see ``FAMILIES`` for the parameters. Raises InputError."""
     body, half = bipeds.biped(robot), cycle == "half"
+    rolls = bipeds.rolls_of(body, feet, heel, toe)
     left, right = biped_legs(body)
     asked = gait_common.command(body, STYLES[style], gait_of(body, style), **commanded)
     mirror = {left: right, right: left} if half else None
@@ -35,6 +46,7 @@ def build(
         gait_common.cycle(asked, mirror),
         mirror=mirror,
         swing=asked.lift * GUESS_CLEARANCE / CLEARANCE,
+        rolls=rolls,
         friction=friction,
         torque_share=torque_share,
         periodicity=Periodicity(velocity=(*asked.pace.velocity, 0.0), mirror=half),
@@ -55,6 +67,7 @@ def _family(name: str, style: str) -> Family:
             ),
             gait_common.duty(gait),
             common.choice("cycle", "solve one step, followed by its mirror image, or both", "half", "full"),
+            *bipeds.ROLLING,
             gait_common.clearance("twentieth"),
             common.friction(0.7),
             common.TORQUE_SHARE,

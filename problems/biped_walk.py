@@ -5,6 +5,7 @@ pendulum's zero-moment point cannot move while one point foot stands.
 """
 
 import math
+from dataclasses import replace
 
 import pinocchio as pin
 
@@ -13,9 +14,10 @@ from trajopt.dynamics import gravity_of
 from trajopt.guesses import guess_from_lip
 from trajopt.problem import Family, Parameter, Problem
 from trajopt.reduced import FootstepPlan, Pendulum, Walk
-from trajopt.robot import Robot, require_soles
-from trajopt.schedule import Motion
-from trajopt.terms import TerminalRest
+from trajopt.robot import Robot, require_soles, with_edges
+from trajopt.schedule import Motion, Schedule, footholds_at, placed_on, rolled
+from trajopt.terms import Term, TerminalRest, swing_arcs
+from trajopt.terrain import FlatGround
 
 from . import bipeds, common
 
@@ -51,12 +53,40 @@ def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
     return guess_from_lip(robot, plan, program.solve(), clearance=GUESS_SWING * clearance)
 
 
+def _rolling(
+    robot: Robot, flat: Schedule, guess: Motion, rolls: tuple[float, float], clearance: float
+) -> tuple[Robot, Schedule, tuple[Term, ...]]:
+    """Robot, schedule and swing terms with soles that roll; corners land where the guess has them."""
+    free = Schedule(tuple(replace(phase, footholds={}) for phase in flat.phases))
+    soles = [contact.name for contact in robot.contacts]
+    robot, free = with_edges(robot), rolled(free, soles, heel=rolls[0], toe=rolls[1])
+    phases, time, ground = [], 0.0, FlatGround()
+    for index, phase in enumerate(free.phases):
+        places = footholds_at(robot, guess(time))
+        landing = {name: places[name] for name in free.new_contacts(index)}
+        phases.append(replace(phase, footholds=landing))
+        time += phase.duration
+    corners = tuple(contact.name for contact in robot.contacts)
+    arcs = swing_arcs(free, corners, height=clearance, terrain=ground)
+    return robot, placed_on(Schedule(tuple(phases)), ground), arcs
+
+
 def build(
-    *, robot: str, steps: float, turn: float, friction: float, torque_share: float, **given: float | None
+    *,
+    robot: str,
+    steps: float,
+    turn: float,
+    feet: str,
+    heel: float | None,
+    toe: float | None,
+    friction: float,
+    torque_share: float,
+    **given: float | None,
 ) -> Problem:
     """Build the walk; see ``FAMILY`` for the parameters. Raises InputError."""
     count, body = common.whole("steps", steps), bipeds.biped(robot)
     require_soles(body)
+    rolls = bipeds.rolls_of(body, feet, heel, toe)
     scale = body.length / LENGTH_OF_DEFAULTS
     values = {name: value * scale for name, value in LENGTHS.items()}
     values |= {name: value * math.sqrt(scale) for name, value in TIMES.items()}
@@ -73,17 +103,22 @@ def build(
     plan = walk.plan(body)
     guess = _guess(body, plan, values["clearance"])
     intervals = common.intervals(INTERVALS_PER_SECOND * plan.duration / math.sqrt(scale))
+    schedule, lift = plan.schedule(body), values["clearance"]
+    arcs: tuple[Term, ...] = ()
+    if rolls is not None:
+        body, schedule, arcs = _rolling(body, schedule, guess, rolls, lift)
     return common.problem(
         "biped-walk",
         body,
-        plan.schedule(body),
+        schedule,
         guess,
         torque_share=torque_share,
         friction=friction,
-        clearance=values["clearance"],
+        clearance=lift if rolls is None else None,
+        more=arcs,
         end=(TerminalRest(q=guess(plan.duration)),),
         parameters=values | {"steps": walk.steps},
-        default_intervals=max(len(plan.supports), intervals),
+        default_intervals=max(len(schedule.phases), intervals),
     )
 
 
@@ -111,6 +146,7 @@ FAMILY = Family(
         _time("shift", "from rest to the first step"),
         _time("settle", "from the last touchdown to rest"),
         _way("clearance", "least height of a sole in mid swing", (0.0, 0.2)),
+        *bipeds.ROLLING,
         common.friction(0.7),
         common.TORQUE_SHARE,
     ),

@@ -7,7 +7,7 @@ import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.guesses import BaseWaypoint
-from trajopt.robot import Robot, biped_legs, contact_positions, legs_only
+from trajopt.robot import Robot, biped_legs, contact_positions, legs_only, require_soles
 from trajopt.schedule import Schedule, footholds_at
 from trajopt_library import robots
 from trajopt_library.robots import g1, talos
@@ -15,6 +15,17 @@ from trajopt_library.robots import g1, talos
 from . import common
 
 ROBOTS = ("talos", "g1", "bolt")
+# Parts of a stance on heel and toe.
+ROLLS = {"heel": 1 / 6, "toe": 1 / 4}
+ROLLING = (
+    common.choice("feet", "soles stay flat, or roll from heel to toe", "flat", "heel-toe"),
+    *(
+        common.number(
+            name, None, "", f"part of each stance on the {name} (default: {part:.2g}, of heel-toe)", (0, 0.9)
+        )
+        for name, part in ROLLS.items()
+    ),
+)
 
 
 @lru_cache(maxsize=8)
@@ -27,6 +38,21 @@ def biped(name: str | Robot) -> Robot:
     robot = robots.load(name)
     biped_legs(robot)
     return legs_only(robot)
+
+
+def rolls_of(robot: Robot, feet: str, heel: float | None, toe: float | None) -> tuple[float, float] | None:
+    """Parts of a stance on heel and toe, of the parameters ``ROLLING``; None for flat feet.
+
+    Raises InputError for parts of flat feet, and a robot without soles.
+    """
+    given = {name: part for name, part in (("heel", heel), ("toe", toe)) if part is not None}
+    if feet == "flat":
+        for name in given:
+            raise InputError(f"parameter {name} is given, but feet is flat", "allowed: with feet=heel-toe")
+        return None
+    require_soles(robot)
+    parts = ROLLS | given
+    return parts["heel"], parts["toe"]
 
 
 def waypoint(robot: Robot, time: float, shift: Sequence[float] | np.ndarray) -> BaseWaypoint:

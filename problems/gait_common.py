@@ -8,8 +8,8 @@ from typing import Any
 from trajopt.dynamics import gravity_of
 from trajopt.guesses import Pace, commanded_motion, plan_of_cycle
 from trajopt.problem import Parameter, Problem
-from trajopt.robot import Robot
-from trajopt.schedule import Gait, Motion, Schedule, stride_period
+from trajopt.robot import EDGES, Robot, edge_contacts, with_edges
+from trajopt.schedule import Gait, Motion, Schedule, rolled, stride_period
 from trajopt.terms import REST, Term, TrackingCost, goal_terms, swing_arcs
 from trajopt.terrain import FlatGround
 
@@ -20,6 +20,8 @@ ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
 HIGHER = 1.5
 # Free durations are between these multiples of the nominal ones; their sum, the period, is fixed.
 FREE = (0.6, 1.5)
+# Parts of a stance on heel and toe.
+Rolls = tuple[float, float]
 # Intervals of a whole cycle.
 INTERVALS = 32
 # Weight of the base's distance from the commanded motion: a tenth of that of torques.
@@ -107,6 +109,18 @@ def command(
     )
 
 
+def corner_images(images: Mapping[str, str], *, mirrored: bool) -> dict[str, str]:
+    """The corner whose motion each corner of a sole continues, from that of the soles."""
+    return {
+        corner: image
+        for sole, other in images.items()
+        for edge in EDGES
+        for corner, image in zip(
+            edge_contacts(sole, edge), edge_contacts(other, edge)[:: -1 if mirrored else 1], strict=True
+        )
+    }
+
+
 def near(motion: Motion, weight: float = TRACKING) -> Term:
     """Cost on the distance of the base, which has no other cost, from that of a motion."""
     return TrackingCost(reference=motion, part="base", weight=weight)
@@ -140,22 +154,27 @@ def periodic_problem(
     swing: float,
     goal: str = "effort",
     planned: bool = False,
+    rolls: Rolls | None = None,
     **settings: Any,
 ) -> Problem:
     """A periodic gait through a `cycle`; see `common.problem`.
 
-    swing: height of swings of the guess, m. planned: feet land on planned footholds, not anywhere.
+    swing: height of swings of the guess, m. planned: feet land on planned footholds, not anywhere. rolls:
+    parts of a stance on heel and toe, None for feet that stay flat, as those of the guess always do.
     """
     plan = plan_of_cycle(robot, schedule, asked.pace, mirror=mirror, clearance=swing)
     schedule = plan.schedule if planned else schedule
     images = mirror or {foot: foot for foot in asked.gait.feet}
+    if rolls is not None:
+        schedule = rolled(schedule, asked.gait.feet, heel=rolls[0], toe=rolls[1], next_name=images)
+        robot, images = with_edges(robot), corner_images(images, mirrored=mirror is not None)
     return common.problem(
         name,
         robot,
         schedule,
         plan.guess,
         costs=gait_costs(goal, robot, schedule, asked.pace),
-        more=swing_arcs(schedule, asked.gait.feet, height=asked.lift, terrain=FlatGround(), next_name=images),
+        more=swing_arcs(schedule, tuple(images), height=asked.lift, terrain=FlatGround(), next_name=images),
         end=(),
         parameters=asked.parameters,
         default_intervals=INTERVALS if mirror is None else INTERVALS // 2,

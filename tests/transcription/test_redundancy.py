@@ -86,6 +86,15 @@ def test_rows_of_contacts_that_held_before_are_kept_first():
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("family", ["biped-gait", "biped-run"])
+@pytest.mark.parametrize("robot", ["talos", "g1"])
+def test_soles_that_roll_have_independent_rows_through_every_phase(family, robot):
+    """From heel to flat, from flat to toe and over the end: edges that hold are not imposed again."""
+    problem = problems.load(family, robot=robot, feet="heel-toe")
+    assert smallest_singular_value(problem) > INDEPENDENT
+
+
+@pytest.mark.long
 def test_foot_of_corners_moves_its_robot_like_a_sole():
     """Standing, to another posture, cheapest in torque: how corners share the sole's wrench costs nothing."""
     optima = []

@@ -41,6 +41,8 @@ from trajopt.robot.actuators.actuation import Actuation
 PENALTY = 1e4
 # Of every unknown over its unit: keeps programs strictly convex.
 REGULARISATION = 1e-8
+# Singular values of contact rows below this part of the largest are of points of one link: rounding.
+DEPENDENT = 1e-8
 RELAXED = ("nothing", "joint limits", "contacts", "everything")
 
 
@@ -131,6 +133,13 @@ class TaskSpaceInverseDynamics:
         return self._solvers[known]
 
 
+def _independent(rows: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As many combinations of rows (m, n) and values (m,) as are independent: the least-squares equations."""
+    left, singular, _ = np.linalg.svd(rows, full_matrices=False)
+    span = left[:, singular > DEPENDENT * singular.max(initial=0.0)].T
+    return span @ rows, span @ value
+
+
 class _Program:
     """The program of one tick in scaled unknowns."""
 
@@ -160,6 +169,9 @@ class _Program:
             row += len(value)
         self.motion *= self.unit / owner.acceleration_unit[0]
         self.still /= owner.acceleration_unit[0]
+        joints = [state.joint(contact.frame) for contact in contacts]
+        if len(set(joints)) < len(joints):
+            self.motion, self.still = _independent(self.motion, self.still)
 
     def rows(self, relaxed: int) -> QpRows:
         """Rows on the scaled unknowns; see `RELAXED`."""

@@ -75,6 +75,10 @@ class RobotState:
             self._frames[frame] = known
         return known
 
+    def joint(self, frame: int | str) -> int:
+        """The joint that carries a frame. Raises `InputError` for an unknown one."""
+        return int(self.model.frames[self._index(frame)].parentJoint)
+
     def _index(self, frame: int | str) -> int:
         if isinstance(frame, str):
             require_frame(self.model, frame, "a task or contact")

@@ -8,6 +8,9 @@ from .contact import Contact as Contact
 from .data import robot_file as robot_file
 from .denavit_hartenberg import DhJoint as DhJoint
 from .denavit_hartenberg import robot_from_dh as robot_from_dh
+from .edges import EDGES as EDGES
+from .edges import edge_contacts as edge_contacts
+from .edges import with_edges as with_edges
 from .joint_checks import require_moving as require_moving
 from .kinematics import Posture as Posture
 from .kinematics import contact_poses as contact_poses

@@ -12,6 +12,7 @@ from .moment import middle_of as middle_of
 from .moment import start_of as start_of
 from .placing import footholds_at as footholds_at
 from .placing import placed_on as placed_on
+from .rolling import rolled as rolled
 from .schedule import Motion as Motion
 from .schedule import Phase as Phase
 from .schedule import Schedule as Schedule
