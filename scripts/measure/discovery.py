@@ -140,7 +140,7 @@ def gaits_by_speed(robot: str, figure: Path | None) -> None:
     points = []
     for relative in GAIT_SPEEDS:
         problem = problems.load("quadruped-trot", robot=robot, speed=speed_of(robot, relative))
-        found = discover(problem, seeds=3, max_time=15.0)
+        found = discover(problem, seeds=3, max_time=15.0, effort=60.0)
         if not found.best:
             row(relative, f"{relative**2:.2g}", "none", "", "", "", "", "")
             continue

@@ -92,7 +92,7 @@ def discover(
         search = _Search(task, records, run, wave, keep, most, effort, max_time, told)
         seed = deque(each for each in range(seeds) if relaxed_name(each) not in done)
         search.tried(search.relaxed([seed.popleft()] if seed else []))
-        names = search.in_turn(search.ordered(known))
+        names = search.in_turn(search.ordered(known), least=AT_A_TIME)
         while seed and search.has_effort(relaxed=True):
             search.tried(search.relaxed([seed.popleft() for _ in range(min(wave, len(seed)))]))
         if not search.best and intervals_of(task, fine=True) > intervals_of(task, fine=False):
@@ -211,16 +211,20 @@ class _Search:
             self._certify(chosen, ROUNDS)
 
     def _chosen(self) -> list[Proposal]:
-        """Those that are certified next, as many as there are processes."""
+        """Those that are certified next, as many as there are processes.
+
+        Those about as good as the best while effort is left and until enough are certified, better ones
+        always.
+        """
         best, chosen = self.best, list[Proposal]()
         reference = min((each.screened or each.objective or 0.0 for each in best), default=math.inf)
         failed = {each.modes and each.modes.key for each, _ in self.given_up} if best else set()
         for proposal in [*self.waiting]:
-            enough = len(best) + len(chosen) >= self.keep
+            enough = len(best) + len(chosen) >= self.keep or not self.has_effort()
             limit = reference * (1 - BETTER if enough else 1 + CLOSE)
             if len(chosen) == self.wave or self.attempts >= self.most:
                 break
-            if best and (_promise(proposal)[0] > limit or not self.has_effort()):
+            if best and _promise(proposal)[0] > limit:
                 break
             if proposal.modes and proposal.modes.key not in failed:
                 chosen.append(proposal)
@@ -254,13 +258,16 @@ class _Search:
             )
         self.keep = keep
 
-    def in_turn(self, proposals: Iterable[Proposal]) -> list[Proposal]:
-        """Try proposals that are not on record, some at a time; those for which no effort was left."""
+    def in_turn(self, proposals: Iterable[Proposal], least: int = 0) -> list[Proposal]:
+        """Try proposals that are not on record, some at a time; those for which no effort was left.
+
+        ``least`` of them are tried in any case.
+        """
         done = {each.source for each in self.records.candidates}
         left = [each for each in proposals if each.source not in done]
-        while left and self.has_effort():
+        while left and (least > 0 or self.has_effort()):
             self.tried(left[:AT_A_TIME])
-            left = left[AT_A_TIME:]
+            left, least = left[AT_A_TIME:], least - AT_A_TIME
         return left
 
     def finished(self, unsolved: Iterable[Proposal]) -> None:
