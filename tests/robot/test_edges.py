@@ -48,7 +48,8 @@ def test_corners_are_those_of_the_sole_and_toes_are_in_front(name):
         assert_allclose(local, expected, atol=ROUNDING)
         assert (corners[2:].mean(axis=0) - corners[:2].mean(axis=0)) @ ahead > sole.half_length
     assert {contact.kind for contact in robot.contacts} == {"point"}
-    assert robot.length == pytest.approx(flat.length) and robot.mass == pytest.approx(flat.mass)
+    assert robot.length == pytest.approx(flat.length)
+    assert robot.mass == pytest.approx(flat.mass)
     assert_allclose(robot.reference, flat.reference)
 
 
@@ -70,7 +71,8 @@ def test_an_edge_keeps_five_independent_rows_and_turns_about_itself_alone(name, 
             apart = [(ends[0][c.name] - ends[1][c.name])[list(kept[c.name])] for c in corners]
             moved[:, column] = np.concatenate(apart) / (2 * STEP)
         assert_allclose(jacobian, moved, atol=DIFFERENCES)
-        assert len(jacobian) == 5 and np.linalg.svd(jacobian, compute_uv=False)[-1] > RANKED
+        assert len(jacobian) == 5
+        assert np.linalg.svd(jacobian, compute_uv=False)[-1] > RANKED
         every = contact_jacobian(robot.model, q, [(c.frame, (0, 1, 2)) for c in corners])
         assert np.linalg.matrix_rank(every, tol=ROUNDING) == 5
         # The motions that these rows allow leave the foot one turn, about the edge.

@@ -1,8 +1,8 @@
 """Heel and toe of a sole: its edges across x, each held by the two corners at its ends.
 
-A foot that stands on an edge turns freely about it. Forces f_1, f_2 at the corners p_1, p_2 of the edge have no
-moment about it, and their other five components are any wrench of the edge; the rows that hold both corners
-have rank five, since the distance between them is fixed. Forces in friction pyramids at all four corners are
+A foot that stands on an edge turns freely about it. Forces at the two corners of the edge have no moment
+about it, and make any other wrench of the edge; the rows that hold both corners have rank five, since the
+distance between them is fixed. Forces in friction pyramids at all four corners are
 those of a flat sole (`trajopt.terms.friction.SoleCone`). So a sole that rolls is four point contacts: each
 holds from its touchdown to its lift-off, and where the foot comes down flat only the turn about the heel is
 left to be stopped (`trajopt.transcription.redundancy` leaves out the dependent rows).

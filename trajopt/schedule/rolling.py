@@ -5,8 +5,8 @@
     toe      to the lift-off, for a part of the stance
 
 The contacts are those of `trajopt.robot.edges`: heel and toe each hold from their own touchdown to their own
-lift-off. In human walking, with a stance of 62 % of the gait cycle, the foot is flat from 12 to 31 % of it (mid
-stance; Perry, Burnfield, "Gait Analysis", 2nd ed. 2010, ch. 1).
+lift-off. In human walking, with a stance of 62 % of the gait cycle, the foot is flat from 12 to 31 % of it
+(mid stance; Perry, Burnfield, "Gait Analysis", 2nd ed. 2010).
 """
 
 import math
