@@ -165,16 +165,18 @@ def periodic_problem(
     plan = plan_of_cycle(robot, schedule, asked.pace, mirror=mirror, clearance=swing)
     schedule = plan.schedule if planned else schedule
     images = mirror or {foot: foot for foot in asked.gait.feet}
+    feet = asked.gait.feet
     if rolls is not None:
         schedule = rolled(schedule, asked.gait.feet, heel=rolls[0], toe=rolls[1], next_name=images)
         robot, images = with_edges(robot), corner_images(images, mirrored=mirror is not None)
+        feet = tuple(images)
     return common.problem(
         name,
         robot,
         schedule,
         plan.guess,
         costs=gait_costs(goal, robot, schedule, asked.pace),
-        more=swing_arcs(schedule, tuple(images), height=asked.lift, terrain=FlatGround(), next_name=images),
+        more=swing_arcs(schedule, feet, height=asked.lift, terrain=FlatGround(), next_name=images),
         end=(),
         parameters=asked.parameters,
         default_intervals=INTERVALS if mirror is None else INTERVALS // 2,
