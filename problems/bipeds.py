@@ -1,15 +1,16 @@
 """Shared by the problems of bipeds: the robot with its legs alone, poses of the base, two steps."""
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from trajopt.errors import InputError
 from trajopt.guesses import BaseWaypoint
-from trajopt.robot import Robot, biped_legs, legs_only, require_soles
+from trajopt.robot import Robot, biped_legs, contact_positions, legs_only, require_soles
 from trajopt.schedule import Schedule, footholds_at
 from trajopt_library import robots
+from trajopt_library.robots import g1, talos
 
 from . import common
 
@@ -65,3 +66,26 @@ def two_steps(robot: Robot, way: np.ndarray, durations: Mapping[str, float]) -> 
     places = {name: place + way for name, place in footholds_at(robot, robot.reference).items()}
     contacts = ((left, right), (left,), (left, right), (right,), (left, right))
     return common.schedule_of(durations, contacts, places)
+
+
+@lru_cache(maxsize=8)
+def humanoid(name: str | Robot) -> Robot:
+    """The robot of that name on two feet, with arms whose hands are contacts, too.
+
+    Raises InputError for a robot without two feet, or without two hands among its contacts.
+    """
+    robot = {"talos": talos.with_arms, "g1": g1.with_arms}.get(str(name), partial(robots.load, name))()
+    biped_legs(robot)
+    hands(robot)
+    return robot
+
+
+def hands(robot: Robot) -> tuple[str, str]:
+    """Contacts of a robot's left and right hand: those that are no feet. Raises InputError."""
+    places, feet = contact_positions(robot, robot.reference), biped_legs(robot)
+    found = sorted((name for name in places if name not in feet), key=lambda name: -places[name][1])
+    if len(found) != 2:
+        raise InputError(
+            f"'{robot.name}' has {len(found)} contacts that are not feet", "allowed: two, its hands"
+        )
+    return found[0], found[1]

@@ -1,4 +1,4 @@
-"""Unitree G1, the 33 kg humanoid, on two soles; its waist and arms are locked."""
+"""Unitree G1, the 33 kg humanoid, on two soles; its waist is locked, so are its arms, if not asked for."""
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +18,13 @@ HALF_LENGTH, HALF_WIDTH = 0.085, 0.025  # m
 HIP_PITCH, KNEE, ANKLE_PITCH = -0.5253, 1.1, -0.5747  # rad
 # Arms hang beside the body with bent elbows.
 SHOULDER_PITCH, SHOULDER_ROLL, ELBOW = 0.2, 0.2, 0.9  # rad
-LOCKED = ("waist", "shoulder", "elbow", "wrist")
+ARMS = ("shoulder", "elbow", "wrist")
+# A ball around this point of the left rubber hand's frame touches, at the fingertips; the right one mirrored.
+HAND_CENTRE, HAND_RADIUS = (0.1, -0.02, 0.01), 0.03  # m
+
+# Inertia of rotors on the joint side, kg m^2, as in MuJoCo Menagerie's unitree_g1/g1.xml; the URDF has none.
+# Without it a hand that is pressed on a wall turns about the point of contact within some 10 ms.
+ARMATURE = 0.01
 
 
 def build() -> Robot:
@@ -27,12 +33,21 @@ def build() -> Robot:
     Contacts are in frames ``left_sole`` and ``right_sole``, which this adds: on the ground below the ankle,
     in the middle of the balls that touch. Limits are those of the URDF.
     """
+    return _robot(("waist", *ARMS), hands=False)
+
+
+def with_arms() -> Robot:
+    """Return G1 with the joints of its arms as well, and contacts ``left_hand`` and ``right_hand``: balls."""
+    return _robot(("waist",), hands=True)
+
+
+def _robot(locked: tuple[str, ...], *, hands: bool) -> Robot:
     path = robot_file("g1_description/urdf/g1_29dof_rev_1_0.urdf")
     described = Robot.from_urdf(path, name="g1")
     model = pin.Model(described.model)
     contacts = [
         Contact(
-            frame=_add_sole(model, side),
+            frame=_add_frame(model, f"{side}_sole", f"{side}_ankle_roll_link", SOLE_CENTRE),
             name=side,
             kind="surface",
             half_length=HALF_LENGTH,
@@ -40,27 +55,31 @@ def build() -> Robot:
         )
         for side in SIDES
     ]
-    locked = [name for name in model.names if any(part in name for part in LOCKED)]
+    if hands:
+        model.armature = np.append(np.zeros(6), np.full(model.nv - 6, ARMATURE))
+    x, y, z = HAND_CENTRE
+    for side, across in zip(SIDES, (y, -y), strict=True) if hands else ():
+        frame = _add_frame(model, f"{side}_hand", f"{side}_rubber_hand", (x, across, z))
+        contacts.append(Contact(frame=frame, radius=HAND_RADIUS))
     return Robot.from_model(
         model,
         name="g1",
         base="freeflyer",
         contacts=contacts,
         reference=_posture(),
-        locked=locked,
+        locked=[name for name in model.names if any(part in name for part in locked)],
         visual=described.visual,
     )
 
 
-def _add_sole(model: pin.Model, side: str) -> str:
-    """Add the frame of a sole and return its name."""
-    ankle = model.getFrameId(f"{side}_ankle_roll_link")
-    placement = model.frames[ankle].placement * pin.SE3(np.eye(3), np.array(SOLE_CENTRE))
-    frame = pin.Frame(
-        f"{side}_sole", model.frames[ankle].parentJoint, ankle, placement, pin.FrameType.OP_FRAME
+def _add_frame(model: pin.Model, name: str, link: str, centre: tuple[float, float, float]) -> str:
+    """Add a frame at a point of a link, m, with the link's axes, and return its name."""
+    parent = model.getFrameId(link)
+    placement = model.frames[parent].placement * pin.SE3(np.eye(3), np.array(centre))
+    model.addFrame(
+        pin.Frame(name, model.frames[parent].parentJoint, parent, placement, pin.FrameType.OP_FRAME)
     )
-    model.addFrame(frame)
-    return str(frame.name)
+    return name
 
 
 def _posture() -> dict[str, float]:

@@ -1,4 +1,7 @@
-"""Talos, the 90 kg humanoid of PAL Robotics: two soles, and the left hand as a point contact."""
+"""Talos, the 90 kg humanoid of PAL Robotics: two soles, and the left hand or both as points."""
+
+import numpy as np
+import pinocchio as pin
 
 from trajopt.robot import Contact, Robot, robot_file
 
@@ -11,7 +14,10 @@ HALF_LENGTH, HALF_WIDTH = 0.1, 0.06
 # Legs of the SRDF's posture "half_sitting"; the left arm in front of the body, elbow bent.
 HALF_SITTING = {"3": -0.411, "4": 0.859, "5": -0.448}
 ARM = {"1": 0.25, "2": 0.25, "3": 0.0, "4": -1.6, "5": 0.0, "6": 0.0, "7": 0.0}
-LOCKED = ("arm_right", "gripper", "head", "torso")
+LOCKED = ("gripper", "head", "torso")
+# A ball around this point of the wrist's flange touches, between the tips of the gripper's fingers.
+GRIP_CENTRE, GRIP_RADIUS = (0.0, 0.0, -0.15), 0.03  # m
+PATH = "talos_data/robots/talos_reduced.urdf"
 
 
 def build() -> Robot:
@@ -20,18 +26,49 @@ def build() -> Robot:
     The trunk, the head, the grippers and the right arm are locked. Contacts are ``left`` and ``right``
     (soles of 20 by 12 cm) and ``hand``, a point at the left wrist's tool flange.
     """
-    soles = [
+    right = {"arm_right_2_joint": -0.17, "arm_right_4_joint": -0.53}
+    robot = Robot.from_urdf(
+        robot_file(PATH),
+        name="talos",
+        contacts=[*_soles(), Contact(frame=HAND, name="hand")],
+        reference=_legs() | _arm("left") | right,
+    )
+    return robot.with_locked([name for name in robot.model.names if name.startswith(("arm_right", *LOCKED))])
+
+
+def with_arms() -> Robot:
+    """Return Talos with both arms; contacts ``left_hand`` and ``right_hand`` are the ends of its grippers."""
+    described = Robot.from_urdf(robot_file(PATH), name="talos")
+    model = pin.Model(described.model)
+    for side in SIDES:
+        flange = model.getFrameId(f"wrist_{side}_ft_tool_link")
+        carrier = model.frames[flange]
+        place = carrier.placement * pin.SE3(np.eye(3), np.array(GRIP_CENTRE))
+        kind = pin.FrameType.OP_FRAME
+        model.addFrame(pin.Frame(f"{side}_hand", carrier.parentJoint, flange, place, kind))
+    robot = Robot.from_model(
+        model,
+        name="talos",
+        base="freeflyer",
+        contacts=[*_soles(), *(Contact(frame=f"{side}_hand", radius=GRIP_RADIUS) for side in SIDES)],
+        reference=_legs() | _arm("left") | _arm("right"),
+        visual=described.visual,
+    )
+    return robot.with_locked([name for name in model.names if name.startswith(LOCKED)])
+
+
+def _soles() -> list[Contact]:
+    return [
         Contact(frame=frame, name=side, kind="surface", half_length=HALF_LENGTH, half_width=HALF_WIDTH)
         for side, frame in SOLES.items()
     ]
-    legs = {f"leg_{side}_{joint}_joint": q for side in SIDES for joint, q in HALF_SITTING.items()}
-    arm = {f"arm_left_{joint}_joint": q for joint, q in ARM.items()}
-    right = {"arm_right_2_joint": -0.17, "arm_right_4_joint": -0.53}
-    path = robot_file("talos_data/robots/talos_reduced.urdf")
-    robot = Robot.from_urdf(
-        path,
-        name="talos",
-        contacts=[*soles, Contact(frame=HAND, name="hand")],
-        reference=legs | arm | right,
-    )
-    return robot.with_locked([name for name in robot.model.names if name.startswith(LOCKED)])
+
+
+def _legs() -> dict[str, float]:
+    return {f"leg_{side}_{joint}_joint": q for side in SIDES for joint, q in HALF_SITTING.items()}
+
+
+def _arm(side: str) -> dict[str, float]:
+    """The posture of an arm: of the right one mirrored, all its axes but the elbow's."""
+    signs = {joint: 1.0 if side == "left" or joint == "4" else -1.0 for joint in ARM}
+    return {f"arm_{side}_{joint}_joint": signs[joint] * q for joint, q in ARM.items()}

@@ -38,7 +38,7 @@ GROUPS = (
     ("Jumps and flips", "jumps.md", ("*-jump", "quadruped-jump-*", "*flip", "*-barrel-roll", "*-stand-up")),
     ("Terrain", "terrain.md", ("*-box-*", "*-gap", "*-slope", "*-stairs", "*-steps", "*-stones", "*-waves")),
     ("Gaits", "gaits.md", ("quadruped-*",)),
-    ("Bipeds", "bipeds.md", ("biped-*", "talos-*")),
+    ("Bipeds", "bipeds.md", ("biped-*", "humanoid-*", "talos-*")),
     ("Hoppers and classics", "classics.md", ("*",)),
 )
 # Pictures of a strip, pixels of each (taken larger, for smooth edges), and bytes of a strip at most.

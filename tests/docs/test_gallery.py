@@ -80,6 +80,7 @@ def test_what_does_not_leap_is_shown_whole(arm: Solution, leap: Solution) -> Non
         ("solo12-slope", "Terrain"),
         ("quadruped-trot", "Gaits"),
         ("talos-wall", "Bipeds"),
+        ("humanoid-climb", "Bipeds"),
         ("quadrotor-flip", "Multirotors"),
         ("acrobot", "Hoppers and classics"),
     ],

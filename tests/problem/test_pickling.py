@@ -18,7 +18,7 @@ from trajopt.problem.problem import Problem
 # One family for each way in which guesses and terms of the library are written.
 FAMILIES = (
     "acrobot", "arm-avoid", "arm-wipe", "biped-step-up", "biped-walk", "hopper-hop", "quadruped-trot",
-    "quadruped-stepping-stones", "solo12-flip", "solo12-jump", "solo12-slope", "talos-wall",
+    "quadruped-stepping-stones", "solo12-flip", "solo12-jump", "solo12-slope", "talos-wall", "humanoid-climb",
 )  # fmt: skip
 COPIES = {"pickle": lambda thing: pickle.loads(pickle.dumps(thing)), "deepcopy": copy.deepcopy}
 
