@@ -23,7 +23,6 @@ ARMS = ("shoulder", "elbow", "wrist")
 HAND_CENTRE, HAND_RADIUS = (0.1, -0.02, 0.01), 0.03  # m
 
 # Inertia of rotors on the joint side, kg m^2, as in MuJoCo Menagerie's unitree_g1/g1.xml; the URDF has none.
-# Without it a hand that is pressed on a wall turns about the point of contact within some 10 ms.
 ARMATURE = 0.01
 
 

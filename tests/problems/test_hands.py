@@ -113,6 +113,10 @@ def test_who_leans_rests_on_the_table_beyond_its_toes():
 @pytest.mark.slow
 def test_who_climbs_stands_a_step_higher():
     solution, robot = solved("humanoid-climb"), bipeds.humanoid("g1")
-    way = solution.q[-1, :3] - robot.reference[:3]
-    # soles land at any yaw, and the base's place goes with them
-    assert way == pytest.approx([0.45 * robot.reference[2], 0.0, 0.35 * robot.reference[2]], abs=0.01)
+    before, after = (contact_poses(robot, q) for q in (robot.reference, solution.q[-1]))
+    for foot in biped_legs(robot):
+        way = after[foot].translation - before[foot].translation
+        assert way == pytest.approx([0.45 * robot.reference[2], 0.0, 0.35 * robot.reference[2]], abs=1e-5)
+        assert after[foot].rotation[:, 2] == pytest.approx([0, 0, 1], abs=1e-5)
+    # soles land at any yaw, with which the base's place goes: 3 mm at 0.2 rad
+    assert solution.q[-1, :3] == pytest.approx(robot.reference[:3] + way, abs=0.01)
