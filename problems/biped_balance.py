@@ -13,6 +13,7 @@ from trajopt.guesses import legged_guess
 from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, biped_legs
 from trajopt.schedule import Phase, Schedule
+from trajopt.terrain import FlatGround
 
 from . import bipeds, common
 
@@ -36,7 +37,8 @@ def pushed(robot: Robot, impulse: np.ndarray) -> np.ndarray:
     """
     q, model = robot.reference, robot.model
     mass = pin.crba(model, model.createData(), q)
-    held = contact_jacobian(model, q, [(contact.frame, contact.rows) for contact in robot.contacts])
+    levers = [contact.lever(FlatGround().surface) for contact in robot.contacts]
+    held = contact_jacobian(model, q, [(contact.frame, contact.rows) for contact in robot.contacts], levers)
     generalized = contact_jacobian(model, q, [(model.names[1], (0, 1, 2))]).T @ impulse
     free = np.linalg.solve(mass, generalized)
     spread = np.linalg.solve(mass, held.T)

@@ -13,6 +13,8 @@ from trajopt.robot import Robot, feet_in_base
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum", "multirotor")
 # Robots with a free base by the number of feet that they stand on.
 KIND_OF_FEET = {1: "hopper", 2: "biped", 4: "quadruped"}
+# After a name or a file: the same robot with balls that roll.
+ROLLING = ":rolling"
 
 
 def names(kind: str | None = None) -> tuple[str, ...]:
@@ -28,11 +30,14 @@ def names(kind: str | None = None) -> tuple[str, ...]:
 def load(name: str | Robot) -> Robot:
     """Return the robot of that name, or the one that ``build()`` of a .py file at that path returns.
 
-    A robot is returned as it is. Raises `InputError` for a name that is unknown (and lists the known ones)
-    and for a file that does not exist, cannot be read or does not build a `Robot`.
+    A robot is returned as it is. ``NAME:rolling`` is the robot with all contacts that have a radius rolling.
+    Raises `InputError` for a name that is unknown (and lists the known ones), for a file that does not exist,
+    cannot be read or does not build a `Robot`, and for ``:rolling`` of a robot without balls.
     """
     if isinstance(name, Robot):
         return name
+    if name.endswith(ROLLING):
+        return load(name.removesuffix(ROLLING)).with_rolling_contacts()
     module = _module(name)
     try:
         robot = module.build()
@@ -101,6 +106,7 @@ def _stated(name: str | Robot, what: str) -> object:
 
 
 def _module(name: str) -> ModuleType:
+    name = name.removesuffix(ROLLING)
     if name.endswith(".py"):
         path = Path(name).expanduser().absolute()
         if not path.is_file():

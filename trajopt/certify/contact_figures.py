@@ -28,10 +28,16 @@ def force_traces(motion: MotionQuantities) -> Traces:
 
 
 def inactive_force(motion: MotionQuantities) -> Trace:
-    """Largest component of a wrench of an inactive contact over the weight."""
-    plan = motion.solution
-    size = np.abs(plan.f).max(axis=-1, initial=0.0) / motion.weight
-    return Trace.of(size, ~plan.active, plan.contact_frames)
+    """Largest component over the weight of a wrench that a contact cannot transmit.
+
+    All of it while it is inactive; the moment about the touched point of a ball that rolls, times 1 m.
+    """
+    plan, wrench, rolling = motion.solution, motion.solution.f.copy(), motion.solution.description.rolling
+    held = plan.active & rolling
+    wrench[held, 3:] -= np.cross(wrench[held, :3], motion.surfaces.lever[held])
+    wrench[held, :3] = 0.0
+    size = np.abs(wrench).max(axis=-1, initial=0.0) / motion.weight
+    return Trace.of(size, ~plan.active | rolling, plan.contact_frames)
 
 
 def _sole_margin(motion: MotionQuantities) -> Trace:

@@ -53,7 +53,9 @@ REPLANNING = "receding-horizon"
     "--ground-offset", "FRAME=M", "Ground under a contact is higher by this, m. Repeatable.", multiple=True
 )
 @default_option("--push", 0.0, "N", "Force on the base to its left, halfway, N.")
-@click.option("--rolling", is_flag=True, help="Feet with a radius roll, which plans neglect.")
+@click.option(
+    "--rolling/--no-rolling", default=None, help="Feet with a radius roll, or do not.  [default: as planned]"
+)
 @json_option
 def simulate_command(
     file: Path, output: Path | None, html: Path | None, as_json: bool, **settings: Any

@@ -29,6 +29,7 @@ class ActiveContact:
         bilateral: whether it is held: any force, no cone.
         sliding: unit vector (3,) along which it slides, world; None where it sticks.
         most: largest normal force, N.
+        lever: from where a ball that rolls touches to its centre (3,), m, world; None of others.
     """
 
     number: int
@@ -40,6 +41,7 @@ class ActiveContact:
     bilateral: bool = False
     sliding: np.ndarray | None = None
     most: float = math.inf
+    lever: np.ndarray | None = None
 
     def force_rows(self, state: RobotState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows (m, dimension) on the force in world axes, and their bounds (m,).
@@ -68,14 +70,25 @@ class ActiveContact:
         whole = np.vstack([np.hstack([force, np.zeros((len(force), 3))]), moments])
         return whole, np.append(low, np.zeros(len(moments))), np.append(high, np.full(len(moments), np.inf))
 
+    def jacobian(self, state: RobotState) -> np.ndarray:
+        """Rows (dimension, nv) of its motion, and of what its force does; of a ball without what it rolls."""
+        return self._held(state.frame(self.frame).jacobian)
+
+    def _held(self, motion: np.ndarray) -> np.ndarray:
+        """What a contact holds of motions (6, ...) of its frame."""
+        if self.lever is None:
+            return motion[: self.dimension]
+        (x, y, z), (first, second, third) = self.lever, motion[3:]  # v + lever x omega
+        rolled = [y * third - z * second, z * first - x * third, x * second - y * first]
+        return np.asarray(motion[:3] + np.array(rolled))
+
     def motion_rows(self, state: RobotState, damping: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows (m, nv) and values (m,) of an acceleration that takes the contact's velocity out.
 
         J a = -dJ v - damping J v; of what slides along the normal alone. ``damping`` in 1/s.
         """
-        frame = state.frame(self.frame)
-        jacobian = frame.jacobian[: self.dimension]
-        value = -frame.drift[: self.dimension] - damping * frame.velocity[: self.dimension]
+        frame, jacobian = state.frame(self.frame), self.jacobian(state)
+        value = -self._held(frame.drift) - damping * self._held(frame.velocity)
         if self.sliding is not None:
             rows = np.eye(self.dimension)[2:]  # of a sole with all its rotations
             rows[0, :3] = self.normal

@@ -157,8 +157,7 @@ class _Program:
         self.dynamics = np.empty((self.nv, self.n))
         self.dynamics[:, : self.nv] = state.mass
         for contact, first in zip(contacts, self.first, strict=False):
-            size = contact.dimension
-            self.dynamics[:, first : first + size] = -state.frame(contact.frame).jacobian[:size].T
+            self.dynamics[:, first : first + contact.dimension] = -contact.jacobian(state).T
         motion = [contact.motion_rows(state, owner.damping) for contact in contacts]
         count = sum(len(value) for _, value in motion)
         self.motion, self.still = np.zeros((count, self.n)), np.zeros(count)

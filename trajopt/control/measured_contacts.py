@@ -31,7 +31,7 @@ class MeasuredContacts:
         self.frames = [int(plan.model.getFrameId(name)) for name in plan.contact_frames]
         self._reference, self._targets = reference, targets
         self._lost = LOST * NaturalUnits.of(plan.model).time
-        self._soles = plan.description.soles.tolist()
+        self._soles, self._rolling = plan.description.soles.tolist(), plan.description.rolling.tolist()
         self._sizes = [contact.half_size for contact in plan.description.contacts]
         self._touched_at = np.full(len(self.frames), -np.inf)
 
@@ -80,4 +80,5 @@ class MeasuredContacts:
             half_size=(0.0, 0.0) if not size else (float(size[0]), float(size[1])),
             bilateral=bool(surfaces.bilateral[k, i]),
             sliding=sliding,
+            lever=surfaces.lever[k, i] if self._rolling[i] else None,
         )

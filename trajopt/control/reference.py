@@ -12,6 +12,7 @@ from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.cycles import CycleImage, passes_of
+from trajopt.motion.quantities import MotionQuantities
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
@@ -168,7 +169,9 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
     gravity = gravity - plan.joint_force(q, np.zeros(model.nv))
     sizes = [6 if contact.is_sole else 3 for contact in plan.description.contacts]
     picked = [(i, size) for i, size in enumerate(sizes) if plan.active[-1, i]]
-    jacobian = contact_jacobian(model, q, [(plan.contact_frames[i], size) for i, size in picked])
+    levers, rolling = MotionQuantities(plan).surfaces.lever[-1], plan.description.rolling
+    frames = [(plan.contact_frames[i], size) for i, size in picked]
+    jacobian = contact_jacobian(model, q, frames, [levers[i] if rolling[i] else None for i, _ in picked])
     forces = np.concatenate([np.zeros(0), *(reference.f[-1, i, :size] for i, size in picked)])
     missing = actuation.balanced(gravity - jacobian.T @ forces)
     forces += np.linalg.lstsq(actuation.balanced(jacobian).T, missing, rcond=None)[0]
@@ -176,6 +179,7 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
     for index, size in picked:
         wrenches[index, :size] = forces[row : row + size]
         row += size
+    wrenches[:, 3:] += np.cross(wrenches[:, :3], levers)
     return actuation.inputs(gravity - jacobian.T @ forces), wrenches
 
 

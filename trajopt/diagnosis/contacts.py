@@ -4,7 +4,7 @@ The wrenches of contacts whose rows depend on each other are not unique, whateve
 rank that changes along a phase is due to a posture: a straight leg, or an axis through two contacts.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +79,10 @@ def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator
     for index, phase in enumerate(layout.schedule.phases):
         contacts = layout.touching[index]
         samples = [k for k in solution.phases[index] if finite[k]]
-        ranks = [rank for k in samples if (rank := _rank(model, contacts, solution.q[k])) is not None]
+        arms = transcription.problem.levers_of(index)
+        levers = [arms.get(contact.name) for contact in contacts]
+        found = (_rank(model, contacts, levers, solution.q[k]) for k in samples)
+        ranks = [rank for rank in found if rank is not None]
         if not contacts or not ranks:
             continue
         absent = _absent_rows(contacts)
@@ -111,9 +114,11 @@ def _absent_rows(contacts: tuple[Contact, ...]) -> set[str]:
     }
 
 
-def _rank(model: pin.Model, contacts: tuple[Contact, ...], q: np.ndarray) -> ContactRank | None:
+def _rank(
+    model: pin.Model, contacts: tuple[Contact, ...], levers: Sequence[np.ndarray | None], q: np.ndarray
+) -> ContactRank | None:
     try:
-        active = ContactSet.of(model, contacts)
+        active = ContactSet.of(model, contacts, levers=levers)
         data = model.createData()
         lower = mass_factor(pin.crba(model, data, q))
         rows = contact_kinematics(model, data, q, np.zeros(model.nv), active)

@@ -192,8 +192,10 @@ def _relaxed(task: ContactTask, slack: float) -> Problem:
     free = (low, high) if high > low else None
     schedule = Schedule((Phase(name=PHASE, duration=task.duration, contacts=names, duration_bounds=free),))
     terms = [_everywhere(term) for term in task.terms]
+    centres = [replace(contact, rolling=False) for contact in task.robot.contacts]
     return replace(
         task.problem,
+        robot=replace(task.robot, contacts=tuple(centres)),
         name=f"{task.problem.name}-relaxed",
         schedule=schedule,
         dynamics=(BaseDynamics(),),

@@ -43,19 +43,26 @@ def mass_matrix_at(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 
 def contact_jacobian(
-    model: pin.Model, q: np.ndarray, contacts: Sequence[tuple[str, int | Sequence[int]]]
+    model: pin.Model,
+    q: np.ndarray,
+    contacts: Sequence[tuple[str, int | Sequence[int]]],
+    levers: Sequence[np.ndarray | None] = (),
 ) -> np.ndarray:
     """Rows (n, nv) of the contacts' frame Jacobians at q (nq,), world-aligned axes.
 
     ``contacts`` are frame names with their dimension, 3 (linear) or 6 (linear, angular), or with the indices
-    of the rows to take.
+    of the rows to take. ``levers``: for each contact None, or of a ball that rolls where its centre is from
+    where it touches (3,), m; its linear rows are of v - omega x lever.
     """
     data = model.createData()
     blocks = [np.zeros((0, model.nv))]
-    for frame, taken in contacts:
+    for (frame, taken), lever in zip(contacts, levers or [None] * len(contacts), strict=True):
         rows = range(taken) if isinstance(taken, int) else taken
         jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
-        blocks.append(jacobian.reshape(6, model.nv)[list(rows)])  # a single joint gives a vector
+        jacobian = jacobian.reshape(6, model.nv)  # a single joint gives a vector
+        if lever is not None:
+            jacobian[:3] += pin.skew(lever) @ jacobian[3:]
+        blocks.append(jacobian[list(rows)])
     return np.vstack(blocks)
 
 

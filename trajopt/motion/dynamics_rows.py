@@ -6,7 +6,7 @@ import numpy as np
 
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.motion.samples import SampleQuantities, sample_quantities
-from trajopt.motion.touched import TouchedSurfaces, held_part
+from trajopt.motion.touched import TouchedSurfaces, held_part, without_rolling
 from trajopt.motion.traces import Trace, Traces, names_of_rows
 from trajopt.solution.solution import Solution
 
@@ -16,7 +16,8 @@ class DynamicsRows:
     """Residuals of the rows that hold at the collocation points, at K samples, in SI units.
 
     base (K, n_unactuated), actuated (K, nu): N and N m. contact (K, nc, 6), linear rows first: classical
-    acceleration of active contacts, with velocity sources, their velocity; zero where there is no such row.
+    acceleration of active contacts, with velocity sources, their velocity, of contacts that roll without what
+    they roll; zero where there is no such row.
     """
 
     base: np.ndarray
@@ -32,7 +33,7 @@ def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
         balance = sample_quantities(still).generalized_force[:, free] if len(free) else balance
         held = samples.velocity
-    contact = np.concatenate([held_part(held[..., :3], surfaces), held[..., 3:]], axis=-1)
+    contact = np.concatenate([held_part(without_rolling(held, surfaces), surfaces), held[..., 3:]], axis=-1)
     contact[~plan.active] = 0.0
     contact[:, ~plan.description.soles, 3:] = 0.0
     return DynamicsRows(base=balance, actuated=force[:, plan.actuated_rows], contact=contact)

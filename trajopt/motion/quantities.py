@@ -17,6 +17,7 @@ from trajopt.motion.dynamics_rows import DynamicsRows, dynamics_rows, dynamics_t
 from trajopt.motion.integration_gaps import IntegrationGaps, interval_gaps
 from trajopt.motion.limits import drive_traces, limit_traces
 from trajopt.motion.resampling import samples_at
+from trajopt.motion.rolled import RolledPaths
 from trajopt.motion.samples import (
     ContactPlaces,
     SampleQuantities,
@@ -24,7 +25,7 @@ from trajopt.motion.samples import (
     sample_quantities,
     state_distance,
 )
-from trajopt.motion.touched import TouchedSurfaces, held_part, touched_surfaces
+from trajopt.motion.touched import TouchedSurfaces, held_part, touched_surfaces, without_rolling
 from trajopt.motion.traces import Traces
 from trajopt.robot.building import reach
 from trajopt.robot.natural_units import NaturalUnits, turning_rows
@@ -42,11 +43,14 @@ class MotionQuantities:
     Args:
         solution: the motion, with rotations of unit norm.
         bodies: those whose distances are measured; default: those of the solution.
+        rolled: how far contacts have rolled; default: by the solution's velocities.
     """
 
-    def __init__(self, solution: Solution, bodies: FileBodies | None = None) -> None:
+    def __init__(
+        self, solution: Solution, bodies: FileBodies | None = None, rolled: RolledPaths | None = None
+    ) -> None:
         self.solution = solution
-        self._given_bodies = bodies
+        self._given_bodies, self._given_paths = bodies, rolled
 
     @classmethod
     def normalized(cls, solution: Solution) -> MotionQuantities:
@@ -56,7 +60,8 @@ class MotionQuantities:
     def between(self, numbers: np.ndarray, fractions: np.ndarray) -> MotionQuantities:
         """The same motion with samples at fractions (n,) of intervals (n,), see `samples_at`."""
         samples = self.polynomials.at(numbers, fractions)
-        return MotionQuantities(samples_at(self.solution, numbers, fractions, samples), self.bodies)
+        solution = samples_at(self.solution, numbers, fractions, samples)
+        return MotionQuantities(solution, self.bodies, self.rolled_paths)
 
     @property
     def polynomials(self) -> InterpolatedMotion:
@@ -136,14 +141,28 @@ class MotionQuantities:
         return touched_surfaces(self.solution, self.places.position)
 
     @cached_property
+    def rolled_paths(self) -> RolledPaths | None:
+        """How far contacts have rolled at any time; None where none rolls."""
+        if self._given_paths is not None or not self.solution.description.rolling.any():
+            return self._given_paths
+        return RolledPaths.of(self.solution, self.places.velocity, self.surfaces)
+
+    @cached_property
     def held_position(self) -> np.ndarray:
-        """Positions (K, nc, 3) of the contacts, m; of sliding ones only along the normal."""
-        return held_part(self.places.position, self.surfaces)
+        """Positions (K, nc, 3) of the contacts, m, without what they have rolled.
+
+        Of sliding ones only along the normal.
+        """
+        paths, position = self.rolled_paths, self.places.position
+        return held_part(position if paths is None else position - paths.at(self.solution), self.surfaces)
 
     @cached_property
     def held_velocity(self) -> np.ndarray:
-        """Velocities (K, nc, 3) of the contacts, m/s; of sliding ones only along the normal."""
-        return held_part(self.places.velocity[..., :3], self.surfaces)
+        """Velocities (K, nc, 3) of the contacts, m/s, without what they roll.
+
+        Of sliding ones only along the normal.
+        """
+        return held_part(without_rolling(self.places.velocity, self.surfaces), self.surfaces)
 
     @cached_property
     def surface_distance(self) -> np.ndarray:

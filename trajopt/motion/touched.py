@@ -16,7 +16,8 @@ class TouchedSurfaces:
     """Planes at K samples of nc contacts: the terrain's under it, or the one that its phase states.
 
     A plane is the one on which the contact's frame lies: of a contact with a radius the plane parallel to
-    what it touches, which is `ground`. point, normal (K, nc, 3) m; radius, friction (K, nc); bilateral (K,
+    what it touches, which is `ground`. point, normal (K, nc, 3) m; radius, friction (K, nc); lever (K, nc, 3)
+    m: from where a contact that rolls touches to its frame, zero of others; bilateral (K,
     nc): transmits any wrench; known (K, nc): whether there is a plane (in a hole, or without terrain, normals
     are up, and heights unknown). slip (K, nc): slip speed, m/s, of a surface along which the contact slides,
     NaN where it is held.
@@ -25,6 +26,7 @@ class TouchedSurfaces:
     point: np.ndarray
     normal: np.ndarray
     radius: np.ndarray
+    lever: np.ndarray
     friction: np.ndarray
     bilateral: np.ndarray
     known: np.ndarray
@@ -79,6 +81,7 @@ def touched_surfaces(
         point=point,
         normal=normal,
         radius=np.tile(radii, (len(rows), 1)),
+        lever=(radii * plan.description.rolling)[:, None] * normal,
         friction=friction,
         bilateral=bilateral,
         known=known,
@@ -114,6 +117,11 @@ def held_samples(plan: Solution) -> np.ndarray:
         for frame, surface in surfaces.items():
             held[plan.phase == phase, frames.index(frame)] = surface.bilateral
     return held
+
+
+def without_rolling(motion: np.ndarray, surfaces: TouchedSurfaces) -> np.ndarray:
+    """Linear part (K, nc, 3) of twists or accelerations (K, nc, 6); of contacts that roll without rolling."""
+    return np.asarray(motion[..., :3] - np.cross(motion[..., 3:], surfaces.lever))
 
 
 def held_part(vectors: np.ndarray, surfaces: TouchedSurfaces) -> np.ndarray:

@@ -38,6 +38,8 @@ class HorizonMotion:
         schemes = [layout.scheme_of(phase) for phase in range(len(horizon.pattern.contacts))]
         self.weights = [each.polynomials for each in schemes]
         self.contacts = layout.contacts
+        problem = horizon.transcription.problem
+        self.levers = [problem.levers_of(phase) for phase in range(len(schemes))]
         self.highest: list[np.ndarray] = []
         self.wrenches: list[np.ndarray] = []
         for k in range(layout.n_stages):
@@ -83,6 +85,8 @@ class HorizonMotion:
         for contact in self.contacts[phase]:
             number, rows = self.robot.contacts.index(contact), list(contact.rows)
             forces[number, rows] = wrench[at : at + len(rows)]
+            if contact.name in self.levers[phase]:
+                forces[number, 3:] = np.cross(forces[number, :3], self.levers[phase][contact.name])
             at, active[number] = at + len(rows), True
             frame = self.model.getFrameId(contact.frame)
             jacobian = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)

@@ -147,7 +147,7 @@ class HorizonPlanner:
         horizon, modes = self.horizon()
         least = SHORTEST * self.clock.period
         durations = np.array([max(mode.duration, least) for mode in modes])
-        start = horizon.layout.coordinates.node_from_pinocchio(q, self._held(q, v, modes[0].contacts))
+        start = horizon.layout.coordinates.node_from_pinocchio(q, self._held(horizon, q, v))
         before, horizon.durations = float(horizon.durations[0]), durations
         iterate, steps = self._start(horizon, before)
         if iterate is not None:
@@ -172,13 +172,14 @@ class HorizonPlanner:
             self.stretch = Stretch(self.clock.number, wanted * horizon.units.time**2)
         return HorizonMotion(horizon, iterate["x"], time)
 
-    def _held(self, q: np.ndarray, v: np.ndarray, contacts: Sequence[str]) -> np.ndarray:
+    def _held(self, horizon: Horizon, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The velocity nearest to v, by kinetic energy, with which the contacts that stand do not move."""
+        contacts, levers = horizon.pattern.contacts[0], horizon.transcription.problem.levers_of(0)
         if not contacts:
             return v
         model = self.robot.model
         places = [(c.frame, c.rows) for c in map(self.robot.contact, contacts)]
-        jacobian = contact_jacobian(model, q, places)
+        jacobian = contact_jacobian(model, q, places, [levers.get(name) for name in contacts])
         mass = pin.crba(model, model.createData(), q)
         spread = np.linalg.solve(mass, jacobian.T)
         inverse = np.linalg.lstsq(jacobian @ spread, jacobian @ v, rcond=1e-8)[0]

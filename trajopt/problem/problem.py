@@ -42,6 +42,7 @@ from trajopt.terms.dynamics import (
     ContactVelocity,
     FollowingJoints,
     SlidingFriction,
+    require_rolling,
     require_sliding,
     sliding_surfaces,
 )
@@ -130,6 +131,10 @@ class Problem:
         schedule.require_steady_surfaces(self.terrain, self._starts)
         require_sliding(robot, schedule, self.actuation, tuple(self.modes))
         require_standing(robot, schedule, self.terrain, self._starts)
+        if any(contact.rolling for contact in robot.contacts):
+            phases = range(len(schedule.phases))
+            grounds = [self.surfaces_of(i) if self.holds_contacts else {} for i in phases]
+            require_rolling(robot, schedule, grounds, tuple(self.modes))
         if self.periodicity is not None:
             if self.modes or self.actuation == "velocity":
                 what = "modes" if self.modes else "a velocity source"
@@ -240,6 +245,14 @@ class Problem:
             radius = self.robot.contact(name).radius
             surfaces[name] = schedule.surface(phase, name, self.terrain, starts, radius)
         return surfaces
+
+    def levers_of(self, phase: int) -> dict[str, np.ndarray]:
+        """Levers (3,) m of a phase's contacts that roll, by the contact's name, see `Contact.lever`."""
+        if not any(contact.rolling for contact in self.robot.contacts):
+            return {}
+        grounds = self.surfaces_of(phase).items()
+        levers = {name: self.robot.contact(name).lever(ground) for name, ground in grounds}
+        return {name: lever for name, lever in levers.items() if lever is not None}
 
     @cached_property
     def _starts(self) -> dict[str, np.ndarray]:

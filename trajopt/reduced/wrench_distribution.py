@@ -127,6 +127,7 @@ class _Phase:
         self.robot, phase = problem.robot, problem.schedule.phases[index]
         self.units = Units(self.robot)
         self.contacts = tuple(self.robot.contact(name) for name in phase.contacts)
+        self.arms = problem.levers_of(index)
         self.entries = [
             (self.robot.contacts.index(contact), row) for contact in self.contacts for row in contact.rows
         ]
@@ -154,7 +155,8 @@ class _Phase:
         which, rows = (np.array(part) for part in zip(*self.entries, strict=True))
         w = solution.f[row][which, rows]
         places = [(contact.frame, 6) for contact in self.contacts]
-        full = contact_jacobian(self.robot.model, solution.q[row], places)
+        arms = [self.arms.get(contact.name) for contact in self.contacts]
+        full = contact_jacobian(self.robot.model, solution.q[row], places, arms)
         jacobian = full[[6 * i + k for i, contact in enumerate(self.contacts) for k in contact.rows]]
         unit, actuation = self.units.wrench[rows], self.robot.actuation
         basis = unit[:, None] * null_space(
@@ -175,6 +177,9 @@ class _Phase:
         y *= _longest_step(exact, w, basis @ y)
         f = solution.f[row].copy()
         f[which, rows] = w + basis @ y
+        for contact in (contact for contact in self.contacts if contact.name in self.arms):
+            index = self.robot.contacts.index(contact)
+            f[index, 3:] = np.cross(f[index, :3], self.arms[contact.name])
         return f, torque + levers @ y
 
 

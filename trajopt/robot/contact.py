@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from trajopt.arguments import NonNegative, checked
 from trajopt.errors import InputError
+from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Ground
 
 ContactKind = Literal["point", "surface"]
@@ -29,13 +30,15 @@ class Contact:
         half_length: of a sole along x, m.
         half_width: of a sole along y, m.
         radius: of a point contact, m: it touches with a ball around its frame's origin. Its centre keeps this
-            distance from the ground, and the force passes through it; rolling is neglected.
+            distance from the ground, and the force passes through it, unless it rolls.
+        rolling: whether the ball is fixed to its link and rolls without slip on planes: the centre moves at
+            the link's angular velocity times the radius, and the force acts where the ball touches.
         rows: entries of (force, moment) in world axes that it transmits, default all; a `Robot` in a plane
             keeps those within it.
 
     Raises:
         InputError: for an unknown kind, a sole without size or a point with one, a radius that is negative
-            or of a sole, and unknown rows.
+            or of a sole, rolling without a radius, and unknown rows.
     """
 
     frame: str
@@ -44,6 +47,7 @@ class Contact:
     half_length: float = 0.0
     half_width: float = 0.0
     radius: NonNegative = 0.0
+    rolling: bool = False
     rows: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -59,6 +63,8 @@ class Contact:
             raise InputError(f"point contact '{self.name}' has a size", "kind='surface' for a sole")
         if self.kind == "surface" and self.radius:
             raise InputError(f"surface contact '{self.name}' has a radius", "kind='point' for a ball")
+        if self.rolling and not self.radius:
+            raise InputError(f"contact '{self.name}' rolls and has no radius", "radius=... in m, of a ball")
         every = tuple(range(3 if self.kind == "point" else 6))
         object.__setattr__(self, "rows", tuple(self.rows) or every)
         if not set(self.rows) <= set(every):
@@ -84,6 +90,10 @@ class Contact:
     def gap(self, ground: Ground, position: np.ndarray) -> float:
         """Signed distance in m of the contact, its frame's origin at a position (3,), from its ground."""
         return float(ground.distance(position))
+
+    def lever(self, ground: Ground | None) -> np.ndarray | None:
+        """From where a ball that rolls touches a plane to its centre (3,), m; None of other contacts."""
+        return self.radius * ground.normal if self.rolling and isinstance(ground, Surface) else None
 
     def within_plane(self, normal: int) -> Contact:
         """The same contact of a robot that cannot leave the plane across the world's axis ``normal``."""

@@ -325,6 +325,15 @@ class Robot:
         """
         return replace(self, **changes.mimics(self, mimics, driven))
 
+    def with_rolling_contacts(self) -> Robot:
+        """Return this robot with all contacts that have a radius rolling, see `Contact`.
+
+        Raises InputError where none has one.
+        """
+        if not any(contact.radius for contact in self.contacts):
+            raise InputError(f"robot '{self.name}' has no contact that could roll", "contacts with a radius")
+        return replace(self, contacts=tuple(replace(c, rolling=c.radius > 0) for c in self.contacts))
+
     def least_torque(self, limit: np.ndarray) -> np.ndarray:
         """Least inputs (nu,) that go with the largest ones ``limit``: of joints their negative."""
         return least_inputs(limit, self.thrusters)

@@ -257,7 +257,7 @@ def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) ->
     every = contact_activity(whole, problem.schedule)[solution.phase]
     f = reduction.lift_forces(solution.f)
     if reduction.is_half:
-        f = _carrying(solution, whole, motion, f, every)
+        f = _carrying(solution, problem, motion, f, every)
     return replace(
         solution,
         description=replace(solution.description, **described_robot(problem)),
@@ -276,10 +276,12 @@ def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) ->
 
 
 def _carrying(
-    solution: Solution, robot: Robot, motion: _Trajectory, f: np.ndarray, active: np.ndarray
+    solution: Solution, problem: Problem, motion: _Trajectory, f: np.ndarray, active: np.ndarray
 ) -> np.ndarray:
     """Wrenches (K, nc, 6) nearest to ``f`` whose base rows carry the motion at collocation points."""
+    robot = problem.robot
     model, data, rows = robot.model, robot.model.createData(), robot.unactuated_rows
+    levers = [problem.levers_of(phase) for phase in range(len(problem.schedule.phases))]
     frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
     units = np.array([1.0] * 3 + [robot.length] * 3)
     corrected = f.copy()
@@ -289,12 +291,15 @@ def _carrying(
         chosen = [
             (c, row) for c, row in zip(robot.contacts, range(len(frames)), strict=True) if active[k, row]
         ]
-        jacobian = contact_jacobian(model, state[0], [(c.frame, c.rows) for c, _ in chosen])[:, rows]
+        arms, places = levers[int(solution.phase[k])], [(c.frame, c.rows) for c, _ in chosen]
+        jacobian = contact_jacobian(model, state[0], places, [arms.get(c.name) for c, _ in chosen])[:, rows]
         scale = np.concatenate([units[list(c.rows)] for c, _ in chosen])
         change = scale * np.linalg.lstsq((scale[:, None] * jacobian).T, missing, rcond=None)[0]
         for contact, row in chosen:
             corrected[k, row, list(contact.rows)] += change[: contact.dimension]
             change = change[contact.dimension :]
+            if contact.name in arms:
+                corrected[k, row, 3:] = np.cross(corrected[k, row, :3], arms[contact.name])
     return interpolated(solution, corrected)
 
 

@@ -140,7 +140,7 @@ def _slipped(
     feet, turns = record.feet[rows, contact, None], record.turns[rows, contact]
     places = feet + touching_places(plan, contact) @ turns.mT
     radius = float(world.place.radii[contact])
-    if not (world.place.rolling and radius) or len(turns) < 2:
+    if not world.place.rolling[contact] or len(turns) < 2:
         return np.asarray(places)
     steps = np.array([pin.log3(after @ before.T) for before, after in pairwise(turns)])
     rolled = np.cumsum(np.vstack([np.zeros(3), np.cross(steps, radius * normal)]), axis=0)

@@ -2,8 +2,8 @@
 
 A point contact is a ball so small (`BALL` of the reach) that its rolling is negligible, and a sole has one at
 each corner. The ground that they touch is shifted along its normal, so that a contact of the plan with a
-radius turns about its centre, as it does in the plan; or it is a ball of that radius, which rolls. Links
-touch the ground where it is.
+radius turns about its centre; or, if it rolls, it is a ball of that radius. Links touch the ground where it
+is.
 """
 
 from collections.abc import Iterator, Sequence
@@ -47,13 +47,13 @@ class GroundGeometry:
 class Surroundings:
     """Where a plan happens: contact frames (K, nc, 3) at its samples, a box around it, the reach; m.
 
-    radii: (nc,) of the plan's contacts. rolling: whether those with a radius roll. offsets: (nc,) m, by which
-    the ground of contacts is higher than planned.
+    radii, rolling: (nc,) of the plan's contacts, and which of them roll. offsets: (nc,) m, by which the
+    ground of contacts is higher than planned.
     """
 
     feet: np.ndarray
     radii: np.ndarray
-    rolling: bool
+    rolling: np.ndarray
     offsets: np.ndarray
     low: np.ndarray
     high: np.ndarray
@@ -67,7 +67,7 @@ class Surroundings:
     @property
     def sizes(self) -> np.ndarray:
         """Radii (nc,) of the balls of contacts, m."""
-        return np.where(self.rolling & (self.radii > 0), self.radii, self.ball)
+        return np.where(self.rolling, self.radii, self.ball)
 
     @property
     def lifts(self) -> np.ndarray:
@@ -89,10 +89,11 @@ def surroundings_of(
     """
     points = np.concatenate([feet.reshape(-1, 3), bodies.reshape(-1, 3)])
     around = AROUND * reach + np.array([beyond, beyond, 0.0])
+    radii, rolling = plan.description.radii, plan.description.rolling
     return Surroundings(
         feet=feet,
-        radii=plan.description.radii,
-        rolling=settings.rolling,
+        radii=radii,
+        rolling=rolling if settings.rolling is None else settings.rolling & (radii > 0),
         offsets=np.array([settings.ground_offsets.get(name, 0.0) for name in plan.contact_frames]),
         low=points.min(axis=0) - around,
         high=points.max(axis=0) + around,

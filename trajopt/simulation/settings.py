@@ -74,8 +74,8 @@ class SimulationSettings:
     (m), rad, and their rates over the natural time. seed: of the noise. cycles: of a periodic plan. push: N,
     level on the base for a tenth of the motion, in its middle, to its left; in a plane to its front.
     impulse: another push, of any direction and time, see `Impulse`, or several.
-    rolling: contacts with a radius are balls fixed to their links, which roll; otherwise they turn about
-    their centres, as in the plan. controller: see `Controller`, or an object with the ``torque`` of a
+    rolling: whether contacts with a radius are balls fixed to their links, which roll, or turn about their
+    centres; None: each as in the plan. controller: see `Controller`, or an object with the ``torque`` of a
     `Tracker`, see `TorqueController`; ``kp`` and ``kd`` are of "joints", gains, None for the usual ones, and
     qp_solver, which solves the programs, of "whole-body".
 
@@ -99,7 +99,7 @@ class SimulationSettings:
     seed: int = 0
     cycles: int = 1
     push: float = 0.0
-    rolling: bool = False
+    rolling: bool | None = None
     controller: Controller | TorqueController = "joints"
     gains: TrackerGains | None = None
     qp_solver: QpSolverName = "piqp"
@@ -112,8 +112,10 @@ class SimulationSettings:
     ground_offsets: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.rolling, bool):
-            raise InputError(f"rolling of a simulation is {shown(self.rolling)}", "allowed: True or False")
+        if not isinstance(self.rolling, bool | None):
+            raise InputError(
+                f"rolling of a simulation is {shown(self.rolling)}", "allowed: True, False or None"
+            )
         words = get_args(Controller)
         if isinstance(self.controller, str) and self.controller not in words:
             raise not_among(words, self.controller, f"controller of a simulation is '{self.controller}'")

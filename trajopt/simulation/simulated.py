@@ -61,7 +61,7 @@ def simulated_solution(
     phase = np.array([reference.phase[first] for first, _ in chunks])
     own = plan.joint_force(q[last], v[last])  # MuJoCo's friction on joints has it, too
     return Solution(
-        description=_description(plan, reference, phase),
+        description=_description(plan, reference, phase, world),
         statistics=_statistics(plan, report, steps),
         model=plan.model,
         t=t[rows],
@@ -117,13 +117,19 @@ def _active(
     return np.array(by_interval)
 
 
-def _description(plan: Solution, reference: ReferenceTrajectory, phase: np.ndarray) -> PlanDescription:
-    """The plan's, by the phases of the simulation (n_chunks,); it does not repeat."""
+def _description(
+    plan: Solution, reference: ReferenceTrajectory, phase: np.ndarray, world: World
+) -> PlanDescription:
+    """The plan's, by the phases of the simulation (n_chunks,). It does not repeat; feet roll as here."""
     used = int(phase[-1]) + 1
     source = [int(reference.source[np.argmax(reference.phase == i)]) for i in range(used)]
     planned = plan.description
     return replace(
         planned,
+        contacts=tuple(
+            replace(contact, rolling=bool(rolls))
+            for contact, rolls in zip(planned.contacts, world.place.rolling, strict=True)
+        ),
         periodicity=None,
         phase_names=tuple(reference.phase_names[:used]),
         surfaces=tuple(planned.surfaces[i] for i in source) if planned.surfaces else (),

@@ -38,6 +38,7 @@ class PlannedContact:
         friction: coefficient on the terrain.
         half_size: half length and half width of a sole, m; None of a point, and where it is not known.
         radius: of the ball around a point, m; the frame is its centre.
+        rolling: whether the ball rolls on what it touches.
     """
 
     name: str
@@ -46,6 +47,7 @@ class PlannedContact:
     friction: float
     half_size: tuple[float, float] | None = None
     radius: float = 0.0
+    rolling: bool = False
 
     @property
     def is_sole(self) -> bool:
@@ -183,6 +185,11 @@ class PlanDescription:
     def radii(self) -> np.ndarray:
         """Radii of the contacts (nc,), m."""
         return np.array([contact.radius for contact in self.contacts], dtype=float)
+
+    @property
+    def rolling(self) -> np.ndarray:
+        """Which contacts roll (nc,)."""
+        return np.array([contact.rolling for contact in self.contacts], dtype=bool)
 
     @property
     def velocity_input(self) -> bool:

@@ -42,7 +42,15 @@ REQUIRED = (
 DESCRIBED = (
     *("problem", "parameters", "robot", "actuation", "gravity", "effort_limit", "velocity_limit"),
     *("actuated_rows", "thrusters", "joint_forces", "mimics"),
-    *("contact_frames", "contact_names", "contact_kinds", "contact_sizes", "contact_radius", "friction"),
+    *(
+        "contact_frames",
+        "contact_names",
+        "contact_kinds",
+        "contact_sizes",
+        "contact_radius",
+        "contact_rolling",
+    ),
+    "friction",
     *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
     *("visual", "phase_names"),
 )
@@ -176,6 +184,8 @@ def meta_of(description: PlanDescription, statistics: SolveStatistics) -> _Json:
 def _described_options(plan: PlanDescription) -> _Json:
     """Entries that a file has only where there is something to describe."""
     options: _Json = {}
+    if plan.rolling.any():
+        options["contact_rolling"] = plan.rolling
     if plan.actuated_rows is not None:
         options["actuated_rows"] = plan.actuated_rows
     for name in ("thrusters", "joint_forces", "mimics"):
@@ -229,6 +239,7 @@ def _contacts(meta: Mapping[str, Any]) -> Iterator[PlannedContact]:
     names = meta.get("contact_names") or frames
     sizes = meta.get("contact_sizes") or [None] * n
     radii = meta.get("contact_radius") or [0.0] * n
+    rolling = meta.get("contact_rolling") or [False] * n
     if not (_is_list(names, str) and len(names) == n):
         raise SolutionFileError(f"contact_names {names} are not a name for each of the {n} contact_frames")
     if not all(kind in ("point", "surface") for kind in kinds):
@@ -243,10 +254,22 @@ def _contacts(meta: Mapping[str, Any]) -> Iterator[PlannedContact]:
         raise SolutionFileError("contact_radius of meta is not a list of a number >= 0 for each contact")
     if any(radius and kind == "surface" for radius, kind in zip(radii, kinds, strict=True)):
         raise SolutionFileError("contact_radius of meta is not 0 for a sole")
-    for name, frame, kind, mu, size, radius in zip(names, frames, kinds, friction, sizes, radii, strict=True):
+    if not (_is_list(rolling, bool) and len(rolling) == n):
+        raise SolutionFileError("contact_rolling of meta is not a list of true or false for each contact")
+    if any(rolls and not radius for rolls, radius in zip(rolling, radii, strict=True)):
+        raise SolutionFileError("contact_rolling of meta is true for a contact without a radius")
+    for i, (name, frame, kind, mu, size) in enumerate(
+        zip(names, frames, kinds, friction, sizes, strict=True)
+    ):
         half_size = None if size is None else (float(size[0]), float(size[1]))
         yield PlannedContact(
-            name=name, frame=frame, kind=kind, friction=float(mu), half_size=half_size, radius=float(radius)
+            name=name,
+            frame=frame,
+            kind=kind,
+            friction=float(mu),
+            half_size=half_size,
+            radius=float(radii[i]),
+            rolling=rolling[i],
         )
 
 

@@ -97,11 +97,11 @@ def extract(transcription: Transcription, x: np.ndarray, **statistics: Any) -> S
         interval_t=np.column_stack([times[layout.interval_stages], times[layout.interval_stages + 1]]),
         **{name: np.concatenate(parts) for name, parts in columns.items()},
         **_labels(layout),
-        **_impacts(layout, unknowns),
+        **_impacts(problem, layout, unknowns),
     )
 
 
-def _impacts(layout: Layout, unknowns: np.ndarray) -> dict[str, np.ndarray]:
+def _impacts(problem: Problem, layout: Layout, unknowns: np.ndarray) -> dict[str, np.ndarray]:
     """Impulses of every impact, and the sample just after it."""
     stages = layout.transitions_of(StageKind.IMPACT)
     if not stages:
@@ -109,7 +109,8 @@ def _impacts(layout: Layout, unknowns: np.ndarray) -> dict[str, np.ndarray]:
     impulses, first = [], []
     for k in stages:
         touching, window = layout.touching[layout.stages[k].phase], unknowns[layout.window(k)]
-        impulses.append(_wrenches(layout, touching, window[layout.local_impulse(k)]))
+        levers = _levers(problem, layout.stages[k].phase)
+        impulses.append(_wrenches(layout, touching, window[layout.local_impulse(k)], levers))
         before = layout.interval_stages[layout.interval_stages < k]
         first.append(int(_widths(layout, before).sum()))
     return {"impulse": np.array(impulses), "impact_index": np.array(first)}
@@ -173,7 +174,8 @@ def _interval(
         q, v, a = (part[1:-1] for part in every)
         edge = (form.coordinates.node_to_pinocchio(np.array(nodes))[0], every[1][[0, -1]], every[2][[0, -1]])
     wrenches = [window[layout.local_wrench(phase, i)] for i in range(method.s)]
-    f = np.array([_wrenches(layout, layout.contacts[phase], wrench) for wrench in wrenches])
+    levers = _levers(problem, phase)
+    f = np.array([_wrenches(layout, layout.contacts[phase], wrench, levers) for wrench in wrenches])
     full = [np.concatenate([e[:1], p, e[1:]]) for p, e in zip((q, v, a), edge, strict=True)]
     mode = layout.modes.get(layout.schedule.phases[phase].name)
     if mode is not None:
@@ -205,13 +207,24 @@ def _torques(robot: Robot, motion: list[np.ndarray], f: np.ndarray) -> np.ndarra
     return robot.actuation.inputs(np.array(forces) - own)
 
 
-def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray) -> np.ndarray:
-    """Wrench of every contact of the robot (nc, 6), zero where inactive."""
+def _levers(problem: Problem, phase: int) -> np.ndarray:
+    """Levers (nc, 3) m of the contacts that roll in a phase, see `Contact.lever`; zero of others."""
+    levers = problem.levers_of(phase)
+    names = [contact.name for contact in problem.robot.contacts]
+    return np.array([levers.get(name, np.zeros(3)) for name in names]).reshape(-1, 3)
+
+
+def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray, levers: np.ndarray) -> np.ndarray:
+    """Wrench of every contact of the robot (nc, 6), zero where inactive.
+
+    Forces on contacts that roll have a moment, about the frame's origin, by their ``levers`` (nc, 3) m.
+    """
     names = [contact.name for contact in layout.robot.contacts]
     f, start = np.zeros((len(names), 6)), 0
     for contact in contacts:
         f[names.index(contact.name), list(contact.rows)] = w[start : start + contact.dimension]
         start += contact.dimension
+    f[:, 3:] += np.cross(f[:, :3], levers)
     return f
 
 
@@ -282,6 +295,7 @@ def _contact(contact: Contact, friction: float) -> PlannedContact:
         friction=friction,
         half_size=size,
         radius=contact.radius,
+        rolling=contact.rolling,
     )
 
 

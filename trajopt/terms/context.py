@@ -19,7 +19,7 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
-from trajopt.terms.context_symbols import Actuation, FrameSymbols, Parameters, Place
+from trajopt.terms.context_symbols import Actuation, FrameSymbols, Parameters, Place, without_rolling
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Ground
 
@@ -299,8 +299,19 @@ class Context(Parameters):
         residuals = ca.vertcat(ca.SX(0, 1), *[residual for residual, _ in self._squares])
         return residuals, rate * ca.vertcat(ca.SX(0, 1), *[weight for _, weight in self._squares])
 
+    def lever(self, contact: Contact) -> np.ndarray | None:
+        """From where an active contact that rolls touches to its centre (3,), world, m; None of others."""
+        return contact.lever(self._surfaces.get(contact.name))
+
+    def contact_velocity(self, contact: Contact) -> ca.SX:
+        """Twist (6,) of an active contact, world axes; of one that rolls without what it rolls."""
+        twist, lever = self.frame(contact.frame).velocity, self.lever(contact)
+        return twist if lever is None else without_rolling(twist, ca.DM(lever))
+
     def contact_acceleration(self, contact: Contact) -> ca.SX:
         """Classical acceleration of an active contact (held rows), in world or base axes.
+
+        Of one that rolls it is without what it rolls.
 
         The axes are the base link's for a free-flyer, the world's otherwise. That suffices for rows that
         vanish, and is cheaper, since no orientation enters.

@@ -21,6 +21,14 @@ class Place(Enum):
     IMPACT = "impact"
 
 
+def without_rolling(motion: ca.SX, lever: ca.SX | ca.DM) -> ca.SX:
+    """Twist or acceleration (6,) of a ball's centre without what it rolls, in the axes of its lever (3,).
+
+    It vanishes for a ball that rolls without slip on a plane: v = omega x lever, a = omega' x lever.
+    """
+    return ca.vertcat(motion[:3] - ca.cross(motion[3:], lever), motion[3:])
+
+
 Actuation = Literal["torque", "acceleration", "velocity"]
 ACTUATIONS: tuple[Actuation, ...] = get_args(Actuation)
 

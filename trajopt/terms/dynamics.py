@@ -10,6 +10,7 @@ friction is 1 / sqrt 2 of what it is at high speed (the regularisation of Anders
 Bjoerklund, Tribology International 40, 2007, without their static peak). A contact without slip speed sticks.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -25,6 +26,7 @@ from trajopt.terms.context import Context
 from trajopt.terms.friction import surface_force
 from trajopt.terms.interfaces import PointConstraint, Rows
 from trajopt.terrain.surface import Surface
+from trajopt.terrain.terrain import Ground
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +73,7 @@ class ContactAcceleration(PointConstraint):
     """Active contacts do not accelerate.
 
         J a + J' v = 0           held contacts: linear and for a sole angular, 3 or 6 rows
+        a - w' x r n = 0         balls of radius r that roll, with a of the centre and w of the link
         n^T (J a + J' v) = 0     sliding contacts: along the normal n of their surface
 
     Rows are over g or g / l. Axes are the base's for a free-flyer, the world's otherwise.
@@ -94,7 +97,7 @@ class ContactAcceleration(PointConstraint):
 class ContactVelocity(PointConstraint):
     """Active contacts do not move: for velocity sources, in place of `ContactAcceleration`.
 
-        J v = 0
+        J v = 0        of balls that roll  v - w x r n = 0
 
     linear and for a sole angular, in world axes. Rows are over sqrt(g l) or sqrt(g / l).
     """
@@ -103,7 +106,7 @@ class ContactVelocity(PointConstraint):
     def rows(self, context: Context, units: Units) -> Rows | None:
         parts, scales = [], []
         for contact in context.contacts:
-            parts.append(context.frame(contact.frame).velocity[list(context.held_rows(contact))])
+            parts.append(context.contact_velocity(contact)[list(context.held_rows(contact))])
             scales += units.twist[list(context.held_rows(contact))].tolist()
         return Rows.create(ca.vertcat(*parts), 0, 0, np.array(scales)) if parts else None
 
@@ -144,6 +147,30 @@ def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tup
                 allowed = f"that it slides in phase '{after.name}' too, or is not in contact there"
             if allowed:
                 raise InputError(f"'{name}' slides in phase '{phase.name}'", f"allowed: {allowed}")
+
+
+def require_rolling(
+    robot: Robot, schedule: Schedule, grounds: Sequence[Mapping[str, Ground]], modes: tuple[str, ...]
+) -> None:
+    """Raise `InputError` for a contact that rolls where that is not supported.
+
+    ``grounds``: by phase what its contacts touch; ``modes`` names phases in minimal coordinates.
+    """
+    for phase, touched in zip(schedule.phases, grounds, strict=True):
+        for name in phase.contacts:
+            ground, allowed = touched.get(name), ""
+            if not robot.contact(name).rolling:
+                continue
+            if ground is None:
+                allowed = "dynamics that hold contacts in place"
+            elif not isinstance(ground, Surface):
+                allowed = "ground of planes, not curved"
+            elif ground.bilateral or ground.slip_speed is not None:
+                allowed = "surfaces that neither hold it nor let it slide"
+            elif phase.name in modes:
+                allowed = "phases without minimal coordinates"
+            if allowed:
+                raise InputError(f"'{name}' rolls in phase '{phase.name}'", f"allowed: {allowed}")
 
 
 @checked

@@ -43,7 +43,8 @@ class ContactLanding(AtMoment, NodeConstraint):
         p = foothold          or, without one,        n . p = d
         n . R e_x = n . R e_y = 0                     of a sole, which lies flat
         a_i . p_k >= b_i + margin                     on a patch, of its edges i and the corners k of a sole
-        J v = 0                                       of a sliding contact  n^T J v = 0
+        J v = 0                                       of a sliding contact  n^T J v = 0,
+                                                      of a ball that rolls  v - w x r n = 0
 
     with p the frame's origin, n the normal and d the height of the surface that the phase states for the
     contact, else of the terrain; a contact with a radius touches it. Over smooth ground the second row is the
@@ -69,7 +70,7 @@ class ContactLanding(AtMoment, NodeConstraint):
             for name in (*self.contacts, *self.held):
                 contact = context.robot.contact(name)
                 rows, surface = list(context.held_rows(contact)), context.slides_on(contact)
-                velocity, unit = context.frame(contact.frame).velocity[rows], units.twist[rows]
+                velocity, unit = context.contact_velocity(contact)[rows], units.twist[rows]
                 if surface is not None:
                     velocity, unit = along_normal(context, surface, velocity), units.twist[0]
                 parts.append(Rows.create(velocity, 0.0, 0.0, unit))

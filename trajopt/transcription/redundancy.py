@@ -35,26 +35,32 @@ def independent_rows(
     before: Sequence[Contact],
     after: Sequence[Contact],
     places: Mapping[str, np.ndarray] = MappingProxyType({}),
+    levers: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> _KeptRows:
     """Rows to keep of every contact, by name: of ``before`` first, then of ``after``.
 
     A row is left out if at q (nq,), and at postures around it with the contacts where they hold, it depends
-    on those kept before it. ``places`` (3,) m are where contacts are, by name; default where q has them.
+    on those kept before it. ``places`` (3,) m are where contacts are, by name; default where q has them;
+    ``levers`` (3,) m are of contacts that roll, see `Contact.lever`.
     """
-    kept = _kept([q], robot, before, after)
+    kept = _kept([q], robot, before, after, levers)
     if all(kept[contact.name] == contact.rows for contact in (*before, *after)):
         return kept
-    return _kept([q, *_neighbours(robot, q, (*before, *after), places)], robot, before, after)
+    return _kept([q, *_neighbours(robot, q, (*before, *after), places)], robot, before, after, levers)
 
 
 def _kept(
-    postures: Sequence[np.ndarray], robot: Robot, before: Sequence[Contact], after: Sequence[Contact]
+    postures: Sequence[np.ndarray],
+    robot: Robot,
+    before: Sequence[Contact],
+    after: Sequence[Contact],
+    levers: Mapping[str, np.ndarray],
 ) -> _KeptRows:
     kept: dict[str, list[int]] = {contact.name: [] for contact in (*before, *after)}
     bases: list[list[np.ndarray]] = [[] for _ in postures]
     contacts = [(c, row) for group in (before, after) for row in ORDER for c in group if row in c.rows]
     for contact, row in contacts:
-        lines = [_unit_row(robot, posture, contact, row) for posture in postures]
+        lines = [_unit_row(robot, posture, contact, row, levers) for posture in postures]
         rest = [_without(line, basis) for line, basis in zip(lines, bases, strict=True)]
         lengths = [float(np.linalg.norm(line)) for line in rest]
         if max(lengths) <= INDEPENDENT:
@@ -82,8 +88,10 @@ def _neighbours(
     return [inverse_kinematics(robot, start, targets, move_base=True).q for start in moved]
 
 
-def _unit_row(robot: Robot, q: np.ndarray, contact: Contact, row: int) -> np.ndarray:
-    line = contact_jacobian(robot.model, q, [(contact.frame, [row])])[0]
+def _unit_row(
+    robot: Robot, q: np.ndarray, contact: Contact, row: int, levers: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    line = contact_jacobian(robot.model, q, [(contact.frame, [row])], [levers.get(contact.name)])[0]
     length = float(np.linalg.norm(line))
     return line / length if length > 0 else line
 

@@ -108,6 +108,7 @@ class TermFunctions:
             tuple(loaded),
             time_scales=(form.n_time_scales, form.time_scale),
             actuation=self.problem.actuation,
+            surfaces=self.problem.surfaces_of(phase),
             mode=self.problem.modes.get(term.during),
         )
         parameters = context.parameter(np.zeros(term.parameters.shape[1]))
@@ -183,7 +184,8 @@ class TermFunctions:
         q = self._in_coordinates_of(form, q)
         known = {c.name: self.problem.contact_place(c.name, phase) for c in contacts}
         places = {name: place for name, place in known.items() if place is not None}
-        return independent_rows(form.robot, q, before, after, places)
+        levers = self.problem.levers_of(phase)
+        return independent_rows(form.robot, q, before, after, places, levers)
 
     def _in_coordinates_of(self, form: NodeLayout, q: np.ndarray) -> np.ndarray:
         return self.layout.in_coordinates_of(form, q, *np.zeros((2, self.layout.robot.nv)))[0]

@@ -33,8 +33,9 @@ PROXIMAL, SOFTNESS, MOST_PROXIMAL = 1e-10, 1e-10, 10
 class ContactMotion:
     """Solution of the forward dynamics with contacts.
 
-    acceleration: (nv,). wrenches: (n, 6) N and N m, on the robot, world axes, frame origins; zero moments
-    for points. rank: which rows depend on each other; if it is redundant, the wrenches have minimum norm.
+    acceleration: (nv,). wrenches: (n, 6) N and N m, on the robot, world axes, frame origins; moments of
+    points are zero unless they roll. rank: which rows depend on each other; if it is redundant, the wrenches
+    have minimum norm.
     dynamics_residual: (nv,) RNEA(q, v, a) - tau - J^T f, N and N m. contact_acceleration: (n, 6) classical
     acceleration of the contacts, m/s^2 and rad/s^2, from forward kinematics; rows of points that do not
     hold rotation are zero. It vanishes unless the rows contradict each other: redundant contacts that move.
@@ -72,7 +73,7 @@ def forward_dynamics(
     response = contact_response(lower, contacts, rows.jacobian)
     change, forces = response.least(-contacts.scale * (rows.drift + rows.jacobian @ free))
     acceleration = free + change
-    wrenches = contacts.table(contacts.scale * forces)
+    wrenches = contacts.wrenches(contacts.scale * forces)
     residual = generalized_force(model, data, (q, v, acceleration), contacts.frames, wrenches) - tau
     return ContactMotion(
         acceleration=acceleration,
@@ -141,11 +142,13 @@ def _contact_acceleration(
     contacts: ContactSet,
 ) -> np.ndarray:
     pin.forwardKinematics(model, data, *motion)
-    forces = [
-        pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector[:size]
-        for frame, size in zip(contacts.frames, contacts.dimensions, strict=True)
-    ]
-    return contacts.table(np.concatenate([np.zeros(0), *forces]))
+    table, axes = np.zeros((len(contacts.names), 6)), pin.LOCAL_WORLD_ALIGNED
+    for index, (frame, size) in enumerate(zip(contacts.frames, contacts.dimensions, strict=True)):
+        moved = pin.getFrameClassicalAcceleration(model, data, frame, axes).vector
+        table[index, :size] = moved[:size]
+        if contacts.levers and (lever := contacts.levers[index]) is not None:
+            table[index, :3] -= np.cross(moved[3:], lever)
+    return table
 
 
 class ContactDynamics:
@@ -153,8 +156,9 @@ class ContactDynamics:
 
     The same equations as `forward_dynamics`, without its report. Points are held by Pinocchio's proximal
     algorithm. By a projection are soles, of which it would hold the spatial, not the classical acceleration,
-    and where it does not converge, as with rows that contradict each other, or with joints that follow others
-    (``independent``, E (nv, ny) of v = E y). NaN where the mass matrix is not positive definite.
+    balls that roll, and where it does not converge, as with rows that contradict each other, or with joints
+    that follow others (``independent``, E (nv, ny) of v = E y). NaN where the mass matrix is not positive
+    definite.
     """
 
     def __init__(self, model: pin.Model, contacts: ContactSet, independent: np.ndarray | None = None) -> None:
@@ -174,8 +178,11 @@ class ContactDynamics:
 
     @cached_property
     def compiled(self) -> _numeric.Dynamics | None:
-        """The same dynamics for many states and whole integrations; None with joints that follow others."""
-        if self.independent is not None:
+        """The same dynamics for many states and whole integrations.
+
+        None with joints that follow others, and with balls that roll.
+        """
+        if self.independent is not None or self.contacts.levers:
             return None
         contacts, settings = self.contacts, (PROXIMAL, SOFTNESS, MOST_PROXIMAL)
         frames, dimensions = [int(frame) for frame in contacts.frames], list(contacts.dimensions)
@@ -184,7 +191,7 @@ class ContactDynamics:
     def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""
         model, data = self.model, self._data
-        if set(self.contacts.dimensions) != {3} or self.independent is not None:
+        if set(self.contacts.dimensions) != {3} or self.independent is not None or self.contacts.levers:
             return self._projected(q, v, generalized_force)
         settings = pin.ProximalSettings(PROXIMAL, SOFTNESS, MOST_PROXIMAL)
         solved: np.ndarray = pin.constraintDynamics(

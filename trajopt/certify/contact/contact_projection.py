@@ -162,7 +162,7 @@ def _torques(
     actuation = np.linalg.svd(projector[:, actuated], compute_uv=False)
     return ContactTorques(
         torque=torque,
-        wrenches=contacts.table(contacts.scale * forces),
+        wrenches=contacts.wrenches(contacts.scale * forces),
         residual=residual,
         contact_acceleration=contacts.table(rows.jacobian @ acceleration + rows.drift),
         fully_actuated=numeric_rank(actuation, 1.0) == round(float(np.trace(projector))),

@@ -5,6 +5,8 @@ of the world, with J the stacked frame Jacobians,
 
     J v = 0,        J a + Jdot v = 0                                      (classical acceleration)
 
+A ball that rolls on a plane holds v - omega x s and a - omega' x s of its centre, with s its lever, from
+where it touches to its centre; a force f on it has the moment f x s about the centre.
 While contacts are active these rows do not depend on surfaces: a normal and a friction coefficient
 limit the wrenches, not the motion.
 """
@@ -33,13 +35,15 @@ class ContactSet:
 
     ``moment_arm`` (m) makes moments and forces, angles and lengths comparable: wrenches are measured
     by |f|^2 + |m|^2 / arm^2, accelerations by |linear|^2 + arm^2 |angular|^2. Both are the same in
-    any axes. They matter only where the equations leave a choice (redundant contacts).
+    any axes. They matter only where the equations leave a choice (redundant contacts). ``levers``: of points
+    that roll (3,), m, None of others; empty where none does.
     """
 
     names: tuple[str, ...]
     frames: tuple[int, ...]
     dimensions: tuple[int, ...]
     moment_arm: float
+    levers: tuple[tuple[float, ...] | None, ...] = ()
 
     @classmethod
     @checked
@@ -49,11 +53,13 @@ class ContactSet:
         contacts: Sequence[Contact | tuple[str, int]],
         *,
         moment_arm: float | None = None,
+        levers: Sequence[np.ndarray | None] = (),
     ) -> ContactSet:
         """Return the set of ``contacts``, each a `Contact` or (frame name, dimension).
 
+        ``levers``: for each contact None, or of a ball that rolls its lever (3,), m; default: none rolls.
         ``moment_arm`` defaults to the reach of the model, or 1 m if it has none. Raises `InputError`
-        for an unknown frame, a dimension other than 3 and 6, or an arm that is not positive.
+        for an unknown frame, a dimension other than 3 and 6, an arm that is not positive, or other levers.
         """
         entries = [
             (c.name, c.frame, 3 if c.kind == "point" else 6) if isinstance(c, Contact) else (c[0], *c)
@@ -66,11 +72,20 @@ class ContactSet:
         arm = (reach(model) or 1.0) if moment_arm is None else float(moment_arm)
         if not 0 < arm < np.inf:
             raise InputError(f"moment_arm is {moment_arm}", "a positive length in m")
+        arms = tuple(None if lever is None else tuple(lever.tolist()) for lever in levers)
+        wrong = [
+            len(lever) != 3 or entry[2] != 3 for lever, entry in zip(arms, entries, strict=False) if lever
+        ]
+        if any(wrong) or (arms and len(arms) != len(entries)):
+            raise InputError(
+                f"levers are {arms}", "None or three numbers for each contact, None for a surface"
+            )
         return cls(
             names=tuple(entry[0] for entry in entries),
             frames=tuple(model.getFrameId(entry[1]) for entry in entries),
             dimensions=tuple(entry[2] for entry in entries),
             moment_arm=arm,
+            levers=arms if any(arms) else (),
         )
 
     @cached_property
@@ -104,6 +119,14 @@ class ContactSet:
             entries[index, :size] = stacked[rows]
         return entries
 
+    def wrenches(self, stacked: np.ndarray) -> np.ndarray:
+        """Return the table (n, 6) of stacked wrenches (n_rows,), with moments of balls that roll."""
+        entries = self.table(stacked)
+        for entry, lever in zip(entries, self.levers, strict=False):
+            if lever is not None:
+                entry[3:] = np.cross(entry[:3], lever)
+        return entries
+
     def stacked(self, table: np.ndarray) -> np.ndarray:
         """Return the stacked rows (n_rows,) of a table (n, 6)."""
         parts = zip(table, self.dimensions, strict=True)
@@ -132,9 +155,13 @@ def contact_kinematics(
     pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
     pin.computeJointJacobians(model, data)
     jacobian, drift = np.zeros((contacts.n_rows, model.nv)), np.zeros(contacts.n_rows)
-    for frame, rows, size in zip(contacts.frames, contacts.slices, contacts.dimensions, strict=True):
-        block = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        jacobian[rows] = block.reshape(6, model.nv)[:size]  # one joint alone gives a vector
-        acceleration = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        drift[rows] = acceleration.vector[:size]
+    levers = contacts.levers or (None,) * len(contacts.names)
+    entries = zip(contacts.frames, contacts.slices, contacts.dimensions, levers, strict=True)
+    for frame, rows, size, lever in entries:
+        block = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, model.nv)
+        motion = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
+        jacobian[rows], drift[rows] = block[:size], motion[:size]
+        if lever is not None:  # - omega x s = s x omega
+            jacobian[rows] += pin.skew(np.array(lever)) @ block[3:]
+            drift[rows] += np.cross(lever, motion[3:])
     return ContactKinematics(jacobian=jacobian, drift=drift, velocity=jacobian @ v)

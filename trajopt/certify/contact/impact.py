@@ -91,7 +91,7 @@ def impact(model: pin.Model, q: np.ndarray, v_minus: np.ndarray, contacts: Conta
     change, forces = response.least(-contacts.scale * rows.velocity)
     v_plus = v_minus + change
     stacked = contacts.scale * forces
-    impulses = contacts.table(stacked)
+    impulses = contacts.wrenches(stacked)
     before, after = momentum_of_links(model, q, v_minus), momentum_of_links(model, q, v_plus)
     return Impact(
         velocity=v_plus,
