@@ -55,7 +55,7 @@ def diagnosed(name: str) -> Diagnosis:
 def keep_all_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Transcriptions without the elimination of redundant rows."""
 
-    def every(robot: Robot, q: object, before: tuple, after: tuple, places: object = None) -> dict:
+    def every(robot: Robot, q: object, before: tuple, after: tuple, *_: object) -> dict:
         return {contact.name: contact.rows for contact in (*before, *after)}
 
     monkeypatch.setattr(term_functions, "independent_rows", every)

@@ -81,7 +81,7 @@ def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator
         samples = [k for k in solution.phases[index] if finite[k]]
         arms = transcription.problem.levers_of(index)
         levers = [arms.get(contact.name) for contact in contacts]
-        found = (_rank(model, contacts, levers, solution.q[k]) for k in samples)
+        found = (_rank(model, contacts, solution.q[k], levers) for k in samples)
         ranks = [rank for rank in found if rank is not None]
         if not contacts or not ranks:
             continue
@@ -115,7 +115,7 @@ def _absent_rows(contacts: tuple[Contact, ...]) -> set[str]:
 
 
 def _rank(
-    model: pin.Model, contacts: tuple[Contact, ...], levers: Sequence[np.ndarray | None], q: np.ndarray
+    model: pin.Model, contacts: tuple[Contact, ...], q: np.ndarray, levers: Sequence[np.ndarray | None] = ()
 ) -> ContactRank | None:
     try:
         active = ContactSet.of(model, contacts, levers=levers)
