@@ -29,7 +29,7 @@ ARM_SHARE = 0.8
 PUSH, RECOVER, APPROACH, REACH, MOVE = 2.0, 5.0, 5.0, 5.0, 3.5
 # Height of the table over that of the base; distance of the goal over that of the shoulders that lean, its
 # height over that of the base. The table is solid beneath a layer for hands, of which the contact is a ball.
-TABLE, GOAL_AHEAD, GOAL_UP, LAYER = 1.0, 2.2, 1.2, 0.05
+TABLE, GOAL_AHEAD, GOAL_UP, LAYER = 1.0, 2.5, 1.2, 0.05
 TABLE_SIDES, EDGE = (0.6, 1.2, 0.04), 0.1  # m; the hand is EDGE from the edge
 # Steps and rails over the height of the base, a run over a sole; where steps begin; rails: ahead, apart.
 RISE, RUN, RAIL, SOLES, BEFORE_HEEL, AHEAD, APART = 0.35, 0.45, 0.75, 1.25, 0.1, 0.15, 1.3

@@ -92,6 +92,7 @@ COMMANDS = (
     steering_gains.gains,
     suite.suite,
     suite.library,
+    suite.tracking,
     clearance.clearance,
     control.gaits,
     control.ticks,

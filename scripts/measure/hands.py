@@ -29,7 +29,13 @@ def hands() -> None:
         problem = problems.load(name, robot=robot)
         solution = trajopt.solve(problem, max_time=MAX_TIME)
         objective = f"{solution.statistics.objective:.4f}" if solution.success else "not solved"
-        row(name, robot, objective, solution.statistics.iterations, _without(problem))
+        row(
+            name,
+            robot,
+            objective,
+            sum(each.iterations for each in solution.statistics.rounds),
+            _without(problem),
+        )
 
 
 def _without(problem: Problem) -> str:
@@ -45,7 +51,7 @@ def _without(problem: Problem) -> str:
     if solution.success:
         return f"{solution.statistics.objective:.4f}"
     certified = ", certified" if solution.statistics.certified_infeasible else ""
-    return f"{solution.statistics.status.replace('_', ' ')}{certified}"
+    return f"not solved: {solution.statistics.status.replace('_', ' ')}{certified}"
 
 
 def _on(phase: Phase, feet: tuple[str, ...]) -> Phase:

@@ -11,6 +11,12 @@ import click
 from scripts.measure.shared import head, row
 
 Pair = dict[str, Any]
+# Kinds of problems with the robots of their plans that are simulated.
+LEGGED = {
+    "quadruped": ("solo12", "go2", "anymal_c", "a1", "hyq"),
+    "biped": ("talos", "g1", "bolt"),
+    "humanoid": ("talos", "g1"),
+}
 folder = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
@@ -45,6 +51,28 @@ def library(graded: Path) -> None:
     for problem, group in groupby(pairs(graded), key=lambda pair: pair["problem"]):
         own = ((each["robot"], each["own"]["iterations"], each["own"]["meshes"]) for each in group)
         row(f"`{problem}`", ", ".join(f"{robot} {count} ({meshes})" for robot, count, meshes in own))
+
+
+@click.command()
+@click.argument("simulated", type=folder)
+def tracking(simulated: Path) -> None:
+    """Errors of the base at the end, mm, of plans in a run with --simulate; bold or fell: not tracked."""
+    for index, (kind, robots) in enumerate(LEGGED.items()):
+        if index:
+            print()
+        known = [each for each in pairs(simulated) if each["problem"].startswith(kind) and each["physics"]]
+        tracked = sum(each["physics"]["word"] == "tracked" for each in known)
+        head(f"{kind}: {tracked} of {len(known)} tracked", *robots)
+        for problem, group in groupby(known, key=lambda pair: pair["problem"]):
+            cells = {each["robot"]: _base_error(each["physics"]) for each in group}
+            row(problem.removeprefix(f"{kind}-"), *(cells.get(robot, "") for robot in robots))
+
+
+def _base_error(physics: Pair) -> str:
+    if physics["word"] == "fell" or physics["base_error_end"] is None:
+        return str(physics["word"])
+    error = f"{1e3 * physics['base_error_end']:.1f}"
+    return error if physics["word"] == "tracked" else f"**{error}**"
 
 
 def pairs(run: Path) -> list[Pair]:

@@ -99,6 +99,15 @@ def test_bands_hold_the_solve_and_the_middle_of_its_starts():
     assert (alone.iterations_low, alone.iterations_high) == (20, 80)
 
 
+def test_a_solve_that_went_astray_has_a_band_from_half_of_what_its_starts_take():
+    pair = outcome_of()
+    starts = tuple(
+        replace(start, iterations=count) for start, count in zip(pair.starts, range(16, 36), strict=False)
+    )
+    entry = data.entry_of(replace(pair, starts=starts), VIRTUAL_MACHINE)
+    assert (entry.iterations_low, entry.iterations_high) == (8, 80)
+
+
 def test_bands_survive_their_file(tmp_path: Path):
     outcomes = [outcome_of(), outcome_of(robot="a-long-name"), outcome_of(problem="a")]
     entries = data.updated({}, outcomes, VIRTUAL_MACHINE, [outcome.name for outcome in outcomes])

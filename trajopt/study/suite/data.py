@@ -7,7 +7,8 @@ software. Bands:
 bodies are laid anew until it changes by less, and meshes within the grade differ by less.
 - iterations: from half to twice those of that solve on all its meshes, at least `LEAST_MARGIN` apart from it:
   rounding, which differs between processors and compilers, changes them that much. Where perturbed starts
-  were run the band also holds the middle 80 % of theirs.
+  were run the band begins at half of their first tenth, if that is less, and holds 90 % of them: where one
+  solve goes astray by rounding, others do not.
 - physics: the result of the plan in MuJoCo (``tracked``, ``off``, ``fell``; empty if not simulated, or not a
 legged robot): no later result may be worse.
 """
@@ -66,7 +67,7 @@ def entry_of(outcome: Outcome, settings: SuiteSettings) -> PairBands:
         solver=settings.solver,
         objective_low=_rounded(objective - width),
         objective_high=_rounded(objective + width),
-        iterations_low=max(0, min(fewest, quantile(others, 0.1))),
+        iterations_low=max(0, min(fewest, math.floor(FEWEST * quantile(others, 0.1)))),
         iterations_high=max(most, quantile(others, 0.9)),
         physics="" if outcome.physics is None else outcome.physics.word,
     )
