@@ -113,16 +113,16 @@ def _base_features(motion: ExportedMotion) -> dict[str, Feature]:
 
 
 def _contact_features(motion: ExportedMotion) -> dict[str, Feature]:
-    """Contacts that are active, forces, and moments of soles, which points do not have; world axes."""
+    """Contacts that are active, forces, and moments of soles and balls that roll; world axes."""
     frames, count = motion.plan.contact_frames, len(motion.t)
-    soles = np.flatnonzero(motion.plan.description.soles).tolist()
+    turning = np.flatnonzero(motion.plan.description.soles | motion.plan.description.rolling).tolist()
     force = motion.f[..., :3].reshape(count, -1)
-    moment = motion.f[:, soles, 3:].reshape(count, -1)
+    moment = motion.f[:, turning, 3:].reshape(count, -1)
     return {
         "observation.contacts": _vector(motion.active, list(frames)),
         "observation.contact_forces": _vector(force, [f"{name}.{axis}" for name in frames for axis in AXES]),
         "observation.contact_moments": _vector(
-            moment, [f"{frames[i]}.{axis}" for i in soles for axis in AXES]
+            moment, [f"{frames[i]}.{axis}" for i in turning for axis in AXES]
         ),
     }
 
