@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
-from tests.problem.test_contact_radius import RADIUS, WAVES, ball_hopper, landing_on, raised
+from tests.support.balls import RADIUS, WAVES, ball_hopper, landing_on, raised
 from tests.support.contact_cases import body, close, independent
 from tests.support.problems import FOOT, hop, hopper, phases
 from tests.support.synthetic_motions import with_meta
