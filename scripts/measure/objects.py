@@ -27,7 +27,7 @@ SIZE, MASS = 0.2, 0.5  # of the cube, m and kg
 WEIGHT = 9.81 * MASS
 SPEED = (9.81 * SIZE) ** 0.5  # unit of velocity, m/s
 FINGER_FRICTION, TABLE_FRICTION = 0.5, 0.3
-CREEP = 0.01  # m/s, below which friction of the table is smoothed
+CREEP = 0.02  # m/s, below which friction of the table is smoothed
 HELD_AT = 0.03  # m above the block's centre: lower, it would be no pendulum and its turn could not be steered
 START_GAP = 0.08  # m from a finger to its face
 FINGER = 0.15  # m from the frame of a tool to the finger's end
@@ -36,7 +36,9 @@ MOST_ITERATIONS = 500
 FINE = 8  # places in an interval where the check looks
 CORNERS = [np.array([x, y, -1]) * SIZE / 2 for x in (-1, 1) for y in (-1, 1)]
 # Axis of a tool that points out of it.
-OUT = {"z1": (1, 0, 0), "panda": (0, 0, 1), "xarm7": (0, 0, 1), "ur5": (0, 0, 1)}
+OUT = {"z1": (1, 0, 0), "panda": (0, 0, 1), "xarm7": (0, 0, 1)}
+# Where an arm starts, if not in its reference: folded, so that it reaches 0.38 m farther.
+FOLDED = {"z1": np.array([0, 1.3, -1.4, 0.9, 0, 0])}
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,8 @@ class Scene:
         data, model, start = robot.model.createData(), pin.Model(), []
         frame = robot.model.frames[robot.model.getFrameId(tool)]
         end = frame.placement * pin.SE3(np.eye(3), FINGER * np.array(OUT[self.arm], float))
-        pin.forwardKinematics(robot.model, data, robot.reference)
+        posture = FOLDED.get(self.arm, robot.reference)
+        pin.forwardKinematics(robot.model, data, posture)
         reached = (data.oMi[frame.parentJoint] * end).translation
         for index, side in enumerate(self.sides):
             part = robot.model.copy()
@@ -67,7 +70,7 @@ class Scene:
             turned = pin.utils.rotate("z", 0.0 if side < 0 else np.pi)
             wanted = np.array([side * (SIZE / 2 + START_GAP), 0, SIZE / 2 + HELD_AT])
             model = pin.appendModel(model, part, 0, pin.SE3(turned, wanted - turned @ reached))
-            start.append(robot.reference)
+            start.append(posture)
         block = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "block")
         model.appendBodyToJoint(block, pin.Inertia.FromBox(MASS, SIZE, SIZE, SIZE), pin.SE3.Identity())
         model.addFrame(pin.Frame("block", block, 0, pin.SE3.Identity(), pin.OP_FRAME))
@@ -89,10 +92,11 @@ class Scene:
         return [*(f"{i}_finger" for i in range(len(self.sides))), "block"]
 
     def stage(self, step: float) -> tuple[ca.Function, dict[str, slice]]:
-        """Cost and rows of an interval, (state, next state, slack) -> (cost, rows), and where rows are."""
+        """Cost and rows of an interval, (state and next state, (slack, smooth, slides)) -> (cost, rows), and where rows are."""
         m, n = self.model, len(self.sides)
         q, v, f, c = (ca.SX.sym(k, s) for k, s in zip("qvfc", (m.nq, m.nv, 3 * n, 4), strict=True))
-        q1, v1, unused, slack = ca.SX.sym("q1", m.nq), ca.SX.sym("v1", m.nv), ca.SX.sym("f1", 3 * n + 4), ca.SX.sym("s")
+        q1, v1, unused = ca.SX.sym("q1", m.nq), ca.SX.sym("v1", m.nv), ca.SX.sym("f1", 3 * n + 4)
+        slack, smooth, slides = ca.vertsplit(given := ca.SX.sym("given", 3))
         move, middle = rigid_body.integrate(m), (v + v1) / 2
         a, half = (v1 - v) / step, move(q, step / 2 * middle)
         fused = rigid_body.fused(m, self.frames, [3] * n + [6])
@@ -126,7 +130,8 @@ class Scene:
             arm = ca.mtimes(turn, ca.DM(corner))
             slide = (at[3][:3, n] + ca.cross(at[3][3:, n], arm))[:2]
             load = c[i] * WEIGHT
-            force = ca.vertcat(-TABLE_FRICTION * load * slide / ca.sqrt(ca.sumsqr(slide) + CREEP**2), load)
+            along = smooth * slide / ca.sqrt(ca.sumsqr(slide) + CREEP**2) + slides * ca.DM([1, 0])
+            force = ca.vertcat(-TABLE_FRICTION * load * along, load)
             wrench += ca.vertcat(force, ca.cross(arm, force))
             parts["low"] += [c[i] * (origin[2] + arm[2]) / SIZE / slack]
             parts["height"] += [(after[2][2, n] + ca.mtimes(ca.reshape(after[1][:, n], 3, 3), ca.DM(corner))[2]) / SIZE]
@@ -142,24 +147,24 @@ class Scene:
             where[key] = slice(at_row, at_row := at_row + rows[-1].numel())
         state, following = ca.vertcat(q, v, f, c), ca.vertcat(q1, v1, unused)
         both = ca.cse([cost, ca.vertcat(*rows)])
-        return ca.Function("stage", [ca.vertcat(state, following), slack], both), where
+        return ca.Function("stage", [ca.vertcat(state, following), given], both), where
 
 
 def solver(stage: ca.Function, size: int, count: int) -> ca.Function:
     """IPOPT for a chain of stages, with derivatives of one stage mapped and scattered."""
-    z, s = ca.SX.sym("z", 2 * size), ca.SX.sym("s")
+    z, s = ca.SX.sym("z", 2 * size), ca.SX.sym("s", 3)
     cost, rows = stage(z, s)
     lam, sigma = ca.SX.sym("l", rows.numel()), ca.SX.sym("o")
     jacobian = ca.jacobian(rows, z)
     hessian = ca.triu(ca.hessian(sigma * cost + ca.dot(lam, rows), z)[0])
     slopes = ca.Function("slopes", [z, s], [ca.gradient(cost, z), ca.vertcat(*jacobian.nonzeros())], {"cse": True})
     curves = ca.Function("curves", [z, s, sigma, lam], [ca.vertcat(*hessian.nonzeros())], {"cse": True})
-    x, p, total = ca.MX.sym("x", size * (count + 1)), ca.MX.sym("p"), size * (count + 1)
+    x, p, total = ca.MX.sym("x", size * (count + 1)), ca.MX.sym("p", 3, count), size * (count + 1)
     o, m = ca.MX.sym("o"), ca.MX.sym("l", rows.numel() * count)
     nodes = ca.reshape(x, size, count + 1)
-    pairs, same = ca.vertcat(nodes[:, :-1], nodes[:, 1:]), ca.repmat(p, 1, count)
-    values, first = stage.map(count)(pairs, same), slopes.map(count)(pairs, same)
-    second = curves.map(count)(pairs, same, ca.repmat(o, 1, count), ca.reshape(m, rows.numel(), count))
+    pairs = ca.vertcat(nodes[:, :-1], nodes[:, 1:])
+    values, first = stage.map(count)(pairs, p), slopes.map(count)(pairs, p)
+    second = curves.map(count)(pairs, p, ca.repmat(o, 1, count), ca.reshape(m, rows.numel(), count))
 
     def scattered(entries: ca.MX, pattern: ca.Sparsity, rise: int, shape: tuple[int, int]) -> ca.MX:
         own = np.array(pattern.row()), np.array(pattern.get_col())
@@ -237,20 +242,25 @@ class Task:
         if relaxed:
             above[:, where["near"]] = above[:, where["low"]] = above[:, where["still"]] = 1
             below[:, where["still"]] = -1
+            if not scene.lifted:  # smoothed friction ends no motion within a finite time
+                high[-1, nq + nv - 6] = CREEP
             return low, high, below, above
         k = self.touched
         below[k - 1, where["place"]] = above[k - 1, where["place"]] = 0
-        below[k:, gaps] = -np.inf
+        below[k:, gaps], below[:k, where["cone"]] = -np.inf, -np.inf
         below[k - 1 : -1, where["slip"]] = above[k - 1 : -1, where["slip"]] = 0
         low[:k, nq + nv : -4] = high[:k, nq + nv : -4] = 0
-        table = k if scene.lifted else self.count
+        table, velocity = k if scene.lifted else self.count, slice(nq + nv - 6, nq + nv)
         below[:table, where["height"]] = -np.inf
-        free = [nq + nv - 4, nq + nv - 3, nq + nv - 2]
-        low[1 : table + 1, free] = high[1 : table + 1, free] = 0
+        low[1 : table + 1, velocity] = high[1 : table + 1, velocity] = 0
+        unmoved = where["block"].start + np.array([0, 1, 5])
+        below[:k, unmoved], above[:k, unmoved] = -np.inf, np.inf
         if scene.lifted:
             high[k:, -4:] = 0
-        else:  # the rows at the end follow from those before
-            low[-1, [nq - 5, nq - 4, nq - 3]], high[-1, [nq - 5, nq - 4, nq - 3]] = -np.inf, np.inf
+        else:  # as on a rail: in a straight slide the rows of y, roll and yaw say the same twice
+            below[:, unmoved[1:]], above[:, unmoved[1:]] = -np.inf, np.inf
+            high[k + 1 : -1, velocity.start] = np.inf
+            low[-1, nq - 6 : nq - 1], high[-1, nq - 6 : nq - 1] = -np.inf, np.inf
         return low, high, below, above
 
     def still(self, seed: int) -> np.ndarray:
@@ -270,8 +280,11 @@ class Task:
     def solve(self, start: np.ndarray, slack: float | None) -> Plan:
         """Solve with a given touch, or without at a slack."""
         low, high, below, above = self.bounds(slack is not None)
+        given = np.zeros((3, self.count))
+        given[:2] = [[slack or 1.0], [slack is not None]]
+        given[2, self.touched :] = slack is None
         result = self.solver(
-            x0=start.ravel(), p=slack or 1.0, lbx=low.ravel(), ubx=high.ravel(), lbg=below.ravel(), ubg=above.ravel()
+            x0=start.ravel(), p=given, lbx=low.ravel(), ubx=high.ravel(), lbg=below.ravel(), ubg=above.ravel()
         )
         stats = self.solver.stats()
         states = np.array(result["x"]).reshape(self.count + 1, self.size)
