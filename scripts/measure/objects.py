@@ -7,7 +7,7 @@ relative to the face is zero at nodes. The table pushes at four corners, with Co
 v / sqrt(v^2 + CREEP^2) where they slide.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,6 +20,7 @@ from scipy import sparse
 import trajopt
 from scripts.measure.shared import NOISE, head, median, row
 from trajopt.discovery.relaxation import SLACKS
+from trajopt.discovery.modes import LOADED
 from trajopt.dynamics import rigid_body
 from trajopt_library import robots
 
@@ -32,7 +33,8 @@ HELD_AT = 0.03  # m above the block's centre: lower, it would be no pendulum and
 START_GAP = 0.08  # m from a finger to its face
 FINGER = 0.15  # m from the frame of a tool to the finger's end
 REACH, TOTAL = 0.6, 1.4  # s
-MOST_ITERATIONS = 500
+MOST_ITERATIONS = 300
+STIFFNESS = 900.0  # of the feedback in the check, 1/s^2
 FINE = 8  # places in an interval where the check looks
 CORNERS = [np.array([x, y, -1]) * SIZE / 2 for x in (-1, 1) for y in (-1, 1)]
 # Axis of a tool that points out of it.
@@ -101,7 +103,9 @@ class Scene:
         a, half = (v1 - v) / step, move(q, step / 2 * middle)
         fused = rigid_body.fused(m, self.frames, [3] * n + [6])
         at, after = fused(half, middle, a, 0), fused(q1, v1, 0, 0)
-        parts: dict[str, list] = {k: [] for k in ("step", "block", "torque", "cone", "place", "slip", "height")}
+        parts: dict[str, list] = {
+            k: [] for k in ("step", "block", "torque", "cone", "place", "slip", "height")
+        }
         parts |= {"near": [], "still": [], "low": []}
         turn, origin = ca.reshape(at[1][:, n], 3, 3), at[2][:, n]
         wrench, forces = ca.SX.zeros(6), []
@@ -134,13 +138,17 @@ class Scene:
             force = ca.vertcat(-TABLE_FRICTION * load * along, load)
             wrench += ca.vertcat(force, ca.cross(arm, force))
             parts["low"] += [c[i] * (origin[2] + arm[2]) / SIZE / slack]
-            parts["height"] += [(after[2][2, n] + ca.mtimes(ca.reshape(after[1][:, n], 3, 3), ca.DM(corner))[2]) / SIZE]
+            parts["height"] += [
+                (after[2][2, n] + ca.mtimes(ca.reshape(after[1][:, n], 3, 3), ca.DM(corner))[2]) / SIZE
+            ]
         tau = fused(half, middle, a, ca.vertcat(*forces, wrench))[0]
         used = tau[:-6] / ca.DM(m.effortLimit[:-6])
         parts["step"] = [q1 - move(q, step * middle)]
         parts["block"] = [tau[-6:-3] / WEIGHT, tau[-3:] / WEIGHT / SIZE]
         parts["torque"] = [used]
-        cost = step * (ca.sumsqr(used) + 1e-2 * ca.sumsqr(f) + 1e-2 * ca.sumsqr(c) + 1e-2 * ca.sumsqr(middle[:-6]))
+        cost = step * (
+            ca.sumsqr(used) + 1e-2 * ca.sumsqr(f) + 1e-2 * ca.sumsqr(c) + 1e-2 * ca.sumsqr(middle[:-6])
+        )
         rows, where, at_row = [], {}, 0
         for key, entries in parts.items():
             rows.append(ca.vertcat(*entries))
@@ -157,7 +165,9 @@ def solver(stage: ca.Function, size: int, count: int) -> ca.Function:
     lam, sigma = ca.SX.sym("l", rows.numel()), ca.SX.sym("o")
     jacobian = ca.jacobian(rows, z)
     hessian = ca.triu(ca.hessian(sigma * cost + ca.dot(lam, rows), z)[0])
-    slopes = ca.Function("slopes", [z, s], [ca.gradient(cost, z), ca.vertcat(*jacobian.nonzeros())], {"cse": True})
+    slopes = ca.Function(
+        "slopes", [z, s], [ca.gradient(cost, z), ca.vertcat(*jacobian.nonzeros())], {"cse": True}
+    )
     curves = ca.Function("curves", [z, s, sigma, lam], [ca.vertcat(*hessian.nonzeros())], {"cse": True})
     x, p, total = ca.MX.sym("x", size * (count + 1)), ca.MX.sym("p", 3, count), size * (count + 1)
     o, m = ca.MX.sym("o"), ca.MX.sym("l", rows.numel() * count)
@@ -191,7 +201,6 @@ def solver(stage: ca.Function, size: int, count: int) -> ca.Function:
     return ca.nlpsol("solver", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
 
 
-
 @dataclass(frozen=True)
 class Plan:
     """States at nodes (count + 1, nq + nv + forces of fingers and corners), and what the solver said."""
@@ -214,6 +223,7 @@ class Task:
         self.size, self.rows = stage.size1_in(0) // 2, stage.size1_out(1)
         self.solver = solver(stage, self.size, count)
         self.touched = round(REACH / self.step)
+        self.variables = self.size * (count + 1)
 
     def bounds(self, relaxed: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Of states and rows."""
@@ -289,4 +299,247 @@ class Task:
         stats = self.solver.stats()
         states = np.array(result["x"]).reshape(self.count + 1, self.size)
         status = stats["return_status"]
-        return Plan(self.scene, self.step, self.touched, states, stats["success"], stats["iter_count"], status)
+        return Plan(
+            self.scene, self.step, self.touched, states, stats["success"], stats["iter_count"], status
+        )
+
+
+class Judge:
+    """Numeric Pinocchio on a plan, between its nodes too: accelerations and forces are constant in an interval."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan, self.scene, self.model = plan, plan.scene, plan.scene.model
+        self.data = self.model.createData()
+        self.ids = [self.model.getFrameId(name) for name in self.scene.frames]
+
+    def at(self, k: int, part: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, velocity and acceleration at a part of an interval."""
+        m, h = self.model, self.plan.step
+        q, v = np.split(self.plan.states[k, : m.nq + m.nv], [m.nq])
+        a = (self.plan.states[k + 1, m.nq : m.nq + m.nv] - v) / h
+        return pin.integrate(m, q, part * h * v + (part * h) ** 2 / 2 * a), v + part * h * a, a
+
+    def middle(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The collocation point, on the straight way of the mean velocity."""
+        _, v, a = self.at(k, 0.5)
+        q = self.plan.states[k, : self.model.nq]
+        return pin.integrate(self.model, q, self.plan.step / 2 * v), v, a
+
+    def forces(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """On fingers (n, 3) and corners (4, 3), world axes, N."""
+        f = WEIGHT * self.plan.states[k, self.model.nq + self.model.nv :]
+        drag = -TABLE_FRICTION if k >= self.plan.touched and not self.scene.lifted else 0.0
+        return f[:-4].reshape(-1, 3), np.outer(f[-4:], [drag, 0, 1])
+
+    def wrench(self, k: int, q: np.ndarray, fingers: bool = True) -> np.ndarray:
+        """On the block at its centre (6,), world axes; forces act at fingers and corners of configuration q."""
+        touching, table = self.forces(k)
+        pin.framesForwardKinematics(self.model, self.data, q)
+        *ends, block = (self.data.oMf[i] for i in self.ids)
+        arms = [
+            (end.translation - block.translation, -f)
+            for end, f in zip(ends, touching, strict=True)
+            if fingers
+        ]
+        arms += [(block.rotation @ c, f) for c, f in zip(CORNERS, table, strict=True)]
+        return np.concatenate([sum(f for _, f in arms), sum(np.cross(r, f) for r, f in arms)])
+
+    def jacobians(self, q: np.ndarray) -> list[np.ndarray]:
+        """Of fingers and block (6, nv), world-aligned."""
+        return [
+            pin.computeFrameJacobian(self.model, self.data, q, i, pin.LOCAL_WORLD_ALIGNED) for i in self.ids
+        ]
+
+    def mass(self, q: np.ndarray) -> np.ndarray:
+        """Of all joints (nv, nv)."""
+        upper = np.triu(pin.crba(self.model, self.data, q))
+        return upper + np.triu(upper, 1).T
+
+    def residual(self, k: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float]:
+        """Torques over their limits, and the block's worst row over its weight (times its size)."""
+        *ends, block = self.jacobians(q)
+        tau = pin.rnea(self.model, self.data, q, v, a) - block.T @ self.wrench(k, q)
+        tau -= sum(end[:3].T @ f for end, f in zip(ends, self.forces(k)[0], strict=True))
+        return tau[:-6] / self.model.effortLimit[:-6], abs(tau[-6:] / WEIGHT / np.repeat([1, SIZE], 3)).max()
+
+    def touching(self, q: np.ndarray) -> list[np.ndarray]:
+        """Where fingers are, in the block's axes, from where they should touch."""
+        pin.framesForwardKinematics(self.model, self.data, q)
+        *ends, block = (self.data.oMf[i] for i in self.ids)
+        return [block.actInv(e.translation) - t for e, t in zip(ends, self.scene.touches, strict=True)]
+
+    def figures(self) -> dict[str, float]:
+        """The worst of every kind over the plan."""
+        count, k0 = len(self.plan.states) - 1, self.plan.touched
+        worst = dict.fromkeys(("block", "between", "torque", "drift"), 0.0) | {"friction": np.inf}
+        for k in range(count):
+            used, block = self.residual(k, *self.middle(k))
+            worst["torque"] = max(worst["torque"], abs(used).max())
+            worst["block"] = max(worst["block"], block)
+            for part in np.linspace(0, 1, FINE + 1):
+                q, v, a = self.at(k, part)
+                worst["between"] = max(worst["between"], self.residual(k, q, v, a)[1])
+                if k < k0:
+                    continue
+                worst["drift"] = max(worst["drift"], *(float(np.linalg.norm(d)) for d in self.touching(q)))
+                turn = self.data.oMf[self.ids[-1]].rotation.T
+                for side, f in zip(self.scene.sides, self.forces(k)[0] / WEIGHT, strict=True):
+                    push, *tangent = turn @ f * [side, 1, 1]
+                    worst["friction"] = min(worst["friction"], FINGER_FRICTION * push - np.hypot(*tangent))
+        return worst | {
+            "alone": self.block_alone(),
+            "open loop": self.simulated(0),
+            "tracked": self.simulated(STIFFNESS),
+        }
+
+    def block_alone(self) -> float:
+        """Distance in m from the plan at the end, of the block alone under the planned forces, by Runge-Kutta."""
+        m, h, count = self.model, self.plan.step / FINE, len(self.plan.states) - 1
+        block = m.joints[m.njoints - 1].idx_q
+        inertia, y = MASS * SIZE**2 / 6, np.zeros(12)  # position, velocity, turn and its rate
+        y[:3] = self.plan.states[0, block : block + 3]
+
+        def rate(y: np.ndarray, k: int, part: float) -> np.ndarray:
+            q = self.at(k, part)[0]
+            q[block:] = [*y[:3], *pin.Quaternion(pin.exp3(y[6:9])).coeffs()]
+            wrench = self.wrench(k, q)
+            turning = pin.Jlog3(pin.exp3(y[6:9])) @ pin.exp3(y[6:9]).T @ y[9:]
+            return np.concatenate([y[3:6], wrench[:3] / MASS - [0, 0, 9.81], turning, wrench[3:] / inertia])
+
+        for k in range(count):
+            for i in range(FINE):
+                y = runge_kutta(lambda y, part, k=k: rate(y, k, part), y, i / FINE, h, 1 / FINE)
+        return float(np.linalg.norm(y[:3] - self.plan.states[-1, block : block + 3]))
+
+    def simulated(self, stiffness: float) -> float:
+        """The same of arms and block under planned torques, where forces follow from the motion.
+
+        With feedback of joints' errors, of a ``stiffness`` (1/s^2) times the mass matrix, damped critically.
+        """
+        m, d, h = self.model, self.data, self.plan.step / FINE
+        q, v = np.split(self.plan.states[0, : m.nq + m.nv].copy(), [m.nq])
+
+        def acceleration(k: int, tau: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+            *ends, block = self.jacobians(q)
+            bias = pin.rnea(m, d, q, v, 0 * v) - block.T @ self.wrench(k, q, fingers=False)
+            mass = self.mass(q)
+            if k < self.plan.touched:
+                return np.linalg.solve(mass, np.pad(tau, (0, 6)) - bias)
+            pin.forwardKinematics(m, d, q, v, 0 * v)
+            pin.updateFramePlacements(m, d)
+            base, rows, right = self.ids[-1], [], []
+            speed = pin.getFrameVelocity(m, d, base, pin.LOCAL_WORLD_ALIGNED)
+            drift = pin.getFrameClassicalAcceleration(m, d, base, pin.LOCAL_WORLD_ALIGNED)
+            for i, end in zip(self.ids[:-1], ends, strict=True):
+                r = d.oMf[i].translation - d.oMf[base].translation
+                own = pin.getFrameClassicalAcceleration(m, d, i, pin.LOCAL_WORLD_ALIGNED).linear
+                w = speed.angular
+                rows.append(end[:3] - block[:3] + pin.skew(r) @ block[3:])
+                right.append(drift.linear + np.cross(drift.angular, r) + np.cross(w, np.cross(w, r)) - own)
+            pair = np.vstack(rows)
+            zero = np.zeros((len(pair), len(pair)))
+            system = np.block([[mass, -pair.T], [pair, zero]])
+            return np.linalg.solve(system, np.concatenate([np.pad(tau, (0, 6)) - bias, *right]))[: m.nv]
+
+        for k in range(len(self.plan.states) - 1):
+            tau = self.residual(k, *self.middle(k))[0] * m.effortLimit[:-6]
+            for i in range(FINE):
+
+                def rate(
+                    y: np.ndarray, part: float, k: int = k, tau: np.ndarray = tau, q: np.ndarray = q
+                ) -> np.ndarray:
+                    at, speed = pin.integrate(m, q, y[: m.nv]), y[m.nv :]
+                    wanted, pace, _ = self.at(k, part)
+                    error = stiffness * pin.difference(m, at, wanted) + 2 * stiffness**0.5 * (pace - speed)
+                    feedback = (self.mass(at) @ error)[:-6]
+                    return np.concatenate([speed, acceleration(k, tau + feedback, at, speed)])
+
+                y = runge_kutta(rate, np.concatenate([np.zeros(m.nv), v]), i / FINE, h, 1 / FINE)
+                q, v = pin.integrate(m, q, y[: m.nv]), y[m.nv :]
+        block = m.joints[m.njoints - 1].idx_q
+        return float(np.linalg.norm(q[block : block + 3] - self.plan.states[-1, block : block + 3]))
+
+
+def runge_kutta(
+    rate: Callable[[np.ndarray, float], np.ndarray], y: np.ndarray, part: float, h: float, step: float
+) -> np.ndarray:
+    """A step of the classical scheme; ``part`` of the interval goes on by ``step``."""
+    first = rate(y, part)
+    second = rate(y + h / 2 * first, part + step / 2)
+    third = rate(y + h / 2 * second, part + step / 2)
+    fourth = rate(y + h * third, part + step)
+    return y + h / 6 * (first + 2 * second + 2 * third + fourth)
+
+
+LIFT, PUSH = (
+    {"sides": (-1, 1), "goal": (0, 0, 0.3), "lifted": True},
+    {"sides": (-1,), "goal": (0.3, 0, 0.1), "lifted": False},
+)
+SCENES = {"lift": LIFT, "push": PUSH}
+CASES = [
+    (task, arm, count) for task in SCENES for arm in OUT for count in ((28, 56) if arm == "z1" else (28,))
+]
+
+
+def found(task: Task, seed: int) -> tuple[list[int], float | None, Plan]:
+    """Iterations of the solves with complementarity, the least slack that was solved, the last motion."""
+    start, iterations, reached = task.still(seed), [], None
+    for slack in SLACKS:
+        plan = task.solve(start, slack)
+        iterations.append(plan.iterations)
+        if not plan.solved:
+            break
+        start, reached, last = plan.states, slack, plan
+    return iterations, reached, plan if reached is None else last
+
+
+def first_touch(task: Task, plan: Plan) -> int | None:
+    """The first interval in which all fingers bear load, None without one."""
+    at = task.scene.model.nq + task.scene.model.nv
+    loads = np.array([np.linalg.norm(f.reshape(-1, 3), axis=1) for f in plan.states[:-1, at:-4]])
+    loaded = np.flatnonzero((loads > LOADED).all(axis=1))
+    return int(loaded[0]) if len(loaded) else None
+
+
+@click.command("objects")
+@click.option("--only", default="", metavar="WORD", help="Tasks or arms with this in their name.")
+@click.option(
+    "--starts", default=3, show_default=True, help="Starts of each task; all but the first with noise."
+)
+def objects(only: str, starts: int) -> None:
+    """A block that two arms lift or one arm pushes: with a given touch, and with complementarity."""
+    chosen = [case for case in CASES if only in " ".join(map(str, case))]
+    costs = ("task", "arm", "intervals", "variables", "solved", "iterations, median")
+    rows = ("block's rows at points, over the weight", "between", "torque over limit", "finger's drift [m]")
+    ends = (
+        "friction, least margin over the weight",
+        "block alone, end [m]",
+        "open loop, end [m]",
+        "with feedback [m]",
+    )
+    head(*costs, *rows, *ends)
+    for name, arm, count in chosen:
+        task = Task(Scene(arm, **SCENES[name]), count)
+        plans = [task.solve(task.still(seed), None) for seed in range(starts)]
+        good = [plan for plan in plans if plan.solved]
+        judged = [Judge(plan).figures() for plan in good]
+        worst = (
+            [f"{(min if k == 'friction' else max)(j[k] for j in judged):.2g}" for k in judged[0]]
+            if good
+            else []
+        )
+        counts = median([plan.iterations for plan in good])
+        row(name, arm, count, task.variables, f"{len(good)} of {starts}", f"{counts:.0f}", *worst)
+    click.echo()
+    head("task", "start", "iterations by slack", "least slack", "touch found [s]", "then with hard contacts")
+    for name, arm, count in (case for case in chosen if case[1] == "z1" and case[2] == 28):
+        task = Task(Scene(arm, **SCENES[name]), count)
+        for seed in range(starts):
+            iterations, reached, plan = found(task, seed)
+            touch, hard = first_touch(task, plan) if reached else None, "no proposal"
+            if touch:
+                task.touched = touch
+                plan = task.solve(plan.states, None)
+                hard = f"{'solved' if plan.solved else plan.status}, {plan.iterations} iterations"
+            shown = "" if touch is None else f"{touch * task.step:.2f}"
+            row(name, seed, ", ".join(map(str, iterations)), reached or "none", shown, hard)
