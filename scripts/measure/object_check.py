@@ -101,9 +101,14 @@ class Judge:
         }
 
     def block_alone(self) -> float:
-        """Distance in m from the planned end, of the block alone under the planned forces."""
+        """Distance in m from the planned end, of the block alone under the planned forces.
+
+        Of its centre, or of the middle of a face by its turn, whichever is larger. A table lets it slide and
+        turn.
+        """
         m, h, count = self.model, self.plan.step / FINE, len(self.plan.states) - 1
         block = m.joints[m.njoints - 1].idx_q
+        free = np.ones(6) if self.scene.lifted else np.array([1, 1, 0, 0, 0, 1])
         inertia, y = MASS * SIZE**2 / 6, np.zeros(12)  # position, velocity, turn and its rate
         y[:3] = self.plan.states[0, block : block + 3]
 
@@ -112,13 +117,16 @@ class Judge:
             q[block:] = [*y[:3], *pin.Quaternion(pin.exp3(y[6:9])).coeffs()]
             wrench = self.wrench(k, q)
             turning = pin.Jlog3(pin.exp3(y[6:9])) @ pin.exp3(y[6:9]).T @ y[9:]
-            return np.concatenate([y[3:6], wrench[:3] / MASS - [0, 0, 9.81], turning, wrench[3:] / inertia])
+            moved = free * np.concatenate([wrench[:3] / MASS - [0, 0, 9.81], wrench[3:] / inertia])
+            return np.concatenate([y[3:6], moved[:3], turning, moved[3:]])
 
         for k in range(count):
             own = partial(rate, k)
             for i in range(FINE):
                 y = runge_kutta(own, y, i / FINE, h, 1 / FINE)
-        return float(np.linalg.norm(y[:3] - self.plan.states[-1, block : block + 3]))
+        end = self.plan.states[-1, block : block + 7]
+        turn = pin.log3(pin.Quaternion(end[3:]).toRotationMatrix().T @ pin.exp3(y[6:9]))
+        return float(max(np.linalg.norm(y[:3] - end[:3]), np.linalg.norm(turn) * SIZE / 2))
 
     def simulated(self, stiffness: float) -> float:
         """The same of arms and block under planned torques, where forces follow from the motion.

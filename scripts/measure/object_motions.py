@@ -1,10 +1,10 @@
 """Arms that push and lift a block: contacts between two bodies of one model (docs/discovery.md, Objects).
 
-A prototype beside the library, whose contacts are with surroundings that do not move. Arms and block are one
-model; implicit midpoints on the manifold of its joints; rows from `rigid_body.fused`. A finger is a point. Where
-it touches a face, f acts on it and -f on the block, at the same place, and its velocity relative to the face is
-zero at nodes. The table pushes at four corners. Its friction is Coulomb's where the schedule says that the
-block slides, and mu v / sqrt(v^2 + CREEP^2) times the load without a schedule.
+A prototype beside the library, whose contacts are with surroundings that do not move. Arms and block are
+one model; implicit midpoints on the manifold of its joints; rows from `rigid_body.fused`. A finger is a
+point. Where it touches, f acts on it and -f on the block, at the same place, and its velocity relative to
+the face is zero at nodes. The table pushes at four corners. Its friction is Coulomb's where the schedule
+says that the block slides, and mu v / sqrt(v^2 + CREEP^2) times the load without a schedule.
 """
 
 from dataclasses import dataclass
