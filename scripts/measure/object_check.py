@@ -9,6 +9,7 @@ import pinocchio as pin
 from scripts.measure.object_motions import CORNERS, FINGER_FRICTION, MASS, SIZE, TABLE_FRICTION, WEIGHT, Plan
 
 STIFFNESS = 900.0  # of the feedback in the check, 1/s^2
+DIVERGED = 100.0  # m/s or rad/s, at which a simulation ends
 FINE = 8  # places in an interval where the check looks
 
 
@@ -153,7 +154,7 @@ class Judge:
                 w = speed.angular
                 rows.append(end[:3] - block[:3] + pin.skew(r) @ block[3:])
                 right.append(drift.linear + np.cross(drift.angular, r) + np.cross(w, np.cross(w, r)) - own)
-            if not self.scene.lifted:  # the rail
+            if not self.scene.lifted:  # only along x: the table's forces are the planned ones
                 rows.append(np.eye(m.nv)[-5:])
                 right.append(np.zeros(5))
             pair = np.vstack(rows)
@@ -175,6 +176,8 @@ class Judge:
                     return np.concatenate([speed, acceleration(k, tau + feedback, at, speed)])
 
                 y = runge_kutta(rate, np.concatenate([np.zeros(m.nv), v]), i / FINE, h, 1 / FINE)
+                if not abs(y).max() < DIVERGED:
+                    return np.inf
                 q, v = pin.integrate(m, q, y[: m.nv]), y[m.nv :]
         block = m.joints[m.njoints - 1].idx_q
         return float(np.linalg.norm(q[block : block + 3] - self.plan.states[-1, block : block + 3]))

@@ -265,8 +265,8 @@ class Task:
         below[:k, unmoved], above[:k, unmoved] = -np.inf, np.inf
         if scene.lifted:
             high[k:, -4:] = 0
-        else:  # as on a rail: in a straight slide the rows of y, roll and yaw say the same twice
-            below[:, unmoved[1:]], above[:, unmoved[1:]] = -np.inf, np.inf
+        else:  # sliding straight: friction turns by the loads that tilt, so that yaw follows from roll and y
+            below[:, unmoved[2]], above[:, unmoved[2]] = -np.inf, np.inf
             high[k + 1 : -1, velocity.start] = np.inf
             low[-1, nq - 6 : nq - 1], high[-1, nq - 6 : nq - 1] = -np.inf, np.inf
         return low, high, below, above

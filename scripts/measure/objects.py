@@ -13,9 +13,7 @@ TASKS = {
     "lift": lambda arm: Scene(arm, sides=(-1, 1), goal=(0, 0, 0.3), lifted=True),
     "push": lambda arm: Scene(arm, sides=(-1,), goal=(0.3, 0, 0.1), lifted=False),
 }
-CASES = [
-    (task, arm, count) for task in TASKS for arm in OUT for count in ((28, 56) if arm == "z1" else (28,))
-]
+CASES = [(task, arm, count) for task in TASKS for arm in OUT for count in (28, 56)]
 
 
 def found(task: Task, seed: int) -> tuple[list[int], float | None, Plan]:
