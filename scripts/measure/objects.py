@@ -13,6 +13,8 @@ TASKS = {
     "lift": lambda arm: Scene(arm, sides=(-1, 1), goal=(0, 0, 0.3), lifted=True),
     "push": lambda arm: Scene(arm, sides=(-1,), goal=(0.3, 0, 0.1), lifted=False),
 }
+# Slack down to which a motion must be solved to be a proposal.
+PROPOSED = 0.01
 CASES = [(task, arm, count) for task in TASKS for arm in OUT for count in (28, 56)]
 
 
@@ -71,7 +73,7 @@ def objects(only: str, starts: int) -> None:
         task = Task(TASKS[name](arm), count)
         for seed in range(starts):
             iterations, reached, plan = found(task, seed)
-            touch, hard = first_touch(task, plan) if reached else None, "no proposal"
+            touch, hard = first_touch(task, plan) if reached and reached <= PROPOSED else None, "no proposal"
             if touch:
                 task.touched = touch
                 plan = task.solve(plan.states, None)
