@@ -57,6 +57,7 @@ COMMANDS = (
     models.transfers,
     models.jump_range,
     objects.objects,
+    objects.objects_found,
     object_places.object_places,
     outside.outside,
     two_stage.two_stage,

@@ -15,6 +15,7 @@ TASKS = {
 }
 # Slack down to which a motion must be solved to be a proposal.
 PROPOSED = 0.01
+ARM, COUNT = "z1", 28  # of what is found
 CASES = [(task, arm, count) for task in TASKS for arm in OUT for count in (28, 56)]
 
 
@@ -40,43 +41,41 @@ def first_touch(task: Task, plan: Plan) -> int | None:
 
 @click.command("objects")
 @click.option("--only", default="", metavar="WORD", help="Tasks or arms with this in their name.")
-@click.option(
-    "--starts", default=3, show_default=True, help="Starts of each task; all but the first with noise."
-)
+@click.option("--starts", default=3, show_default=True, help="Of each task; all but the first with noise.")
 def objects(only: str, starts: int) -> None:
-    """A block that two arms lift or one arm pushes: with a given touch, and with complementarity."""
-    chosen = [case for case in CASES if only in " ".join(map(str, case))]
+    """A block that two arms lift or one arm pushes, where it is given when fingers touch."""
     costs = ("task", "arm", "intervals", "variables", "solved", "iterations, median")
     rows = ("block's rows at points, over the weight", "between", "torque over limit", "finger's drift [m]")
-    ends = (
-        "friction, least margin over the weight",
-        "block alone, end [m]",
-        "open loop, end [m]",
-        "with feedback [m]",
-    )
+    ends = ("least margin of friction", "block alone, end [m]", "open loop, end [m]", "with feedback [m]")
     head(*costs, *rows, *ends)
-    for name, arm, count in chosen:
+    for name, arm, count in (case for case in CASES if only in " ".join(map(str, case))):
         task = Task(TASKS[name](arm), count)
         plans = [task.solve(task.still(seed), None) for seed in range(starts)]
         good = [plan for plan in plans if plan.solved]
         judged = [Judge(plan).figures() for plan in good]
-        worst = (
-            [f"{(min if k == 'friction' else max)(j[k] for j in judged):.2g}" for k in judged[0]]
-            if good
-            else []
-        )
+        least = {kind: min if kind == "friction" else max for kind in (judged[0] if good else ())}
+        worst = [f"{of(figures[kind] for figures in judged):.2g}" for kind, of in least.items()]
         counts = median([plan.iterations for plan in good])
         row(name, arm, count, task.variables, f"{len(good)} of {starts}", f"{counts:.0f}", *worst)
-    click.echo()
-    head("task", "start", "iterations by slack", "least slack", "touch found [s]", "then with hard contacts")
-    for name, arm, count in (case for case in chosen if case[1] == "z1" and case[2] == 28):
-        task = Task(TASKS[name](arm), count)
+
+
+@click.command("objects-found")
+@click.option("--starts", default=3, show_default=True, help="Of each task; all but the first with noise.")
+def objects_found(starts: int) -> None:
+    """The same for one kind of arm with complementarity instead, then with the touch that was found."""
+    hard = ("then with hard contacts", "finger's drift [m]", "with feedback [m]")
+    head("task", "start", "iterations by slack", "least slack", "touch found [s]", *hard)
+    for name in TASKS:
         for seed in range(starts):
+            task = Task(TASKS[name](ARM), COUNT)
             iterations, reached, plan = found(task, seed)
-            touch, hard = first_touch(task, plan) if reached and reached <= PROPOSED else None, "no proposal"
-            if touch:
-                task.touched = touch
-                plan = task.solve(plan.states, None)
-                hard = f"{'solved' if plan.solved else plan.status}, {plan.iterations} iterations"
-            shown = "" if touch is None else f"{touch * task.step:.2f}"
-            row(name, seed, ", ".join(map(str, iterations)), reached or "none", shown, hard)
+            cells = [name, seed, ", ".join(map(str, iterations)), reached or "none"]
+            touch = first_touch(task, plan) if reached and reached <= PROPOSED else None
+            if not touch:
+                row(*cells, "", "no proposal", "", "")
+                continue
+            task.touched = touch
+            plan = task.solve(plan.states, None)
+            cells += [f"{touch * task.step:.2f}", f"{plan.status}, {plan.iterations} iterations"]
+            judged = Judge(plan).figures() if plan.solved else {}
+            row(*cells, *(f"{judged[k]:.2g}" if judged else "" for k in ("drift", "tracked")))
