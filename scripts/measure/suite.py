@@ -11,12 +11,7 @@ import click
 from scripts.measure.shared import head, row
 
 Pair = dict[str, Any]
-# Kinds of problems with the robots of their plans that are simulated.
-LEGGED = {
-    "quadruped": ("solo12", "go2", "anymal_c", "a1", "hyq"),
-    "biped": ("talos", "g1", "bolt"),
-    "humanoid": ("talos", "g1"),
-}
+LEGGED = ("solo12", "go2", "anymal_c", "a1", "hyq", "talos", "g1", "bolt")
 folder = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
@@ -57,15 +52,13 @@ def library(graded: Path) -> None:
 @click.argument("simulated", type=folder)
 def tracking(simulated: Path) -> None:
     """Errors of the base at the end, mm, of plans in a run with --simulate; bold or fell: not tracked."""
-    for index, (kind, robots) in enumerate(LEGGED.items()):
-        if index:
-            print()
-        known = [each for each in pairs(simulated) if each["problem"].startswith(kind) and each["physics"]]
-        tracked = sum(each["physics"]["word"] == "tracked" for each in known)
-        head(f"{kind}: {tracked} of {len(known)} tracked", *robots)
-        for problem, group in groupby(known, key=lambda pair: pair["problem"]):
-            cells = {each["robot"]: _base_error(each["physics"]) for each in group}
-            row(problem.removeprefix(f"{kind}-"), *(cells.get(robot, "") for robot in robots))
+    known = [each for each in pairs(simulated) if each["robot"] in LEGGED and each["physics"]]
+    head("problem", *LEGGED)
+    for problem, group in groupby(known, key=lambda pair: pair["problem"]):
+        cells = {each["robot"]: _base_error(each["physics"]) for each in group}
+        row(problem, *(cells.get(robot, "") for robot in LEGGED))
+    words = [[each["physics"]["word"] for each in known if each["robot"] == robot] for robot in LEGGED]
+    row("tracked", *(f"{own.count('tracked')} of {len(own)}" for own in words))
 
 
 def _base_error(physics: Pair) -> str:
