@@ -359,7 +359,7 @@ def test_jumps_and_trots_end_within_five_centimetres(problem, robot):
             "mass_scale, noise, seed, cycles, push, rolling, controller, gains, qp_solver, impulse, "
             "sensor_noise, delay, torque_step, torque_rate, com_offset, ground_offsets",
         ),
-        ({"rolling": 1}, "rolling of a simulation is 1; allowed: True or False"),
+        ({"rolling": 1}, "rolling of a simulation is 1; allowed: True, False or None"),
         ({"noise": "much"}, "noise of a simulation is 'much'; allowed: a finite number"),
     ],
 )
