@@ -1,9 +1,10 @@
 """Quadrupeds with the same construction: those of Unitree and ANYbotics in example-robot-data."""
 
-import numpy as np
 import pinocchio as pin
 
 from trajopt.robot import Contact, Robot, robot_file
+
+from ._frames import add_frame
 
 UNITREE_LEGS = ("FL", "FR", "RL", "RR")
 ANYMAL_LEGS = ("LF", "RF", "LH", "RH")
@@ -62,7 +63,7 @@ def _on_balls(
     described = Robot.from_urdf(robot_file(path), name=name, base="freeflyer")
     model = pin.Model(described.model)
     if centre is not None:
-        feet = {leg: _add_ball(model, foot, np.array(centre)) for leg, foot in feet.items()}
+        feet = {leg: add_frame(model, _ball(foot), foot, centre) for leg, foot in feet.items()}
     contacts = [Contact(frame=frame, name=leg, radius=radius) for leg, frame in feet.items()]
     return Robot.from_model(
         model,
@@ -74,11 +75,6 @@ def _on_balls(
     )
 
 
-def _add_ball(model: pin.Model, foot: str, centre: np.ndarray) -> str:
-    """Add the frame at a point (3,) m of a foot frame and return its name."""
-    number = model.getFrameId(foot)
-    entry = model.frames[number]
-    name = foot.replace("FOOT", "BALL").replace("foot", "ball")
-    placement = entry.placement * pin.SE3(np.eye(3), centre)
-    model.addFrame(pin.Frame(name, entry.parentJoint, number, placement, pin.FrameType.OP_FRAME))
-    return name
+def _ball(foot: str) -> str:
+    """Name of the frame at the centre of a foot's ball."""
+    return foot.replace("FOOT", "BALL").replace("foot", "ball")

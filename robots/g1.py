@@ -5,6 +5,8 @@ import pinocchio as pin
 
 from trajopt.robot import Contact, Robot, robot_file
 
+from ._frames import add_frame
+
 KIND = "biped"
 SIDES = ("left", "right")
 
@@ -46,7 +48,7 @@ def _robot(locked: tuple[str, ...], *, hands: bool) -> Robot:
     model = pin.Model(described.model)
     contacts = [
         Contact(
-            frame=_add_frame(model, f"{side}_sole", f"{side}_ankle_roll_link", SOLE_CENTRE),
+            frame=add_frame(model, f"{side}_sole", f"{side}_ankle_roll_link", SOLE_CENTRE),
             name=side,
             kind="surface",
             half_length=HALF_LENGTH,
@@ -58,7 +60,7 @@ def _robot(locked: tuple[str, ...], *, hands: bool) -> Robot:
         model.armature = np.append(np.zeros(6), np.full(model.nv - 6, ARMATURE))
     x, y, z = HAND_CENTRE
     for side, across in zip(SIDES, (y, -y), strict=True) if hands else ():
-        frame = _add_frame(model, f"{side}_hand", f"{side}_rubber_hand", (x, across, z))
+        frame = add_frame(model, f"{side}_hand", f"{side}_rubber_hand", (x, across, z))
         contacts.append(Contact(frame=frame, radius=HAND_RADIUS))
     return Robot.from_model(
         model,
@@ -69,16 +71,6 @@ def _robot(locked: tuple[str, ...], *, hands: bool) -> Robot:
         locked=[name for name in model.names if any(part in name for part in locked)],
         visual=described.visual,
     )
-
-
-def _add_frame(model: pin.Model, name: str, link: str, centre: tuple[float, float, float]) -> str:
-    """Add a frame at a point of a link, m, with the link's axes, and return its name."""
-    parent = model.getFrameId(link)
-    placement = model.frames[parent].placement * pin.SE3(np.eye(3), np.array(centre))
-    model.addFrame(
-        pin.Frame(name, model.frames[parent].parentJoint, parent, placement, pin.FrameType.OP_FRAME)
-    )
-    return name
 
 
 def _posture() -> dict[str, float]:

@@ -1,9 +1,10 @@
 """Talos, the 90 kg humanoid of PAL Robotics: two soles, and the left hand or both as points."""
 
-import numpy as np
 import pinocchio as pin
 
 from trajopt.robot import Contact, Robot, robot_file
+
+from ._frames import add_frame
 
 KIND = "biped"
 SIDES = ("left", "right")
@@ -40,17 +41,12 @@ def with_arms() -> Robot:
     """Return Talos with both arms; contacts ``left_hand`` and ``right_hand`` are the ends of its grippers."""
     described = Robot.from_urdf(robot_file(PATH), name="talos")
     model = pin.Model(described.model)
-    for side in SIDES:
-        flange = model.getFrameId(f"wrist_{side}_ft_tool_link")
-        carrier = model.frames[flange]
-        place = carrier.placement * pin.SE3(np.eye(3), np.array(GRIP_CENTRE))
-        kind = pin.FrameType.OP_FRAME
-        model.addFrame(pin.Frame(f"{side}_hand", carrier.parentJoint, flange, place, kind))
+    hands = [add_frame(model, f"{side}_hand", f"wrist_{side}_ft_tool_link", GRIP_CENTRE) for side in SIDES]
     robot = Robot.from_model(
         model,
         name="talos",
         base="freeflyer",
-        contacts=[*_soles(), *(Contact(frame=f"{side}_hand", radius=GRIP_RADIUS) for side in SIDES)],
+        contacts=[*_soles(), *(Contact(frame=hand, radius=GRIP_RADIUS) for hand in hands)],
         reference=_legs() | _arm("left") | _arm("right"),
         visual=described.visual,
     )

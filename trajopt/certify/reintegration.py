@@ -216,10 +216,9 @@ def active_contacts(motion: MotionQuantities, row: int) -> ContactSet:
     solution = motion.solution
     kinds = zip(solution.description.contacts, solution.active[row], strict=True)
     contacts = [(contact.frame, 6 if contact.is_sole else 3) for contact, on in kinds if on]
-    rolling, levers = solution.description.rolling, motion.surfaces.lever[row]
     return ContactSet.of(
         motion.models[int(solution.phase[row])],
         contacts,
         moment_arm=motion.reach or None,
-        levers=[levers[i] if rolling[i] else None for i in np.flatnonzero(solution.active[row])],
+        levers=[*motion.surfaces.lever[row, solution.active[row]]],
     )

@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from trajopt.control.robot_state import RobotState
+from trajopt.dynamics.model_quantities import without_rolling
 from trajopt.robot.friction import inscribed_rows, pressure_rows, yaw_rows
 
 # Sides of the pyramid inscribed in Coulomb's cone: it holds back up to 8 % of the friction, four sides 29 %.
@@ -76,11 +77,7 @@ class ActiveContact:
 
     def _held(self, motion: np.ndarray) -> np.ndarray:
         """What a contact holds of motions (6, ...) of its frame."""
-        if self.lever is None:
-            return motion[: self.dimension]
-        (x, y, z), (first, second, third) = self.lever, motion[3:]  # v + lever x omega
-        rolled = [y * third - z * second, z * first - x * third, x * second - y * first]
-        return np.asarray(motion[:3] + np.array(rolled))
+        return motion[: self.dimension] if self.lever is None else without_rolling(motion, self.lever)
 
     def motion_rows(self, state: RobotState, damping: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows (m, nv) and values (m,) of an acceleration that takes the contact's velocity out.

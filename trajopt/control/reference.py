@@ -169,9 +169,11 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
     gravity = gravity - plan.joint_force(q, np.zeros(model.nv))
     sizes = [6 if contact.is_sole else 3 for contact in plan.description.contacts]
     picked = [(i, size) for i, size in enumerate(sizes) if plan.active[-1, i]]
-    levers, rolling = MotionQuantities(plan).surfaces.lever[-1], plan.description.rolling
+    levers = np.zeros((len(sizes), 3))
+    if plan.description.rolling.any():
+        levers = MotionQuantities(plan).surfaces.lever[-1]
     frames = [(plan.contact_frames[i], size) for i, size in picked]
-    jacobian = contact_jacobian(model, q, frames, [levers[i] if rolling[i] else None for i, _ in picked])
+    jacobian = contact_jacobian(model, q, frames, [levers[i] for i, _ in picked])
     forces = np.concatenate([np.zeros(0), *(reference.f[-1, i, :size] for i, size in picked)])
     missing = actuation.balanced(gravity - jacobian.T @ forces)
     forces += np.linalg.lstsq(actuation.balanced(jacobian).T, missing, rcond=None)[0]

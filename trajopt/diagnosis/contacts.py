@@ -79,8 +79,7 @@ def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator
     for index, phase in enumerate(layout.schedule.phases):
         contacts = layout.touching[index]
         samples = [k for k in solution.phases[index] if finite[k]]
-        arms = transcription.problem.levers_of(index)
-        levers = [arms.get(contact.name) for contact in contacts]
+        levers = [transcription.problem.levers[index].get(contact.name) for contact in contacts]
         found = (_rank(model, contacts, solution.q[k], levers) for k in samples)
         ranks = [rank for rank in found if rank is not None]
         if not contacts or not ranks:

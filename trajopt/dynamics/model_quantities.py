@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from trajopt.errors import InputError
 
@@ -61,9 +62,17 @@ def contact_jacobian(
         jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
         jacobian = jacobian.reshape(6, model.nv)  # a single joint gives a vector
         if lever is not None:
-            jacobian[:3] += pin.skew(lever) @ jacobian[3:]
+            jacobian[:3] = without_rolling(jacobian, lever)
         blocks.append(jacobian[list(rows)])
     return np.vstack(blocks)
+
+
+def without_rolling(motion: np.ndarray, lever: ArrayLike) -> np.ndarray:
+    """Linear rows (3, ...) of a ball's twist, acceleration or Jacobian (6, ...) without what it rolls.
+
+    ``v - omega x lever`` of its centre, with the lever (3,) m from where it touches to there.
+    """
+    return np.asarray(motion[:3] + pin.skew(np.asarray(lever)) @ motion[3:])
 
 
 def generalized_force(

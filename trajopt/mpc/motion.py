@@ -38,8 +38,7 @@ class HorizonMotion:
         schemes = [layout.scheme_of(phase) for phase in range(len(horizon.pattern.contacts))]
         self.weights = [each.polynomials for each in schemes]
         self.contacts = layout.contacts
-        problem = horizon.transcription.problem
-        self.levers = [problem.levers_of(phase) for phase in range(len(schemes))]
+        self.levers = horizon.transcription.problem.levers
         self.highest: list[np.ndarray] = []
         self.wrenches: list[np.ndarray] = []
         for k in range(layout.n_stages):

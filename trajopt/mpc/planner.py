@@ -174,7 +174,7 @@ class HorizonPlanner:
 
     def _held(self, horizon: Horizon, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The velocity nearest to v, by kinetic energy, with which the contacts that stand do not move."""
-        contacts, levers = horizon.pattern.contacts[0], horizon.transcription.problem.levers_of(0)
+        contacts, levers = horizon.pattern.contacts[0], horizon.transcription.problem.levers[0]
         if not contacts:
             return v
         model = self.robot.model

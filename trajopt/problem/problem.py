@@ -246,13 +246,15 @@ class Problem:
             surfaces[name] = schedule.surface(phase, name, self.terrain, starts, radius)
         return surfaces
 
-    def levers_of(self, phase: int) -> dict[str, np.ndarray]:
-        """Levers (3,) m of a phase's contacts that roll, by the contact's name, see `Contact.lever`."""
+    @cached_property
+    def levers(self) -> tuple[dict[str, np.ndarray], ...]:
+        """By phase the levers (3,) m of contacts that roll, by the contact's name, see `Contact.lever`."""
+        phases = range(len(self.schedule.phases))
         if not any(contact.rolling for contact in self.robot.contacts):
-            return {}
-        grounds = self.surfaces_of(phase).items()
-        levers = {name: self.robot.contact(name).lever(ground) for name, ground in grounds}
-        return {name: lever for name, lever in levers.items() if lever is not None}
+            return tuple({} for _ in phases)
+        grounds = (self.surfaces_of(phase).items() for phase in phases)
+        every = ({name: self.robot.contact(name).lever(on) for name, on in each} for each in grounds)
+        return tuple({name: arm for name, arm in arms.items() if arm is not None} for arms in every)
 
     @cached_property
     def _starts(self) -> dict[str, np.ndarray]:

@@ -32,6 +32,7 @@ from trajopt.errors import InputError
 from trajopt.motion.samples import SampleQuantities, sample_quantities
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import TorqueBounds, problem_torque_limit, torque_bounds
+from trajopt.robot.contact import set_rolling_moments
 from trajopt.robot.units import Units
 from trajopt.solution.grid import interpolated
 from trajopt.solution.solution import Solution
@@ -127,7 +128,7 @@ class _Phase:
         self.robot, phase = problem.robot, problem.schedule.phases[index]
         self.units = Units(self.robot)
         self.contacts = tuple(self.robot.contact(name) for name in phase.contacts)
-        self.arms = problem.levers_of(index)
+        self.arms = problem.levers[index]
         self.entries = [
             (self.robot.contacts.index(contact), row) for contact in self.contacts for row in contact.rows
         ]
@@ -177,9 +178,7 @@ class _Phase:
         y *= _longest_step(exact, w, basis @ y)
         f = solution.f[row].copy()
         f[which, rows] = w + basis @ y
-        for contact in (contact for contact in self.contacts if contact.name in self.arms):
-            index = self.robot.contacts.index(contact)
-            f[index, 3:] = np.cross(f[index, :3], self.arms[contact.name])
+        set_rolling_moments(f, self.robot.contacts, self.arms)
         return f, torque + levers @ y
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -110,3 +111,12 @@ def require_frame(model: pin.Model, frame: str, where: str) -> None:
             f"{where} names frame '{frame}', which the model does not have",
             "close matches: " + ", ".join(close),
         )
+
+
+def set_rolling_moments(
+    wrenches: np.ndarray, contacts: Sequence[Contact], levers: Mapping[str, np.ndarray]
+) -> None:
+    """Set moments of wrenches (nc, 6) on ``contacts`` that roll, about their centres, by levers (3,) m."""
+    for wrench, contact in zip(wrenches, contacts, strict=True):
+        if contact.name in levers:
+            wrench[3:] = np.cross(wrench[:3], levers[contact.name])

@@ -23,6 +23,7 @@ from trajopt.dynamics.base_joint import BASE_COORDINATES, BASE_ROWS
 from trajopt.dynamics.model_quantities import contact_jacobian, generalized_force
 from trajopt.dynamics.rerooting import joint_slices
 from trajopt.problem.problem import Problem
+from trajopt.robot.contact import set_rolling_moments
 from trajopt.robot.mirror import REFLECTION, TWIST, signed
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase
@@ -281,7 +282,6 @@ def _carrying(
     """Wrenches (K, nc, 6) nearest to ``f`` whose base rows carry the motion at collocation points."""
     robot = problem.robot
     model, data, rows = robot.model, robot.model.createData(), robot.unactuated_rows
-    levers = [problem.levers_of(phase) for phase in range(len(problem.schedule.phases))]
     frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
     units = np.array([1.0] * 3 + [robot.length] * 3)
     corrected = f.copy()
@@ -291,15 +291,14 @@ def _carrying(
         chosen = [
             (c, row) for c, row in zip(robot.contacts, range(len(frames)), strict=True) if active[k, row]
         ]
-        arms, places = levers[int(solution.phase[k])], [(c.frame, c.rows) for c, _ in chosen]
+        arms, places = problem.levers[int(solution.phase[k])], [(c.frame, c.rows) for c, _ in chosen]
         jacobian = contact_jacobian(model, state[0], places, [arms.get(c.name) for c, _ in chosen])[:, rows]
         scale = np.concatenate([units[list(c.rows)] for c, _ in chosen])
         change = scale * np.linalg.lstsq((scale[:, None] * jacobian).T, missing, rcond=None)[0]
         for contact, row in chosen:
             corrected[k, row, list(contact.rows)] += change[: contact.dimension]
             change = change[contact.dimension :]
-            if contact.name in arms:
-                corrected[k, row, 3:] = np.cross(corrected[k, row, :3], arms[contact.name])
+        set_rolling_moments(corrected[k], robot.contacts, arms)
     return interpolated(solution, corrected)
 
 

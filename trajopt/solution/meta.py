@@ -42,15 +42,8 @@ REQUIRED = (
 DESCRIBED = (
     *("problem", "parameters", "robot", "actuation", "gravity", "effort_limit", "velocity_limit"),
     *("actuated_rows", "thrusters", "joint_forces", "mimics"),
-    *(
-        "contact_frames",
-        "contact_names",
-        "contact_kinds",
-        "contact_sizes",
-        "contact_radius",
-        "contact_rolling",
-    ),
-    "friction",
+    *("contact_frames", "contact_names", "contact_kinds", "contact_sizes", "contact_radius", "friction"),
+    "contact_rolling",
     *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
     *("visual", "phase_names"),
 )
@@ -258,9 +251,8 @@ def _contacts(meta: Mapping[str, Any]) -> Iterator[PlannedContact]:
         raise SolutionFileError("contact_rolling of meta is not a list of true or false for each contact")
     if any(rolls and not radius for rolls, radius in zip(rolling, radii, strict=True)):
         raise SolutionFileError("contact_rolling of meta is true for a contact without a radius")
-    for i, (name, frame, kind, mu, size) in enumerate(
-        zip(names, frames, kinds, friction, sizes, strict=True)
-    ):
+    columns = zip(names, frames, kinds, friction, sizes, radii, rolling, strict=True)
+    for name, frame, kind, mu, size, radius, rolls in columns:
         half_size = None if size is None else (float(size[0]), float(size[1]))
         yield PlannedContact(
             name=name,
@@ -268,8 +260,8 @@ def _contacts(meta: Mapping[str, Any]) -> Iterator[PlannedContact]:
             kind=kind,
             friction=float(mu),
             half_size=half_size,
-            radius=float(radii[i]),
-            rolling=rolling[i],
+            radius=float(radius),
+            rolling=rolls,
         )
 
 

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -13,7 +14,7 @@ from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.problem.bodies import clearance_of, self_margins, shapes_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.actuators.joint_force import joint_force
-from trajopt.robot.contact import Contact
+from trajopt.robot.contact import Contact, set_rolling_moments
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Schedule
 from trajopt.solution.description import (
@@ -109,7 +110,7 @@ def _impacts(problem: Problem, layout: Layout, unknowns: np.ndarray) -> dict[str
     impulses, first = [], []
     for k in stages:
         touching, window = layout.touching[layout.stages[k].phase], unknowns[layout.window(k)]
-        levers = _levers(problem, layout.stages[k].phase)
+        levers = problem.levers[layout.stages[k].phase]
         impulses.append(_wrenches(layout, touching, window[layout.local_impulse(k)], levers))
         before = layout.interval_stages[layout.interval_stages < k]
         first.append(int(_widths(layout, before).sum()))
@@ -174,7 +175,7 @@ def _interval(
         q, v, a = (part[1:-1] for part in every)
         edge = (form.coordinates.node_to_pinocchio(np.array(nodes))[0], every[1][[0, -1]], every[2][[0, -1]])
     wrenches = [window[layout.local_wrench(phase, i)] for i in range(method.s)]
-    levers = _levers(problem, phase)
+    levers = problem.levers[phase]
     f = np.array([_wrenches(layout, layout.contacts[phase], wrench, levers) for wrench in wrenches])
     full = [np.concatenate([e[:1], p, e[1:]]) for p, e in zip((q, v, a), edge, strict=True)]
     mode = layout.modes.get(layout.schedule.phases[phase].name)
@@ -207,24 +208,16 @@ def _torques(robot: Robot, motion: list[np.ndarray], f: np.ndarray) -> np.ndarra
     return robot.actuation.inputs(np.array(forces) - own)
 
 
-def _levers(problem: Problem, phase: int) -> np.ndarray:
-    """Levers (nc, 3) m of the contacts that roll in a phase, see `Contact.lever`; zero of others."""
-    levers = problem.levers_of(phase)
-    names = [contact.name for contact in problem.robot.contacts]
-    return np.array([levers.get(name, np.zeros(3)) for name in names]).reshape(-1, 3)
-
-
-def _wrenches(layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray, levers: np.ndarray) -> np.ndarray:
-    """Wrench of every contact of the robot (nc, 6), zero where inactive.
-
-    Forces on contacts that roll have a moment, about the frame's origin, by their ``levers`` (nc, 3) m.
-    """
+def _wrenches(
+    layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray, levers: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """Wrench of every contact of the robot (nc, 6), zero where inactive; ``levers`` of those that roll."""
     names = [contact.name for contact in layout.robot.contacts]
     f, start = np.zeros((len(names), 6)), 0
     for contact in contacts:
         f[names.index(contact.name), list(contact.rows)] = w[start : start + contact.dimension]
         start += contact.dimension
-    f[:, 3:] += np.cross(f[:, :3], levers)
+    set_rolling_moments(f, layout.robot.contacts, levers)
     return f
 
 

@@ -32,7 +32,7 @@ def free_directions(
     q: np.ndarray,
     contacts: Sequence[str],
     normals: Mapping[str, np.ndarray] = MappingProxyType({}),
-    levers: Mapping[str, np.ndarray] = MappingProxyType({}),
+    levers: Mapping[str, np.ndarray | None] = MappingProxyType({}),
 ) -> np.ndarray:
     """Orthonormal basis (nv, n) of the local rates that active contacts leave free.
 
@@ -46,7 +46,7 @@ def free_directions(
         contacts: names of the active contacts.
         normals: unit normals (3,) of the surfaces of sliding contacts, by the contact's name; these contacts
             are held along the normal alone.
-        levers: of contacts that roll (3,), m, by the contact's name, see `Contact.lever`.
+        levers: of contacts that roll (3,), m, by the contact's name, None of others, see `Contact.lever`.
     """
     if not contacts:
         return robot.actuation.independent if robot.mimics else np.eye(robot.nv)
@@ -95,8 +95,7 @@ def free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX
     require_configuration(context.robot.model, np.asarray(q, dtype=float), "q")
     surfaces = {name: context.slides_on(context.robot.contact(name)) for name in place.phase.contacts}
     normals = {name: surface.normal for name, surface in surfaces.items() if surface is not None}
-    arms = {name: context.lever(context.robot.contact(name)) for name in place.phase.contacts}
-    levers = {name: arm for name, arm in arms.items() if arm is not None}
+    levers = {name: context.lever(context.robot.contact(name)) for name in place.phase.contacts}
     basis = free_directions(context.robot, q, place.phase.contacts, normals, levers)
     return Rows.create(ca.mtimes(context.parameter(basis).T, quantity), 0, 0, 1.0)
 

@@ -184,8 +184,7 @@ class TermFunctions:
         q = self._in_coordinates_of(form, q)
         known = {c.name: self.problem.contact_place(c.name, phase) for c in contacts}
         places = {name: place for name, place in known.items() if place is not None}
-        levers = self.problem.levers_of(phase)
-        return independent_rows(form.robot, q, before, after, places, levers)
+        return independent_rows(form.robot, q, before, after, places, self.problem.levers[phase])
 
     def _in_coordinates_of(self, form: NodeLayout, q: np.ndarray) -> np.ndarray:
         return self.layout.in_coordinates_of(form, q, *np.zeros((2, self.layout.robot.nv)))[0]

@@ -21,7 +21,7 @@ from trajopt.arguments import checked
 from trajopt.certify.contact.contact_response import ContactRank, contact_rank, contact_response, mass_factor
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.dynamics.base_joint import BASE_ROWS, base_of
-from trajopt.dynamics.model_quantities import generalized_force
+from trajopt.dynamics.model_quantities import generalized_force, without_rolling
 from trajopt.errors import InputError
 
 # Of Pinocchio's proximal algorithm: accuracy of the contacts' accelerations, m/s^2; what is added to the
@@ -147,7 +147,7 @@ def _contact_acceleration(
         moved = pin.getFrameClassicalAcceleration(model, data, frame, axes).vector
         table[index, :size] = moved[:size]
         if contacts.levers and (lever := contacts.levers[index]) is not None:
-            table[index, :3] -= np.cross(moved[3:], lever)
+            table[index, :3] = without_rolling(moved, lever)
     return table
 
 

@@ -21,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
+from trajopt.dynamics.model_quantities import without_rolling
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
 from trajopt.robot.contact import Contact, require_frame
@@ -57,7 +58,8 @@ class ContactSet:
     ) -> ContactSet:
         """Return the set of ``contacts``, each a `Contact` or (frame name, dimension).
 
-        ``levers``: for each contact None, or of a ball that rolls its lever (3,), m; default: none rolls.
+        ``levers``: for each contact None or zero, or of a ball that rolls its lever (3,), m; default: none
+        rolls.
         ``moment_arm`` defaults to the reach of the model, or 1 m if it has none. Raises `InputError`
         for an unknown frame, a dimension other than 3 and 6, an arm that is not positive, or other levers.
         """
@@ -72,7 +74,7 @@ class ContactSet:
         arm = (reach(model) or 1.0) if moment_arm is None else float(moment_arm)
         if not 0 < arm < np.inf:
             raise InputError(f"moment_arm is {moment_arm}", "a positive length in m")
-        arms = tuple(None if lever is None else tuple(lever.tolist()) for lever in levers)
+        arms = tuple(tuple(lever.tolist()) if lever is not None and lever.any() else None for lever in levers)
         wrong = [
             len(lever) != 3 or entry[2] != 3 for lever, entry in zip(arms, entries, strict=False) if lever
         ]
@@ -160,8 +162,7 @@ def contact_kinematics(
     for frame, rows, size, lever in entries:
         block = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, model.nv)
         motion = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
-        jacobian[rows], drift[rows] = block[:size], motion[:size]
-        if lever is not None:  # - omega x s = s x omega
-            jacobian[rows] += pin.skew(np.array(lever)) @ block[3:]
-            drift[rows] += np.cross(lever, motion[3:])
+        jacobian[rows], drift[rows] = (
+            each[:size] if lever is None else without_rolling(each, lever) for each in (block, motion)
+        )
     return ContactKinematics(jacobian=jacobian, drift=drift, velocity=jacobian @ v)
