@@ -1,7 +1,7 @@
 """Shared by the problems of bipeds: the robot with its legs alone, poses of the base, two steps."""
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 
@@ -10,11 +10,11 @@ from trajopt.guesses import BaseWaypoint
 from trajopt.robot import Robot, biped_legs, contact_positions, legs_only, require_soles
 from trajopt.schedule import Schedule, footholds_at
 from trajopt_library import robots
-from trajopt_library.robots import g1, talos
 
 from . import common
 
 ROBOTS = ("talos", "g1", "bolt")
+HUMANOIDS = ("g1_arms", "talos_arms")  # with hands
 # Parts of a stance on heel and toe.
 ROLLS = {"heel": 1 / 6, "toe": 1 / 4}
 ROLLING = (
@@ -70,11 +70,11 @@ def two_steps(robot: Robot, way: np.ndarray, durations: Mapping[str, float]) -> 
 
 @lru_cache(maxsize=8)
 def humanoid(name: str | Robot) -> Robot:
-    """The robot of that name on two feet, with arms whose hands are contacts, too.
+    """The robot of that name, on two feet and with two hands among its contacts.
 
-    Raises InputError for a robot without two feet, or without two hands among its contacts.
+    Raises InputError for a robot without them.
     """
-    robot = {"talos": talos.with_arms, "g1": g1.with_arms}.get(str(name), partial(robots.load, name))()
+    robot = robots.load(name)
     biped_legs(robot)
     hands(robot)
     return robot
@@ -86,6 +86,7 @@ def hands(robot: Robot) -> tuple[str, str]:
     found = sorted((name for name in places if name not in feet), key=lambda name: -places[name][1])
     if len(found) != 2:
         raise InputError(
-            f"'{robot.name}' has {len(found)} contacts that are not feet", "allowed: two, its hands"
+            f"'{robot.name}' has {len(found)} contacts that are not feet",
+            f"allowed: two, its hands, as of {' and '.join(HUMANOIDS)}",
         )
     return found[0], found[1]

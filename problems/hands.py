@@ -325,7 +325,7 @@ def _lean(default: float) -> common.Parameter:
 FAMILIES = (
     Family(
         name="humanoid-push-off",
-        robots=("g1", "talos"),
+        robots=bipeds.HUMANOIDS,
         phases=("push", "recover"),
         summary="push off a wall with one hand or both, from leaning far beyond the toes, to standing",
         parameters=(
@@ -347,7 +347,7 @@ FAMILIES = (
     ),
     Family(
         name="humanoid-lean",
-        robots=("g1",),
+        robots=bipeds.HUMANOIDS[:1],
         phases=("approach", "stretch"),
         summary="lean on a table with the left hand to reach far beyond it with the right, at rest",
         parameters=(
@@ -368,7 +368,7 @@ FAMILIES = (
     ),
     Family(
         name="humanoid-climb",
-        robots=("g1",),
+        robots=bipeds.HUMANOIDS[:1],
         phases=("left_hand", "right_hand", "right", "double", "left", "hold", "rest"),
         summary="climb high steps between two rails, hands and feet one after the other, and rest",
         parameters=(

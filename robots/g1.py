@@ -1,4 +1,4 @@
-"""Unitree G1, the 33 kg humanoid, on two soles; its waist is locked, so are its arms, if not asked for."""
+"""Unitree G1, the 33 kg humanoid, on two soles; waist and arms are locked (the arms of `g1_arms` are not)."""
 
 import numpy as np
 import pinocchio as pin
@@ -34,17 +34,17 @@ def build() -> Robot:
     Contacts are in frames ``left_sole`` and ``right_sole``, which this adds: on the ground below the ankle,
     in the middle of the balls that touch. Limits are those of the URDF.
     """
-    return _robot(("waist", *ARMS), hands=False)
+    return _robot("g1", ("waist", *ARMS), hands=False)
 
 
 def with_arms() -> Robot:
     """Return G1 with the joints of its arms as well, and contacts ``left_hand`` and ``right_hand``: balls."""
-    return _robot(("waist",), hands=True)
+    return _robot("g1_arms", ("waist",), hands=True)
 
 
-def _robot(locked: tuple[str, ...], *, hands: bool) -> Robot:
+def _robot(name: str, locked: tuple[str, ...], *, hands: bool) -> Robot:
     path = robot_file("g1_description/urdf/g1_29dof_rev_1_0.urdf")
-    described = Robot.from_urdf(path, name="g1")
+    described = Robot.from_urdf(path, name=name)
     model = pin.Model(described.model)
     contacts = [
         Contact(
@@ -64,7 +64,7 @@ def _robot(locked: tuple[str, ...], *, hands: bool) -> Robot:
         contacts.append(Contact(frame=frame, radius=HAND_RADIUS))
     return Robot.from_model(
         model,
-        name="g1",
+        name=name,
         base="freeflyer",
         contacts=contacts,
         reference=_posture(),

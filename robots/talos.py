@@ -1,4 +1,4 @@
-"""Talos, the 90 kg humanoid of PAL Robotics: two soles, and the left hand or both as points."""
+"""Talos, the 90 kg humanoid of PAL Robotics: two soles, and the left hand as a point (`talos_arms`: both)."""
 
 import pinocchio as pin
 
@@ -39,12 +39,12 @@ def build() -> Robot:
 
 def with_arms() -> Robot:
     """Return Talos with both arms; contacts ``left_hand`` and ``right_hand`` are the ends of its grippers."""
-    described = Robot.from_urdf(robot_file(PATH), name="talos")
+    described = Robot.from_urdf(robot_file(PATH), name="talos_arms")
     model = pin.Model(described.model)
     hands = [add_frame(model, f"{side}_hand", f"wrist_{side}_ft_tool_link", GRIP_CENTRE) for side in SIDES]
     robot = Robot.from_model(
         model,
-        name="talos",
+        name="talos_arms",
         base="freeflyer",
         contacts=[*_soles(), *(Contact(frame=hand, radius=GRIP_RADIUS) for hand in hands)],
         reference=_legs() | _arm("left") | _arm("right"),

@@ -13,10 +13,10 @@ from trajopt.schedule import Phase
 from trajopt_library import problems
 
 NAMES = (
-    ("humanoid-push-off", "g1"),
-    ("humanoid-push-off", "talos"),
-    ("humanoid-lean", "g1"),
-    ("humanoid-climb", "g1"),
+    ("humanoid-push-off", "g1_arms"),
+    ("humanoid-push-off", "talos_arms"),
+    ("humanoid-lean", "g1_arms"),
+    ("humanoid-climb", "g1_arms"),
 )
 MAX_TIME = 120.0  # s
 

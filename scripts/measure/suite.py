@@ -11,7 +11,7 @@ import click
 from scripts.measure.shared import head, row
 
 Pair = dict[str, Any]
-LEGGED = ("solo12", "go2", "anymal_c", "a1", "hyq", "talos", "g1", "bolt")
+LEGGED = ("solo12", "go2", "anymal_c", "a1", "hyq", "talos", "g1", "bolt", "talos_arms", "g1_arms")
 folder = click.Path(exists=True, file_okay=False, path_type=Path)
 
 

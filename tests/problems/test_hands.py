@@ -44,9 +44,9 @@ def forces(solution: Solution, phase: str, hand: str) -> np.ndarray:
     return solution.f[rows, list(solution.contact_frames).index(hand), :3]
 
 
-@pytest.mark.parametrize("name", ["g1", "talos"])
+@pytest.mark.parametrize("name", bipeds.HUMANOIDS)
 def test_hands_are_mirror_images_and_feet_stand_as_without_arms(name):
-    robot, legs = bipeds.humanoid(name), bipeds.biped(name)
+    robot, legs = bipeds.humanoid(name), bipeds.biped(name.removesuffix("_arms"))
     poses, feet = contact_poses(robot, robot.reference), contact_poses(legs, legs.reference)
     left, right = (poses[hand].translation for hand in bipeds.hands(robot))
     assert left == pytest.approx(right * [1, -1, 1], abs=PLACED)
@@ -66,7 +66,7 @@ def test_guess_has_every_contact_in_its_place(name):
         begin += phase.duration
 
 
-@pytest.mark.parametrize("robot", ["g1", "talos"])
+@pytest.mark.parametrize("robot", bipeds.HUMANOIDS)
 def test_who_pushes_off_starts_where_soles_alone_cannot_hold_it(robot):
     problem = problems.load("humanoid-push-off", robot=robot)
     assert beyond_toes(problem.robot, problem.initial_q) > BEYOND
@@ -98,12 +98,12 @@ def test_hands_only_push_on_the_wall_and_let_go_of_a_standing_robot():
         assert (force[:, 0] < 0).all()  # the wall is ahead: its normal is -x
         assert (np.linalg.norm(force[:, 1:], axis=1) <= -0.5 * force[:, 0] + FORCE * 1e3).all()
         assert not forces(solution, "recover", hand).any()
-    assert solution.q[-1] == pytest.approx(bipeds.humanoid("g1").reference, abs=1e-5)
+    assert solution.q[-1] == pytest.approx(bipeds.humanoid("g1_arms").reference, abs=1e-5)
 
 
 @pytest.mark.slow
 def test_who_leans_rests_on_the_table_beyond_its_toes():
-    solution, robot = solved("humanoid-lean"), bipeds.humanoid("g1")
+    solution, robot = solved("humanoid-lean"), bipeds.humanoid("g1_arms")
     assert beyond_toes(robot, solution.q[-1]) > BEYOND
     assert np.abs(solution.v[-1]).max() < 1e-4
     weight = mass_of(solution.model) * gravity_of(solution.model)
@@ -112,7 +112,7 @@ def test_who_leans_rests_on_the_table_beyond_its_toes():
 
 @pytest.mark.slow
 def test_who_climbs_stands_a_step_higher():
-    solution, robot = solved("humanoid-climb"), bipeds.humanoid("g1")
+    solution, robot = solved("humanoid-climb"), bipeds.humanoid("g1_arms")
     before, after = (contact_poses(robot, q) for q in (robot.reference, solution.q[-1]))
     for foot in biped_legs(robot):
         way = after[foot].translation - before[foot].translation

@@ -124,7 +124,9 @@ def test_page_of_every_robot_has_all_its_parts_in_their_size(name, tmp_path):
     assert drawn.keys() == parts.keys()
     for path, part in parts.items():
         if isinstance(part.geometry, coal.BVHModelBase):
-            held = array_of(scene["meshes"][drawn[path]["geometries"][0]["shared"]], "position")
+            held = (
+                array_of(scene["meshes"][drawn[path]["geometries"][0]["shared"]], "position") * part.meshScale
+            )
             points = surface_points(part.geometry)
             expected, size = np.array([points.min(axis=0), points.max(axis=0)]), np.ptp(points, axis=0).max()
             box = [held.min(axis=0), held.max(axis=0)]

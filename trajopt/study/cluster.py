@@ -111,7 +111,7 @@ def dask_cluster(address: str) -> Iterator[Cluster]:
 
 
 def _silence() -> None:
-    """Keep Dask from logging tracebacks of lost connections: they are one line here."""
+    """Keep Dask and its event loop from logging tracebacks of lost connections: they are one line here."""
     for name in [*logging.root.manager.loggerDict]:
-        if name.partition(".")[0] == "distributed":
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
