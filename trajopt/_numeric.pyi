@@ -16,7 +16,7 @@ class Method:
 class Dynamics:
     """Forward dynamics of a model whose frames hold their place, by Pinocchio's proximal algorithm.
 
-    With soles, of 6 rows instead of 3, and contacts that slide by a projection as in `contact_response`.
+    With soles, of 6 rows instead of 3, and contacts that slide or roll, by a projection: `contact_response`.
 
     dimensions: of each frame, 3 or 6. arm: m, by which rotations are compared with positions. accuracy,
     softness, most: of the proximal algorithm, as in `pinocchio.ProximalSettings`.
@@ -34,6 +34,9 @@ class Dynamics:
     ) -> None: ...
     def slide(self, number: int, normal: Reals, friction: float, slip: float) -> None:
         """Contact ``number``, a point, slides: see `trajopt.certify.sliding.SlidingDynamics`."""
+
+    def roll(self, number: int, lever: Reals) -> None:
+        """Contact ``number``, a point, is the centre of a ball that rolls, ``lever`` (3,) m off its plane."""
 
     def accelerations(self, q: Reals, v: Reals, force: Reals) -> Reals:
         """Accelerations (n, nv) at n states under forces (n, nv); NaN where it does not converge."""

@@ -67,6 +67,29 @@ with interruption.handling(), {state}:
     assert outcome(code) == (130, "", "trajopt: cancelled\n")
 
 
+def test_a_press_in_a_destructor_is_known_and_not_told_and_other_errors_are() -> None:
+    code = """
+class Last:
+    def __init__(self, do):
+        self.do = do
+    def __del__(self):
+        self.do()
+        sum(range(1000))
+with contextlib.suppress(KeyboardInterrupt), interruption.handling():
+    Last(press)
+    print(interruption.pressed)
+    interruption.check()
+    print("not reached")
+with interruption.handling():
+    Last(lambda: 1 / 0)
+"""
+    status, output, errors = outcome(code)
+    assert (status, output) == (0, "True\n")
+    assert errors.startswith("Exception ignored in")
+    assert errors.rstrip().endswith("ZeroDivisionError: division by zero")
+    assert errors.count("Exception ignored in") == 1
+
+
 def test_a_press_that_a_library_loses_is_known_and_a_second_one_is_raised() -> None:
     code = f"""
 with contextlib.suppress(KeyboardInterrupt), interruption.handling():

@@ -180,8 +180,11 @@ def test_dynamics_of_a_set_solve_the_dense_equations():
     assert_allclose(found.wrenches[0, 3:], np.cross(found.wrenches[0, :3], contacts.levers[0]))
     assert not found.wrenches[1, 3:].any()
     dynamics = ContactDynamics(model, contacts)
-    assert dynamics.compiled is None
     close(dynamics.acceleration(q, v, tau), expected[: model.nv], ROUNDING)
+    compiled = dynamics.compiled.accelerations(q[None], v[None], tau[None])
+    close(compiled[0], expected[: model.nv], ROUNDING)
+    with pytest.raises(ValueError, match="no point of that number holds its place"):
+        dynamics.compiled.roll(0, np.ones(3))
     after = impact(model, q, v, contacts).velocity
     assert_allclose(rows.jacobian @ after, 0.0, atol=ROUNDING)
 

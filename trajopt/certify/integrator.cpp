@@ -60,7 +60,7 @@ class Dynamics {
   }
 
   // Without contacts by the mass matrix: it is exact for inertias that differ by many orders. So are soles, of which
-  // the proximal algorithm would hold the spatial, not the classical acceleration, and contacts that slide.
+  // the proximal algorithm would hold the spatial, not the classical acceleration, and contacts that slide or roll.
   const Vector& acceleration(const Vector& q, const Vector& v, const Vector& force) {
     if (points_.empty() || projected_) {
       pinocchio::crba(model_, data_, q);
@@ -85,6 +85,15 @@ class Dynamics {
       throw std::invalid_argument("no point of that number holds its place");
     sliding_[index] = {read(normal, 3, "normal"), friction, slip};
     rows_ -= 2;
+    projected_ = true;
+  }
+
+  // Contact `number`, a point, is the centre of a ball that rolls, at `lever` from where it touches: see contact_set.py.
+  void roll(int number, const Numbers& lever) {
+    const auto index = static_cast<std::size_t>(number);
+    if (number < 0 || index >= frames_.size() || dimensions_[index] != 3 || rolling_.count(index) > 0)
+      throw std::invalid_argument("no point of that number holds its place");
+    rolling_[index] = pinocchio::skew(Eigen::Vector3d(read(lever, 3, "lever")));
     projected_ = true;
   }
 
@@ -150,7 +159,11 @@ class Dynamics {
       const auto axes = pinocchio::LOCAL_WORLD_ALIGNED;
       const Eigen::Index size = dimensions_[k];
       pinocchio::getFrameJacobian(model_, data_, frames_[k], axes, jacobian.setZero());
-      const Vector drift = pinocchio::getFrameClassicalAcceleration(model_, data_, frames_[k], axes).toVector();
+      Vector drift = pinocchio::getFrameClassicalAcceleration(model_, data_, frames_[k], axes).toVector();
+      if (const auto ball = rolling_.find(k); ball != rolling_.end()) {
+        jacobian.topRows(3) += ball->second * jacobian.bottomRows(3);
+        drift.head(3) += ball->second * drift.tail(3);
+      }
       const auto surface = sliding_.find(k);
       const bool slides = surface != sliding_.end();
       Matrix rows = scale.head(size).asDiagonal() * jacobian.topRows(size), push = rows;
@@ -262,6 +275,7 @@ class Dynamics {
   std::vector<pinocchio::FrameIndex> frames_;
   std::vector<int> dimensions_;
   std::map<std::size_t, Sliding> sliding_;
+  std::map<std::size_t, Eigen::Matrix3d> rolling_;
   Eigen::Index rows_ = 0;
   bool projected_ = false;
   double arm_, accuracy_, softness_;
@@ -293,6 +307,7 @@ NB_MODULE(_numeric, module) {
       .def(nb::init<nb::object, const std::vector<int>&, const std::vector<int>&, double, double, double, int>(),
            "model"_a, "frames"_a, "dimensions"_a, "arm"_a, "accuracy"_a, "softness"_a, "most"_a)
       .def("slide", &Dynamics::slide, "number"_a, "normal"_a, "friction"_a, "slip"_a)
+      .def("roll", &Dynamics::roll, "number"_a, "lever"_a)
       .def("accelerations", &Dynamics::accelerations, "q"_a, "v"_a, "force"_a)
       .def("integrate", &Dynamics::integrate, "method"_a, "q"_a, "v"_a, "coefficients"_a, "actuation"_a, "duration"_a,
            "relative"_a, "absolute"_a, "evaluations"_a);

@@ -52,6 +52,7 @@ class Interruption:
         os.set_blocking(write, False)
         before = signal.signal(signal.SIGINT, self._handle)
         previous = signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+        self._told, sys.unraisablehook = sys.unraisablehook, self._lost
         watcher = threading.Thread(target=self._watch, name="Ctrl-C", daemon=True)
         watcher.start()
         self._handles = True
@@ -59,6 +60,7 @@ class Interruption:
             yield
         finally:
             self._handles = False
+            sys.unraisablehook = self._told
             signal.set_wakeup_fd(previous)
             os.close(write)  # ends the watcher
             watcher.join()
@@ -94,6 +96,11 @@ class Interruption:
         self.pressed = True
         if not (self.deferred or _is_being_handled()):
             self.check()
+
+    def _lost(self, what: "sys.UnraisableHookArgs") -> None:
+        """Say nothing of a press that Python loses in a destructor: it stays ``pressed``."""
+        if not issubclass(what.exc_type, KeyboardInterrupt):
+            self._told(what)
 
     def _watch(self) -> None:
         while True:

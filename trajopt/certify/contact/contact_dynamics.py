@@ -178,15 +178,16 @@ class ContactDynamics:
 
     @cached_property
     def compiled(self) -> _numeric.Dynamics | None:
-        """The same dynamics for many states and whole integrations.
-
-        None with joints that follow others, and with balls that roll.
-        """
-        if self.independent is not None or self.contacts.levers:
+        """The same dynamics for many states and whole integrations; None with joints that follow others."""
+        if self.independent is not None:
             return None
         contacts, settings = self.contacts, (PROXIMAL, SOFTNESS, MOST_PROXIMAL)
         frames, dimensions = [int(frame) for frame in contacts.frames], list(contacts.dimensions)
-        return _numeric.Dynamics(self.model, frames, dimensions, contacts.moment_arm, *settings)
+        compiled = _numeric.Dynamics(self.model, frames, dimensions, contacts.moment_arm, *settings)
+        for number, lever in enumerate(contacts.levers):
+            if lever is not None:
+                compiled.roll(number, np.array(lever))
+        return compiled
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""
