@@ -86,7 +86,7 @@ def hands(robot: Robot) -> tuple[str, str]:
     found = sorted((name for name in places if name not in feet), key=lambda name: -places[name][1])
     if len(found) != 2:
         raise InputError(
-            f"'{robot.name}' has {len(found)} contacts that are not feet",
+            f"'{robot.name}' has these contacts that are not feet: {', '.join(found) or 'none'}",
             f"allowed: two, its hands, as of {' and '.join(HUMANOIDS)}",
         )
     return found[0], found[1]

@@ -12,6 +12,7 @@ from trajopt.discovery import ContactTask, Destination, discover, relaxed_motion
 from trajopt.discovery.gait_likeness import nearest_gait
 from trajopt.discovery.goal import obstacle
 from trajopt.discovery.ground import gap, smooth_gap
+from trajopt.discovery.proposals import known_proposals
 from trajopt.discovery.records import CERTIFIED, RECORD, SCREENED, UNTRIED
 from trajopt.discovery.search import nearest_reached
 from trajopt.errors import InputError
@@ -165,6 +166,16 @@ def test_records_are_resumed(tmp_path):
     (tmp_path / RECORD).write_text("{")
     with pytest.raises(InputError, match="no record of a discovery"):
         discover(problem, seeds=1, folder=tmp_path, resume=True)
+
+
+@pytest.mark.parametrize("name", ["talos", "g1_arms"])
+def test_a_humanoid_gets_to_a_goal_on_its_feet_and_its_hands_touch_nothing(name):
+    task = task_to(robots.load(name), Destination(x=0.2))
+    assert task.standing(task.problem.initial_q) == ("left", "right")
+    assert [contact.name for contact in task.robot.contacts] == ["left", "right"]
+    modes = next(each.modes for each in known_proposals(task) if each.source == "steps:walk:1")
+    names = [step.contacts for step in task.with_modes(modes, task.still).schedule.phases]
+    assert names == [*modes.key]
 
 
 @pytest.mark.parametrize(

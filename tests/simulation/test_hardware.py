@@ -247,9 +247,7 @@ def test_wrong_settings_are_one_line(settings: dict[str, Any], line: str, stand:
 
 
 def test_settings_that_a_robot_cannot_have_are_refused(arm: Solution) -> None:
-    with pytest.raises(
-        InputError, match="rolling of a simulation of 'ur5', none of whose contacts has a radius"
-    ):
+    with pytest.raises(InputError, match="rolling has no effect on 'ur5'; allowed: for contacts"):
         simulate(arm, rolling=False)
     with pytest.raises(InputError, match="com_offset of a robot whose base is fixed; allowed: none"):
         simulate(arm, com_offset=(0.01, 0.0, 0.0))

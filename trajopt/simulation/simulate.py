@@ -97,8 +97,9 @@ def require_fitting(settings: SimulationSettings, plan: Solution) -> None:
     if any(settings.com_offset) and not plan.model.inertias[BASE_JOINT[kind]].mass > 0:
         raise InputError("com_offset of a robot whose base has no mass", "allowed: none for it")
     if settings.rolling is not None and not plan.description.radii.any():
-        who = f"of '{plan.description.robot}', none of whose contacts has a radius"
-        raise InputError(f"rolling of a simulation {who}", "allowed: None")
+        raise InputError(
+            f"rolling has no effect on '{plan.description.robot}'", "allowed: for contacts with a radius"
+        )
     for name in settings.ground_offsets:
         if name not in plan.contact_frames:
             raise not_among(plan.contact_frames, name, f"ground_offsets of a simulation for '{name}'")
