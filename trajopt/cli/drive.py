@@ -41,7 +41,7 @@ SCRIPTED = {
     "as_json": "--json",
 }
 # Those of robots on legs.
-ON_LEGS = ("push", "slope", "boxes")
+ON_LEGS = ("push", "slope", "boxes", "rolling")
 # Those of live drives.
 LIVE = {
     "port": "--port",

@@ -62,6 +62,10 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
         raise InputError(f"a simulation has no setting {unknown}", f"allowed: {', '.join(known)}")
     wanted = SimulationSettings(**settings)
     require_fitting(wanted, plan)
+    if wanted.rolling is not None and not plan.description.radii.any():
+        raise InputError(
+            f"rolling has no effect on '{plan.description.robot}'", "allowed: for contacts with a radius"
+        )
     with muted_mujoco():
         reference = reference_of(plan, wanted.control_rate, wanted.cycles)
         require_within(wanted, reference)
@@ -96,10 +100,6 @@ def require_fitting(settings: SimulationSettings, plan: Solution) -> None:
         raise InputError(f"com_offset of {aside:g} m to the side of a robot in a plane", "allowed: x and z")
     if any(settings.com_offset) and not plan.model.inertias[BASE_JOINT[kind]].mass > 0:
         raise InputError("com_offset of a robot whose base has no mass", "allowed: none for it")
-    if settings.rolling is not None and not plan.description.radii.any():
-        raise InputError(
-            f"rolling has no effect on '{plan.description.robot}'", "allowed: for contacts with a radius"
-        )
     for name in settings.ground_offsets:
         if name not in plan.contact_frames:
             raise not_among(plan.contact_frames, name, f"ground_offsets of a simulation for '{name}'")
