@@ -75,7 +75,6 @@ def humanoid(name: str | Robot) -> Robot:
     Raises InputError for a robot without them.
     """
     robot = robots.load(name)
-    biped_legs(robot)
     hands(robot)
     return robot
 

@@ -80,20 +80,14 @@ class Dynamics {
   // Contact `number`, a point, slides on a surface with that normal, with friction times its normal force against its
   // velocity within the surface, over the root of its square and that of the slip speed.
   void slide(int number, const Numbers& normal, double friction, double slip) {
-    const auto index = static_cast<std::size_t>(number);
-    if (number < 0 || index >= frames_.size() || dimensions_[index] != 3 || sliding_.count(index) > 0)
-      throw std::invalid_argument("no point of that number holds its place");
-    sliding_[index] = {read(normal, 3, "normal"), friction, slip};
+    sliding_[held_point(number)] = {read(normal, 3, "normal"), friction, slip};
     rows_ -= 2;
     projected_ = true;
   }
 
   // Contact `number`, a point, is the centre of a ball that rolls, at `lever` from where it touches: see contact_set.py.
   void roll(int number, const Numbers& lever) {
-    const auto index = static_cast<std::size_t>(number);
-    if (number < 0 || index >= frames_.size() || dimensions_[index] != 3 || rolling_.count(index) > 0)
-      throw std::invalid_argument("no point of that number holds its place");
-    rolling_[index] = pinocchio::skew(Eigen::Vector3d(read(lever, 3, "lever")));
+    rolling_[held_point(number)] = pinocchio::skew(Eigen::Vector3d(read(lever, 3, "lever")));
     projected_ = true;
   }
 
@@ -145,6 +139,15 @@ class Dynamics {
   }
 
  private:
+  // The contact of that number, a point that neither slides nor rolls.
+  std::size_t held_point(int number) const {
+    const auto index = static_cast<std::size_t>(number);
+    if (number < 0 || index >= frames_.size() || dimensions_[index] != 3 || sliding_.count(index) > 0 ||
+        rolling_.count(index) > 0)
+      throw std::invalid_argument("no point of that number holds its place");
+    return index;
+  }
+
   // What contacts add to the free acceleration `free_`, where the mass matrix has that factor: see contact_response.py,
   // and sliding.py for the force that a sliding contact has with its normal force.
   Vector response(const Eigen::LLT<Matrix, Eigen::Lower>& factor, const Vector& q, const Vector& v) {

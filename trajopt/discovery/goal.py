@@ -14,7 +14,7 @@ from trajopt.guesses.over_terrain import standing_on
 from trajopt.problem.periodicity import Periodicity
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.legs import feet_in_base
+from trajopt.robot.legs import on_feet
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.gaits import stride_period
@@ -64,7 +64,8 @@ def task_to(robot: Robot, goal: Destination, terrain: Terrain | None = None) -> 
     Raises:
         InputError: for a robot without feet on a moving base, and ground that its legs do not reach.
     """
-    robot = _on_feet(robot)
+    require_feet(robot)
+    robot = on_feet(robot)
     ground = FlatGround() if terrain is None else terrain
     start, end = (_standing(robot, ground, place) for place in (Destination(), goal))
     unit = Units(robot).time
@@ -89,13 +90,6 @@ def task_to(robot: Robot, goal: Destination, terrain: Terrain | None = None) -> 
     )
     terms = (*costs, TerminalState(q=end), TerminalRest(q=end))
     return ContactTask(problem=problem, terms=terms, left_out=(), clearance=CLEARANCE * robot.length)
-
-
-def _on_feet(robot: Robot) -> Robot:
-    """The robot whose contacts are its feet: hands touch nothing. Raises `InputError` without feet."""
-    require_feet(robot)
-    feet = feet_in_base(robot)
-    return replace(robot, contacts=tuple(contact for contact in robot.contacts if contact.name in feet))
 
 
 def _standing(robot: Robot, terrain: Terrain, place: Destination) -> np.ndarray:
@@ -124,7 +118,8 @@ def cycle_of(robot: Robot, speed: float, period: Positive | None = None) -> Cont
     Raises:
         InputError: for a robot without feet on a moving base.
     """
-    robot = _on_feet(robot)
+    require_feet(robot)
+    robot = on_feet(robot)
     duration = period or stride_period(robot, speed)
     motion = partial(_moving, robot, speed)
     problem = Problem(

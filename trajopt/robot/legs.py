@@ -79,26 +79,31 @@ def feet_in_base(robot: Robot, q: np.ndarray | None = None) -> dict[str, np.ndar
 
 
 @checked
+def on_feet(robot: Robot) -> Robot:
+    """The robot with its feet as its only contacts: hands touch nothing. Raises as `feet_in_base`."""
+    return replace(robot, contacts=tuple(robot.contact(name) for name in feet_in_base(robot)))
+
+
+@checked
 def legs_only(robot: Robot) -> Robot:
     """The robot with its feet as its only contacts, and all joints that carry no foot locked.
 
     For tasks on legs alone: Talos with its left arm welded in the reference. A robot with feet alone is
     returned unchanged. Raises `InputError` for a robot on a fixed base, or without contacts.
     """
-    standing, model = tuple(feet_in_base(robot)), robot.model
+    kept, model = on_feet(robot), robot.model
     moved = {
         joint
-        for name in standing
-        for joint in model.supports[model.frames[model.getFrameId(robot.contact(name).frame)].parentJoint]
+        for foot in kept.contacts
+        for joint in model.supports[model.frames[model.getFrameId(foot.frame)].parentJoint]
     }
     idle = [
         model.names[joint.id]
         for joint in list(model.joints)[1:]
         if joint.idx_v in robot.actuated_rows and joint.id not in moved
     ]
-    if not idle and len(standing) == len(robot.contacts):
+    if not idle and len(kept.contacts) == len(robot.contacts):
         return robot
-    kept = replace(robot, contacts=tuple(robot.contact(name) for name in standing))
     return kept.with_locked(idle) if idle else kept
 
 
