@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import block_diag
 
+from tests.support.registers import REGISTERS, registers
 from trajopt import _engine
 from trajopt.errors import InputError
 from trajopt.solving.solving import solve
@@ -134,9 +135,17 @@ SYSTEMS = {
 }
 
 
+@pytest.mark.parametrize("size", [0, 8, 24, 128])
+def test_registers_that_no_processor_has_are_refused(size):
+    with pytest.raises(ValueError, match="bytes must be 16, 32 or 64"):
+        _engine.use_registers(size)
+
+
+@pytest.mark.parametrize("size", REGISTERS)
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_solutions_and_inertia_are_those_of_a_dense_solver(name):
-    assert_solved(*SYSTEMS[name].system())
+def test_solutions_and_inertia_are_those_of_a_dense_solver(name, size):
+    with registers(size):
+        assert_solved(*SYSTEMS[name].system())
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -6,6 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.problems import hop
+from tests.support.registers import REGISTERS, registers
 from trajopt import _engine
 from trajopt.transcription.stage_functions import Derivatives
 from trajopt.transcription.transcription import transcribe
@@ -41,9 +42,11 @@ OPERATIONS = {
 }
 
 
+@pytest.mark.parametrize("size", REGISTERS)
 @pytest.mark.parametrize("name", OPERATIONS)
-def test_operations_give_the_numbers_of_the_virtual_machine(name):
-    assert_same(ca.Function("f", [x, y, z], OPERATIONS[name]), n=13, low=0.1)
+def test_operations_give_the_numbers_of_the_virtual_machine(name, size):
+    with registers(size):
+        assert_same(ca.Function("f", [x, y, z], OPERATIONS[name]), n=13, low=0.1)
 
 
 @pytest.mark.parametrize("n", [1, 7, 8, 9, 40])

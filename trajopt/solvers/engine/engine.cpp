@@ -12,7 +12,6 @@ namespace trajopt {
 
 namespace {
 
-typedef double Vector __attribute__((vector_size(64), may_alias));
 
 double apply(const Csr& map, int row, const double* values) {
   double sum = 0;
@@ -37,16 +36,22 @@ int useful_threads(const Problem& problem) {
 }
 
 // entries = map * nonzeros, in all lanes.
-TRAJOPT_DISPATCHED void combine(const int* indptr, const int* index, const double* coefficient, int rows,
-                                const int* slot, const Lanes* work, Lanes* entries) {
-  const Vector* w = reinterpret_cast<const Vector*>(work);
-  Vector* out = reinterpret_cast<Vector*>(entries);
+template <int kBytes>
+TRAJOPT_INLINE void combine_by(const int* indptr, const int* index, const double* coefficient, int rows, const int* slot,
+                               const Lanes* work, Lanes* entries) {
+  const auto* w = reinterpret_cast<const Eight<kBytes>*>(work);
+  auto* out = reinterpret_cast<Eight<kBytes>*>(entries);
   for (int row = 0; row < rows; ++row) {
-    Vector sum = {};
+    Eight<kBytes> sum = {};
     for (int e = indptr[row]; e < indptr[row + 1]; ++e) sum += w[slot[index[e]]] * coefficient[e];
     out[row] = sum;
   }
 }
+
+TRAJOPT_DISPATCHED(void, combine,
+                   (const int* indptr, const int* index, const double* coefficient, int rows, const int* slot,
+                    const Lanes* work, Lanes* entries),
+                   (indptr, index, coefficient, rows, slot, work, entries))
 
 }  // namespace
 

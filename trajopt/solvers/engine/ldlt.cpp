@@ -10,37 +10,56 @@ namespace trajopt {
 
 namespace {
 
-typedef double Lane __attribute__((vector_size(64), aligned(8), may_alias));
-constexpr int kLane = 8;
 constexpr int kPanel = 16;
 const double kAlpha = (1 + std::sqrt(17.0)) / 8;
 
+template <int kBytes>
+TRAJOPT_INLINE typename Registers<kBytes>::Lane& lane(double* values) {
+  return *reinterpret_cast<typename Registers<kBytes>::Lane*>(values);
+}
+
+template <int kBytes>
+TRAJOPT_INLINE const typename Registers<kBytes>::Lane& lane(const double* values) {
+  return *reinterpret_cast<const typename Registers<kBytes>::Lane*>(values);
+}
+
+// Columns of a tile of two lanes of rows, which fills the registers: 32 of 64 bytes, or 16.
+template <int kBytes>
+constexpr int kTile = kBytes == 64 ? 8 : 6;
+
 // Two lanes of rows times N columns.
-template <int N>
+template <int kBytes, int N>
 TRAJOPT_INLINE void tile(double* c, int ldc, const double* l, int ldl, const double* w, int ldw, int depth) {
+  using Lane = typename Registers<kBytes>::Lane;
+  constexpr int kLane = Registers<kBytes>::kLane;
   Lane top[N], bottom[N];
   for (int j = 0; j < N; ++j) {
-    top[j] = *reinterpret_cast<const Lane*>(c + static_cast<std::ptrdiff_t>(j) * ldc);
-    bottom[j] = *reinterpret_cast<const Lane*>(c + static_cast<std::ptrdiff_t>(j) * ldc + kLane);
+    top[j] = lane<kBytes>(c + static_cast<std::ptrdiff_t>(j) * ldc);
+    bottom[j] = lane<kBytes>(c + static_cast<std::ptrdiff_t>(j) * ldc + kLane);
   }
   for (int k = 0; k < depth; ++k) {
     const double* column = l + static_cast<std::ptrdiff_t>(k) * ldl;
     const double* row = w + static_cast<std::ptrdiff_t>(k) * ldw;
-    const Lane upper = *reinterpret_cast<const Lane*>(column), lower = *reinterpret_cast<const Lane*>(column + kLane);
+    const Lane upper = lane<kBytes>(column), lower = lane<kBytes>(column + kLane);
     for (int j = 0; j < N; ++j) {
       top[j] -= upper * row[j];
       bottom[j] -= lower * row[j];
     }
   }
   for (int j = 0; j < N; ++j) {
-    *reinterpret_cast<Lane*>(c + static_cast<std::ptrdiff_t>(j) * ldc) = top[j];
-    *reinterpret_cast<Lane*>(c + static_cast<std::ptrdiff_t>(j) * ldc + kLane) = bottom[j];
+    lane<kBytes>(c + static_cast<std::ptrdiff_t>(j) * ldc) = top[j];
+    lane<kBytes>(c + static_cast<std::ptrdiff_t>(j) * ldc + kLane) = bottom[j];
   }
 }
 
-template <int N>
-TRAJOPT_INLINE void strip(double* c, int ldc, const double* l, int ldl, const double* w, int ldw, int rows, int depth) {
-  for (int i = 0; i < rows; i += 2 * kLane) tile<N>(c + i, ldc, l + i, ldl, w, ldw, depth);
+// `width` columns, at most N.
+template <int kBytes, int N>
+TRAJOPT_INLINE void strip(double* c, int ldc, const double* l, int ldl, const double* w, int ldw, int rows, int width,
+                          int depth) {
+  constexpr int kLane = Registers<kBytes>::kLane;
+  if constexpr (N > 1)
+    if (width < N) return strip<kBytes, N - 1>(c, ldc, l, ldl, w, ldw, rows, width, depth);
+  for (int i = 0; i < rows; i += 2 * kLane) tile<kBytes, N>(c + i, ldc, l + i, ldl, w, ldw, depth);
 }
 
 // Columns [first, first + done) of the matrix are the panel's part of L; the work has the same columns times D.
@@ -54,13 +73,18 @@ struct Panel {
 };
 
 // out -= factor * in, from and to rows that may be rounded to whole lanes beyond the last.
+template <int kBytes>
 TRAJOPT_INLINE void subtract(double* out, const double* in, double factor, int from, int to) {
+  constexpr int kLane = Registers<kBytes>::kLane;
   for (int i = from; i < to; i += kLane)
-    *reinterpret_cast<Lane*>(out + i) -= *reinterpret_cast<const Lane*>(in + i) * factor;
+    lane<kBytes>(out + i) -= lane<kBytes>(in + i) * factor;
 }
 
 // work(target) = column k of the matrix less the panel's first `done` columns, which begin at `first`.
-TRAJOPT_DISPATCHED void updated(Panel& p, int k, int first, int done, int from, int target) {
+template <int kBytes>
+TRAJOPT_INLINE void updated_by(Panel& p, int k, int first, int done, int from, int target) {
+  using Lane = typename Registers<kBytes>::Lane;
+  constexpr int kLane = Registers<kBytes>::kLane;
   double* out = p.work(target);
   for (int i = from; i < k; ++i) out[i] = p.column(i)[k];
   std::copy(p.column(k) + k, p.column(k) + p.n, out + k);
@@ -68,16 +92,18 @@ TRAJOPT_DISPATCHED void updated(Panel& p, int k, int first, int done, int from, 
   for (int l = 0; l < done; ++l) factors[l] = p.work(l)[k];
   const double* left = p.column(first);
   for (int i = from; i < p.n; i += 2 * kLane) {
-    Lane upper = *reinterpret_cast<const Lane*>(out + i), lower = *reinterpret_cast<const Lane*>(out + i + kLane);
+    Lane upper = lane<kBytes>(out + i), lower = lane<kBytes>(out + i + kLane);
     const double* entry = left + i;
     for (int l = 0; l < done; ++l, entry += p.ld) {
-      upper -= *reinterpret_cast<const Lane*>(entry) * factors[l];
-      lower -= *reinterpret_cast<const Lane*>(entry + kLane) * factors[l];
+      upper -= lane<kBytes>(entry) * factors[l];
+      lower -= lane<kBytes>(entry + kLane) * factors[l];
     }
-    *reinterpret_cast<Lane*>(out + i) = upper;
-    *reinterpret_cast<Lane*>(out + i + kLane) = lower;
+    lane<kBytes>(out + i) = upper;
+    lane<kBytes>(out + i + kLane) = lower;
   }
 }
+
+TRAJOPT_DISPATCHED(void, updated, (Panel& p, int k, int first, int done, int from, int target), (p, k, first, done, from, target))
 
 // Exchanges places x <= y, in `width` columns of the work, too.
 void exchange(Panel& p, int x, int y, int width, std::vector<int>& order) {
@@ -91,11 +117,14 @@ void exchange(Panel& p, int x, int y, int width, std::vector<int>& order) {
 }
 
 // The largest magnitude of the entries in [from, to).
-TRAJOPT_DISPATCHED double magnitude(const double* values, int from, int to) {
+template <int kBytes>
+TRAJOPT_INLINE double magnitude_by(const double* values, int from, int to) {
+  using Lane = typename Registers<kBytes>::Lane;
+  constexpr int kLane = Registers<kBytes>::kLane;
   Lane most{};
   int i = from;
   for (; i + kLane <= to; i += kLane) {
-    const Lane entry = *reinterpret_cast<const Lane*>(values + i), opposite = -entry;
+    const Lane entry = lane<kBytes>(values + i), opposite = -entry;
     const Lane size = entry > opposite ? entry : opposite;
     most = size > most ? size : most;
   }
@@ -105,18 +134,27 @@ TRAJOPT_DISPATCHED double magnitude(const double* values, int from, int to) {
   return found;
 }
 
+TRAJOPT_DISPATCHED(double, magnitude, (const double* values, int from, int to), (values, from, to))
+
 // out = (first * one - second * other) from and to rows that may be rounded to whole lanes beyond the last.
-TRAJOPT_DISPATCHED void combine(double* out, const double* first, double one, const double* second, double other, int from,
-                                int to) {
+template <int kBytes>
+TRAJOPT_INLINE void combine_by(double* out, const double* first, double one, const double* second, double other, int from, int to) {
+  constexpr int kLane = Registers<kBytes>::kLane;
   for (int i = from; i < to; i += kLane)
-    *reinterpret_cast<Lane*>(out + i) = *reinterpret_cast<const Lane*>(first + i) * one -
-                                        *reinterpret_cast<const Lane*>(second + i) * other;
+    lane<kBytes>(out + i) = lane<kBytes>(first + i) * one -
+                                        lane<kBytes>(second + i) * other;
 }
 
-TRAJOPT_DISPATCHED void scale(double* out, const double* in, double factor, int from, int to) {
+TRAJOPT_DISPATCHED(void, combine, (double* out, const double* first, double one, const double* second, double other, int from, int to), (out, first, one, second, other, from, to))
+
+template <int kBytes>
+TRAJOPT_INLINE void scale_by(double* out, const double* in, double factor, int from, int to) {
+  constexpr int kLane = Registers<kBytes>::kLane;
   for (int i = from; i < to; i += kLane)
-    *reinterpret_cast<Lane*>(out + i) = *reinterpret_cast<const Lane*>(in + i) * factor;
+    lane<kBytes>(out + i) = lane<kBytes>(in + i) * factor;
 }
+
+TRAJOPT_DISPATCHED(void, scale, (double* out, const double* in, double factor, int from, int to), (out, in, factor, from, to))
 
 // The first entry in [from, to) of this magnitude, the largest; the first of all where there is none, as with NaN.
 int place_of(double most, const double* values, int from, int to) {
@@ -226,27 +264,20 @@ class Elimination {
 
 }  // namespace
 
-TRAJOPT_DISPATCHED void subtract_product(double* c, int ldc, const double* l, int ldl, const double* w, int ldw, int rows,
-                                         int columns, int depth) {
-  for (int j = 0; j < columns; j += kLane) {
-    double* here = c + static_cast<std::ptrdiff_t>(j) * ldc + j;
-    const int left = rows - j;
-    switch (std::min(kLane, columns - j)) {
-      case 8: strip<8>(here, ldc, l + j, ldl, w + j, ldw, left, depth); break;
-      case 7: strip<7>(here, ldc, l + j, ldl, w + j, ldw, left, depth); break;
-      case 6: strip<6>(here, ldc, l + j, ldl, w + j, ldw, left, depth); break;
-      case 5: strip<5>(here, ldc, l + j, ldl, w + j, ldw, left, depth); break;
-      case 4: strip<4>(here, ldc, l + j, ldl, w + j, ldw, left, depth); break;
-      case 3: strip<3>(here, ldc, l + j, ldl, w + j, ldw, left, depth); break;
-      case 2: strip<2>(here, ldc, l + j, ldl, w + j, ldw, left, depth); break;
-      default: strip<1>(here, ldc, l + j, ldl, w + j, ldw, left, depth); break;
-    }
-  }
+template <int kBytes>
+TRAJOPT_INLINE void subtract_product_by(double* c, int ldc, const double* l, int ldl, const double* w, int ldw, int rows, int columns, int depth) {
+  constexpr int kColumns = kTile<kBytes>;
+  for (int j = 0; j < columns; j += kColumns)
+    strip<kBytes, kColumns>(c + static_cast<std::ptrdiff_t>(j) * ldc + j, ldc, l + j, ldl, w + j, ldw, rows - j,
+                            std::min(kColumns, columns - j), depth);
 }
 
-TRAJOPT_DISPATCHED void substitute_forward(const double* l, int n, const Pivots& pivots, double* z) {
+TRAJOPT_DISPATCHED(void, subtract_product, (double* c, int ldc, const double* l, int ldl, const double* w, int ldw, int rows, int columns, int depth), (c, ldc, l, ldl, w, ldw, rows, columns, depth))
+
+template <int kBytes>
+TRAJOPT_INLINE void substitute_forward_by(const double* l, int n, const Pivots& pivots, double* z) {
   for (int k = 0; k < pivots.count; ++k) {
-    subtract(z + k + 1, l, z[k], 0, n - k - 1);
+    subtract<kBytes>(z + k + 1, l, z[k], 0, n - k - 1);
     l += n - k - 1;
   }
   const std::vector<double>&d = pivots.diagonal, &e = pivots.below;
@@ -262,34 +293,46 @@ TRAJOPT_DISPATCHED void substitute_forward(const double* l, int n, const Pivots&
   }
 }
 
-TRAJOPT_DISPATCHED void substitute_backward(const double* l, int n, const Pivots& pivots, double* z) {
+TRAJOPT_DISPATCHED(void, substitute_forward, (const double* l, int n, const Pivots& pivots, double* z), (l, n, pivots, z))
+
+template <int kBytes>
+TRAJOPT_INLINE void substitute_backward_by(const double* l, int n, const Pivots& pivots, double* z) {
+  using Lane = typename Registers<kBytes>::Lane;
+  constexpr int kLane = Registers<kBytes>::kLane;
   l += static_cast<std::ptrdiff_t>(pivots.count) * (2 * n - pivots.count - 1) / 2;
   for (int k = pivots.count; k-- > 0;) {
     const int below = n - k - 1;
     l -= below;
     Lane sums{};
     for (int i = 0; i < below; i += kLane)
-      sums += *reinterpret_cast<const Lane*>(l + i) * *reinterpret_cast<const Lane*>(z + k + 1 + i);
+      sums += lane<kBytes>(l + i) * lane<kBytes>(z + k + 1 + i);
     double sum = 0;
     for (int j = 0; j < kLane; ++j) sum += sums[j];
     z[k] -= sum;
   }
 }
 
-TRAJOPT_DISPATCHED void row_magnitudes(const double* a, int n, int ld, int columns, double* most) {
+TRAJOPT_DISPATCHED(void, substitute_backward, (const double* l, int n, const Pivots& pivots, double* z), (l, n, pivots, z))
+
+template <int kBytes>
+TRAJOPT_INLINE void row_magnitudes_by(const double* a, int n, int ld, int columns, double* most) {
+  using Lane = typename Registers<kBytes>::Lane;
+  constexpr int kLane = Registers<kBytes>::kLane;
   for (int j = 0; j < columns; ++j) {
     const double* column = a + static_cast<std::ptrdiff_t>(j) * ld;
     Lane found{};
     for (int i = j; i < n; i += kLane) {
-      const Lane entry = *reinterpret_cast<const Lane*>(column + i), opposite = -entry;
+      const Lane entry = lane<kBytes>(column + i), opposite = -entry;
       const Lane size = entry > opposite ? entry : opposite;
-      Lane& seen = *reinterpret_cast<Lane*>(most + i);
+      Lane& seen = lane<kBytes>(most + i);
       seen = size > seen ? size : seen;
       found = size > found ? size : found;
     }
     for (int i = 0; i < kLane; ++i) most[j] = std::max(most[j], found[i]);
   }
 }
+
+TRAJOPT_DISPATCHED(void, row_magnitudes, (const double* a, int n, int ld, int columns, double* most), (a, n, ld, columns, most))
 
 void eliminate(double* a, int n, int ld, int candidates, const double* least, double threshold, Pivots& pivots) {
   static thread_local std::vector<double> work;

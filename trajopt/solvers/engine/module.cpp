@@ -14,8 +14,10 @@
 #include <memory>
 #include <stdexcept>
 
+#include "dispatch.hpp"
 #include "interior_point.hpp"
 #include "read.hpp"
+#include "require.hpp"
 #include "solve.hpp"
 #include "stage_kkt.hpp"
 #include "tape.hpp"
@@ -398,6 +400,15 @@ void bind_solvers(nb::module_& module) {
   module.def("solve_kkt", &solve_kkt, "n_x"_a, "n_equal"_a, "n_unequal"_a, "stage"_a, "row"_a, "column"_a, "value"_a,
              "rhs"_a, "threads"_a = 1);
   module.def("product_rate", &product_rate, "n"_a, "depth"_a);
+  module.attr("WIDEST_REGISTER") = kWidestRegister;
+  module.def(
+      "use_registers",
+      [](int bytes) {
+        require((bytes == 16 || bytes == 32 || bytes == 64) && bytes <= kWidestRegister,
+                "bytes must be 16, 32 or 64, and at most " + std::to_string(kWidestRegister));
+        register_bytes = bytes;
+      },
+      "bytes"_a);
   module.def(
       "solve_ipopt",
       [](Nlp& nlp, const RealArray& x0, const RealArray& lbx, const RealArray& ubx, const RealArray& lbg,

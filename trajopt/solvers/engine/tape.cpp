@@ -14,8 +14,7 @@ namespace trajopt {
 
 namespace {
 
-typedef double Vector __attribute__((vector_size(64), may_alias));
-static_assert(sizeof(Vector) == sizeof(Lanes));
+static_assert(sizeof(Eight<16>) == sizeof(Lanes));
 
 void other(Lanes& target, const Lanes& a, const Lanes& b, std::int32_t operation) {
   for (int lane = 0; lane < kLanes; ++lane) {
@@ -31,8 +30,9 @@ bool is_casadis(std::int32_t operation) {
           casadi::casadi_math<double>::is_binary(static_cast<unsigned char>(operation)));
 }
 
-TRAJOPT_DISPATCHED void evaluate(const std::int32_t* code, const std::int32_t* end, Lanes* work) {
-  Vector* w = reinterpret_cast<Vector*>(work);
+template <int kBytes>
+TRAJOPT_INLINE void evaluate_by(const std::int32_t* code, const std::int32_t* end, Lanes* work) {
+  auto* w = reinterpret_cast<Eight<kBytes>*>(work);
   while (code != end) {
     const std::int32_t operation = code[0];
     std::int32_t n = code[1];
@@ -57,13 +57,15 @@ TRAJOPT_DISPATCHED void evaluate(const std::int32_t* code, const std::int32_t* e
         for (; n > 0; --n, code += 4) w[code[0]] = w[code[1]] * w[code[2]] - w[code[3]];
         break;
       case kNegate:
-        for (; n > 0; --n, code += 2) w[code[0]] = -w[code[1]];
+        for (; n > 0; --n, code += 2) w[code[0]] = w[code[1]] * -1.0;
         break;
       default:
         for (; n > 0; --n, code += 4) other(work[code[0]], work[code[1]], work[code[2]], code[3]);
     }
   }
 }
+
+TRAJOPT_DISPATCHED(void, evaluate, (const std::int32_t* code, const std::int32_t* end, Lanes* work), (code, end, work))
 
 template <class Number>
 void append(std::string& text, const std::vector<Number>& values) {
