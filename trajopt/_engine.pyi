@@ -214,7 +214,7 @@ def solve_kkt(
 WIDEST_REGISTER: int  # of this processor, in bytes: 64 (AVX-512), 32 (AVX2 with FMA) or 16
 
 def use_registers(bytes: int) -> None:
-    """Choose the kernels for registers of 16, 32 or 64 bytes, for tests; the widest are chosen when it is loaded."""
+    """Use the kernels for registers of 16, 32 or 64 bytes, for tests; at first those of the widest."""
 
 def product_rate(n: int, depth: int) -> float:
     """Operations a second of the symmetric product, n by n of this depth, by which fronts are eliminated."""

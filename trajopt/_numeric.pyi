@@ -1,4 +1,4 @@
-"""The extension of numeric Pinocchio: certify/integrator.cpp and robot/inverse_kinematics.cpp."""
+"""Numeric Pinocchio, compiled: dynamics/numeric.cpp, certify/integrator.cpp, robot/inverse_kinematics.cpp."""
 
 import numpy as np
 import pinocchio as pin
@@ -14,24 +14,16 @@ class Method:
     ) -> None: ...
 
 class Dynamics:
-    """Forward dynamics of a model whose frames hold their place, by Pinocchio's proximal algorithm.
+    """Forward dynamics of a model whose frames hold their place, slide or roll: see `contact_response`.
 
-    With soles, of 6 rows instead of 3, and contacts that slide or roll, by a projection: `contact_response`.
-
-    dimensions: of each frame, 3 or 6. arm: m, by which rotations are compared with positions. accuracy,
-    softness, most: of the proximal algorithm, as in `pinocchio.ProximalSettings`.
+    dimensions: rows of each frame, 3 or 6. arm: m, by which rotations are compared with positions.
     """
 
-    def __init__(
-        self,
-        model: pin.Model,
-        frames: list[int],
-        dimensions: list[int],
-        arm: float,
-        accuracy: float,
-        softness: float,
-        most: int,
-    ) -> None: ...
+    def __init__(self, model: pin.Model, frames: list[int], dimensions: list[int], arm: float) -> None: ...
+    @property
+    def redundant(self) -> list[int]:
+        """Rows that depend on others at the last state; a sliding contact has one row, of its normal."""
+
     def slide(self, number: int, normal: Reals, friction: float, slip: float) -> None:
         """Contact ``number``, a point, slides: see `trajopt.certify.sliding.SlidingDynamics`."""
 
@@ -39,7 +31,7 @@ class Dynamics:
         """Contact ``number``, a point, is the centre of a ball that rolls, ``lever`` (3,) m off its plane."""
 
     def accelerations(self, q: Reals, v: Reals, force: Reals) -> Reals:
-        """Accelerations (n, nv) at n states under forces (n, nv); NaN where it does not converge."""
+        """Accelerations (n, nv) at n states under forces (n, nv); NaN without a positive definite mass matrix."""
 
     def integrate(
         self,
@@ -52,8 +44,8 @@ class Dynamics:
         relative: float,
         absolute: float,
         evaluations: int,
-    ) -> tuple[str, tuple[Reals, Reals]]:
-        """How it ends, ``solved``, ``diverged`` or ``not converged``, and then the state (q, v).
+    ) -> tuple[bool, tuple[Reals, Reals]]:
+        """Whether it stays finite, and the state (q, v) at the end.
 
         From (q, v) under the generalised force (nv,) ``actuation @ coefficients.T @ [1, t, t^2, ...]``, t
         from 0 to 1 over ``duration`` s. Local errors are bounded as in `runge_kutta.integrate`, evaluations

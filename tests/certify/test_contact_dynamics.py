@@ -29,6 +29,8 @@ from trajopt.errors import InputError
 
 # Two ways to the same numbers, in a well-conditioned problem.
 RELATIVE = 1e-9
+# The same for compiled dynamics where contacts are independent.
+COMPILED = 1e-10
 # Rounding of rows that vanish, with numbers up to a few hundred.
 ZERO = 1e-9
 # Central differences with a step of 1e-5 s: error of order 1e-10 times third derivatives, and rounding.
@@ -96,6 +98,18 @@ def test_forward_dynamics_is_that_of_pinocchio_for_contacts_that_hold(name):
     close(found.acceleration, expected, RELATIVE)
     forces = np.array([entry.contact_force.vector for entry in datas])
     close(case.contacts.stacked(found.wrenches), case.contacts.stacked(forces), RELATIVE)
+
+
+@cases
+def test_compiled_accelerations_are_those_of_pinocchios_constraint_dynamics(name):
+    case = holding(independent(name))
+    data, models, datas = pinocchio_constraints(case)
+    exact = pin.ProximalSettings(1e-14, 0.0, 1)
+    expected = pin.constraintDynamics(case.model, data, case.q, case.v, case.tau, models, datas, exact)
+    compiled = ContactDynamics(case.model, case.contacts).compiled
+    found = compiled.accelerations(case.q[None], case.v[None], case.tau[None])
+    close(found[0], expected, COMPILED)
+    assert compiled.redundant == []
 
 
 @cases

@@ -1,9 +1,12 @@
 """Contacts whose rows depend on each other: unique motion, least wrenches, and a report of the rows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
+import pytest
 
-from tests.support.contact_cases import FEET, body, close, independent, vanishes
+from tests.support.contact_cases import FEET, Case, body, close, independent, vanishes
 from tests.support.models import robot
 from trajopt.certify.contact.contact_dynamics import ContactDynamics, actuated_force, forward_dynamics
 from trajopt.certify.contact.contact_set import ContactSet
@@ -16,6 +19,7 @@ RELATIVE = 1e-9
 # Rounding of rows that vanish, with numbers up to a few hundred.
 ZERO = 1e-9
 GRAVITY = 9.81
+SIDES = ("left", "right")
 
 
 def test_two_points_of_a_body_are_a_hinge_with_one_row_too_many():
@@ -46,13 +50,8 @@ def test_four_corners_of_a_foot_share_the_weight_evenly():
 
 
 def test_legs_without_lateral_joints_leave_one_internal_force():
-    model = pin.buildModelFromUrdf(
-        str(robot_file("solo_description/robots/solo.urdf")), pin.JointModelFreeFlyer()
-    )
-    contacts = ContactSet.of(model, [(foot, 3) for foot in FEET])
-    q = pin.neutral(model)
-    q[7:] = [0.7, -1.4, 0.6, -1.3, -0.8, 1.5, -0.7, 1.2]
-    found = forward_dynamics(model, q, np.zeros(model.nv), np.zeros(model.nv), contacts)
+    case, still = feet_without_lateral_joints(), np.zeros(14)
+    found = forward_dynamics(case.model, case.q, still, still, case.contacts)
     assert (found.rank.rows, found.rank.jacobian, found.rank.delassus) == (12, 11, 11)
     (group,) = found.rank.dependencies
     assert group.rows == tuple(f"{foot} y" for foot in FEET)
@@ -125,6 +124,42 @@ def test_a_contact_that_cannot_move_is_of_rank_zero():
     close(found.acceleration, expected, RELATIVE)
     vanishes(found.wrenches, 0.0)
     close(ContactDynamics(model, contacts).acceleration(q, v, tau), expected, RELATIVE)
+
+
+def feet_without_lateral_joints() -> Case:
+    model = pin.buildModelFromUrdf(
+        str(robot_file("solo_description/robots/solo.urdf")), pin.JointModelFreeFlyer()
+    )
+    q = pin.neutral(model)
+    q[7:] = [0.7, -1.4, 0.6, -1.3, -0.8, 1.5, -0.7, 1.2]
+    generator = np.random.default_rng(4)
+    v, tau = generator.standard_normal(model.nv), generator.standard_normal(model.nv)
+    return Case(model, ContactSet.of(model, [(foot, 3) for foot in FEET]), q, v, tau)
+
+
+def soles_twice() -> Case:
+    case = independent("talos on its soles")
+    return replace(case, contacts=ContactSet.of(case.model, [(f"{side}_sole_link", 6) for side in SIDES * 2]))
+
+
+def links_that_cannot_move() -> Case:
+    case = independent("ur5, point at a wall")
+    return replace(case, contacts=ContactSet.of(case.model, [("base_link", 3), ("shoulder_link", 3)]))
+
+
+# Those of feet that move contradict each other.
+DEPENDENT = [soles_twice, feet_without_lateral_joints, links_that_cannot_move]
+
+
+@pytest.mark.parametrize("build", DEPENDENT)
+def test_compiled_dynamics_hold_dependent_rows_as_well_as_can_be_and_name_them(build):
+    case = build()
+    found = forward_dynamics(case.model, case.q, case.v, case.tau, case.contacts)
+    compiled = ContactDynamics(case.model, case.contacts).compiled
+    close(compiled.accelerations(case.q[None], case.v[None], case.tau[None])[0], found.acceleration, RELATIVE)
+    assert len(compiled.redundant) == found.rank.rows - found.rank.delassus > 0
+    dependent = {row for group in found.rank.dependencies for row in group.rows}
+    assert {case.contacts.row_names[row] for row in compiled.redundant} <= dependent
 
 
 def test_a_singular_wrist_leaves_its_motion_free():

@@ -1,12 +1,11 @@
-// Forward dynamics with points and soles in contact, and their integration: numeric Pinocchio on the model that Python has.
+// Forward dynamics with contacts, and their integration, by numeric Pinocchio on the model that Python has.
 #include "../dynamics/numeric.hpp"
 
-#include <algorithm>
-#include <map>
+#include <nanobind/stl/string.h>
 
-#include <pinocchio/algorithm/constrained-dynamics.hpp>
-#include <pinocchio/algorithm/crba.hpp>
-#include <pinocchio/algorithm/rnea.hpp>
+#include <algorithm>
+#include <cmath>
+#include <map>
 
 namespace {
 
@@ -16,9 +15,8 @@ struct Sliding {
   double friction, slip;
 };
 
-// Why an integration ends early: too many evaluations or no finite state; constraints whose algorithm does not converge.
+// An integration ends early: too many evaluations, no finite state, or a mass matrix that is not positive definite.
 struct Diverged {};
-struct NotConverged {};
 
 // Coefficients of an explicit Runge-Kutta method of order 8 with error estimates of order 5 and 3.
 struct Method {
@@ -26,116 +24,95 @@ struct Method {
   Matrix matrix;
 };
 
+// As RANK_TOLERANCE and WELL_CONDITIONED of contact_response.py.
+constexpr double kRank = 1e-8, kConditioned = 1e-8;
+constexpr int kRefinements = 3;  // of least squares by normal equations
 // Of steps: how much smaller than the one that would be just accurate enough, and bounds on their change.
-// As WELL_CONDITIONED of contact_response.py.
-constexpr double kConditioned = 1e-8;
 constexpr double kSafety = 0.9, kLeast = 0.2, kMost = 10.0, kExponent = 1.0 / 8.0;
 
 class Dynamics {
  public:
   // Contacts at `frames` with 3 rows, or 6 of which the angular ones are taken times `arm` m.
-  Dynamics(nb::object model, const std::vector<int>& frames, const std::vector<int>& dimensions, double arm,
-           double accuracy, double softness, int most)
-      : owner_(std::move(model)),
-        model_(model_of(owner_)),
-        data_(model_),
-        dimensions_(dimensions),
-        arm_(arm),
-        accuracy_(accuracy),
-        softness_(softness),
-        most_(most) {
-    for (int number : frames) {
-      frames_.push_back(frame_of(model_, number));
-      const auto& frame = model_.frames[frames_.back()];
-      points_.emplace_back(pinocchio::CONTACT_3D, model_, frame.parentJoint, frame.placement,
-                           pinocchio::LOCAL_WORLD_ALIGNED);
-    }
+  Dynamics(const nb::object& model, const std::vector<int>& frames, const std::vector<int>& dimensions, double arm)
+      : model_(model), dimensions_(dimensions), arm_(arm) {
+    for (int number : frames) frames_.push_back(model_.frame(number));
     if (dimensions_.size() != frames_.size()) throw std::invalid_argument("dimensions have a wrong size");
     for (int size : dimensions_) rows_ += size;
-    projected_ = rows_ != 3 * static_cast<Eigen::Index>(frames_.size());
-    for (const auto& point : points_) states_.emplace_back(point);
-    pinocchio::initConstraintDynamics(model_, data_, points_, states_);
-    for (std::size_t joint = 1; joint < model_.joints.size(); ++joint)
-      additive_ = additive_ && model_.joints[joint].nq() == 1 && model_.joints[joint].nv() == 1;
+    const std::vector<int>& position = model_.position_of();
+    additive_ = std::none_of(position.begin(), position.end(), [](int at) { return at < 0; });
+  }
+  Dynamics(const Dynamics&) = delete;
+
+  // By the mass matrix M = L L^T: it is exact for inertias that differ by many orders.
+  const Vector& acceleration(const Vector& q, const Vector& v, const Vector& force) {
+    const Matrix mass = model_.mass_matrix(q).transpose();
+    const Eigen::LLT<Matrix> factor(mass);
+    if (factor.info() != Eigen::Success) throw Diverged();
+    free_ = factor.solve(force - model_.bias(q, v));
+    redundant_.clear();
+    if (!frames_.empty()) free_ += response(factor, q, v);
+    if (!free_.allFinite()) throw Diverged();
+    return free_;
   }
 
-  // Without contacts by the mass matrix: it is exact for inertias that differ by many orders. So are soles, of which
-  // the proximal algorithm would hold the spatial, not the classical acceleration, and contacts that slide or roll.
-  const Vector& acceleration(const Vector& q, const Vector& v, const Vector& force) {
-    if (points_.empty() || projected_) {
-      pinocchio::crba(model_, data_, q);
-      const Eigen::LLT<Matrix, Eigen::Lower> factor(data_.M.transpose());
-      if (factor.info() != Eigen::Success) throw NotConverged();
-      free_ = factor.solve(force - pinocchio::nonLinearEffects(model_, data_, q, v));
-      if (projected_) free_ += response(factor, q, v);
-      if (!free_.allFinite()) throw NotConverged();
-      return free_;
-    }
-    pinocchio::ProximalSettings settings(accuracy_, softness_, most_);
-    pinocchio::constraintDynamics(model_, data_, q, v, force, points_, states_, settings);
-    if (settings.iter >= most_ || !data_.ddq.allFinite()) throw NotConverged();
-    return data_.ddq;
-  }
+  // Rows of the contacts, in the order of their frames, that depend on others at the last state.
+  const std::vector<int>& redundant() const { return redundant_; }
 
   // Contact `number`, a point, slides on a surface with that normal, with friction times its normal force against its
   // velocity within the surface, over the root of its square and that of the slip speed.
   void slide(int number, const Numbers& normal, double friction, double slip) {
     sliding_[held_point(number)] = {read(normal, 3, "normal"), friction, slip};
     rows_ -= 2;
-    projected_ = true;
   }
 
   // Contact `number`, a point, is the centre of a ball that rolls, at `lever` from where it touches: see contact_set.py.
   void roll(int number, const Numbers& lever) {
-    rolling_[held_point(number)] = pinocchio::skew(Eigen::Vector3d(read(lever, 3, "lever")));
-    projected_ = true;
+    rolling_[held_point(number)] = read(lever, 3, "lever");
   }
 
-  // Accelerations (n, nv) at n states; NaN where the constraints' algorithm does not converge.
+  // Accelerations (n, nv) at n states; NaN where the mass matrix is not positive definite.
   OutputTable accelerations(const Table& q, const Table& v, const Table& force) {
     const auto count = static_cast<Eigen::Index>(q.shape(0));
-    if (static_cast<int>(q.shape(1)) != model_.nq || static_cast<int>(v.shape(1)) != model_.nv ||
-        static_cast<int>(force.shape(1)) != model_.nv || v.shape(0) != q.shape(0) || force.shape(0) != q.shape(0))
+    if (static_cast<int>(q.shape(1)) != model_.nq() || static_cast<int>(v.shape(1)) != model_.nv() ||
+        static_cast<int>(force.shape(1)) != model_.nv() || v.shape(0) != q.shape(0) || force.shape(0) != q.shape(0))
       throw std::invalid_argument("q, v or force have a wrong shape");
     const RowMajor places = read(q), rates = read(v), forces = read(force);
-    auto* kept = new RowMajor(RowMajor::Constant(count, model_.nv, std::nan("")));
+    auto* kept = new RowMajor(RowMajor::Constant(count, model_.nv(), std::nan("")));
     nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<RowMajor*>(p); });
     {
       nb::gil_scoped_release unlocked;
       for (Eigen::Index row = 0; row < count; ++row) try {
           kept->row(row) = acceleration(places.row(row), rates.row(row), forces.row(row));
-        } catch (const NotConverged&) {
+        } catch (const Diverged&) {
         }
     }
-    return OutputTable(kept->data(), {static_cast<std::size_t>(count), static_cast<std::size_t>(model_.nv)}, owner);
+    return OutputTable(kept->data(), {static_cast<std::size_t>(count), static_cast<std::size_t>(model_.nv())}, owner);
   }
 
-  // The state after `duration` from q, v under the generalised force actuation * coefficients^T (1, t, t^2, ...).
-  std::pair<std::string, std::pair<Output, Output>> integrate(const Method& method, const Numbers& q, const Numbers& v,
-                                                              const Table& coefficients, const Table& actuation,
-                                                              double duration, double relative, double absolute,
-                                                              int evaluations) {
-    start_ = read(q, model_.nq, "q");
-    Vector state(2 * model_.nv);
-    state << Vector::Zero(model_.nv), read(v, model_.nv, "v");
-    if (static_cast<int>(actuation.shape(0)) != model_.nv || actuation.shape(1) != coefficients.shape(1))
+  // Whether it is finite, and the state after `duration` from q, v under actuation * coefficients^T (1, t, t^2, ...).
+  std::pair<bool, std::pair<Output, Output>> integrate(const Method& method, const Numbers& q, const Numbers& v,
+                                                       const Table& coefficients, const Table& actuation,
+                                                       double duration, double relative, double absolute,
+                                                       int evaluations) {
+    start_ = read(q, model_.nq(), "q");
+    Vector state(2 * model_.nv());
+    state << Vector::Zero(model_.nv()), read(v, model_.nv(), "v");
+    if (static_cast<int>(actuation.shape(0)) != model_.nv() || actuation.shape(1) != coefficients.shape(1))
       throw std::invalid_argument("actuation has a wrong shape");
     powers_ = read(actuation) * read(coefficients).transpose();
     duration_ = duration;
     left_ = evaluations;
-    std::string status = "solved";
+    bool finite = true;
     {
       nb::gil_scoped_release unlocked;
       try {
         state = steps(method, state, relative, absolute);
       } catch (const Diverged&) {
-        status = "diverged";
-      } catch (const NotConverged&) {
-        status = "not converged";
+        finite = false;
       }
     }
-    const Vector end = pinocchio::integrate(model_, start_, Vector(state.head(model_.nv)));
-    return {status, {to_numpy(end), to_numpy(state.tail(model_.nv))}};
+    const Vector end = model_.integrate(start_, state.head(model_.nv()));
+    return {finite, {to_numpy(end), to_numpy(state.tail(model_.nv()))}};
   }
 
  private:
@@ -148,74 +125,95 @@ class Dynamics {
     return index;
   }
 
-  // What contacts add to the free acceleration `free_`, where the mass matrix has that factor: see contact_response.py,
-  // and sliding.py for the force that a sliding contact has with its normal force.
-  Vector response(const Eigen::LLT<Matrix, Eigen::Lower>& factor, const Vector& q, const Vector& v) {
-    pinocchio::forwardKinematics(model_, data_, q, v, Vector::Zero(model_.nv));
-    pinocchio::computeJointJacobians(model_, data_);
-    Matrix held(model_.nv, rows_), pushed, jacobian = Matrix::Zero(6, model_.nv);
-    if (!sliding_.empty()) pushed.resize(model_.nv, rows_);
-    Vector wanted(rows_), scale(6);
-    scale << 1.0, 1.0, 1.0, arm_, arm_, arm_;
+  // What contacts add to the free acceleration `free_`: see contact_response.py, and sliding.py for the force that a sliding
+  // contact has with its normal force.
+  Vector response(const Eigen::LLT<Matrix>& factor, const Vector& q, const Vector& v) {
+    model_.move(q, v);
+    Matrix held(model_.nv(), rows_), pushed;
+    if (!sliding_.empty()) pushed.resize(model_.nv(), rows_);
+    Vector wanted(rows_);
     Eigen::Index first = 0;
     for (std::size_t k = 0; k < frames_.size(); ++k) {
-      const auto axes = pinocchio::LOCAL_WORLD_ALIGNED;
-      const Eigen::Index size = dimensions_[k];
-      pinocchio::getFrameJacobian(model_, data_, frames_[k], axes, jacobian.setZero());
-      Vector drift = pinocchio::getFrameClassicalAcceleration(model_, data_, frames_[k], axes).toVector();
-      if (const auto ball = rolling_.find(k); ball != rolling_.end()) {
-        jacobian.topRows(3) += ball->second * jacobian.bottomRows(3);
-        drift.head(3) += ball->second * drift.tail(3);
+      Matrix rows = model_.frame_jacobian(frames_[k]).topRows(dimensions_[k]);
+      Vector drift = model_.frame_acceleration(frames_[k]).head(dimensions_[k]);
+      if (dimensions_[k] == 6) {
+        rows.bottomRows(3) *= arm_;
+        drift.tail(3) *= arm_;
       }
-      const auto surface = sliding_.find(k);
-      const bool slides = surface != sliding_.end();
-      Matrix rows = scale.head(size).asDiagonal() * jacobian.topRows(size), push = rows;
-      Vector moved = scale.head(size).cwiseProduct(drift.head(size));
-      if (slides) {
+      if (const auto ball = rolling_.find(k); ball != rolling_.end()) {
+        const Matrix turning = model_.frame_jacobian(frames_[k]).bottomRows(3);
+        for (Eigen::Index column = 0; column < rows.cols(); ++column)
+          rows.col(column) += ball->second.cross(Eigen::Vector3d(turning.col(column)));
+        drift += ball->second.cross(Eigen::Vector3d(model_.frame_acceleration(frames_[k]).tail(3)));
+      }
+      Matrix push = rows;
+      if (const auto surface = sliding_.find(k); surface != sliding_.end()) {
         const auto& [normal, friction, slip] = surface->second;
         const Vector velocity = rows * v, along = velocity - normal.dot(velocity) * normal;
         push = (normal - friction / std::sqrt(along.squaredNorm() + slip * slip) * along).transpose() * rows;
-        moved = normal.transpose() * moved;
+        drift = normal.transpose() * drift;
         rows = normal.transpose() * rows.eval();
       }
-      wanted.segment(first, rows.rows()) = -moved - rows * free_;
+      wanted.segment(first, rows.rows()) = -drift - rows * free_;
       held.middleCols(first, rows.rows()) = rows.transpose();
       if (!sliding_.empty()) pushed.middleCols(first, rows.rows()) = push.transpose();
       first += rows.rows();
     }
     factor.matrixL().solveInPlace(held);
-    if (!sliding_.empty()) factor.matrixL().solveInPlace(pushed);
-    const Matrix& force = sliding_.empty() ? held : pushed;
+    if (sliding_.empty()) return factor.matrixU().solve(impulse(factor, held, held, wanted));
+    factor.matrixL().solveInPlace(pushed);
+    return factor.matrixU().solve(impulse(factor, held, pushed, wanted));
+  }
+
+  // force * forces with held^T force forces = wanted; the least squares where rows depend on each other.
+  Vector impulse(const Eigen::LLT<Matrix>& factor, const Matrix& held, const Matrix& force, const Vector& wanted) {
     const Matrix gram = held.transpose() * force;
-    const double largest = arm_ * arm_ / Matrix(factor.matrixL()).rowwise().squaredNorm().maxCoeff();
-    const double norm = gram.cwiseAbs().colwise().sum().maxCoeff(), least = kConditioned * std::max(norm, largest);
-    Vector forces;
-    if (sliding_.empty()) {
-      const Eigen::LLT<Matrix> solver(gram);
-      if (solver.info() != Eigen::Success || !(norm * solver.rcond() > least)) throw NotConverged();
-      forces = solver.solve(wanted);
-    } else {
-      const Eigen::PartialPivLU<Matrix> solver(gram);
-      if (!(norm * solver.rcond() > least)) throw NotConverged();
-      forces = solver.solve(wanted);
+    const double unit = arm_ / std::sqrt(Matrix(factor.matrixL()).rowwise().squaredNorm().maxCoeff());
+    const double norm = gram.cwiseAbs().colwise().sum().maxCoeff();
+    if (!std::isfinite(norm)) throw Diverged();
+    const Eigen::PartialPivLU<Matrix> solver(gram);
+    if (norm * solver.rcond() > kConditioned * std::max(norm, unit * unit)) return force * solver.solve(wanted);
+    const Matrix basis = independent(held, unit);
+    const Matrix span = &held == &force ? basis : Matrix(force(Eigen::all, chosen_)), rows = held.transpose() * span;
+    const Eigen::LLT<Matrix> squares(rows.transpose() * rows);
+    Vector part = Vector::Zero(rows.cols());
+    for (int k = 0; k < kRefinements; ++k) part += squares.solve(rows.transpose() * (wanted - rows * part));
+    return span * part;
+  }
+
+  // An orthonormal basis of the columns, by Gram and Schmidt with the largest first; fills chosen_ and redundant_.
+  Matrix independent(const Matrix& columns, double unit) {
+    Matrix left = columns, basis(columns.rows(), std::min(columns.rows(), columns.cols()));
+    chosen_.clear();
+    double least = kRank * unit;
+    for (Eigen::Index rank = 0; rank < basis.cols(); ++rank) {
+      Eigen::Index largest;
+      const double norm = std::sqrt(left.colwise().squaredNorm().maxCoeff(&largest));
+      if (rank == 0) least = std::max(least, kRank * norm);
+      if (!(norm > least)) break;
+      Vector direction = left.col(largest);
+      direction -= basis.leftCols(rank) * (basis.leftCols(rank).transpose() * direction);
+      basis.col(rank) = direction.normalized();
+      left -= basis.col(rank) * (basis.col(rank).transpose() * left);
+      chosen_.push_back(static_cast<int>(largest));
     }
-    return factor.matrixU().solve(force * forces);
+    for (int column = 0; column < columns.cols(); ++column)
+      if (std::find(chosen_.begin(), chosen_.end(), column) == chosen_.end()) redundant_.push_back(column);
+    return basis.leftCols(static_cast<Eigen::Index>(chosen_.size()));
   }
 
   Vector rate(double time, const Vector& state) {
     if (left_-- <= 0) throw Diverged();
-    const Vector delta = state.head(model_.nv), velocity = state.tail(model_.nv);
-    const Vector moved = pinocchio::integrate(model_, start_, delta);
-    Vector force = Vector::Zero(model_.nv);
+    const Vector delta = state.head(model_.nv()), velocity = state.tail(model_.nv());
+    const Vector moved = model_.integrate(start_, delta);
+    Vector force = Vector::Zero(model_.nv());
     for (Eigen::Index k = powers_.cols(); k-- > 0;) force = force * time + powers_.col(k);
-    Vector result(2 * model_.nv);
-    result.tail(model_.nv) = acceleration(moved, velocity, force);
+    Vector result(2 * model_.nv());
+    result.tail(model_.nv()) = acceleration(moved, velocity, force);
     if (additive_) {  // q + delta
-      result.head(model_.nv) = velocity;
+      result.head(model_.nv()) = velocity;
     } else {
-      Matrix jacobian = Matrix::Zero(model_.nv, model_.nv);
-      pinocchio::dIntegrate(model_, start_, delta, jacobian, pinocchio::ARG1);
-      result.head(model_.nv) = jacobian.partialPivLu().solve(velocity);
+      result.head(model_.nv()) = model_.integration_jacobian(start_, delta).partialPivLu().solve(velocity);
     }
     return duration_ * result;
   }
@@ -270,19 +268,12 @@ class Dynamics {
     return state;
   }
 
-  nb::object owner_;
-  const pinocchio::Model& model_;
-  pinocchio::Data data_;
-  std::vector<pinocchio::RigidConstraintModel> points_;
-  std::vector<pinocchio::RigidConstraintData> states_;
-  std::vector<pinocchio::FrameIndex> frames_;
-  std::vector<int> dimensions_;
+  NumericModel model_;
+  std::vector<int> frames_, dimensions_, chosen_, redundant_;
   std::map<std::size_t, Sliding> sliding_;
-  std::map<std::size_t, Eigen::Matrix3d> rolling_;
+  std::map<std::size_t, Eigen::Vector3d> rolling_;  // levers
   Eigen::Index rows_ = 0;
-  bool projected_ = false;
-  double arm_, accuracy_, softness_;
-  int most_;
+  double arm_;
   bool additive_ = true;
   Vector start_, free_;
   Matrix powers_;
@@ -307,8 +298,9 @@ NB_MODULE(_numeric, module) {
           },
           "nodes"_a, "matrix"_a, "weights"_a, "error_5"_a, "error_3"_a);
   nb::class_<Dynamics>(module, "Dynamics")
-      .def(nb::init<nb::object, const std::vector<int>&, const std::vector<int>&, double, double, double, int>(),
-           "model"_a, "frames"_a, "dimensions"_a, "arm"_a, "accuracy"_a, "softness"_a, "most"_a)
+      .def(nb::init<const nb::object&, const std::vector<int>&, const std::vector<int>&, double>(), "model"_a, "frames"_a,
+           "dimensions"_a, "arm"_a)
+      .def_prop_ro("redundant", &Dynamics::redundant)
       .def("slide", &Dynamics::slide, "number"_a, "normal"_a, "friction"_a, "slip"_a)
       .def("roll", &Dynamics::roll, "number"_a, "lever"_a)
       .def("accelerations", &Dynamics::accelerations, "q"_a, "v"_a, "force"_a)

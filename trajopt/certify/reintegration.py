@@ -135,11 +135,10 @@ def integrate_interval(
     if compiled is not None and not (motion.moved_by_rates or plan.description.joint_forces):
         absolute = ABSOLUTE_SHARE * relative_error
         actuation, duration = plan.actuation.matrix, end - start
-        how, reached = compiled.integrate(
+        finite, reached = compiled.integrate(
             METHOD, q, v, coefficients, actuation, duration, relative_error, absolute, MAX_EVALUATIONS
         )
-        if how != "not converged":
-            return reached if how == "solved" else None
+        return reached if finite else None
 
     def coordinate_rate(delta: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         return np.linalg.solve(pin.dIntegrate(model, q, delta, pin.ArgumentPosition.ARG1), velocity)

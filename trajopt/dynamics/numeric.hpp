@@ -1,31 +1,25 @@
-// Numeric Pinocchio on the model that Python has: what the parts of the extension _numeric share.
+// Numeric Pinocchio on a model that Python has. Its headers, which take longest to compile, are read by numeric.cpp alone.
 #pragma once
 
-#include <boost/python.hpp>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/pair.h>
-#include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
-#include <cmath>
+#include <Eigen/Dense>
+
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
-
-#include <pinocchio/multibody.hpp>
-
-#include <pinocchio/algorithm/frames.hpp>
-#include <pinocchio/algorithm/jacobian.hpp>
-#include <pinocchio/algorithm/joint-configuration.hpp>
-#include <pinocchio/algorithm/kinematics.hpp>
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
 using Vector = Eigen::VectorXd;
 using Matrix = Eigen::MatrixXd;
+using Twist = Eigen::Matrix<double, 6, 1>;
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Numbers = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Table = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
@@ -48,17 +42,39 @@ inline Output to_numpy(const Vector& values) {
   return Output(kept->data(), {static_cast<std::size_t>(kept->size())}, owner);
 }
 
-// The model within a pinocchio.Model of Python, which must outlive its use.
-inline const pinocchio::Model& model_of(nb::handle object) {
-  namespace converter = boost::python::converter;
-  void* held = converter::get_lvalue_from_python(object.ptr(), converter::registered<pinocchio::Model>::converters);
-  if (held == nullptr) throw nb::type_error("a pinocchio.Model is needed");
-  return *static_cast<const pinocchio::Model*>(held);
-}
+// Pinocchio's algorithms in double precision; frames by their index, axes of the world at a frame's origin.
+class NumericModel {
+ public:
+  // Throws nb::type_error where it is no pinocchio.Model.
+  explicit NumericModel(const nb::object& model);
+  ~NumericModel();
 
-inline pinocchio::FrameIndex frame_of(const pinocchio::Model& model, int number) {
-  if (number < 0 || number >= model.nframes) throw std::invalid_argument("a frame is not in the model");
-  return static_cast<pinocchio::FrameIndex>(number);
-}
+  int nq() const { return nq_; }
+  int nv() const { return nv_; }
+  // Row of q of each row of v that is a joint with one coordinate; else -1.
+  const std::vector<int>& position_of() const { return position_of_; }
+  int frame(int number) const;  // throws std::invalid_argument where the model has no frame of that number
+
+  Vector integrate(const Vector& q, const Vector& change) const;
+  Matrix integration_jacobian(const Vector& q, const Vector& change) const;  // by the change
+
+  Matrix mass_matrix(const Vector& q);  // its upper triangle
+  Vector bias(const Vector& q, const Vector& v);
+  // For what follows.
+  void move(const Vector& q, const Vector& v);
+  void place(const Vector& q);
+  Matrix frame_jacobian(int frame);       // (6, nv)
+  Twist frame_acceleration(int frame);  // classical, without that of the joints
+  Eigen::Vector3d frame_position(int frame);
+  // log6 of the frame's placement as seen from the target, rotation and position, and its Jacobian (6, nv).
+  Twist pose_error(int frame, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& position);
+  Matrix pose_error_jacobian(int frame, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& position);
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+  int nq_, nv_;
+  std::vector<int> position_of_;
+};
 
 void define_inverse_kinematics(nb::module_& module);

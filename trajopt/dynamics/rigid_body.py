@@ -95,8 +95,8 @@ def frame_acceleration(model: pin.Model, frame_name: str, reference: Reference =
 
 @checked
 def frame_jacobian(model: pin.Model, frame_name: str, reference: Reference = "world_aligned") -> Function:
-    """Jacobian ``q -> J`` (6, nv) with ``J v`` the frame's velocity."""
-    return _in_reference("frame_jacobian", model, frame_name, reference)
+    """Jacobian ``q -> J`` (6, nv) with ``J v`` the frame's velocity, of which it is the slope."""
+    return _frame_jacobian(frame_velocity(model, frame_name, reference))
 
 
 def centre_of_mass(model: pin.Model) -> Function:
@@ -152,12 +152,17 @@ def _in_reference(name: str, model: pin.Model, frame_name: str, reference: str) 
 
 @lru_cache(maxsize=_CACHED_FUNCTIONS)
 def _kinetic_energy(model: tuple) -> Function:
-    """Links and rotors separately: Pinocchio 4.1 leaves out the rotor of a revolute joint of any axis."""
-    joints, armature, gravity = model
-    links = _of_model("kinetic_energy", (joints, (0.0,) * len(armature), gravity))
+    """Links and rotors."""
+    links = _of_model("kinetic_energy", model)
     q, v = links.sx_in(0), links.sx_in(1)
-    rotors = ca.dot(ca.DM(armature), v**2) / 2
+    rotors = ca.dot(ca.DM(model[1]), v**2) / 2
     return Function("kinetic_energy", [q, v], [links(q, v) + rotors], ["q", "v"], ["energy"])
+
+
+@lru_cache(maxsize=_CACHED_FUNCTIONS)
+def _frame_jacobian(velocity: Function) -> Function:
+    q, v = velocity.sx_in()
+    return Function("frame_jacobian", [q], [ca.densify(ca.jacobian(velocity(q, v), v))], ["q"], ["J"])
 
 
 @lru_cache(maxsize=_CACHED_FUNCTIONS)

@@ -2,6 +2,7 @@
 #include "../dynamics/numeric.hpp"
 
 #include <algorithm>
+#include <iterator>
 
 namespace {
 
@@ -13,25 +14,19 @@ constexpr int kMostIterations = 60;
 
 class InverseKinematics {
  public:
-  InverseKinematics(nb::object model, const Numbers& lower, const Numbers& upper, const Table& projection,
+  InverseKinematics(const nb::object& model, const Numbers& lower, const Numbers& upper, const Table& projection,
                     const Table& followers)
-      : owner_(std::move(model)),
-        model_(model_of(owner_)),
-        data_(model_),
-        lower_(read(lower, model_.nq, "lower")),
-        upper_(read(upper, model_.nq, "upper")),
+      : model_(model),
+        lower_(read(lower, model_.nq(), "lower")),
+        upper_(read(upper, model_.nq(), "upper")),
         projection_(read(projection)),
-        followers_(read(followers)),
-        position_of_(static_cast<std::size_t>(model_.nv), -1) {
-    for (std::size_t joint = 1; joint < model_.joints.size(); ++joint)
-      if (model_.joints[joint].nv() == 1 && model_.joints[joint].nq() == 1)
-        position_of_[static_cast<std::size_t>(model_.joints[joint].idx_v())] = model_.joints[joint].idx_q();
-  }
+        followers_(read(followers)) {}
+  InverseKinematics(const InverseKinematics&) = delete;
 
   // The posture near q, and the norm of what is left of the errors.
   std::pair<Output, double> search(const Numbers& start, const std::vector<int>& frames, const Table& poses,
                                    const std::vector<int>& sizes, const std::vector<int>& movable, double tolerance) {
-    Vector q = read(start, model_.nq, "q");
+    Vector q = read(start, model_.nq(), "q");
     if (poses.shape(0) != frames.size() || poses.shape(1) != 12 || sizes.size() != frames.size())
       throw std::invalid_argument("poses or sizes have a wrong shape");
     const Matrix table = read(poses);
@@ -39,8 +34,8 @@ class InverseKinematics {
     rows_ = 0;
     for (std::size_t k = 0; k < frames.size(); ++k) {
       const Vector row = table.row(static_cast<Eigen::Index>(k));
-      goals_.push_back({frame_of(model_, frames[k]), sizes[k] == 6,
-                        pinocchio::SE3(Eigen::Map<const Eigen::Matrix3d>(row.data()).transpose(), row.tail<3>())});
+      goals_.push_back({model_.frame(frames[k]), sizes[k] == 6, Eigen::Map<const Eigen::Matrix3d>(row.data()).transpose(),
+                        row.tail<3>()});
       rows_ += sizes[k];
     }
     double damping = kFirstDamping;
@@ -58,9 +53,9 @@ class InverseKinematics {
       Matrix normal = reduced.transpose() * reduced;
       normal.diagonal().array() += damping;
       const Vector taken = normal.partialPivLu().solve(reduced.transpose() * error);
-      Vector step = Vector::Zero(model_.nv);
+      Vector step = Vector::Zero(model_.nv());
       for (std::size_t row = 0; row < moving.size(); ++row) step[moving[row]] = -taken[static_cast<Eigen::Index>(row)];
-      Vector trial = pinocchio::integrate(model_, q, step).cwiseMax(lower_).cwiseMin(upper_);
+      Vector trial = model_.integrate(q, step).cwiseMax(lower_).cwiseMin(upper_);
       for (Eigen::Index row = 0; row < followers_.rows(); ++row)
         trial[static_cast<int>(followers_(row, 0))] =
             followers_(row, 2) * trial[static_cast<int>(followers_(row, 1))] + followers_(row, 3);
@@ -78,41 +73,35 @@ class InverseKinematics {
 
  private:
   struct Goal {
-    pinocchio::FrameIndex frame;
+    int frame;
     bool is_pose;
-    pinocchio::SE3 target;
+    Eigen::Matrix3d rotation;
+    Eigen::Vector3d position;
   };
 
   Vector errors(const Vector& q) {
-    pinocchio::forwardKinematics(model_, data_, q);
+    model_.place(q);
     Vector result(rows_);
     Eigen::Index first = 0;
     for (const auto& goal : goals_) {
-      const auto& place = pinocchio::updateFramePlacement(model_, data_, goal.frame);
       if (goal.is_pose)
-        result.segment<6>(first) = -pinocchio::log6(place.actInv(goal.target)).toVector();
+        result.segment<6>(first) = model_.pose_error(goal.frame, goal.rotation, goal.position);
       else
-        result.segment<3>(first) = place.translation() - goal.target.translation();
+        result.segment<3>(first) = model_.frame_position(goal.frame) - goal.position;
       first += goal.is_pose ? 6 : 3;
     }
     return result;
   }
 
   Matrix jacobian(const Vector& q) {
-    pinocchio::computeJointJacobians(model_, data_, q);
-    Matrix result(rows_, model_.nv), block(6, model_.nv);
+    model_.place(q);
+    Matrix result(rows_, model_.nv());
     Eigen::Index first = 0;
     for (const auto& goal : goals_) {
-      const auto axes = goal.is_pose ? pinocchio::LOCAL : pinocchio::LOCAL_WORLD_ALIGNED;
-      pinocchio::getFrameJacobian(model_, data_, goal.frame, axes, block.setZero());
-      if (goal.is_pose) {
-        const auto& place = pinocchio::updateFramePlacement(model_, data_, goal.frame);
-        Eigen::Matrix<double, 6, 6> turned;
-        pinocchio::Jlog6(goal.target.actInv(place), turned);
-        result.middleRows(first, 6) = turned * block;
-      } else {
-        result.middleRows(first, 3) = block.topRows(3);
-      }
+      if (goal.is_pose)
+        result.middleRows(first, 6) = model_.pose_error_jacobian(goal.frame, goal.rotation, goal.position);
+      else
+        result.middleRows(first, 3) = model_.frame_jacobian(goal.frame).topRows(3);
       first += goal.is_pose ? 6 : 3;
     }
     return result;
@@ -122,16 +111,13 @@ class InverseKinematics {
   // step minimises over the others, and the search ends where no allowed direction descends (projected Newton:
   // Bertsekas, SIAM J. Control and Optimization 20, 1982).
   bool held_by_limit(const Vector& q, const Vector& slope, int row) const {
-    const int at = position_of_[static_cast<std::size_t>(row)];
+    const int at = model_.position_of()[static_cast<std::size_t>(row)];
     return at >= 0 && ((q[at] <= lower_[at] && slope[row] > 0) || (q[at] >= upper_[at] && slope[row] < 0));
   }
 
-  nb::object owner_;
-  const pinocchio::Model& model_;
-  pinocchio::Data data_;
+  NumericModel model_;
   Vector lower_, upper_;
   Matrix projection_, followers_;
-  std::vector<int> position_of_;  // in q, of each row of v that is a joint with one coordinate; else -1
   std::vector<Goal> goals_;
   Eigen::Index rows_ = 0;
 };
@@ -140,7 +126,7 @@ class InverseKinematics {
 
 void define_inverse_kinematics(nb::module_& module) {
   nb::class_<InverseKinematics>(module, "InverseKinematics")
-      .def(nb::init<nb::object, const Numbers&, const Numbers&, const Table&, const Table&>(), "model"_a, "lower"_a,
+      .def(nb::init<const nb::object&, const Numbers&, const Numbers&, const Table&, const Table&>(), "model"_a, "lower"_a,
            "upper"_a, "projection"_a, "followers"_a)
       .def("search", &InverseKinematics::search, "q"_a, "frames"_a, "poses"_a, "sizes"_a, "movable"_a, "tolerance"_a);
 }

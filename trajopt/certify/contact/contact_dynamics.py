@@ -24,10 +24,6 @@ from trajopt.dynamics.base_joint import BASE_ROWS, base_of
 from trajopt.dynamics.model_quantities import generalized_force, without_rolling
 from trajopt.errors import InputError
 
-# Of Pinocchio's proximal algorithm: accuracy of the contacts' accelerations, m/s^2; what is added to the
-# diagonal of J M^-1 J^T in each of its iterations; the most of them.
-PROXIMAL, SOFTNESS, MOST_PROXIMAL = 1e-10, 1e-10, 10
-
 
 @dataclass(frozen=True, kw_only=True)
 class ContactMotion:
@@ -154,11 +150,8 @@ def _contact_acceleration(
 class ContactDynamics:
     """Forward dynamics for many calls with the same contacts: only the acceleration.
 
-    The same equations as `forward_dynamics`, without its report. Points are held by Pinocchio's proximal
-    algorithm. By a projection are soles, of which it would hold the spatial, not the classical acceleration,
-    balls that roll, and where it does not converge, as with rows that contradict each other, or with joints
-    that follow others (``independent``, E (nv, ny) of v = E y). NaN where the mass matrix is not positive
-    definite.
+    The same equations as `forward_dynamics`, without its report. ``independent``: E (nv, ny) of v = E y with
+    joints that follow others. NaN where the mass matrix is not positive definite.
     """
 
     def __init__(self, model: pin.Model, contacts: ContactSet, independent: np.ndarray | None = None) -> None:
@@ -166,41 +159,19 @@ class ContactDynamics:
         self.contacts = contacts
         self.independent = independent
         self._data = model.createData()
-        self._constraints, self._states = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-        for frame in contacts.frames:
-            place, kind = model.frames[frame], pin.ContactType.CONTACT_3D
-            axes = pin.LOCAL_WORLD_ALIGNED
-            constraint = pin.RigidConstraintModel(kind, model, place.parentJoint, place.placement, axes)
-            self._constraints.append(constraint)
-        for entry in self._constraints:
-            self._states.append(entry.createData())
-        pin.initConstraintDynamics(model, self._data, self._constraints, self._states)
 
     @cached_property
     def compiled(self) -> _numeric.Dynamics | None:
         """The same dynamics for many states and whole integrations; None with joints that follow others."""
         if self.independent is not None:
             return None
-        contacts, settings = self.contacts, (PROXIMAL, SOFTNESS, MOST_PROXIMAL)
+        contacts = self.contacts
         frames, dimensions = [int(frame) for frame in contacts.frames], list(contacts.dimensions)
-        compiled = _numeric.Dynamics(self.model, frames, dimensions, contacts.moment_arm, *settings)
+        compiled = _numeric.Dynamics(self.model, frames, dimensions, contacts.moment_arm)
         for number, lever in enumerate(contacts.levers):
             if lever is not None:
                 compiled.roll(number, np.array(lever))
         return compiled
-
-    def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
-        """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""
-        model, data = self.model, self._data
-        if set(self.contacts.dimensions) != {3} or self.independent is not None or self.contacts.levers:
-            return self._projected(q, v, generalized_force)
-        settings = pin.ProximalSettings(PROXIMAL, SOFTNESS, MOST_PROXIMAL)
-        solved: np.ndarray = pin.constraintDynamics(
-            model, data, q, v, generalized_force, self._constraints, self._states, settings
-        )
-        if settings.iter >= MOST_PROXIMAL or not np.isfinite(solved).all():
-            return self._projected(q, v, generalized_force)
-        return solved.copy()
 
     def accelerations(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
         """Return the accelerations (n, nv) at n states."""
@@ -208,12 +179,10 @@ class ContactDynamics:
             rows = zip(q, v, generalized_force, strict=True)
             return np.array([self.acceleration(*row) for row in rows])
         states = [np.ascontiguousarray(part, dtype=float) for part in (q, v, generalized_force)]
-        found = self.compiled.accelerations(*states)
-        for row in np.flatnonzero(~np.isfinite(found).all(axis=1)):
-            found[row] = self.acceleration(q[row], v[row], generalized_force[row])
-        return found
+        return self.compiled.accelerations(*states)
 
-    def _projected(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
+    def acceleration(self, q: np.ndarray, v: np.ndarray, generalized_force: np.ndarray) -> np.ndarray:
+        """Return the acceleration (nv,) under ``generalized_force`` (nv,) and the contact wrenches."""
         model, data, contacts = self.model, self._data, self.contacts
         e, mass = self.independent, pin.crba(model, data, q).T
         force = generalized_force - pin.nle(model, data, q, v)

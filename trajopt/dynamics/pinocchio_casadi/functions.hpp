@@ -21,13 +21,11 @@ std::string frame_velocity(const Description& description, const Frame& frame,
                            const std::string& reference);  // (q, v) -> velocity
 std::string frame_acceleration(const Description& description, const Frame& frame,
                                const std::string& reference);  // (q, v, a) -> acceleration
-std::string frame_jacobian(const Description& description, const Frame& frame,
-                           const std::string& reference);  // q -> J
 
 std::string centre_of_mass(const Description& description);          // (q, v) -> (c, dc)
 std::string centroidal_momentum(const Description& description);     // (q, v) -> h
 std::string centroidal_momentum_rate(const Description& description);  // (q, v, a) -> (h, dh)
-std::string kinetic_energy(const Description& description);          // (q, v) -> energy
+std::string kinetic_energy(const Description& description);          // (q, v) -> energy, without rotors
 std::string potential_energy(const Description& description);        // q -> energy
 
 }  // namespace trajopt

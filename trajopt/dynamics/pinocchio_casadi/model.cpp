@@ -19,6 +19,12 @@ JointModel aligned(const Model::Vector3&) { return Kind(); }
 template <typename Kind>
 JointModel unaligned(const Model::Vector3& axis) { return Kind(axis[0], axis[1], axis[2]); }
 
+// Along an axis of its frame: products with its zeros and ones are none in the graph.
+template <int axis>
+JointModel along(const Model::Vector3&) {
+  return Collection::JointModelPrismaticUnaligned(Model::Vector3::Unit(axis));
+}
+
 JointModel make_joint(const Joint& joint) {
   static const std::map<std::string, Maker> makers = {
       {"RX", aligned<Collection::JointModelRX>},
@@ -29,9 +35,9 @@ JointModel make_joint(const Joint& joint) {
       {"RUBZ", aligned<Collection::JointModelRUBZ>},
       {"RevoluteUnaligned", unaligned<Collection::JointModelRevoluteUnaligned>},
       {"RevoluteUnboundedUnaligned", unaligned<Collection::JointModelRevoluteUnboundedUnaligned>},
-      {"PX", aligned<Collection::JointModelPX>},
-      {"PY", aligned<Collection::JointModelPY>},
-      {"PZ", aligned<Collection::JointModelPZ>},
+      {"PX", along<0>},
+      {"PY", along<1>},
+      {"PZ", along<2>},
       {"PrismaticUnaligned", unaligned<Collection::JointModelPrismaticUnaligned>},
       {"Spherical", aligned<Collection::JointModelSpherical>},
       {"SphericalZYX", aligned<Collection::JointModelSphericalZYX>},

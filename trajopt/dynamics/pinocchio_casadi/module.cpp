@@ -48,7 +48,6 @@ NB_MODULE(_pinocchio, module) {
   module.def("frame_placement", &frame_placement, "description"_a, "frame"_a);
   module.def("frame_velocity", &frame_velocity, "description"_a, "frame"_a, "reference"_a);
   module.def("frame_acceleration", &frame_acceleration, "description"_a, "frame"_a, "reference"_a);
-  module.def("frame_jacobian", &frame_jacobian, "description"_a, "frame"_a, "reference"_a);
   module.def("centre_of_mass", &centre_of_mass, "description"_a);
   module.def("centroidal_momentum", &centroidal_momentum, "description"_a);
   module.def("centroidal_momentum_rate", &centroidal_momentum_rate, "description"_a);
