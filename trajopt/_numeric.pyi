@@ -31,7 +31,7 @@ class Dynamics:
         """Contact ``number``, a point, is the centre of a ball that rolls, ``lever`` (3,) m off its plane."""
 
     def accelerations(self, q: Reals, v: Reals, force: Reals) -> Reals:
-        """Accelerations (n, nv) at n states under forces (n, nv); NaN without a positive definite mass matrix."""
+        """Accelerations (n, nv) at n states under forces (n, nv); NaN where the mass matrix is singular."""
 
     def integrate(
         self,

@@ -1,7 +1,8 @@
 // Forward dynamics with contacts, and their integration, by numeric Pinocchio on the model that Python has.
 #include "../dynamics/numeric.hpp"
 
-#include <nanobind/stl/string.h>
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
 
 #include <algorithm>
 #include <cmath>
@@ -173,8 +174,10 @@ class Dynamics {
     if (!std::isfinite(norm)) throw Diverged();
     const Eigen::PartialPivLU<Matrix> solver(gram);
     if (norm * solver.rcond() > kConditioned * std::max(norm, unit * unit)) return force * solver.solve(wanted);
-    const Matrix basis = independent(held, unit);
-    const Matrix span = &held == &force ? basis : Matrix(force(Eigen::all, chosen_)), rows = held.transpose() * span;
+    Matrix span = independent(held, unit);
+    if (&held != &force)
+      for (std::size_t k = 0; k < chosen_.size(); ++k) span.col(static_cast<Eigen::Index>(k)) = force.col(chosen_[k]);
+    const Matrix rows = held.transpose() * span;
     const Eigen::LLT<Matrix> squares(rows.transpose() * rows);
     Vector part = Vector::Zero(rows.cols());
     for (int k = 0; k < kRefinements; ++k) part += squares.solve(rows.transpose() * (wanted - rows * part));
@@ -192,9 +195,10 @@ class Dynamics {
       if (rank == 0) least = std::max(least, kRank * norm);
       if (!(norm > least)) break;
       Vector direction = left.col(largest);
-      direction -= basis.leftCols(rank) * (basis.leftCols(rank).transpose() * direction);
-      basis.col(rank) = direction.normalized();
-      left -= basis.col(rank) * (basis.col(rank).transpose() * left);
+      for (Eigen::Index k = 0; k < rank; ++k) direction -= basis.col(k).dot(direction) * basis.col(k);
+      direction /= direction.norm();
+      for (Eigen::Index k = 0; k < left.cols(); ++k) left.col(k) -= direction.dot(left.col(k)) * direction;
+      basis.col(rank) = direction;
       chosen_.push_back(static_cast<int>(largest));
     }
     for (int column = 0; column < columns.cols(); ++column)

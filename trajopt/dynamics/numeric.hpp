@@ -6,7 +6,7 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
 
 #include <memory>
 #include <stdexcept>

@@ -1,6 +1,8 @@
 // Inverse kinematics by damped Gauss-Newton, see trajopt/robot/kinematics.py.
 #include "../dynamics/numeric.hpp"
 
+#include <Eigen/LU>
+
 #include <algorithm>
 #include <iterator>
 
