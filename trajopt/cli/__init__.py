@@ -6,7 +6,7 @@ import sys
 from trajopt.cli.interruption import CANCELLED, INTERRUPTION
 
 # Objects between two searches for garbage: with Python's 700 they take a tenth of a start.
-GARBAGE = 50_000
+GARBAGE = 200_000
 
 
 def main() -> int:
