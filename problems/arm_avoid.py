@@ -1,8 +1,11 @@
 """An arm moves its tool from one side to the other past a box and a post in its path."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -10,9 +13,7 @@ import pinocchio as pin
 from trajopt.collision import (
     BoxObstacle,
     CapsuleObstacle,
-    CollisionScene,
     Obstacle,
-    robot_capsules,
     robot_shapes,
 )
 from trajopt.problem import Family, Parameter, Problem
@@ -21,6 +22,9 @@ from trajopt.terms import AccelerationCost, Clearance, TorqueCost
 from trajopt.terrain import smooth_step
 
 from . import arms, common
+
+if TYPE_CHECKING:
+    from trajopt.collision import CollisionScene
 
 # Tool at start and goal, over the robot's reach: its distance from the base's axis and its height.
 RADIUS, HEIGHT = 0.4, 0.25
@@ -146,6 +150,8 @@ def build(
     duration: float | None,
 ) -> Problem:
     """Build the motion past the obstacles; see ``FAMILY`` for the parameters. Raises InputError."""
+    from trajopt.collision import CollisionScene, robot_capsules  # not for a list of problems
+
     arm = arms.load(robot)
     body, reach = arm.robot, arm.robot.length
     place = (radius * reach, height * reach)

@@ -11,7 +11,6 @@ import pinocchio as pin
 
 from trajopt import reduced
 from trajopt.dynamics import gravity_of
-from trajopt.guesses import guess_from_lip
 from trajopt.problem import Family, Parameter, Problem
 from trajopt.reduced import FootstepPlan, Pendulum, Walk
 from trajopt.robot import Robot, require_soles, with_edges
@@ -50,6 +49,8 @@ def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
         com_start=com[:2],
         shrink=MARGIN,
     )
+    from trajopt.guesses import guess_from_lip  # not for a list of problems
+
     return guess_from_lip(robot, plan, program.solve(), clearance=GUESS_SWING * clearance)
 
 

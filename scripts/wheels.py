@@ -2,9 +2,9 @@
 
     uv run --group wheels python -m scripts.wheels --output dist [--python 3.12 --python /usr/bin/python3]
 
-Libraries of the wheels of CasADi and Pinocchio, which lie beside the package, are used and not copied. The tag of
-the platform is the oldest glibc that the compiled code runs on: that of the machine it was built on, or older. In
-the image manylinux_2_28 of the Python Packaging Authority that is manylinux_2_28, the tag of CasADi and Pinocchio.
+Libraries of the wheels of CasADi and Pinocchio, which lie beside the package, are used and not copied. The
+platform's tag is the oldest glibc that the compiled code runs on: that of the machine it was built on, or an older
+one. In the image manylinux_2_28 of the Python Packaging Authority it is the tag of CasADi and Pinocchio.
 """
 
 import json
@@ -54,8 +54,12 @@ def build(uv: str, python: str, output: Path) -> Path:
 
 
 @click.command(help=__doc__)
-@click.option("--output", type=click.Path(file_okay=False, path_type=Path), default=Path("dist"), show_default=True)
-@click.option("--python", "versions", multiple=True, help="Version or path; default: every one that uv finds.")
+@click.option(
+    "--output", type=click.Path(file_okay=False, path_type=Path), default=Path("dist"), show_default=True
+)
+@click.option(
+    "--python", "versions", multiple=True, help="Version or path; default: every one that uv finds."
+)
 def main(output: Path, versions: tuple[str, ...]) -> None:
     """Build the wheels and print their paths."""
     uv = os.environ.get("UV") or shutil.which("uv")  # `uv run` names itself

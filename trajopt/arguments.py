@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, TypeVar
 
 from trajopt.errors import InputError, not_among
-from trajopt.kinds import ANY, Kind, Range, kind_of
+from trajopt.kinds import ANY, Kind, Range, RefusedError, kind_of
 from trajopt.pickling import picklable
 
 _Target = TypeVar("_Target", bound=Callable[..., Any])
@@ -68,9 +68,13 @@ class _Arguments:
 
     def check(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments by name as they are handed on. Raises `InputError`."""
+        kinds = self.kinds
+        try:
+            return {name: kinds.get(name, ANY).accept(value, name) for name, value in values.items()}
+        except (ValueError, RefusedError):
+            pass  # found again below, with what is said of it
         called = values.get("name") if self.keeps else None
         owner = f"{self.owner} '{called}'" if isinstance(called, str) else self.owner
-        kinds = self.kinds
         return {name: kinds.get(name, ANY).checked(name, owner, value) for name, value in values.items()}
 
     def require_known(self, names: Mapping[str, Any]) -> None:

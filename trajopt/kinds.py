@@ -65,10 +65,11 @@ class ArrayShape:
     def holds(self, array: np.ndarray) -> bool:
         """Whether an array has the shape, and numbers that are allowed."""
         sizes = array.shape if self.sizes is None else self.sizes
-        fits = len(sizes) == array.ndim and all(
-            w in (None, n) for w, n in zip(sizes, array.shape, strict=True)
-        )
-        return fits and not bool((np.isnan(array) if self.infinite else ~np.isfinite(array)).any())
+        if len(sizes) != array.ndim or any(
+            w not in (None, n) for w, n in zip(sizes, array.shape, strict=True)
+        ):
+            return False
+        return not np.isnan(array).any() if self.infinite else bool(np.isfinite(array).all())
 
     @property
     def text(self) -> str:
@@ -227,7 +228,9 @@ def _union(hints: tuple[Any, ...], keeps: bool) -> Kind:
         inner: RefusedError | None = None
         for kind in kinds:
             try:
-                return kind(value, place)
+                return kind.accept(value, place)
+            except ValueError:
+                pass
             except RefusedError as wrong:
                 inner = inner or (wrong if wrong.place != place else None)
         raise inner or ValueError
@@ -279,9 +282,14 @@ def _tuple(hints: tuple[Any, ...], keeps: bool) -> Kind:
 def _mapping(keys: Kind, values: Kind) -> Kind:
     def accept(value: Any, place: str) -> Any:
         _require(isinstance(value, Mapping))
-        for key in value:
-            keys(key, f"a key of {place}")
-        parts = {key: values(part, f"{place}[{key!r}]") for key, part in value.items()}
+        try:
+            for key in value:
+                keys.accept(key, place)
+            parts = {key: values.accept(part, place) for key, part in value.items()}
+        except (ValueError, RefusedError):  # again, with the places of the parts
+            for key in value:
+                keys(key, f"a key of {place}")
+            parts = {key: values(part, f"{place}[{key!r}]") for key, part in value.items()}
         return value if all(parts[key] is part for key, part in value.items()) else parts
 
     return Kind(f"a mapping of {keys.text} to {values.text}", accept)

@@ -109,11 +109,13 @@ def test_solvers_agree_on_the_optimum_of_a_jump():
 def symbolic(t: Transcription) -> tuple[ca.MX, ca.MX, ca.MX]:
     """Unknowns, objective and rows of a transcription as one CasADi expression, from its groups."""
     x = ca.MX.sym("x", t.layout.n_unknowns)
-    cost, rows = ca.MX(0), ca.mtimes(ca.DM(t.linear), x)
+    cost, rows = ca.MX(0), ca.mtimes(ca.sparsify(ca.DM(t.linear.toarray())), x)
     for group in t.groups:
         for i, stage in enumerate(group.stages):
             offset = int(t.layout.node_offset[stage])
-            z = ca.mtimes(ca.DM(group.gather), x[offset : offset + group.gather.shape[1]])
+            z = ca.mtimes(
+                ca.sparsify(ca.DM(group.gather.toarray())), x[offset : offset + group.gather.shape[1]]
+            )
             o = z
             for layer in group.point.layers:
                 o = layer(o)

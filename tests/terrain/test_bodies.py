@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial import ConvexHull
 
 from trajopt.terrain import FlatGround, PiecewiseTerrain
-from trajopt.terrain.bodies import SAME, ConvexGround, HalfSpace, ground_bodies
+from trajopt.terrain.bodies import SAME, ConvexGround, HalfSpace, convex_hull, ground_bodies, outline
 
 ROUNDING = 1e-9
 P = PiecewiseTerrain
@@ -56,3 +58,27 @@ def test_plane_is_a_half_space():
     (body,) = ground_bodies(FlatGround(height=0.2, normal=(0.1, 0.0, 1.0)))
     assert isinstance(body, HalfSpace)
     assert body.normal @ [0, 0, 0.2] == pytest.approx(body.offset)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_hulls_are_scipys(seed):
+    """Of points of which many are equal or on one line, too."""
+    points = np.round(np.random.default_rng(seed).normal(size=(5 + seed, 3)), 1 + seed % 3)
+    points = np.concatenate([points, points[:3]])
+    hull, expected = convex_hull(points), ConvexHull(points)
+    assert_array_equal(np.unique(hull.corners, axis=0), np.unique(points[expected.vertices], axis=0))
+    planes = np.column_stack([hull.normals, -hull.offsets])
+    assert_allclose(planes, expected.equations, atol=ROUNDING)
+    assert_allclose(
+        np.sum(hull.corners[hull.triangles[:, 0]] * hull.normals, axis=1), hull.offsets, atol=SAME
+    )
+    around, level = points[outline(points[:, :2])][:, :2], ConvexHull(points[:, :2])
+    first = np.flatnonzero((level.points[level.vertices] == around[0]).all(axis=1))[0]
+    assert_array_equal(around, np.roll(level.points[level.vertices], -first, axis=0))
+
+
+@pytest.mark.parametrize(
+    "points", [np.zeros((0, 2)), np.zeros((3, 2)), np.outer([0.0, 1, 2, 0.3], [0.1, 0.7])]
+)
+def test_outline_of_points_without_area_has_less_than_three_corners(points):
+    assert len(outline(points)) < 3

@@ -34,7 +34,7 @@ def test_sizes_and_nonzeros_grow_linearly(name: str) -> None:
     for intervals in (24, 48, 72):  # so many that phases of 0.4, 0.3 and 0.5 s share them exactly
         nlp = prepared(name, intervals).nlp
         t = nlp.transcription
-        found.append([t.layout.n_unknowns, t.n_rows, len(nlp.row), len(nlp.hessian_row), t.linear.nnz])
+        found.append([t.layout.n_unknowns, t.n_rows, len(nlp.row), len(nlp.hessian_row), len(t.linear.data)])
     first, second = np.diff(np.array(found), axis=0)
     np.testing.assert_array_equal(first, second)
 

@@ -2,20 +2,26 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
-from trajopt.transcription.sparse_maps import DerivativeMap, Pattern, hessian_map, jacobian_map
+from trajopt.transcription.sparse_maps import (
+    DerivativeMap,
+    Pattern,
+    SparseMatrix,
+    hessian_map,
+    jacobian_map,
+)
 
 # Sums of a few products of numbers of order one.
 ROUNDING = 1e-13
 N_Z, N_WINDOW, N_ROWS = 9, 7, 5
 
 
-def random_gather(generator: np.random.Generator) -> sparse.csr_matrix:
+def random_gather(generator: np.random.Generator) -> SparseMatrix:
     dense = generator.uniform(-1, 1, (N_Z, N_WINDOW)) * (generator.uniform(size=(N_Z, N_WINDOW)) < 0.4)
     dense[3] = 0.0  # an input that depends on nothing
-    return sparse.csr_matrix(dense)
+    return SparseMatrix.of(dense)
 
 
 def random_matrix(generator: np.random.Generator, rows: int, density: float) -> tuple[Pattern, np.ndarray]:
@@ -60,6 +66,24 @@ def test_hessian_map_is_the_lower_triangle_of_the_congruence(seed, density):
     expected = np.tril(gather.toarray().T @ symmetric @ gather.toarray())
     assert_allclose(applied(found, nonzeros(pattern, lower), expected.shape), expected, atol=ROUNDING)
     assert np.all(found.row >= found.column)
+
+
+@pytest.mark.parametrize("count", [0, 1, 40])
+def test_matrices_are_scipys(count):
+    """Entries at one place are added; those that are zero are kept."""
+    generator = np.random.default_rng(3)
+    row, column = generator.integers(0, N_ROWS, count), generator.integers(0, N_Z, count)
+    value = generator.uniform(-1, 1, count) * (generator.uniform(size=count) < 0.8)
+    expected = sparse.csr_matrix((value, (row, column)), shape=(N_ROWS, N_Z))
+    found = SparseMatrix.of_entries((N_ROWS, N_Z), row, column, value)
+    for made, scipys in ((found, expected), (SparseMatrix.of(found.toarray()), expected)):
+        if made is not found:
+            scipys.eliminate_zeros()
+        assert_array_equal(made.indptr, scipys.indptr)
+        assert_array_equal(made.indices, scipys.indices)
+        assert_allclose(made.data, scipys.data, atol=ROUNDING)
+        assert_array_equal(made.row, scipys.tocoo().row)
+    assert_allclose(found.toarray(), expected.toarray(), atol=ROUNDING)
 
 
 def test_every_target_of_a_map_is_named_once():

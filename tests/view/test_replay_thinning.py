@@ -3,7 +3,7 @@
 import meshcat
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation, Slerp
 
 from tests.support.replay_pages import hopping, key_frames_of, shown
@@ -14,6 +14,7 @@ from trajopt.view.replay.commands import (
     Animation,
     Recorder,
     hold_while_hidden,
+    quaternions,
     rounded,
     thin_key_frames,
     turns_to,
@@ -104,3 +105,10 @@ def test_turns_take_the_vertical_to_any_direction():
 def test_standing_robot_needs_two_key_frames_a_track(tmp_path):
     frames = key_frames_of(shown(hopping(), tmp_path))
     assert max(count for (path, _), count in frames.items() if path.startswith("robot/")) == 2
+
+
+def test_quaternions_of_matrices_are_scipys():
+    turned = Rotation.random(100, random_state=0).as_matrix()
+    half = Rotation.from_rotvec(np.pi * np.eye(3)).as_matrix()
+    for rotations in (turned, half):
+        assert_allclose(quaternions(rotations), Rotation.from_matrix(rotations).as_quat(), atol=ROUNDING)

@@ -1,7 +1,8 @@
 """The check of a solution: everything it claims, recomputed with numeric Pinocchio alone."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -75,13 +76,20 @@ class Examination:
     """A check with what a finer mesh follows from.
 
     local: errors of the intervals. broken: (I,) the largest figure at any time in each interval, over its
-    tolerance. drift: (n_phases,) the same of contacts that must stay where they are.
+    tolerance. drift: (n_phases,) the same of contacts that must stay where they are. motion: what is checked.
     """
 
     report: CheckReport
     local: LocalErrors
     broken: np.ndarray
     drift: np.ndarray
+    motion: MotionQuantities = field(repr=False)
+
+    def integrated(self) -> CheckReport:
+        """The report with the open loop of every phase, see `check`."""
+        phases = tuple(_phases(self.motion, self.local, True))
+        places = {**self.report.places, **_places_of_phases(phases)}
+        return replace(self.report, phases=phases, places=places, **_worst_of(phases))
 
 
 def examine(given: Solution, tolerances: Tolerances = GRADE, *, integrate: bool = False) -> Examination:
@@ -115,6 +123,7 @@ def examine(given: Solution, tolerances: Tolerances = GRADE, *, integrate: bool 
         local=local,
         broken=_largest_ratio(moving, tolerances, dense.plan.interval, motion.solution.n_intervals),
         drift=_largest_ratio(steady, tolerances, dense.plan.phase, len(phases)),
+        motion=motion,
     )
 
 
@@ -153,7 +162,7 @@ def _report(
         gimbal_margin=motion.gimbal_margin,
         position_gap=motion.integration_gaps.position,
         velocity_gap=motion.integration_gaps.velocity,
-        **{name: largest_known(getattr(phase, name) for phase in phases) for name in PHASE_FIGURES},
+        **_worst_of(phases),
         phases=phases,
         notes=motion.missing_shapes,
         places={
@@ -161,6 +170,10 @@ def _report(
             **_places_of_phases(phases),
         },
     )
+
+
+def _worst_of(phases: tuple[PhaseReport, ...]) -> dict[str, Any]:
+    return {name: largest_known(getattr(phase, name) for phase in phases) for name in PHASE_FIGURES}
 
 
 def _places_of_phases(phases: tuple[PhaseReport, ...]) -> dict[str, Occurrence]:

@@ -90,7 +90,7 @@ def solve_aimed(
             result = solve_within(problem, budget, **settings)
             reached, target = result.reached and result.spent <= budget, f"budget of {budget:g} s"
     lines = _lines(result, f"{target} {'reached' if reached else 'not reached'}")
-    return SolveReport(result.solution, reached, lines, {"graded": result.to_dict()})
+    return SolveReport(result.solution, reached, lines, {"graded": result.to_dict()}, result.examination)
 
 
 def _lines(result: Graded, verdict: str) -> list[str]:

@@ -78,7 +78,8 @@ def solve_to_grade(
         result = solve_graded(
             problem, mesh=mesh, refine=not named, max_rounds=rounds, **callbacks, **arguments
         )
-    return SolveReport(result.solution, result.reached, _lines(result), {"graded": result.to_dict()})
+    extra = {"graded": result.to_dict()}
+    return SolveReport(result.solution, result.reached, _lines(result), extra, result.examination)
 
 
 def solve_whole(problem: Problem, lifted: Solution, arguments: dict[str, Any]) -> tuple[Solution, list[str]]:

@@ -163,10 +163,9 @@ layout_options = option_group(
 
 def chosen_problem(name: str, settings: Sequence[str]) -> Problem:
     """Build the problem of that name with repeated ``--set NAME=VALUE``; raises `InputError`."""
-    from trajopt.problem.catalogue import families
-    from trajopt.problem.family import choose
+    from trajopt.problem.catalogue import family
 
-    return choose(families(), name).load(parse_settings(settings, "--set"))
+    return family(name).load(parse_settings(settings, "--set"))
 
 
 def load_plan(file: Path) -> Solution:

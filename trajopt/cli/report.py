@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from trajopt.certify.check import Examination
     from trajopt.certify.report import CheckReport
     from trajopt.solution.solution import Solution
 
@@ -44,12 +45,16 @@ KEY_FIGURES = {
 
 @dataclass(frozen=True)
 class SolveReport:
-    """Result of a solve, with notes for its summary and additional entries for its JSON."""
+    """Result of a solve, with notes for its summary and additional entries for its JSON.
+
+    examination: of the solution, where there is one.
+    """
 
     solution: Solution
     reached: bool
     notes: list[str] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)
+    examination: Examination | None = None
 
 
 def to_json(value: object) -> str:

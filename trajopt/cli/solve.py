@@ -35,6 +35,7 @@ from trajopt.solution.output import check_apart, check_solution_output
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from trajopt.certify.check import Examination
     from trajopt.certify.report import CheckReport
     from trajopt.cli.report import SolveReport
     from trajopt.scenes.smallest_scene import Scene
@@ -145,7 +146,7 @@ def solve_command(
     if scene:
         solution, whole = solve_whole(loaded, scene.lift(solution), arguments)
     file, notes = _saved(solution, target)
-    report = _checked(solution, notes)
+    report = _checked(solution, notes, None if scene else solved.examination)
     diagnosis = diagnosis_of(solved.solution, asked) if diagnosed else None
     if as_json:
         extra |= {"diagnosis": diagnosis[0]} if diagnosis else {}
@@ -179,8 +180,8 @@ def _saved(solution: Solution, target: Path) -> tuple[Path | None, list[str]]:
     return solution.save(target), []
 
 
-def _checked(solution: Solution, notes: list[str]) -> CheckReport | None:
-    """The check of a solve, or None and a note if it cannot be checked."""
+def _checked(solution: Solution, notes: list[str], known: Examination | None) -> CheckReport | None:
+    """The check of a solve, from what is ``known`` of it, or None and a note if it cannot be checked."""
     import numpy as np
 
     from trajopt.certify.check import check
@@ -188,7 +189,7 @@ def _checked(solution: Solution, notes: list[str]) -> CheckReport | None:
 
     try:
         with np.errstate(all="ignore"):  # an iterate of a failed solve may overflow; its figures show that
-            report = check(solution)
+            report = known.integrated() if known else check(solution)
     except (TrajoptError, ArithmeticError, ValueError) as error:
         notes.append(f"accuracy cannot be computed: {error}")
         return None

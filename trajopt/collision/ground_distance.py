@@ -10,7 +10,7 @@ from trajopt.collision.coal_shapes import CoalBody, CoalPairs, Witness, coal_hul
 from trajopt.collision.planes import PlacedBody
 from trajopt.collision.shapes import LinkShape
 from trajopt.dynamics.joint_placements import Placements
-from trajopt.terrain.bodies import ConvexGround, GroundBody, HalfSpace
+from trajopt.terrain.bodies import ConvexGround, GroundBody, HalfSpace, convex_hull
 from trajopt.terrain.smooth import SmoothTerrain
 
 # A point whose foot is this far outside of a face, m, still projects onto it: rounding.
@@ -183,10 +183,8 @@ def surface_points(points: np.ndarray) -> np.ndarray:
         steps = int(np.ceil(np.linalg.norm(points[1] - points[0]) / SPACING))
         share = np.linspace(0.0, 1.0, max(steps, 1) + 1)[:, None]
         return np.asarray(points[0] + share * (points[1] - points[0]))
-    from scipy.spatial import ConvexHull  # takes a while to load
-
-    solid = thick(points)
-    parts = [_on_triangle(solid[corners]) for corners in ConvexHull(solid).simplices]
+    hull = convex_hull(thick(points))
+    parts = [_on_triangle(corners) for corners in hull.corners[hull.triangles]]
     return np.unique(np.round(np.concatenate(parts), 9), axis=0)
 
 

@@ -20,6 +20,7 @@ from trajopt.collision.hulls import joint_frame, prism_corners
 from trajopt.collision.shapes import LinkShape, box_corners, require_different_names
 from trajopt.errors import InputError, shown
 from trajopt.robot.robot import Robot
+from trajopt.terrain.bodies import convex_hull
 from trajopt.terrain.surface import frame_of_normal
 
 Source = Literal["collision", "visual", "inertia"]
@@ -209,9 +210,7 @@ def _corners(points: np.ndarray) -> np.ndarray:
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 4 else np.zeros(1)
     if len(spread) < 3 or spread[2] <= FLAT * spread[0]:
         return points
-    from scipy.spatial import ConvexHull  # takes a while to load
-
-    return np.asarray(points[ConvexHull(points).vertices])
+    return convex_hull(points).corners
 
 
 def _best_near(points: np.ndarray, axis: np.ndarray) -> Segment:

@@ -14,9 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-import osqp
 import piqp  # type: ignore[import-untyped]
-import scipy.sparse as sp
 
 from trajopt.errors import InputError, not_among
 
@@ -99,7 +97,7 @@ def quadratic_solver(name: QpSolverName, shape: tuple[int, int, int, int]) -> Qu
 class _Osqp(QuadraticSolver):
     def __init__(self, shape: tuple[int, int, int, int]) -> None:
         super().__init__(shape)
-        self._solver: osqp.OSQP | None = None
+        self._solver: Any = None
         self._second = _Piqp(shape)
         rows, columns = np.triu_indices(self.n)
         order = np.lexsort((rows, columns))  # the upper triangle column by column
@@ -122,9 +120,10 @@ class _Osqp(QuadraticSolver):
             self._solver.warm_start(x=exact.x)
         return QuadraticSolution(exact.x, exact.solved, exact.iterations + int(result.info.iter))
 
-    def _set_up(
-        self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray
-    ) -> osqp.OSQP:
+    def _set_up(self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray) -> Any:
+        import osqp  # takes a while to load, as SciPy does
+        import scipy.sparse as sp
+
         m, n = a.shape
         pointers = np.concatenate([[0], np.cumsum(np.arange(1, n + 1))])
         upper = sp.csc_matrix((p[self._upper], self._upper[0], pointers), shape=(n, n))

@@ -194,7 +194,7 @@ def _causes(
     functions: Sequence[Evaluation], where: _Where, inputs: np.ndarray
 ) -> tuple[tuple[SuspectInput, ...], tuple[str, ...]]:
     """Inputs of which any one alone makes all finite, or if there are none, kinds of inputs."""
-    units = np.abs(where.group.gather).max(axis=1).toarray().ravel()
+    units = np.abs(where.group.gather.toarray()).max(axis=1)
     units[units == 0] = 1.0
     kinds = np.array([label.kind for label in where.labels])
     turning = np.array(["quaternion" in label.quantity for label in where.labels])

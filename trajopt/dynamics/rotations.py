@@ -19,10 +19,8 @@ _SERIES_TERMS = 16
 
 def _series(t: ca.SX, first_factorial: int) -> ca.SX:
     """Sum over n of (-t)^n / (2 n + first_factorial)!, by Horner's rule."""
-    total = ca.SX(0)
-    for n in reversed(range(_SERIES_TERMS)):
-        total = 1 / math.factorial(2 * n + first_factorial) - t * total
-    return total
+    factors = [(-1) ** n / math.factorial(2 * n + first_factorial) for n in reversed(range(_SERIES_TERMS))]
+    return ca.polyval(ca.SX(ca.DM(factors)), t)
 
 
 def exp_quaternion(theta: ca.SX) -> ca.SX:

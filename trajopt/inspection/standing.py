@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import block_diag
-from scipy.optimize import lsq_linear
 
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.robot.actuators.joint_force import joint_force
@@ -19,6 +17,7 @@ from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.legs import LIFTED
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.terrain.bodies import outline
 
 # Weight of the balance equations relative to the norm of the forces: their residuals do not show in a report.
 BALANCE_WEIGHT = 1e4
@@ -90,6 +89,8 @@ def _pushes(robot: Robot, feet: tuple[Contact, ...]) -> tuple[np.ndarray, np.nda
 
     At a point the forces along its own rows, at a sole three at each corner.
     """
+    from scipy.linalg import block_diag  # takes a while to load
+
     poses = contact_poses(robot, robot.reference)
     blocks, pushing = [np.zeros((0, 0))], np.zeros(0, dtype=bool)
     for contact in feet:
@@ -111,6 +112,8 @@ def _least_forces(wanted: np.ndarray, carried: np.ndarray, pushing: np.ndarray) 
         return np.zeros(0)
     system = np.vstack([BALANCE_WEIGHT * carried, np.eye(count)])
     target = np.concatenate([BALANCE_WEIGHT * wanted, np.zeros(count)])
+    from scipy.optimize import lsq_linear  # takes a while to load
+
     result = lsq_linear(system, target, (np.where(pushing, 0.0, -np.inf), np.inf), method="bvls")
     return np.asarray(result.x)
 
@@ -127,12 +130,9 @@ def inside(points: np.ndarray, place: np.ndarray) -> float | None:
 
     Outside it is the distance to the nearest line through a side. None where there is no area.
     """
-    from scipy.spatial import ConvexHull, QhullError
-
-    if len(points) < 3:
+    corners = points[outline(points)]
+    if len(corners) < 3:
         return None
-    try:
-        hull = ConvexHull(points)
-    except QhullError:
-        return None
-    return float(-(hull.equations[:, :2] @ place + hull.equations[:, 2]).max())
+    along = np.roll(corners, -1, axis=0) - corners
+    inward = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    return float(np.sum(inward * (place - corners), axis=1).min())

@@ -167,9 +167,8 @@ class Horizon:
             names = ("gather_data", "cost_weight", "jac_coef", "hess_coef")
             self._groups.append({name: _Entries.of(one[name], two[name], phase) for name in names})
             self._of_friction.append(one["p"] != two["p"])
-        csr, rows = t.linear, t.rows.stage
-        of_entries = np.repeat(np.arange(t.n_rows), np.diff(csr.indptr))
-        self._linear = _Entries.of(csr.data, doubled.parts["a_data"], of_stage[rows[of_entries]])
+        linear, rows = t.linear, t.rows.stage
+        self._linear = _Entries.of(linear.data, doubled.parts["a_data"], of_stage[rows[linear.row]])
         constant, twice = nlp.parts["jac_const"], doubled.parts["jac_const"]
         self._constant = _Entries.of(constant, twice, of_stage[rows[nlp.row]])
         self._parameters = [group.parameters.copy() for group in t.groups]

@@ -1,6 +1,7 @@
 """Problem families of all installed packages, found through the entry-point group ``trajopt.problems``.
 
-Each entry names a module with ``families() -> dict[str, Family]``; the library imports none by name.
+Each entry names a module with ``families() -> dict[str, Family]``, and ``family(name) -> Family`` if that is
+faster; the library imports none by name.
 """
 
 from __future__ import annotations
@@ -9,10 +10,10 @@ import sys
 import warnings
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from trajopt.arguments import checked
-from trajopt.errors import TrajoptError, VersionMismatchError, in_file
+from trajopt.errors import InputError, TrajoptError, VersionMismatchError, in_file
 from trajopt.robot.catalogue import GROUP, offers
 
 if TYPE_CHECKING:
@@ -42,6 +43,25 @@ def families() -> dict[str, Family]:
     return dict(sorted(known.items()))
 
 
+@checked
+def family(name: str) -> Family:
+    """The family of that name; where one package alone offers any, its others are not loaded.
+
+    Raises `InputError` that lists the known names.
+    """
+    from trajopt.problem.family import choose
+
+    only, *others = (*offers(GROUP), None)
+    if only is not None and others == [None]:
+        try:
+            return cast("Family", only.load().family(name))
+        except (InputError, VersionMismatchError):
+            raise
+        except Exception:  # `families` warns of it
+            pass
+    return choose(families(), name)
+
+
 def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
     try:
         offered: Mapping[str, Family] = entry.load().families()
@@ -68,6 +88,4 @@ def problem_modules() -> tuple[str, ...]:
 @checked
 def load(name: str, **parameters: object) -> Problem:
     """Build the problem of that name, as ``load("solo12-jump", distance=0.3)``. Raises `InputError`."""
-    from trajopt.problem.family import choose
-
-    return choose(families(), name).load(parameters)
+    return family(name).load(parameters)

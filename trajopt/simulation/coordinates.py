@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.dynamics.manifold import Coordinates, Joint
+from trajopt.solution.local_states import rotation_matrices
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +108,10 @@ def _turned(address: JointAddress, qpos: np.ndarray, rows: np.ndarray, *, back: 
     if kind not in ("freeflyer", "planar"):
         return rows
     part = qpos[:, address.q]
-    turn = _rotations(part[:, 3:]) if kind == "freeflyer" else _plane_rotations(part[:, 2])
+    if kind == "freeflyer":  # MuJoCo's quaternions have w first
+        turn = rotation_matrices(part[:, [4, 5, 6, 3]] / np.linalg.norm(part[:, 3:], axis=1, keepdims=True))
+    else:
+        turn = _plane_rotations(part[:, 2])
     size = turn.shape[1]
     linear = np.einsum("nji,nj->ni" if back else "nij,nj->ni", turn, rows[:, :size])
     return np.column_stack([linear, rows[:, size:]])
@@ -116,12 +120,3 @@ def _turned(address: JointAddress, qpos: np.ndarray, rows: np.ndarray, *, back: 
 def _plane_rotations(angle: np.ndarray) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
-
-
-def _rotations(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices (n, 3, 3) of quaternions (n, 4), w first."""
-    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    first = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
-    second = [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
-    third = [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    return np.stack([np.stack(row, axis=-1) for row in (first, second, third)], axis=-2)

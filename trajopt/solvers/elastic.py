@@ -20,12 +20,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy import sparse
 
 from trajopt import _engine
 from trajopt.solvers.ipopt import IPOPT_OPTIONS
 from trajopt.solvers.result import LEAST_TIME, Callback, Option
 from trajopt.transcription.nlp import Nlp
+from trajopt.transcription.sparse_maps import SparseMatrix
 
 # Weights of the distance from the start, of the first minimum and of those that are searched from there. With
 # ten times the second, tall hops and long jumps that can be done end at a violation.
@@ -133,14 +133,14 @@ def _solved(
     """One elastic problem with its centre at the start."""
     t = nlp.transcription
     x = np.clip(start, t.lower_x, t.upper_x)
-    n, slacks = len(x), _slacks(t.lower_g, t.upper_g)
-    values, n_slacks = np.asarray(nlp.engine.g(x)), slacks.shape[1]
+    n, (rows, signs) = len(x), _slacks(t.lower_g, t.upper_g)
+    values, n_slacks = np.asarray(nlp.engine.g(x)), len(rows)
     lacking = np.maximum(t.lower_g - values, 0.0) - np.maximum(values - t.upper_g, 0.0)
-    first = np.maximum(slacks.T @ lacking, 0.0) + FIRST_SLACK
+    first = np.maximum(signs * lacking[rows], 0.0) + FIRST_SLACK
     push = PUSH * float(options["mu_init"])
     names = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
     raw = _engine.solve_ipopt(
-        _with_slacks(nlp, slacks, x, prox),
+        _with_slacks(nlp, rows, signs, x, prox),
         np.concatenate([x, first]),
         np.concatenate([t.lower_x, np.zeros(n_slacks)]),
         np.concatenate([t.upper_x, np.full(n_slacks, np.inf)]),
@@ -159,7 +159,7 @@ def _solved(
     )
     return ElasticPoint(
         x=raw["x"][:n],
-        gives=abs(slacks) @ raw["x"][n:],
+        gives=np.bincount(rows, raw["x"][n:], minlength=t.n_rows),
         weights=np.concatenate([raw["lam_g"], raw["lam_x"][:n]]),
         minimum=raw["status"] == "Solve_Succeeded",
         stopped=raw["status"] == "User_Requested_Stop",
@@ -168,25 +168,31 @@ def _solved(
     )
 
 
-def _slacks(low: np.ndarray, high: np.ndarray) -> sparse.csr_matrix:
-    """Columns of the slacks (n_rows, n_slacks): one up for every lower bound, one down for every upper."""
+def _slacks(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and signs (n_slacks,) of the slacks: one up for every lower bound, one down for every upper."""
     lower, upper = np.flatnonzero(np.isfinite(low)), np.flatnonzero(np.isfinite(high))
     rows = np.concatenate([lower, upper])
-    signs = np.concatenate([np.ones(len(lower)), -np.ones(len(upper))])
-    return sparse.csr_matrix((signs, (rows, np.arange(len(rows)))), shape=(len(low), len(rows)))
+    return rows, np.concatenate([np.ones(len(lower)), -np.ones(len(upper))])
 
 
-def _with_slacks(nlp: Nlp, slacks: sparse.csr_matrix, centre: np.ndarray, prox: float) -> _engine.Nlp:
+def _with_slacks(
+    nlp: Nlp, rows: np.ndarray, signs: np.ndarray, centre: np.ndarray, prox: float
+) -> _engine.Nlp:
     """The NLP's functions without its costs, slacks behind its variables, and the price of both."""
-    old, n, count = nlp.parts, len(centre), slacks.shape[1]
-    total, entries = n + count, slacks.tocoo()
-    linear = sparse.csr_matrix((old["a_data"], old["a_indices"], old["a_indptr"]), shape=(slacks.shape[0], n))
-    rows = sparse.hstack([linear, slacks], format="csr")
-    jacobian = _Merged(total, old["jac_row"], old["jac_col"], entries.row, n + entries.col)
+    old, n, count = nlp.parts, len(centre), len(rows)
+    total, linear = n + count, nlp.transcription.linear
+    columns = n + np.arange(count)
+    whole = SparseMatrix.of_entries(
+        (old["n_g"], total),
+        np.concatenate([linear.row, rows]),
+        np.concatenate([linear.indices, columns]),
+        np.concatenate([old["a_data"], signs]),
+    )
+    jacobian = _Merged(total, old["jac_row"], old["jac_col"], rows, columns)
     hessian = _Merged(total, old["hess_row"], old["hess_col"], np.arange(total), np.arange(total))
     constant = np.zeros(len(jacobian.keys))
     constant[jacobian.kept] = old["jac_const"]
-    constant[jacobian.added] = entries.data
+    constant[jacobian.added] = signs
     groups = [
         {
             **group,
@@ -199,9 +205,9 @@ def _with_slacks(nlp: Nlp, slacks: sparse.csr_matrix, centre: np.ndarray, prox: 
     return _engine.Nlp(
         n_x=total,
         n_g=old["n_g"],
-        a_indptr=rows.indptr.astype(np.int32),
-        a_indices=rows.indices.astype(np.int32),
-        a_data=rows.data,
+        a_indptr=whole.indptr,
+        a_indices=whole.indices,
+        a_data=whole.data,
         jac_row=jacobian.row,
         jac_col=jacobian.column,
         jac_const=constant,

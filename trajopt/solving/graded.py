@@ -142,7 +142,7 @@ def solve_graded(
         mesh = mesh or chosen_mesh(problem)
         solution = first or solve_on_mesh(problem, mesh=mesh, start=start, **{**settings, "judge": False})
         rounds = (Round.of(mesh, solution),)
-        return Graded(solution=solution, report=None, rounds=rounds, why="it has no legs", examined=0.0)
+        return Graded(solution=solution, examination=None, rounds=rounds, why="it has no legs", examined=0.0)
     known = Exchange(problem) if exchange is None else exchange.moved_to(problem)
     loop = Refinement(problem, tolerances, refine, settings, known, accuracy, solver_time)
     return loop.result(loop.run(mesh or first_mesh(problem, accuracy is not None), start, first, max_rounds))

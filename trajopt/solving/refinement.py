@@ -326,10 +326,10 @@ class Refinement:
     def result(self, why: str) -> Graded:
         """The best motion with its verdict, recorded in its statistics."""
         best = None if self.best is None else self.best[1]
-        solution, report = (self.last, None) if best is None else (best.solution, best.examination.report)
+        solution, examination = (self.last, None) if best is None else (best.solution, best.examination)
         assert solution is not None
-        if report is not None:
-            solution = judged_by(solution, report, self.tolerances)
+        if examination is not None:
+            solution = judged_by(solution, examination.report, self.tolerances)
             if not (solution.success or self.last is None or self.last.converged):
                 what, *_, remedy = self.last.statistics.advice.splitlines()
                 kept = solution.statistics.advice.splitlines()[:-1]
@@ -337,7 +337,7 @@ class Refinement:
                 solution = solution.with_statistics(advice="\n".join([*kept, finer]))
         made = Graded(
             solution=solution,
-            report=report,
+            examination=examination,
             rounds=tuple(self.rounds),
             why=why,
             examined=self.examined,

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from trajopt.certify.accuracy.measures import Accuracy
+from trajopt.certify.check import Examination
 from trajopt.certify.report import CheckReport
 from trajopt.problem.problem import Problem
 from trajopt.solution.meta import jsonable
@@ -71,20 +72,25 @@ class Round:
 
 @dataclass(frozen=True, kw_only=True)
 class Graded:
-    """The best motion found, its check, the solves, and what ended them.
+    """The best motion found, its examination, the solves, and what ended them.
 
     examined: s of all checks. exchange: the rows that keep bodies apart; None without legs. target: error of
     a phase that was asked for, m, or None; accuracy: of the motion then.
     """
 
     solution: Solution
-    report: CheckReport | None
+    examination: Examination | None
     rounds: tuple[Round, ...]
     why: str
     examined: float
     exchange: Exchange | None = None
     target: float | None = None
     accuracy: Accuracy | None = None
+
+    @property
+    def report(self) -> CheckReport | None:
+        """The check of the motion, where it was examined."""
+        return None if self.examination is None else self.examination.report
 
     @property
     def error(self) -> float:

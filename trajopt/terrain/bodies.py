@@ -1,8 +1,9 @@
-"""The ground as convex bodies: a half-space, or what lies below plane faces."""
+"""Convex hulls, and the ground as convex bodies: a half-space, or what lies below plane faces."""
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
+import coal
 import numpy as np
 
 from trajopt.terrain.flat import FlatGround
@@ -17,8 +18,61 @@ SAME = 1e-6
 CRACK_AREA = 1e-4
 # Terrains whose bodies are kept.
 MOST_TERRAINS = 32
+# Twice the area of a triangle below this, over the extent squared, is that of points on one line.
+ON_LINE = 1e-12
 # A half-plane of the (x, y) plane: inward (3,) @ p >= offset, with no part along z.
 _HalfPlane = tuple[np.ndarray, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hull:
+    """Convex hull in space: its ``corners`` (k, 3), and of its triangles (m, 3) corners and planes.
+
+    Outward unit ``normals`` (m, 3) and ``offsets`` (m,): inside, normals @ p <= offsets.
+    """
+
+    corners: np.ndarray
+    triangles: np.ndarray
+    normals: np.ndarray
+    offsets: np.ndarray
+
+
+def convex_hull(points: np.ndarray) -> Hull:
+    """Hull of points (n, 3) with volume, by Qhull in Coal: SciPy's takes a while to load."""
+    given = coal.StdVec_Vec3s()
+    for point in np.asarray(points, dtype=float):
+        given.append(point)
+    hull = coal.Convex.convexHull(given, True, "Qt")
+    faces = [hull.polygons(number) for number in range(hull.num_polygons)]
+    return Hull(
+        corners=np.array(hull.points()),
+        triangles=np.array([[face[0], face[1], face[2]] for face in faces]),
+        normals=np.array(hull.normals()),
+        offsets=-np.array(hull.offsets()).ravel(),
+    )
+
+
+def outline(points: np.ndarray) -> np.ndarray:
+    """Indices (k,) of the corners of the hull of points (n, 2), counter-clockwise; k < 3 without area.
+
+    Andrew's monotone chain: the lower, then the upper side, from left to right and back.
+    """
+    order = np.lexsort((points[:, 1], points[:, 0])).tolist()
+    least = ON_LINE * float(np.ptp(points, axis=0).max(initial=0.0)) ** 2 if len(points) else 0.0
+    place = points.tolist()
+    corners: list[int] = []
+    for way in (order, order[::-1]):
+        side: list[int] = []
+        for index in way:
+            x, y = place[index]
+            while len(side) > 1:
+                (ax, ay), (bx, by) = place[side[-2]], place[side[-1]]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > least:
+                    break
+                side.pop()
+            side.append(index)
+        corners += side[:-1]
+    return np.array(corners, dtype=int)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,10 +97,9 @@ class ConvexGround:
     @cached_property
     def planes(self) -> tuple[np.ndarray, np.ndarray]:
         """Outward unit normals (m, 3) and offsets (m,) of its faces: inside, normals @ p <= offsets."""
-        from scipy.spatial import ConvexHull  # takes a while to load
-
-        equations = np.unique(np.round(ConvexHull(self.points).equations, 9), axis=0)
-        return equations[:, :3], -equations[:, 3]
+        hull = convex_hull(self.points)
+        planes = np.unique(np.round(np.column_stack([hull.normals, hull.offsets]), 9), axis=0)
+        return planes[:, :3], planes[:, 3]
 
 
 GroundBody = HalfSpace | ConvexGround
@@ -131,7 +184,7 @@ def _height_of(face: Patch) -> tuple[np.ndarray, float]:
 
 def _touch(first: np.ndarray, second: np.ndarray) -> bool:
     """Whether two convex polygons (k, 3), (n, 3) touch or overlap as seen from above."""
-    for polygon in (_outline(first), _outline(second)):
+    for polygon in (_from_above(first), _from_above(second)):
         for inward, _ in _edges(polygon):
             one, other = first @ inward, second @ inward
             if one.max() < other.min() - SAME or other.max() < one.min() - SAME:
@@ -139,11 +192,9 @@ def _touch(first: np.ndarray, second: np.ndarray) -> bool:
     return True
 
 
-def _outline(points: np.ndarray) -> np.ndarray:
+def _from_above(points: np.ndarray) -> np.ndarray:
     """Corners (k, 3), counter-clockwise from above, of the convex hull of points as seen from above."""
-    from scipy.spatial import ConvexHull
-
-    return np.asarray(points[ConvexHull(points[:, :2]).vertices])
+    return np.asarray(points[outline(points[:, :2])])
 
 
 def _edges(polygon: np.ndarray) -> list[_HalfPlane]:
@@ -160,7 +211,7 @@ def _is_ground(tops: np.ndarray, terrain: PiecewiseTerrain) -> bool:
         if normal[2] <= SAME:
             continue
         on = body.points[body.points @ normal >= offset - SAME]
-        if not _is_covered(_outline(on), -normal / normal[2] * [1, 1, 0], offset / normal[2], terrain):
+        if not _is_covered(_from_above(on), -normal / normal[2] * [1, 1, 0], offset / normal[2], terrain):
             return False
     return True
 

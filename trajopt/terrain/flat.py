@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class FlatGround:
             raise InputError(f"normal of the ground is {self.normal}", "allowed: upwards, z > 0")
         object.__setattr__(self, "normal", tuple(normal.tolist()))
 
-    @property
+    @cached_property
     def surface(self) -> Surface:
         """The ground as a surface that contacts touch."""
         point = np.array([0.0, 0.0, self.height])

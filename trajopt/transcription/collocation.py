@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
 
 from trajopt.robot.units import Units
 from trajopt.transcription.layout import Layout
+from trajopt.transcription.sparse_maps import SparseMatrix
 from trajopt.transcription.timeline import NodeLayout, StageKind
 
 
@@ -55,7 +55,7 @@ class Collocation:
         windows = [self.window_scale(k) for k in range(self.layout.n_stages)]
         return np.concatenate([*windows, self.node_scale(self.layout.forms[-1])])
 
-    def point_gather(self, stage: int, i: int) -> sparse.csr_matrix:
+    def point_gather(self, stage: int, i: int) -> SparseMatrix:
         """Return the map to z of a point: rotations, xi, xi', xi'', wrenches, the phase's time scale."""
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         scheme, form = layout.scheme_of(phase), layout.form_of(phase)
@@ -63,9 +63,9 @@ class Collocation:
         eye = np.eye(layout.window_size(stage))
         highest = eye[layout.local_derivative(phase, i)]
         rows = [eye[form.rotations], *lower, highest, eye[layout.local_wrench(phase, i)]]
-        return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
+        return SparseMatrix.of(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 
-    def moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> sparse.csr_matrix:
+    def moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> SparseMatrix:
         """Return the map to z at a fraction of an interval, with the wrenches of the contacts ``loads``."""
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         key = phase, float(layout.steps[stage]), fraction, loads
@@ -74,11 +74,11 @@ class Collocation:
         return self._moment_gathers[key]
 
     @cached_property
-    def _moment_gathers(self) -> dict[tuple[int, float, float, tuple[str, ...]], sparse.csr_matrix]:
+    def _moment_gathers(self) -> dict[tuple[int, float, float, tuple[str, ...]], SparseMatrix]:
         """Maps that were asked for: those of many pairs of bodies are the same."""
         return {}
 
-    def _moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> sparse.csr_matrix:
+    def _moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> SparseMatrix:
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         scheme, form = layout.scheme_of(phase), layout.form_of(phase)
         lower = self._lower_derivatives(stage, fraction, *scheme.lower_at(fraction))
@@ -90,55 +90,55 @@ class Collocation:
         highest = np.einsum("j,jin->in", weights, np.array([eye[derivative] for derivative, _ in places]))
         wrench = np.einsum("j,jin->in", weights, np.array([eye[derivative] for _, derivative in places]))
         rows = [eye[form.rotations], *lower, highest, wrench[loaded]]
-        return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
+        return SparseMatrix.of(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 
-    def impact_gather(self, k: int) -> sparse.csr_matrix:
+    def impact_gather(self, k: int) -> SparseMatrix:
         """Return the map to z of an impact: rotations, xi, rates, their jump, impulses, the time scale."""
         layout, form = self.layout, self.layout.forms[k]
         eye = np.eye(layout.window_size(k))
         jump, impulse = eye[layout.local_jump(k)], eye[layout.local_impulse(k)]
         rows = [eye[form.rotations], self._positions(eye, form), eye[form.rates], jump, impulse]
-        return sparse.csr_matrix(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(k))
+        return SparseMatrix.of(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(k))
 
-    def node_gather(self, form: NodeLayout) -> sparse.csr_matrix:
+    def node_gather(self, form: NodeLayout) -> SparseMatrix:
         """Return the map to z of a node: its own variables."""
-        return sparse.csr_matrix(np.diag(self.node_scale(form)))
+        return SparseMatrix.of(np.diag(self.node_scale(form)))
 
-    def end_gather(self, stage: int) -> sparse.csr_matrix:
+    def end_gather(self, stage: int) -> SparseMatrix:
         """Return the map to z at an interval's end: rotations, theta, and theta' if there are rates."""
         layout, form = self.layout, self.layout.forms[stage]
         rotation = form.coordinates.rotation_index
         eye = np.eye(layout.window_size(stage))
         ends = [matrix[rotation] for matrix in self._end_derivatives(stage)]
-        return sparse.csr_matrix(np.vstack([eye[form.rotations], *ends]) * self.window_scale(stage))
+        return SparseMatrix.of(np.vstack([eye[form.rotations], *ends]) * self.window_scale(stage))
 
     def linear_part(
         self,
         gap_rows: list[np.ndarray],
-        others: list[tuple[np.ndarray, sparse.coo_matrix]],
+        others: list[tuple[np.ndarray, SparseMatrix]],
         n_rows: int,
-    ) -> sparse.csr_matrix:
+    ) -> SparseMatrix:
         """Rows (n_rows, n_unknowns): identity of the next node minus the linear part of the map to it.
 
         ``others`` are further linear rows: their indices and coefficients over all variables.
         """
         layout = self.layout
         rows = [numbers[matrix.row] for numbers, matrix in others]
-        columns = [matrix.col for _, matrix in others]
+        columns = [matrix.indices for _, matrix in others]
         values = [matrix.data for _, matrix in others]
         for k in range(layout.n_stages):
             block = self._linear_map(k)
             scaled = block * self.window_scale(k) / self.node_scale(layout.forms[k + 1])[:, None]
-            local = sparse.coo_matrix(-scaled)
-            rows.append(gap_rows[k][local.row])
-            columns.append(layout.node_offset[k] + local.col)
-            values.append(local.data)
+            local = np.nonzero(scaled)
+            rows.append(gap_rows[k][local[0]])
+            columns.append(layout.node_offset[k] + local[1])
+            values.append(-scaled[local])
             node = layout.node(k + 1)
             rows.append(gap_rows[k])
             columns.append(np.arange(node.start, node.stop))
             values.append(np.ones(node.stop - node.start))
-        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-        return sparse.csr_matrix(entries, shape=(n_rows, layout.n_unknowns))
+        entries = (np.concatenate(part) for part in (rows, columns, values))
+        return SparseMatrix.of_entries((n_rows, layout.n_unknowns), *entries)
 
     def _linear_map(self, k: int) -> np.ndarray:
         """Linear part (size, window) of the map from the window of stage k to the next node, unscaled."""

@@ -5,11 +5,10 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from scipy import sparse
 
 from trajopt.robot.contact import Contact
 from trajopt.robot.units import Units
@@ -21,6 +20,9 @@ from trajopt.transcription.symbols import Label, SymbolNames, coordinate_labels,
 from trajopt.transcription.term_functions import TermFunctions
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 # Block of the bounds of variables.
 BOUNDS = "bounds"
@@ -73,7 +75,7 @@ class NlpNames:
         return self.transcription.layout.times(self.x * self.transcription.scale)
 
     @cached_property
-    def _jacobian(self) -> sparse.csr_matrix:
+    def _jacobian(self) -> "sparse.csr_matrix":
         return self.nlp.jacobian(self.x)
 
     # Places

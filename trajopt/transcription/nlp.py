@@ -2,10 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from trajopt import _engine
 from trajopt.errors import InputError, shown
@@ -13,6 +12,9 @@ from trajopt.transcription.compilation import CompiledPoint
 from trajopt.transcription.hessians import DEFAULT_HESSIAN
 from trajopt.transcription.sparse_maps import DerivativeMap, hessian_map, jacobian_map
 from trajopt.transcription.transcription import FunctionGroup, Transcription
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +35,10 @@ class Nlp:
     parts: Mapping[str, Any] = field(repr=False)
     hessian: str = DEFAULT_HESSIAN
 
-    def jacobian(self, x: np.ndarray) -> sparse.csr_matrix:
+    def jacobian(self, x: np.ndarray) -> "sparse.csr_matrix":
         """Jacobian (n_rows, n_unknowns) of the rows at scaled variables ``x`` (n_unknowns,)."""
+        from scipy import sparse  # takes a while to load
+
         entries = np.array(self.engine.jacobian(x)), (self.row, self.column)
         return sparse.csr_matrix(entries, shape=(self.transcription.n_rows, len(x)))
 
@@ -73,8 +77,8 @@ def assemble(
         raise InputError(f"threads is {shown(threads)}", "allowed: 1 or more")
     n = transcription.layout.n_unknowns
     jacobian, curvature = _Pattern(n), _Pattern(n)
-    linear = transcription.linear.tocoo()
-    linear_key = jacobian.add(linear.row, linear.col)
+    linear = transcription.linear
+    linear_key = jacobian.add(linear.row, linear.indices)
     prepared = []
     for group in transcription.groups:
         point = compiled[id(group.point)]
@@ -94,13 +98,12 @@ def assemble(
         _engine_group(group, point, offset, first, jacobian.places(k1), second, curvature.places(k2))
         for group, point, offset, first, k1, second, k2 in prepared
     ]
-    csr = transcription.linear
     parts: dict[str, Any] = {
         "n_x": n,
         "n_g": transcription.n_rows,
-        "a_indptr": csr.indptr.astype(np.int32),
-        "a_indices": csr.indices.astype(np.int32),
-        "a_data": csr.data,
+        "a_indptr": linear.indptr,
+        "a_indices": linear.indices,
+        "a_data": linear.data,
         "jac_row": row,
         "jac_col": column,
         "jac_const": constant,
@@ -137,8 +140,8 @@ def _engine_group(
         "second": point.second,
         "x_offset": np.ascontiguousarray(offset, dtype=np.int32),
         "nloc": gather.shape[1],
-        "gather_indptr": gather.indptr.astype(np.int32),
-        "gather_indices": gather.indices.astype(np.int32),
+        "gather_indptr": gather.indptr,
+        "gather_indices": gather.indices,
         "gather_data": gather.data,
         "p": np.ascontiguousarray(group.parameters),
         "cost_weight": np.ascontiguousarray(group.cost_weight),

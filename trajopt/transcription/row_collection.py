@@ -4,10 +4,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import sparse
 
 from trajopt.terms.interfaces import Rows
 from trajopt.transcription.layout import Layout
+from trajopt.transcription.sparse_maps import SparseMatrix
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,21 +26,21 @@ class LinearRows:
 
     name: str
     node: int
-    coefficients: sparse.coo_matrix
+    coefficients: SparseMatrix
     lower: np.ndarray
     upper: np.ndarray
 
 
-def over_unknowns(layout: Layout, blocks: Iterable[tuple[int, np.ndarray]]) -> sparse.coo_matrix:
+def over_unknowns(layout: Layout, blocks: Iterable[tuple[int, np.ndarray]]) -> SparseMatrix:
     """Rows over all variables from blocks over nodes, (node, (n, size))."""
     rows, columns, values, n = [], [], [], 0
     for node, block in blocks:
-        local, n = sparse.coo_matrix(block), len(block)
-        rows.append(local.row)
-        columns.append(layout.node(node).start + local.col)
-        values.append(local.data)
-    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return sparse.coo_matrix(entries, shape=(n, layout.n_unknowns))
+        local, n = np.nonzero(block), len(block)
+        rows.append(local[0])
+        columns.append(layout.node(node).start + local[1])
+        values.append(block[local])
+    entries = (np.concatenate(part) for part in (rows, columns, values))
+    return SparseMatrix.of_entries((n, layout.n_unknowns), *entries)
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Constant sparse maps of derivatives through z = G xi: built once, applied by the engine.
+"""Constant sparse matrices and maps of derivatives through z = G xi: built once, applied by the engine.
 
 The engine computes, for every stage, target_t = sum_e coefficient_e * nonzero[source_e] over the
 entries e of t: from nonzeros of a point function's derivatives to nonzeros of the NLP's matrices.
@@ -7,10 +7,55 @@ entries e of t: from nonzeros of a point function's derivatives to nonzeros of t
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 # Rows and columns of nonzeros.
 Pattern = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class SparseMatrix:
+    """A matrix of ``shape`` in compressed sparse rows, as SciPy's, which takes a while to load.
+
+    Row i has ``data`` from ``indptr[i]`` to ``indptr[i + 1]``, in the columns ``indices``, which ascend.
+    """
+
+    shape: tuple[int, int]
+    indptr: np.ndarray
+    indices: np.ndarray
+    data: np.ndarray
+
+    @classmethod
+    def of_entries(
+        cls, shape: tuple[int, int], row: np.ndarray, column: np.ndarray, value: np.ndarray
+    ) -> "SparseMatrix":
+        """The sum of entries in any order; entries that are zero are kept."""
+        key = row.astype(np.int64) * shape[1] + column
+        order = np.argsort(key, kind="stable")
+        key = key[order]
+        first = np.flatnonzero(np.diff(key, prepend=-1))
+        of_row, of_column = np.divmod(key[first], max(shape[1], 1))
+        data = np.add.reduceat(value[order], first) if len(first) else np.zeros(0)
+        counts = np.bincount(of_row, minlength=shape[0])
+        indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        return cls(shape, indptr, of_column.astype(np.int32), data)
+
+    @classmethod
+    def of(cls, matrix: np.ndarray) -> "SparseMatrix":
+        """The nonzeros of a matrix."""
+        row, column = np.nonzero(matrix)
+        indptr = np.searchsorted(row, np.arange(len(matrix) + 1)).astype(np.int32)
+        return cls(matrix.shape, indptr, column.astype(np.int32), matrix[row, column])
+
+    @property
+    def row(self) -> np.ndarray:
+        """Row of every entry."""
+        return np.repeat(np.arange(self.shape[0], dtype=np.int32), np.diff(self.indptr))
+
+    def toarray(self) -> np.ndarray:
+        """The matrix, dense."""
+        dense = np.zeros(self.shape)
+        dense[self.row, self.indices] = self.data
+        return dense
 
 
 @dataclass(frozen=True)
@@ -24,7 +69,7 @@ class DerivativeMap:
     coefficient: np.ndarray
 
 
-def _expand(matrix: sparse.csr_matrix, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _expand(matrix: SparseMatrix, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Entries of the listed rows: (position in the list, column, value)."""
     counts = np.diff(matrix.indptr)[rows]
     which = np.repeat(np.arange(len(rows)), counts)
@@ -55,14 +100,14 @@ def _collect(
     )
 
 
-def jacobian_map(pattern: Pattern, gather: sparse.csr_matrix, row_scale: np.ndarray) -> DerivativeMap:
+def jacobian_map(pattern: Pattern, gather: SparseMatrix, row_scale: np.ndarray) -> DerivativeMap:
     """Map of d phi / dz with ``pattern`` to scaled rows over the window's variables."""
     rows, columns = (part.astype(np.int64) for part in pattern)
     which, unknown, value = _expand(gather, columns)
     return _collect(rows[which], unknown, which, value * row_scale[rows[which]], gather.shape[1])
 
 
-def hessian_map(pattern: Pattern, gather: sparse.csr_matrix) -> DerivativeMap:
+def hessian_map(pattern: Pattern, gather: SparseMatrix) -> DerivativeMap:
     """Map of the lower triangle of d2 gamma / dz2 to the lower triangle over the window's variables."""
     lower = [part.astype(np.int64) for part in pattern]
     off_diagonal = np.flatnonzero(lower[0] != lower[1])

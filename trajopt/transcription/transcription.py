@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from trajopt.errors import InputError, shown
 from trajopt.problem.problem import Problem
@@ -21,6 +20,7 @@ from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.moment_rows import MomentPlace, alike, moments_by_stage
 from trajopt.transcription.row_collection import RowCollection, RowInfo
 from trajopt.transcription.schedule_rows import schedule_rows
+from trajopt.transcription.sparse_maps import SparseMatrix
 from trajopt.transcription.stage_functions import PointFunction
 from trajopt.transcription.term_functions import StageTerms, TermFunctions
 from trajopt.transcription.timeline import StageKind
@@ -38,7 +38,7 @@ class FunctionGroup:
     """
 
     point: PointFunction
-    gather: sparse.csr_matrix
+    gather: SparseMatrix
     stages: np.ndarray
     rows: np.ndarray
     row_scale: np.ndarray
@@ -63,7 +63,7 @@ class Transcription:
     groups: tuple[FunctionGroup, ...]
     rows: RowInfo
     n_rows: int
-    linear: sparse.csr_matrix
+    linear: SparseMatrix
     lower_g: np.ndarray
     upper_g: np.ndarray
     lower_x: np.ndarray
@@ -119,7 +119,7 @@ class Transcriber:
         self.functions = TermFunctions(problem, self.layout, units)
         self.moments = moments_by_stage(problem, self.layout)
         self.time = units[id(self.layout.forms[0].robot)].time
-        self.linear_rows: list[tuple[np.ndarray, sparse.coo_matrix]] = []
+        self.linear_rows: list[tuple[np.ndarray, SparseMatrix]] = []
         self.rows = RowCollection()
         self.groups: list[FunctionGroup] = []
 
@@ -321,7 +321,7 @@ def objective_unit(problem: Problem) -> float:
 
 
 def _gap_group(
-    point: PointFunction, gather: sparse.csr_matrix, stages: np.ndarray, rows: np.ndarray, scale: np.ndarray
+    point: PointFunction, gather: SparseMatrix, stages: np.ndarray, rows: np.ndarray, scale: np.ndarray
 ) -> FunctionGroup:
     """Nonlinear part of the map to the next node, x_next - F = 0; ``scale`` of the rows' entries."""
     return FunctionGroup(

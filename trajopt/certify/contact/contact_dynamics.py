@@ -14,11 +14,17 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 from trajopt import _numeric
 from trajopt.arguments import checked
-from trajopt.certify.contact.contact_response import ContactRank, contact_rank, contact_response, mass_factor
+from trajopt.certify.contact.contact_response import (
+    ContactRank,
+    cholesky,
+    cholesky_solve,
+    contact_rank,
+    contact_response,
+    mass_factor,
+)
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.dynamics.base_joint import BASE_ROWS, base_of
 from trajopt.dynamics.model_quantities import generalized_force, without_rolling
@@ -64,7 +70,7 @@ def forward_dynamics(
     require_arrays({"q": (q, model.nq), "v": (v, model.nv), "tau": (tau, model.nv)})
     data = model.createData()
     lower = mass_factor(pin.crba(model, data, q))
-    free = dpotrs(lower, tau - pin.nle(model, data, q, v), lower=1)[0]
+    free = cholesky_solve(lower, tau - pin.nle(model, data, q, v))
     rows = contact_kinematics(model, data, q, v, contacts)
     response = contact_response(lower, contacts, rows.jacobian)
     change, forces = response.least(-contacts.scale * (rows.drift + rows.jacobian @ free))
@@ -188,10 +194,10 @@ class ContactDynamics:
         force = generalized_force - pin.nle(model, data, q, v)
         if e is not None:  # for the rates y of v = E y
             mass, force = e.T @ (np.tril(mass) + np.tril(mass, -1).T) @ e, e.T @ force
-        lower, failed = dpotrf(mass, lower=1)
-        if failed:
+        lower = cholesky(mass)
+        if lower is None:
             return np.full(model.nv, np.nan)
-        change = dpotrs(lower, force, lower=1)[0]
+        change = cholesky_solve(lower, force)
         if contacts.n_rows:
             rows = contact_kinematics(model, data, q, v, contacts)
             jacobian = rows.jacobian if e is None else rows.jacobian @ e

@@ -9,8 +9,6 @@ with twice as many digits.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.blas import dtrsm, dtrsv
-from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.errors import InputError
@@ -20,7 +18,7 @@ from trajopt.errors import InputError
 RANK_TOLERANCE = 1e-8
 # Entries of a projector on dependent rows; coupled rows have entries of order one.
 COUPLED = 1e-6
-# Reciprocal condition of B^T B down to which its Cholesky factor is used: it loses half the digits
+# Reciprocal condition of B^T B down to which it is solved with: that loses half the digits
 # at most. Below, the singular values of B decide.
 WELL_CONDITIONED = 1e-8
 
@@ -89,22 +87,38 @@ class ContactResponse:
         norm = float(np.abs(gram).sum(axis=0).max())
         if not np.isfinite(norm):
             return np.full(len(self.lower), np.nan)
-        factor, failed = dpotrf(gram, lower=1)
-        smallest = 0.0 if failed else norm * dpocon(factor, norm, uplo="L")[0]
-        if smallest > WELL_CONDITIONED * max(norm, self.unit**2):
-            return self._unwhitened(self.whitened @ dpotrs(factor, wanted, lower=1)[0])
+        try:
+            solved = np.linalg.solve(gram, np.column_stack([np.eye(len(gram)), wanted]))
+        except np.linalg.LinAlgError:
+            return self.least(wanted)[0]
+        of_inverse = float(np.abs(solved[:, :-1]).sum(axis=0).max())
+        if WELL_CONDITIONED * max(norm, self.unit**2) * of_inverse < 1.0:
+            return self._unwhitened(self.whitened @ solved[:, -1])
         return self.least(wanted)[0]
 
     def _unwhitened(self, y: np.ndarray) -> np.ndarray:
-        return dtrsv(self.lower, y, lower=1, trans=1)
+        return np.linalg.solve(self.lower.T, y)
 
 
 def mass_factor(mass: np.ndarray) -> np.ndarray:
     """Return lower L with M = L L^T of M's upper triangle; `InputError` unless it is positive definite."""
-    lower, failed = dpotrf(mass.T, lower=1)
-    if failed:
+    lower = cholesky(mass.T)
+    if lower is None:
         raise InputError("the mass matrix is not positive definite", "bodies with mass, or armature")
     return lower
+
+
+def cholesky(matrix: np.ndarray) -> np.ndarray | None:
+    """Lower factor of a matrix's lower triangle, None unless it is positive definite."""
+    try:
+        return np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def cholesky_solve(lower: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution x of L L^T x = ``right``."""
+    return np.linalg.solve(lower.T, np.linalg.solve(lower, right))
 
 
 def contact_response(lower: np.ndarray, contacts: ContactSet, jacobian: np.ndarray) -> ContactResponse:
@@ -112,8 +126,7 @@ def contact_response(lower: np.ndarray, contacts: ContactSet, jacobian: np.ndarr
     unit = contacts.moment_arm / float(np.sqrt((lower * lower).sum(axis=1).max()))
     if not contacts.n_rows:
         return ContactResponse(lower, np.zeros((len(lower), 0)), unit)
-    # Not LAPACK's dtrtrs: it wakes threads for the smallest of matrices, milliseconds on busy cores.
-    return ContactResponse(lower, dtrsm(1.0, lower, (contacts.scale[:, None] * jacobian).T, lower=1), unit)
+    return ContactResponse(lower, np.linalg.solve(lower, (contacts.scale[:, None] * jacobian).T), unit)
 
 
 def numeric_rank(singular: np.ndarray, unit: float) -> int:

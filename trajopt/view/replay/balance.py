@@ -19,13 +19,13 @@ from typing import Any
 import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
-from scipy.spatial import ConvexHull, QhullError
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.dynamics.model_quantities import mass_of
 from trajopt.motion.carried import carrying_model
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solution.solution import Solution
+from trajopt.terrain.bodies import outline
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface, frame_of_normal
 from trajopt.view.replay import parts
 from trajopt.view.replay.commands import Animation, hold_while_hidden
@@ -164,13 +164,13 @@ def _touching(solution: Solution, motion: ReplayMotion, row: int, contact: int) 
 def _hull(points: np.ndarray, plane: Surface) -> np.ndarray:
     """Points (k, 3) on the convex hull along the plane's normal, in order; the ends of points on a line."""
     level = (points - plane.point) @ plane.tangents.T
-    try:
-        return np.asarray(points[ConvexHull(level).vertices])
-    except (QhullError, ValueError):  # too few, or all on one line
-        way = level - level[0]
-        along = way @ way[np.argmax(np.linalg.norm(way, axis=1))]
-        ends = [int(np.argmin(along)), int(np.argmax(along))]
-        return points[ends] if along.any() else points[:1]
+    corners = outline(level)
+    if len(corners) > 2:
+        return np.asarray(points[corners])
+    way = level - level[0]
+    along = way @ way[np.argmax(np.linalg.norm(way, axis=1))]
+    ends = [int(np.argmin(along)), int(np.argmax(along))]
+    return points[ends] if along.any() else points[:1]
 
 
 def on_ground(solution: Solution, places: np.ndarray) -> np.ndarray:

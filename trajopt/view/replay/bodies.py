@@ -11,6 +11,7 @@ from trajopt.collision.coal_shapes import thick
 from trajopt.collision.shapes import BoxObstacle, Obstacle
 from trajopt.solution.description import CarriedBody
 from trajopt.solution.solution import Solution
+from trajopt.terrain.bodies import convex_hull
 from trajopt.view.replay.commands import Animation, hold_while_hidden, without_shadow
 from trajopt.view.replay.parts import ColouredMeshGeometry, box_corners, colour_array, draw_capsule
 from trajopt.view.replay.robot import box_of_inertia
@@ -75,11 +76,8 @@ def _unshadowed(node: Any, shape: Any, placement: pin.SE3) -> None:
 
 def _faces(points: np.ndarray) -> ColouredMeshGeometry:
     """Faces of the hull of points (n, 3) m, each with its own normal."""
-    from scipy.spatial import ConvexHull  # takes a while to load
-
-    solid = thick(points)
-    hull = ConvexHull(solid)
-    corners, outward = solid[hull.simplices], hull.equations[:, :3]
+    hull = convex_hull(thick(points))
+    corners, outward = hull.corners[hull.triangles], hull.normals
     turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inside_out = np.sum(turned * outward, axis=1) < 0
     corners[inside_out] = corners[inside_out][:, ::-1]

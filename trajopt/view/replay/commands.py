@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import umsgpack
-from scipy.spatial.transform import Rotation
 
 # Largest error of thinned tracks: positions and scales over the robot's extent, angles in rad (0.03 degrees).
 POSITION_ERROR, ANGLE_ERROR = 2e-4, 5e-4
@@ -96,7 +95,7 @@ class Animation:
     def place(self, node: Any, placements: np.ndarray) -> None:
         """Animate position and rotation of ``node``: a placement (4, 4) a frame."""
         self.add(node, "position", placements[:, :3, 3])
-        self.add(node, "quaternion", Rotation.from_matrix(placements[:, :3, :3]).as_quat())
+        self.add(node, "quaternion", quaternions(placements[:, :3, :3]))
 
     def command(self) -> ViewerCommand:
         """Return the message that loads the animation and plays it in a loop."""
@@ -114,6 +113,24 @@ def without_shadow(node: Any) -> None:
     """Let the object of ``node`` cast no shadow; Meshcat's own set_property loses the capital of the name."""
     message = {"type": "set_property", "property": "castShadow", "value": False}
     node.window.send(ViewerCommand({**message, "path": node["<object>"].path.lower()}))
+
+
+def quaternions(rotations: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4), as three.js takes them, of rotation matrices (n, 3, 3).
+
+    The longest column of 4 q q^T, which is linear in the matrix.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(rotations, 0, 2)
+    columns = [
+        [1 + a - e - i, b + d, c + g, h - f],
+        [b + d, 1 - a + e - i, f + h, c - g],
+        [c + g, f + h, 1 - a - e + i, d - b],
+        [h - f, c - g, d - b, 1 + a + e + i],
+    ]
+    products = np.moveaxis(np.array(columns), 2, 0)
+    longest = np.argmax(np.einsum("nii->ni", products), axis=1)
+    found = products[np.arange(len(products)), longest]
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
 def turns_to(directions: np.ndarray) -> np.ndarray:
