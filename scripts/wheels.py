@@ -3,8 +3,8 @@
     uv run --group wheels python -m scripts.wheels --output dist [--python 3.12 --python /usr/bin/python3]
 
 Libraries of the wheels of CasADi and Pinocchio, which lie beside the package, are used and not copied. The
-platform's tag is the oldest glibc that the compiled code runs on: that of the machine it was built on, or an older
-one. In the image manylinux_2_28 of the Python Packaging Authority it is the tag of CasADi and Pinocchio.
+platform's tag is the oldest glibc that the compiled code runs on: that of the machine it was built on, or
+older. In the image manylinux_2_28 of the Python Packaging Authority it is the tag of CasADi and Pinocchio.
 """
 
 import json

@@ -2,6 +2,7 @@
 #include "../dynamics/numeric.hpp"
 
 #include <Eigen/Cholesky>
+#include <Eigen/Geometry>
 #include <Eigen/LU>
 
 #include <algorithm>
