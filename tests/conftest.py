@@ -20,9 +20,12 @@ pytest.register_assert_rewrite("tests.support", "tests.extremes")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark as ``quick`` what is neither ``long`` nor ``slow``."""
+    """Mark as ``quick`` the first case of each test that is neither ``long`` nor ``slow``."""
+    seen = set()
     for item in items:
-        if item.get_closest_marker("long") is None and item.get_closest_marker("slow") is None:
+        test = item.nodeid.partition("[")[0]
+        if test not in seen and not {"long", "slow"} & {mark.name for mark in item.iter_markers()}:
+            seen.add(test)
             item.add_marker(pytest.mark.quick)
 
 

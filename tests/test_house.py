@@ -9,6 +9,7 @@ from tests.support.repository import ROOT
 TESTS = ROOT / "tests"
 # `from trajopt.ROOM.MODULE import NAMES`, in code and in blocks of documents.
 IMPORTS = re.compile(r"^\s*from (trajopt\.[\w.]+) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+SELDOM = re.compile(r"mark\.(long|slow)")
 ROOMS = {path.parent.name for path in (ROOT / "trajopt").glob("*/__init__.py")}
 
 
@@ -36,6 +37,22 @@ def test_no_file_imports_a_test_file():
 
 def test_every_room_has_a_folder_of_tests():
     assert {room for room in ROOMS if not list((TESTS / room).glob("test_*.py"))} == set()
+
+
+def test_every_room_has_quick_tests():
+    """Files that are not ``long`` or ``slow`` as a whole, with a test that is neither."""
+    lacking = {folder.name for folder in TESTS.iterdir() if list(folder.glob("test_*.py"))}
+    for path in TESTS.glob("*/test_*.py"):
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        marks = [ast.unparse(node) for node in body if isinstance(node, ast.Assign)]
+        tests = [node for node in body if getattr(node, "name", "").startswith("test_")]
+        alone = [
+            [ast.unparse(mark) for mark in test.decorator_list if "parametrize" not in ast.unparse(mark)]
+            for test in tests
+        ]
+        if not any(SELDOM.search(mark) for mark in marks if mark.startswith("pytestmark")):
+            lacking -= {path.parent.name for marks in alone if not SELDOM.search(" ".join(marks))}
+    assert lacking == set()
 
 
 def test_no_public_name_of_a_room_is_also_one_of_its_modules():

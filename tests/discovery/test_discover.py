@@ -117,7 +117,7 @@ def test_the_nearest_part_of_a_way_that_is_too_far():
         return task_to(robot, Destination(x=3.0 * part, duration=1.2))
 
     assert not discover(make(1.0), seeds=1).best
-    part, found = nearest_reached(make, halvings=4, seeds=1)
+    part, found = nearest_reached(make, halvings=2, seeds=1)
     assert 0 < part < 1
     assert found.best
 
