@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.problems import hop
+from tests.support.solved_problems import motion
 from tests.support.synthetic_motions import sampled, tumbling_flight
 from trajopt import Solution
 from trajopt.certify.contact.contact_dynamics import forward_dynamics
@@ -49,7 +50,7 @@ def integrated(tracker: Tracker, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarr
 @pytest.mark.parametrize("rate", [400.0, 430.0, 470.0])
 def test_accelerations_of_periods_in_which_a_contact_lifts_give_their_change_of_velocity(rate: float) -> None:
     """Else a part of a period's contact force is given or lost; to second order in the period."""
-    plan = trajopt.solve(trajopt.load("hopper-hop"))
+    plan = motion("hopper-hop")
     found = reference_of(plan, rate)
     lifts = np.flatnonzero(found.active[:-1].any(axis=1) & ~found.active[1:].any(axis=1))
     assert len(lifts)
@@ -61,7 +62,7 @@ def test_accelerations_of_periods_in_which_a_contact_lifts_give_their_change_of_
 
 @pytest.fixture(scope="module")
 def rising() -> Solution:
-    return trajopt.solve(trajopt.load("quadruped-stand-up", robot="solo12"))
+    return motion("quadruped-stand-up", robot="solo12")
 
 
 @pytest.mark.long

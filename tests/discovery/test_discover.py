@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import trajopt
+from tests.support.solved_problems import motion
 from trajopt.discovery import ContactTask, Destination, discover, relaxed_motion, search, task_to
 from trajopt.discovery.gait_likeness import nearest_gait
 from trajopt.discovery.goal import obstacle
@@ -29,7 +30,7 @@ def hop():
 
 
 def test_a_hop_is_found_and_costs_no_more_than_the_librarys_own(hop):
-    own = trajopt.solve(problems.load("hopper-hop"))
+    own = motion("hopper-hop")
     best = hop.best[0]
     assert best.objective <= 1.05 * own.statistics.objective
     assert not trajopt.check(best.solution).failures()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.command_lines import assert_refused, invoke
+from tests.support.solved_problems import motion
 from trajopt import Solution, load, simulate, solve
 from trajopt.errors import InputError
 from trajopt.motion.samples import contact_places
@@ -24,8 +25,8 @@ def problem() -> Problem:
 
 
 @pytest.fixture(scope="module")
-def jump(problem: Problem) -> Solution:
-    return solve(problem)
+def jump() -> Solution:
+    return motion("solo12-jump")
 
 
 def test_the_clock_of_a_plan_ends_with_its_last_contacts_without_end() -> None:
@@ -112,5 +113,5 @@ def test_the_command_simulates_a_file_by_plans_made_anew(jump: Solution, tmp_pat
     assert done.exit_code == 0, done.stderr
     assert "tracked" in done.stdout
     assert_refused(invoke(*again, "--kp", 2), "--kp has no effect here")
-    arm = solve(load("ur5-reach")).save(tmp_path / "reach.npz")
+    arm = motion("ur5-reach").save(tmp_path / "reach.npz")
     assert_refused(invoke("simulate", arm, *again[2:]), "robot 'ur5' has a fixed base")
