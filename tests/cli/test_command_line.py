@@ -97,6 +97,7 @@ def test_json_of_a_solve_is_one_object_with_the_agreed_keys(hop: Result) -> None
     assert report["parameters"]["distance"] == pytest.approx(0.1)  # given as 10cm
 
 
+@pytest.mark.long
 def test_default_output_is_named_for_the_settings(hop_file: Path) -> None:
     assert hop_file.name == "solo12-jump-distance=10cm-intervals=12.npz"
     assert Solution.load(hop_file).converged
@@ -116,6 +117,7 @@ def test_check_beyond_tolerance_ends_with_one(hop_file: Path) -> None:
     assert strict(invoke("check", hop_file, "--json").stdout)["ok"] is False
 
 
+@pytest.mark.long
 def test_summary_says_where_the_file_is_and_what_is_beyond(tmp_path: Path) -> None:
     target = tmp_path / "no suffix"
     result = invoke(*HOP, "--output", target)
@@ -127,6 +129,7 @@ def test_summary_says_where_the_file_is_and_what_is_beyond(tmp_path: Path) -> No
     assert Solution.load(target).converged
 
 
+@pytest.mark.long
 def test_solve_leaves_the_handler_of_ctrl_c_as_it_was(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
     assert invoke(*SMALL, "--output", tmp_path / "x.npz").exit_code == 1
@@ -259,6 +262,7 @@ def test_what_could_steer_a_terminal_is_escaped(capsys: pytest.CaptureFixture[st
     ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_cache_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TRAJOPT_CACHE_DIR", "/proc/none")
     result = invoke(*SMALL, "--output", tmp_path / "x.npz")

@@ -9,6 +9,8 @@ from tests.support.command_lines import assert_refused, invoke
 from trajopt.schedule import Schedule
 from trajopt.solution.solution import Solution
 
+pytestmark = pytest.mark.long
+
 QUICK = ("--seeds", 1, "--jobs", 1)
 
 

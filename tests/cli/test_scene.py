@@ -44,6 +44,7 @@ def test_explain_says_what_is_modelled_what_is_not_and_why_before_it_solves(
     assert "beyond 30 m g l" in text
 
 
+@pytest.mark.long
 def test_the_file_of_a_scene_is_the_whole_robots(explained: tuple[Result, Path]) -> None:
     solution = Solution.load(explained[1])
     assert solution.model.nv == 18

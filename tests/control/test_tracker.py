@@ -111,6 +111,7 @@ def test_momentum_and_energy_are_those_of_a_tracked_flight() -> None:
         assert np.abs(pin.difference(plan.model, planned, own)[6:]).max() < 5e-3
 
 
+@pytest.mark.long
 def test_without_contact_the_feet_are_pressed_down(rising: Solution) -> None:
     tracker = Tracker(rising, rate=RATE)
     none, all_ = np.zeros(4, dtype=bool), np.ones(4, dtype=bool)
@@ -135,6 +136,7 @@ def test_solvers_and_gains_are_chosen_by_a_word(rising: Solution) -> None:
     assert RELAXED[int(np.argmax(tracker.counts.relaxed))] == "nothing"
 
 
+@pytest.mark.long
 def test_a_model_without_frames_of_joints_is_tracked() -> None:
     plan = trajopt.solve(hop())
     assert plan.success

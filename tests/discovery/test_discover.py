@@ -21,6 +21,8 @@ from trajopt.robot import contact_positions
 from trajopt.terrain import FlatGround, PiecewiseTerrain, SmoothTerrain, Wave
 from trajopt_library import problems, robots
 
+pytestmark = pytest.mark.long
+
 SLACK = 0.003  # the last one
 
 

@@ -15,6 +15,8 @@ from trajopt.solvers.status import Status
 from trajopt.solving.solving import solve
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 FINE = "legendre:3"
 # Open-loop error (rad) of an arm's second of motion on ten intervals of degree three, measured up to 1e-4.
 ARM = 5e-4
@@ -45,7 +47,6 @@ def ur5() -> dict[str, np.ndarray]:
     }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("singular", ["stretched", "wrist in line", "upright"])
 @pytest.mark.parametrize("end", ["start", "goal", "guess"])
 def test_arm_reaches_from_to_and_through_singular_postures(singular, end):
@@ -56,7 +57,6 @@ def test_arm_reaches_from_to_and_through_singular_postures(singular, end):
     assert_outcome(Solved(ARM), lambda: reach(arm, start, goal, guess=guess), transcription="legendre:3")
 
 
-@pytest.mark.long
 def test_pose_at_which_a_wrist_is_in_line_is_reached():
     postures, arm = ur5(), robots.load("ur5")
     end = pose_goal(arm, postures["wrist in line"], "tool0")
@@ -64,7 +64,6 @@ def test_pose_at_which_a_wrist_is_in_line_is_reached():
     assert_outcome(Solved(ARM), make, transcription="legendre:3")
 
 
-@pytest.mark.long
 def test_pose_at_full_stretch_stops_at_it_and_names_its_rows():
     """The pose is on the edge of what the arm reaches: there its rows lose rank and have no multipliers.
 
@@ -155,7 +154,6 @@ def test_quadruped_rises_from_nearly_folded_legs():
     )
 
 
-@pytest.mark.long
 def test_feet_at_the_hips_fail_with_their_rows_named():
     """Five of the twelve rows that hold the feet say nothing new at the start, and all others nearby."""
     robot = robots.load("solo12")

@@ -17,6 +17,8 @@ from trajopt.mpc.receding import ControllerSettings
 from trajopt.robot import Robot
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 TICK, SUBSTEPS = 2e-3, 2
 # A foot holds from this height on, m: what it has left when its stance begins.
 TOUCHED = 2e-3
@@ -96,7 +98,6 @@ def test_torques_depend_on_nothing_but_what_was_measured(robot: Robot) -> None:
     assert_array_equal(runs[0].torque, runs[1].torque)
 
 
-@pytest.mark.long
 def test_plans_made_by_a_thread_are_used_when_they_are_ready(robot: Robot) -> None:
     controller = Controller(robot, ("trot",), ControllerSettings(live=True))
     q, v, touching = robot.reference, np.zeros(robot.nv), np.ones(4, dtype=bool)
@@ -147,7 +148,6 @@ def test_robots_that_cannot_walk_are_refused() -> None:
         Controller(robots.load("g1"), ("trot",))
 
 
-@pytest.mark.long
 def test_no_horizon_is_made_in_the_loop(robot: Robot) -> None:
     """Whatever is asked for, and when: the patterns of all changes are there from the start."""
     controller = Controller(robot, ("trot", "pronk"))

@@ -92,6 +92,7 @@ def test_horizons_are_made_before_the_first_tick(problem: Problem, jump: Solutio
     assert len(controller.planner.horizons) == made
 
 
+@pytest.mark.long
 def test_what_cannot_be_planned_anew_is_one_line(problem: Problem, jump: Solution) -> None:
     with pytest.raises(InputError, match="plan of 'solo12' has other joints, contacts or another mass"):
         ReplanningController(robots.load("go2"), jump)

@@ -213,6 +213,7 @@ def test_a_solve_started_at_its_solution_ends_there(solver):
         assert again.statistics.iterations <= 1
 
 
+@pytest.mark.long
 def test_multipliers_of_the_sqp_start_ipopt():
     first = trajopt.solve(hop(), solver="sqp", tolerance=1e-8, fixed_mesh=True)
     again = trajopt.solve(hop(), start=first, fixed_mesh=True)
@@ -240,6 +241,7 @@ def test_multipliers_survive_the_file(tmp_path):
     assert trajopt.solve(hop(), start=tmp_path / "hop.npz", fixed_mesh=True).statistics.iterations <= 1
 
 
+@pytest.mark.long
 def test_a_solution_without_multipliers_starts_too(tmp_path):
     first = trajopt.solve(hop(), fixed_mesh=True)
     bare = replace(first, row_multiplier=None, row_place=None, bound_multiplier=None)
