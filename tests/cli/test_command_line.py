@@ -129,7 +129,6 @@ def test_summary_says_where_the_file_is_and_what_is_beyond(tmp_path: Path) -> No
     assert Solution.load(target).converged
 
 
-@pytest.mark.long
 def test_solve_leaves_the_handler_of_ctrl_c_as_it_was(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
     assert invoke(*SMALL, "--output", tmp_path / "x.npz").exit_code == 1

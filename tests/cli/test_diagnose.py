@@ -38,7 +38,6 @@ def test_a_failed_solve_points_to_its_diagnosis_and_its_file_is_diagnosed(folder
     assert diagnosis["conflict"]["giving"][0]["amount"] > 0
 
 
-@pytest.mark.long
 def test_diagnose_of_a_solve_is_printed_and_leaves_the_exit_status_alone(folder):
     grid = (*GRID, "--transcription", "legendre:4")
     words = ("solve", "ur5-reach", *grid, "--output", folder / "reach.npz", "--diagnose")

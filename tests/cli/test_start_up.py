@@ -43,7 +43,6 @@ def test_nothing_heavy_is_loaded_at_the_start(code: str) -> None:
     assert _heavy_after(code) == set()
 
 
-@pytest.mark.long
 def test_a_list_of_problems_loads_what_problems_are_built_of() -> None:
     assert _heavy_after(LIST) <= MODELS
 

@@ -68,7 +68,6 @@ def test_every_vertex_of_a_moving_link_is_in_a_capsule_of_it(name, source):
         assert deepest.min() > -ROUNDING, link
 
 
-@pytest.mark.long
 def test_capsules_are_the_same_each_time():
     first, second = (robot_capsules(robots.load("ur5")) for _ in range(2))
     assert [c.describe() for c in first] == [c.describe() for c in second]

@@ -20,6 +20,8 @@ from trajopt.control.reference import reference_of
 from trajopt.errors import InputError
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 RATE = 500.0
 SUBSTEPS = 4
 # Contacts of the integrator are held by acceleration alone: they drift.
@@ -46,7 +48,6 @@ def integrated(tracker: Tracker, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarr
     return np.array([own for own, _ in states]), np.array([own for _, own in states])
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("rate", [400.0, 430.0, 470.0])
 def test_accelerations_of_periods_in_which_a_contact_lifts_give_their_change_of_velocity(rate: float) -> None:
     """Else a part of a period's contact force is given or lost; to second order in the period."""
@@ -65,7 +66,6 @@ def rising() -> Solution:
     return motion("quadruped-stand-up", robot="solo12")
 
 
-@pytest.mark.long
 def test_a_disturbed_start_is_taken_out(rising: Solution) -> None:
     """The base begins 10 mm and 0.05 rad off, with its feet where they are."""
     generator = np.random.default_rng(SEED)
@@ -87,7 +87,6 @@ def test_a_disturbed_start_is_taken_out(rising: Solution) -> None:
     assert tracker.counts.relaxed[0] == tracker.counts.ticks
 
 
-@pytest.mark.long
 def test_momentum_and_energy_are_those_of_a_tracked_flight() -> None:
     """Torques change neither: with the planned start the flight is the planned one."""
     robot = robots.load("solo12")
@@ -111,7 +110,6 @@ def test_momentum_and_energy_are_those_of_a_tracked_flight() -> None:
         assert np.abs(pin.difference(plan.model, planned, own)[6:]).max() < 5e-3
 
 
-@pytest.mark.long
 def test_without_contact_the_feet_are_pressed_down(rising: Solution) -> None:
     tracker = Tracker(rising, rate=RATE)
     none, all_ = np.zeros(4, dtype=bool), np.ones(4, dtype=bool)
@@ -136,7 +134,6 @@ def test_solvers_and_gains_are_chosen_by_a_word(rising: Solution) -> None:
     assert RELAXED[int(np.argmax(tracker.counts.relaxed))] == "nothing"
 
 
-@pytest.mark.long
 def test_a_model_without_frames_of_joints_is_tracked() -> None:
     plan = trajopt.solve(hop())
     assert plan.success

@@ -71,7 +71,6 @@ def test_a_joint_that_starts_faster_than_its_limit_is_refused(part):
     )
 
 
-@pytest.mark.long
 def test_all_joints_of_a_quadruped_stand_exactly_on_both_limits():
     """No joint may move at all: a feasible set without an inside, on which to stand still."""
     q = solo().reference
@@ -82,7 +81,6 @@ def test_all_joints_of_a_quadruped_stand_exactly_on_both_limits():
     assert_allclose(solution.q[:, 7:], np.tile(q[7:], (len(solution.t), 1)), atol=1e-6)
 
 
-@pytest.mark.long
 def test_joints_whose_largest_rate_is_zero_stand_still():
     robot = replace(solo(), velocity_limit=np.where(np.isfinite(solo().velocity_limit), 0.0, np.inf))
     solution = assert_outcome(Solved(STANCE), lambda: stance(robot, robot.reference, intervals=6))

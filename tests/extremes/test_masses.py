@@ -49,7 +49,6 @@ def test_motion_of_a_similar_robot_is_the_same_and_forces_scale_with_its_mass(na
     assert found.statistics.iterations == own.statistics.iterations
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("length", "gravity"), [(0.1, 1.0), (10.0, 1.0), (1.0, 2.0)])
 def test_arm_of_another_size_or_gravity_moves_alike(length, gravity, tmp_path):
     path = robot_file(tmp_path, "arm", f"similar(own('ur5'), length={length}, gravity={gravity})")

@@ -118,19 +118,12 @@ def test_quadruped_stands_on_straight_legs():
 
 @pytest.mark.parametrize(
     ("name", "end"),
-    [
-        ("solo12", "start"),
-        ("solo12", "goal"),
-        pytest.param("solo12", "guess", marks=pytest.mark.slow),
-        pytest.param("g1", "start", marks=pytest.mark.slow),
-        pytest.param("g1", "goal", marks=pytest.mark.slow),
-    ],
+    [("solo12", "start"), ("solo12", "goal"), ("solo12", "guess"), ("g1", "start"), ("g1", "goal")],
 )
 def test_legs_bend_from_and_stretch_to_straight(name, end):
     assert_outcome(Solved(STANCE), lambda: from_or_to_straight(robots.load(name), end), transcription=FINE)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("intervals", [4, 5, 6])
 def test_humanoid_bends_from_a_guess_of_straight_legs_on_coarse_grids(intervals):
     """On finer ones the singular guess takes hundreds of iterations or more: docs/extremes.md."""

@@ -59,7 +59,6 @@ def test_weights_all_multiplied_change_the_objective_alone(name, factor):
     assert found.statistics.iterations == own.statistics.iterations
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("cost", ["torque_cost", "acceleration_cost"])
 @pytest.mark.parametrize("name", ["ur5-reach", pytest.param("hopper-hop", marks=pytest.mark.slow)])
 def test_a_tiny_weight_acts_like_zero(name, cost):

@@ -101,7 +101,6 @@ def _solved(half: bool, free: bool = False) -> trajopt.Solution:
     return trajopt.solve(trot(half=half, free=free), fixed_mesh=True)
 
 
-@pytest.mark.long
 def test_trot_is_an_orbit_that_closes() -> None:
     solution = _solved(False)
     report = trajopt.check(solution)

@@ -54,7 +54,6 @@ def test_hands_are_mirror_images_and_feet_stand_as_without_arms(name):
     assert robot.mass == pytest.approx(legs.mass)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", FAMILIES)
 def test_guess_has_every_contact_in_its_place(name):
     problem, begin = problems.load(name), 0.0

@@ -136,7 +136,6 @@ def test_flight_onto_a_box_ends_in_a_fall_from_its_apex(robot, height):
     assert max(heights) - heights[-1] > 0.8 * quadruped_box.FALL * problem.robot.length
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("kind", "posture"), [("box-up", "initial_q"), ("box-down", None)])
 def test_robot_beside_a_box_stays_clear_of_it_with_its_base_sunk(kind, posture):
     problem = problems.load(f"quadruped-{kind}", robot="go2", height=0.25)

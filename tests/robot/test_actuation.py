@@ -139,7 +139,6 @@ def test_a_flying_arm_with_more_inputs_than_rows_is_solved_saved_and_checked(tmp
     assert trajopt.check(read).ok
 
 
-@pytest.mark.long
 def test_torques_below_the_least_of_a_thruster_are_found_by_the_check() -> None:
     solution = trajopt.solve(problems.load("quadrotor-flip"))
     assert trajopt.check(solution).ok

@@ -51,7 +51,6 @@ def test_a_mass_on_a_spring_swings_as_its_closed_form() -> None:
     assert report.ok, report.failures()
 
 
-@pytest.mark.long
 def test_damping_and_dry_friction_slow_a_mass_as_their_closed_forms() -> None:
     damped = fall(oscillator(JointForce(joint="slide", damping=3.0)), 2.0, 1.0)
     assert_allclose(damped.v[:, 0], 2.0 * np.exp(-1.5 * damped.t), atol=1e-7)
@@ -180,7 +179,6 @@ def test_a_link_behind_a_soft_series_spring_moves_from_rest_to_rest() -> None:
     assert trajopt.check(solution).ok
 
 
-@pytest.mark.long
 def test_springs_hold_in_mujoco() -> None:
     pytest.importorskip("mujoco")
     robot = robots.load("ur5").with_joint_forces(

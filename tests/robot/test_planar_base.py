@@ -128,7 +128,6 @@ def in_space(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, n
     )
 
 
-@pytest.mark.long
 def test_a_plan_in_the_plane_obeys_the_free_flyers_dynamics():
     solution, floating = (
         trajopt.solve(hop(solo("planar")), fixed_mesh=True),

@@ -239,7 +239,6 @@ def test_feet_of_a_planar_robot_may_slide_sideways_only_if_its_legs_stay_in_the_
     assert all(contact.rows == (0, 2) for contact in planar.with_locked(abductions).contacts)
 
 
-@pytest.mark.long
 def test_an_asymmetric_robot_is_kept_whole_with_the_reason_and_refused_if_it_must_be_halved() -> None:
     problem = push(biped(heavier=1.5))
     made = smallest(problem)

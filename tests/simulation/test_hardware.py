@@ -181,7 +181,6 @@ def test_in_a_plane_the_offset_is_forward_and_up() -> None:
     np.testing.assert_allclose(centres[1] - centres[0], [0.02, 0.0, 0.01], atol=1e-12)
 
 
-@pytest.mark.long
 def test_a_standing_robot_bears_its_centre_of_mass_where_it_is(stand: Solution) -> None:
     found = simulate(stand, com_offset=(0.01, 0.0, 0.0))
     force, feet = found.record.force[-1], found.record.feet[-1]

@@ -241,7 +241,6 @@ def test_multipliers_survive_the_file(tmp_path):
     assert trajopt.solve(hop(), start=tmp_path / "hop.npz", fixed_mesh=True).statistics.iterations <= 1
 
 
-@pytest.mark.long
 def test_a_solution_without_multipliers_starts_too(tmp_path):
     first = trajopt.solve(hop(), fixed_mesh=True)
     bare = replace(first, row_multiplier=None, row_place=None, bound_multiplier=None)

@@ -79,7 +79,6 @@ def test_second_replay_takes_the_next_port(hop, shown):
         fetched(second.url)
 
 
-@pytest.mark.long
 def test_closing_twice_is_no_error(hop):
     second = replay(hop, open_browser=False)
     second.close()

@@ -112,7 +112,6 @@ def test_side_by_side_robots_are_apart_across_their_way_and_in_their_own_colours
     assert colours[0] == colours[1]
 
 
-@pytest.mark.long
 def test_robots_that_differ_are_side_by_side_unless_told(bones):
     other = with_meta(bones, robot="another")
 
