@@ -11,7 +11,6 @@ IMPORTS = re.compile(r"^\s*from (trajopt\.[\w.]+) import (\([^)]*\)|[^\n]*)", re
 SELDOM_FILE = re.compile(r"^pytestmark = .*mark\.(long|slow)", re.MULTILINE)
 MARKS = re.compile(r"((?:^@pytest\.mark\.\w+\n)*)^def test_", re.MULTILINE)
 SELDOM = re.compile(r"mark\.(long|slow)")
-# Imports of what is in this folder.
 OURS = re.compile(r"^\s*(?:import tests|from (?:tests|\.)[\w.]* import (?:\([^)]*\)|.*)).*", re.MULTILINE)
 ROOMS = {path.parent.name for path in (ROOT / "trajopt").glob("*/__init__.py")}
 
