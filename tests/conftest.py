@@ -1,11 +1,18 @@
 """What every test shares: assertions of helpers say what they found, and which tests are quick."""
 
 import os
+import sys
+from pathlib import Path
 
 # Before OpenMP is loaded: rounding depends on the number of threads, `trajopt suite` measures with one.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-from pathlib import Path
+# Where no bytecode is to lie beside the sources, it lies in pytest's cache: workers, and processes that tests
+# start, compile some thousand modules otherwise (20 s for each worker).
+if sys.dont_write_bytecode:
+    sys.dont_write_bytecode = False
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
 
 import pytest
 
@@ -13,9 +20,12 @@ pytest.register_assert_rewrite("tests.support", "tests.extremes")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark as ``quick`` what is neither ``long`` nor ``slow``."""
+    """Mark as ``quick`` the first case of each test that is neither ``long`` nor ``slow``."""
+    seen = set()
     for item in items:
-        if item.get_closest_marker("long") is None and item.get_closest_marker("slow") is None:
+        test = item.nodeid.partition("[")[0]
+        if test not in seen and not {"long", "slow"} & {mark.name for mark in item.iter_markers()}:
+            seen.add(test)
             item.add_marker(pytest.mark.quick)
 
 

@@ -1,5 +1,6 @@
 """The command line: exit status, one JSON object, one line for bad input, files."""
 
+import contextlib
 import json
 import math
 import signal
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import Result
 
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.processes import TRAJOPT, run
@@ -17,6 +19,8 @@ from trajopt.problem import catalogue
 
 # A small hop on a coarse grid: solved within a second, its foot drift is beyond a check's tolerance.
 HOP = ("solve", "solo12-jump", "--set", "distance=10cm", "--intervals", "12")
+# What is built and stopped at once.
+SMALL = ("solve", "hopper-hop", "--intervals", "4", "--max-iterations", "1")
 # No leg can push so far in so short a time.
 IMPOSSIBLE = ("--set", "distance=1", "--set", "flight=0.05", "--set", "stance=0.05")
 KEYS = {
@@ -48,13 +52,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def hop(folder: Path) -> subprocess.CompletedProcess[str]:
-    """The hop, solved in a process of its own with the default output."""
-    return trajopt_process(*HOP, "--json", folder=folder)
+def hop(folder: Path) -> Result:
+    """The hop, solved with the default output."""
+    with contextlib.chdir(folder):
+        return invoke(*HOP, "--json")
 
 
 @pytest.fixture(scope="module")
-def hop_file(hop: subprocess.CompletedProcess[str], folder: Path) -> Path:
+def hop_file(hop: Result, folder: Path) -> Path:
     return folder / strict(hop.stdout)["file"]
 
 
@@ -81,8 +86,8 @@ def test_list_shows_every_parameter_with_its_unit() -> None:
 
 
 @pytest.mark.long
-def test_json_of_a_solve_is_one_object_with_the_agreed_keys(hop: subprocess.CompletedProcess[str]) -> None:
-    assert hop.returncode == 1, hop.stderr  # its feet drift on so coarse a mesh
+def test_json_of_a_solve_is_one_object_with_the_agreed_keys(hop: Result) -> None:
+    assert hop.exit_code == 1, hop.stderr  # its feet drift on so coarse a mesh
     assert hop.stderr == ""  # no terminal: progress is silent
     report = strict(hop.stdout)
     assert set(report) >= KEYS
@@ -92,14 +97,13 @@ def test_json_of_a_solve_is_one_object_with_the_agreed_keys(hop: subprocess.Comp
     assert report["parameters"]["distance"] == pytest.approx(0.1)  # given as 10cm
 
 
-def test_default_output_is_named_for_the_settings(
-    hop: subprocess.CompletedProcess[str], hop_file: Path
-) -> None:
+@pytest.mark.long
+def test_default_output_is_named_for_the_settings(hop_file: Path) -> None:
     assert hop_file.name == "solo12-jump-distance=10cm-intervals=12.npz"
     assert Solution.load(hop_file).converged
 
 
-def test_accuracy_is_what_check_prints(hop: subprocess.CompletedProcess[str], hop_file: Path) -> None:
+def test_accuracy_is_what_check_prints(hop: Result, hop_file: Path) -> None:
     result = invoke("check", hop_file, "--json")
     checked, accuracy = strict(result.stdout), strict(hop.stdout)["accuracy"]
     assert checked["failures"] == accuracy["failures"]
@@ -113,6 +117,7 @@ def test_check_beyond_tolerance_ends_with_one(hop_file: Path) -> None:
     assert strict(invoke("check", hop_file, "--json").stdout)["ok"] is False
 
 
+@pytest.mark.long
 def test_summary_says_where_the_file_is_and_what_is_beyond(tmp_path: Path) -> None:
     target = tmp_path / "no suffix"
     result = invoke(*HOP, "--output", target)
@@ -126,14 +131,14 @@ def test_summary_says_where_the_file_is_and_what_is_beyond(tmp_path: Path) -> No
 
 def test_solve_leaves_the_handler_of_ctrl_c_as_it_was(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
-    assert invoke(*HOP, "--max-iterations", 1, "--output", tmp_path / "x.npz").exit_code == 1
+    assert invoke(*SMALL, "--output", tmp_path / "x.npz").exit_code == 1
     assert signal.getsignal(signal.SIGINT) is before
     assert signal.set_wakeup_fd(-1) == -1
 
 
 @pytest.mark.long
 def test_chatter_of_the_solver_is_not_on_stdout(tmp_path: Path) -> None:
-    done = trajopt_process(*HOP, "--solver-option", "print_level=5", "--json", folder=tmp_path)
+    done = trajopt_process(*SMALL, "--solver-option", "print_level=5", "--json", folder=tmp_path)
     assert strict(done.stdout)["solver"] == "ipopt"
 
 
@@ -256,9 +261,10 @@ def test_what_could_steer_a_terminal_is_escaped(capsys: pytest.CaptureFixture[st
     ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_cache_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TRAJOPT_CACHE_DIR", "/proc/none")
-    result = invoke(*HOP, "--output", tmp_path / "x.npz")
+    result = invoke(*SMALL, "--output", tmp_path / "x.npz")
     assert (tmp_path / "x.npz").exists()
     told = [line for line in result.stderr.splitlines() if "/proc/none" in line]
     assert len(told) == 1

@@ -28,10 +28,10 @@ def script(tmp_path_factory) -> Path:
 def run(script) -> Path:
     """A file of a drive, beside what the command printed."""
     file = script.parent / "run.npz"
-    options = ("--push", "0.3,90,2", "--push", "0.5,180,2", "--friction-scale", 0.9, "--mass-scale", 1.05)
+    options = ("--push", "0.2,90,2", "--push", "0.3,180,2", "--friction-scale", 0.9, "--mass-scale", 1.05)
     noise = ("--sensor-noise", 1e-4, "--seed", 3, "--delay", 1, "--com-offset", 0.005, 0, 0)
     done = invoke(
-        "drive", "go2", "--script", script, "--seconds", 1.0, "-o", file, "--json", *options, *noise
+        "drive", "go2", "--script", script, "--seconds", 0.6, "-o", file, "--json", *options, *noise
     )
     assert done.exit_code == 0, done.stderr
     file.with_suffix(".json").write_text(done.stdout)
@@ -42,8 +42,8 @@ def test_json_is_one_object_with_the_figures_of_the_report(run):
     figures = json.loads(run.with_suffix(".json").read_text())
     assert figures["passed"] is True
     assert figures["fell"] is False
-    assert figures["plans"] == 100
-    assert figures["simulated"] == pytest.approx(1.0)
+    assert figures["plans"] == 60
+    assert figures["simulated"] == pytest.approx(0.6)
     assert figures["script"]["commands"][1]["gait"] == "trot"
 
 
@@ -59,20 +59,20 @@ def test_others_read_the_file(run):
 
 
 def test_a_robot_that_falls_ends_with_one_and_the_reason(script):
-    done = invoke("drive", "go2", "--script", script, "--seconds", 1.0, "--push", "0.1,90,100")
+    done = invoke("drive", "go2", "--script", script, "--period", 0.05, "--push", "0.1,90,100")
     assert done.exit_code == 1
     assert done.output.splitlines()[-1].startswith("it fell at 0.")
 
 
 def test_an_arm_follows_the_targets_of_a_script(tmp_path):
     script, run = tmp_path / "targets.csv", tmp_path / "run.npz"
-    script.write_text("time, x, y, z\n0, 0.4, 0, 0.4\n0.5, , 0.1,\n")
-    done = invoke("drive", "panda", "--script", script, "--seconds", 1.0, "-o", run, "--json")
+    script.write_text("time, x, y, z\n0, 0.4, 0, 0.4\n0.3, , 0.1,\n")
+    done = invoke("drive", "panda", "--script", script, "--seconds", 0.6, "-o", run, "--json")
     assert done.exit_code == 0, done.stderr
     figures = json.loads(done.stdout)
     assert figures["passed"] is True
-    assert figures["simulated"] == pytest.approx(1.0)
-    assert figures["targets"] == [[0.0, [0.4, 0.0, 0.4]], [0.5, [0.4, 0.1, 0.4]]]
+    assert figures["simulated"] == pytest.approx(0.6)
+    assert figures["targets"] == [[0.0, [0.4, 0.0, 0.4]], [0.3, [0.4, 0.1, 0.4]]]
     assert figures["error_mean"] < ERROR
     assert invoke("replay", run, "--html", run.with_suffix(".html")).exit_code == 0
     assert invoke("plot", run, "-o", run.with_suffix(".png")).exit_code == 0
@@ -82,9 +82,9 @@ def test_an_arm_follows_the_targets_of_a_script(tmp_path):
 def test_an_arm_goes_around_a_post_that_stands_in_its_way(tmp_path):
     """The target goes straight through the post; joints keep their rates while the tool makes a detour."""
     script, run = tmp_path / "targets.csv", tmp_path / "run.npz"
-    script.write_text("time,x,y,z\n0,0.55,0,0.5\n0.5,0.4,0.36,0.4\n")
+    script.write_text("time,x,y,z\n0,0.55,0,0.5\n0.2,0.4,0.36,0.4\n")
     post = "0.45,0.15,0.6,0.04"
-    done = invoke("drive", "panda", "--script", script, "--seconds", 2.5, "--post", post, "-o", run, "--json")
+    done = invoke("drive", "panda", "--script", script, "--seconds", 1.2, "--post", post, "-o", run, "--json")
     assert done.exit_code == 0, done.stderr
     figures = json.loads(done.stdout)
     assert figures["nearest"] > 0.01

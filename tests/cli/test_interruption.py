@@ -29,7 +29,7 @@ def outcome(code: str) -> tuple[int, str, str]:
 def test_a_press_is_a_keyboard_interrupt() -> None:
     code = f"""
 with contextlib.suppress(KeyboardInterrupt), interruption.handling():
-    threading.Timer(0.5, press).start()
+    threading.Timer(0.1, press).start()
     {FOR_EVER}
 print("ended")
 """
@@ -60,7 +60,7 @@ def forever():
 def test_second_press_ends_native_code_that_does_not_return(state: str) -> None:
     code = f"""{NATIVE}
 with interruption.handling(), {state}:
-    for delay in (0.5, 1.0):
+    for delay in (0.2, 0.4):
         threading.Timer(delay, press).start()
     forever()
 """
@@ -117,9 +117,9 @@ with contextlib.suppress(KeyboardInterrupt), interruption.handling():
         try:
             raise ValueError
         except ValueError:
-            time.sleep(1.0)
+            time.sleep(0.3)
         press()
-        time.sleep(1.0)
+        time.sleep(0.3)
         print("cleaned up")
 """
     assert outcome(code) == (0, "cleaned up\n", "")
@@ -151,7 +151,7 @@ with interruption.handling():
     with interruption.deferring():
         press()
         interruption.answer()
-    time.sleep(0.5)
+    time.sleep(0.3)
     print("answered")
 """
     assert outcome(code) == (0, "True\nraised False\nanswered\n", "")

@@ -9,6 +9,8 @@ from tests.support.command_lines import assert_refused, invoke
 from tests.support.problems import one_joint_arm
 from tests.support.synthetic_motions import arm_motion, sampled, with_meta
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
@@ -76,7 +78,6 @@ def test_labels_are_drawn_as_they_are(file: Path, tmp_path: Path, label: str) ->
     assert result.stderr == ""
 
 
-@pytest.mark.long
 def test_names_of_a_file_are_drawn_as_they_are(tmp_path: Path) -> None:
     robot = one_joint_arm()
     plan = sampled(robot, [arm_motion(robot), arm_motion(robot)], 2)
@@ -89,7 +90,6 @@ def test_names_of_a_file_are_drawn_as_they_are(tmp_path: Path) -> None:
     assert "<script>" not in (tmp_path / "odd.html").read_text()
 
 
-@pytest.mark.long
 def test_a_report_has_the_same_bytes_whenever_it_is_written(file: Path, tmp_path: Path) -> None:
     for ending in ("pdf", "svg", "png", "html"):
         first, second = tmp_path / f"first.{ending}", tmp_path / f"second.{ending}"

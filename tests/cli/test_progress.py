@@ -34,7 +34,7 @@ with progress.watched("stuck", 0.1) as told:
     time.sleep(30.0)
 """
 
-RETURNING = STUCK.replace("time.sleep(30.0)", "pass") + "\ntime.sleep(1.0)\nprint('done')"
+RETURNING = STUCK.replace("time.sleep(30.0)", "pass") + "\ntime.sleep(0.5)\nprint('done')"
 
 
 def test_a_solver_beyond_its_time_limit_ends_the_program_in_one_line():
@@ -259,9 +259,10 @@ def test_figures_alone_never_request_the_variables(tmp_path: Path):
 
 BUSY = """\
 import time
-from trajopt.cli.progress import busy
-with busy("diagnosing jump.npz"):
-    time.sleep(2.5)
+from trajopt.cli import progress
+progress.SECOND = 0.4
+with progress.busy("diagnosing jump.npz"):
+    time.sleep(1.0)
 print("done")
 """
 

@@ -9,6 +9,8 @@ from click.testing import Result
 from tests.support.command_lines import assert_refused, invoke
 from trajopt import Solution
 
+pytestmark = pytest.mark.long
+
 # Of 12 intervals 4, 3 and 5 in stance, flight and landing; a whole node has 37 entries, a half 18, a point 18
 # or 9 accelerations and on four or two feet 12 or 6 forces.
 WHOLE = 13 * 37 + 9 * 2 * (18 + 12) + 3 * 2 * 18
@@ -22,7 +24,6 @@ def explained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
     return invoke(*JUMP, "--smallest", "--explain", "--output", file), file
 
 
-@pytest.mark.long
 def test_explain_says_what_is_modelled_what_is_not_and_why_before_it_solves(
     explained: tuple[Result, Path],
 ) -> None:
@@ -51,7 +52,6 @@ def test_the_file_of_a_scene_is_the_whole_robots(explained: tuple[Result, Path])
     assert solution.statistics.variables == HALF
 
 
-@pytest.mark.long
 def test_smallest_solves_the_same_silently_and_json_has_the_scene(tmp_path: Path) -> None:
     result = invoke(*JUMP, "--smallest", "--json", "--output", tmp_path / "jump.npz")
     report = json.loads(result.stdout)
@@ -71,14 +71,12 @@ def test_a_lifted_motion_that_misses_the_check_is_solved_for_the_whole_robot(tmp
     assert invoke("check", file).exit_code == 0
 
 
-@pytest.mark.long
 def test_without_these_options_the_problem_is_solved_as_it_is_built(tmp_path: Path) -> None:
     report = json.loads(invoke(*JUMP, "--json", "--output", tmp_path / "jump.npz").stdout)
     assert report["variables"] == WHOLE
     assert "scene" not in report
 
 
-@pytest.mark.long
 def test_an_explanation_alone_changes_nothing(tmp_path: Path) -> None:
     report = json.loads(invoke(*JUMP, "--explain", "--json", "--output", tmp_path / "jump.npz").stdout)
     assert report["variables"] == WHOLE

@@ -28,6 +28,7 @@ def test_scripts_of_the_page_are_short(script):
     assert len(lines) <= MOST_LINES
 
 
+@pytest.mark.long
 def test_a_tool_follows_a_circle():
     left: dict = {}
     exec(SCRIPTS[0], left)

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.problems import hop
+from tests.support.solved_problems import motion
 from tests.support.synthetic_motions import sampled, tumbling_flight
 from trajopt import Solution
 from trajopt.certify.contact.contact_dynamics import forward_dynamics
@@ -18,6 +19,8 @@ from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.control.reference import reference_of
 from trajopt.errors import InputError
 from trajopt_library import robots
+
+pytestmark = pytest.mark.long
 
 RATE = 500.0
 SUBSTEPS = 4
@@ -45,11 +48,10 @@ def integrated(tracker: Tracker, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarr
     return np.array([own for own, _ in states]), np.array([own for _, own in states])
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("rate", [400.0, 430.0, 470.0])
 def test_accelerations_of_periods_in_which_a_contact_lifts_give_their_change_of_velocity(rate: float) -> None:
     """Else a part of a period's contact force is given or lost; to second order in the period."""
-    plan = trajopt.solve(trajopt.load("hopper-hop"))
+    plan = motion("hopper-hop")
     found = reference_of(plan, rate)
     lifts = np.flatnonzero(found.active[:-1].any(axis=1) & ~found.active[1:].any(axis=1))
     assert len(lifts)
@@ -61,10 +63,9 @@ def test_accelerations_of_periods_in_which_a_contact_lifts_give_their_change_of_
 
 @pytest.fixture(scope="module")
 def rising() -> Solution:
-    return trajopt.solve(trajopt.load("quadruped-stand-up", robot="solo12"))
+    return motion("quadruped-stand-up", robot="solo12")
 
 
-@pytest.mark.long
 def test_a_disturbed_start_is_taken_out(rising: Solution) -> None:
     """The base begins 10 mm and 0.05 rad off, with its feet where they are."""
     generator = np.random.default_rng(SEED)
@@ -86,7 +87,6 @@ def test_a_disturbed_start_is_taken_out(rising: Solution) -> None:
     assert tracker.counts.relaxed[0] == tracker.counts.ticks
 
 
-@pytest.mark.long
 def test_momentum_and_energy_are_those_of_a_tracked_flight() -> None:
     """Torques change neither: with the planned start the flight is the planned one."""
     robot = robots.load("solo12")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import trajopt
+from tests.support.solved_problems import motion
 from trajopt.discovery import ContactTask, Destination, discover, relaxed_motion, search, task_to
 from trajopt.discovery.gait_likeness import nearest_gait
 from trajopt.discovery.goal import obstacle
@@ -20,6 +21,8 @@ from trajopt.robot import contact_positions
 from trajopt.terrain import FlatGround, PiecewiseTerrain, SmoothTerrain, Wave
 from trajopt_library import problems, robots
 
+pytestmark = pytest.mark.long
+
 SLACK = 0.003  # the last one
 
 
@@ -29,7 +32,7 @@ def hop():
 
 
 def test_a_hop_is_found_and_costs_no_more_than_the_librarys_own(hop):
-    own = trajopt.solve(problems.load("hopper-hop"))
+    own = motion("hopper-hop")
     best = hop.best[0]
     assert best.objective <= 1.05 * own.statistics.objective
     assert not trajopt.check(best.solution).failures()
@@ -63,12 +66,16 @@ def test_relaxed_contacts_push_near_the_ground_only():
     assert np.max(products) < SLACK * (1 + 1e-4)
 
 
-def test_a_trot_of_solo12_is_found_from_standing_legs():
-    problem = problems.load("quadruped-trot", robot="solo12")
-    found = discover(problem, seeds=1, known=False)
-    own = trajopt.solve(problem)
-    assert found.best[0].objective <= 1.05 * own.statistics.objective
-    assert nearest_gait(found.task, found.best[0].modes) is not None
+@pytest.fixture(scope="module")
+def trot():
+    return discover(problems.load("quadruped-trot", robot="solo12"), seeds=1, keep=2)
+
+
+def test_a_trot_of_solo12_is_found_from_standing_legs(trot):
+    own = motion("quadruped-trot", robot="solo12")
+    relaxed = next(each for each in trot.candidates if each.source == "relaxed:0")
+    assert relaxed.objective <= 1.05 * own.statistics.objective
+    assert nearest_gait(trot.task, relaxed.modes) is not None
 
 
 @pytest.mark.slow
@@ -117,7 +124,7 @@ def test_the_nearest_part_of_a_way_that_is_too_far():
         return task_to(robot, Destination(x=3.0 * part, duration=1.2))
 
     assert not discover(make(1.0), seeds=1).best
-    part, found = nearest_reached(make, halvings=4, seeds=1)
+    part, found = nearest_reached(make, halvings=2, seeds=1)
     assert 0 < part < 1
     assert found.best
 
@@ -131,14 +138,12 @@ def test_without_effort_only_the_first_proposals_are_tried(hop):
     assert found.effort < hop.effort
 
 
-def test_only_the_best_on_a_coarse_mesh_are_certified():
-    problem = problems.load("quadruped-trot", robot="solo12")
-    found = discover(problem, seeds=1, keep=2)
-    compared = [each for each in found.candidates if each.status == SCREENED and each.screened is not None]
+def test_only_the_best_on_a_coarse_mesh_are_certified(trot):
+    compared = [each for each in trot.candidates if each.status == SCREENED and each.screened is not None]
     assert compared
-    assert len(found.best) <= 3
-    assert all(each.screened >= found.best[0].screened * 0.98 for each in compared)
-    gaits = [each.source for each in found.candidates if each.source.startswith("gait:")]
+    assert len(trot.best) <= 3
+    assert all(each.screened >= trot.best[0].screened * 0.98 for each in compared)
+    gaits = [each.source for each in trot.candidates if each.source.startswith("gait:")]
     assert len(gaits) == len(set(gaits))
 
 

@@ -19,6 +19,8 @@ from trajopt.solvers.drivers import SOLVERS, Solver
 from trajopt.solving.solving import solve
 from trajopt.transcription.schemes import FAMILIES, scheme
 
+pytestmark = pytest.mark.long
+
 # The measured order of a scheme is this near to what it says.
 SLOPE = 0.3
 # Two solvers at a tolerance of 1e-6.
@@ -50,14 +52,12 @@ def test_the_document_has_an_example_of_each_kind(files: dict[str, Path]) -> Non
     assert set(files) == {"ur10.py", "joint_power.py", "chebyshev.py", "slsqp.py", "arm_raise.py"}
 
 
-@pytest.mark.long
 def test_the_robot_reaches(files: dict[str, Path]) -> None:
     solution = trajopt.solve(trajopt.load("arm-reach", robot=str(files["ur10.py"])))
     assert solution.success
     assert solution.description.robot == "ur10"
 
 
-@pytest.mark.long
 def test_the_term_saves_power(files: dict[str, Path]) -> None:
     problem = trajopt.load("arm-reach", robot="ur5")
     term = module(files["joint_power.py"]).JointPowerCost(weight=10.0)
@@ -82,7 +82,6 @@ def test_the_scheme_has_its_order(degree: int, counts: tuple[int, ...]) -> None:
     assert slope(counts, errors_at_the_end(method, counts)) == pytest.approx(method.order, abs=SLOPE)
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("chebyshev")
 def test_the_scheme_is_refined() -> None:
     problem = trajopt.load("ur5-reach")
@@ -93,7 +92,6 @@ def test_the_scheme_is_refined() -> None:
     assert mesh_of(refined).transcription.startswith("chebyshev:")
 
 
-@pytest.mark.long
 def test_the_solver_finds_the_optimum(files: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(files["slsqp.py"].parent)
     monkeypatch.setitem(SOLVERS, "slsqp", Solver(driver="slsqp:solve_slsqp"))
@@ -107,7 +105,6 @@ def test_the_solver_finds_the_optimum(files: dict[str, Path], monkeypatch: pytes
         solve(reach(), solver="slsqp", options={"tol": 1.0})
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("robot", ["ur5", "panda"])
 def test_the_problem_is_solved_on_its_robots(files: dict[str, Path], robot: str) -> None:
     family = module(files["arm_raise.py"]).FAMILY

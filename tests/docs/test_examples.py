@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from tests.support.repository import ROOT
-from trajopt import Solution, check, solve
+from trajopt import Solution, check
 
 EXAMPLES = ROOT / "docs" / "examples"
 PAGES = {
@@ -23,12 +23,18 @@ AT_POINTS, BETWEEN = 1e-5, 1e-3
 REST = 1e-4
 
 
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
 def solved(name: str) -> tuple[dict[str, Any], Solution]:
-    """What an example defines, and its solution, which passes the check at any time."""
-    defined = runpy.run_path(str(EXAMPLES / f"{name}.py"))
-    solution = solve(defined["problem"])
+    """What an example defines when it is run, and its solution, which passes the check at any time."""
+    defined = runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    solution = defined["solution"]
     assert solution.success, solution.statistics.advice
     assert check(solution).failures() == ()
+    assert Path(f"{name.replace('_', '-')}.npz").is_file()
     return defined, solution
 
 

@@ -10,10 +10,10 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
-import trajopt
 from scripts import gallery, gallery_videos
 from tests.support.browser import require_chromium, running_chromium
 from tests.support.repository import ROOT
+from tests.support.solved_problems import motion
 from trajopt.errors import InputError
 from trajopt.simulation.simulate import simulate
 from trajopt.solution.solution import Solution
@@ -73,7 +73,7 @@ def test_videos_need_a_gallery_to_which_they_belong(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def leap() -> Solution:
-    return trajopt.solve(trajopt.load("solo12-jump"))
+    return motion("solo12-jump")
 
 
 @pytest.mark.long

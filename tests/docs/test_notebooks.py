@@ -103,6 +103,7 @@ def test_a_replay_in_a_frame_plays_in_a_browser(solution: Solution, tmp_path: Pa
     assert errors == []
 
 
+@pytest.mark.long
 def test_a_plot_is_a_png(solution: Solution) -> None:
     assert plots(solution)._repr_png_().startswith(b"\x89PNG")
 

@@ -58,13 +58,7 @@ SWITCHES = {
 }
 
 
-# Some build more functions to say the same.
-LONG = ("one lands as another lifts", "the front lands as the back lifts", "three land as the last one lifts")
-
-
-@pytest.mark.parametrize(
-    "what", [pytest.param(what, marks=pytest.mark.slow if what in LONG else ()) for what in SWITCHES]
-)
+@pytest.mark.parametrize("what", SWITCHES)
 def test_contacts_switch_at_once(what):
     sets, duration = SWITCHES[what]
     height = min(0.02, 0.2 * duration)
@@ -74,29 +68,23 @@ def test_contacts_switch_at_once(what):
     assert steps_of_feet < 0.05  # m: nothing jumps
 
 
-@pytest.mark.parametrize(
-    "solver",
-    ["sqp", *(pytest.param(name, marks=pytest.mark.slow) for name in SOLVERS if name != "sqp")],
-)
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_every_solver_swaps_diagonals_at_once(solver):
     sets = SWITCHES["one diagonal lands as the other lifts"][0]
     assert_outcome(Solved(STEP), lambda: steps(robots.load("solo12"), sets), intervals=12, solver=solver)
 
 
-@pytest.mark.slow
 def test_a_larger_quadruped_swaps_diagonals_at_once():
     feet = [contact.name for contact in robots.load("go2").contacts]
     sets = (feet, (feet[0], feet[3]), (feet[1], feet[2]), feet)
     assert_outcome(Solved(STEP), lambda: steps(robots.load("go2"), sets), intervals=12)
 
 
-@pytest.mark.slow
 def test_contacts_land_by_an_impact_as_others_lift():
     sets = SWITCHES["one diagonal lands as the other lifts"][0]
     assert_outcome(Solved(STEP), lambda: steps(robots.load("solo12"), sets, impact=True), intervals=12)
 
 
-@pytest.mark.slow
 def test_a_swing_without_foothold_lands_anywhere():
     sets = SWITCHES["a foot lifts and lands where it was"][0]
     make = lambda: steps(robots.load("solo12"), sets, footholds=False)  # noqa: E731
@@ -106,7 +94,7 @@ def test_a_swing_without_foothold_lands_anywhere():
 # One interval a phase
 
 
-@pytest.mark.parametrize("scheme", ["legendre:2", pytest.param("hermite-simpson", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("scheme", ["legendre:2", "hermite-simpson"])
 def test_a_phase_of_one_interval_is_enough(scheme):
     sets = (SOLO, *DIAGONALS, SOLO)
     make = lambda: steps(robots.load("solo12"), sets, duration=0.1, clearance=0.0)  # noqa: E731
@@ -129,7 +117,7 @@ def test_fewer_intervals_than_phases_are_refused():
     assert_outcome(Refused("3 intervals for 4 phases"), make, intervals=3)
 
 
-@pytest.mark.parametrize("brief", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-4])
+@pytest.mark.parametrize("brief", [1e-3, 1e-4])
 def test_a_very_short_phase_is_solved(brief):
     """Between two stances a diagonal is off the ground for no time at all."""
     robot = robots.load("solo12")
@@ -225,7 +213,7 @@ def repeated(robot: Robot) -> Robot:
     return replace(robot, contacts=(*robot.contacts, replace(robot.contacts[0], name="again")))
 
 
-@pytest.mark.parametrize("solver", ["ipopt", pytest.param("sqp", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
 def test_a_contact_given_twice_shares_its_force(solver):
     robot = robots.load("solo12")
     twice = assert_outcome(
@@ -238,7 +226,6 @@ def test_a_contact_given_twice_shares_its_force(solver):
     assert_allclose(shared[:, 0], shared[:, 1], atol=SAME * robot.weight)
 
 
-@pytest.mark.slow
 def test_a_contact_given_twice_lands_once():
     robot = repeated(robots.load("solo12"))
     names = tuple(contact.name for contact in robot.contacts)

@@ -144,26 +144,23 @@ def assert_turns(axis, turns, *, goal):
 
 
 @pytest.mark.parametrize("axis", AXES)
-@pytest.mark.parametrize("turns", [1, pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.parametrize("turns", [1, 2, 3])
 def test_a_quadruped_flips_whole_turns(axis, turns):
     assert_turns(axis, turns, goal=False)
 
 
-@pytest.mark.parametrize("turns", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("turns", [1, 3])
 def test_a_quadruped_turns_to_a_goal_whole_turns_away(turns):
     assert_turns("yaw", turns, goal=True)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["backflip", "barrel-roll"])
 def test_a_flip_from_feet_to_feet_turns_once(kind):
     solution = assert_outcome(Solved(None), lambda: problems.load(f"quadruped-{kind}", robot="solo12"))
     assert abs(np.linalg.norm(turned(solution)) - 2 * np.pi) < 0.3
 
 
-@pytest.mark.parametrize(
-    "end", [pytest.param(90, marks=pytest.mark.slow), 135, pytest.param(180, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("end", [90, 135, 180])
 def test_half_a_flip_passes_the_right_angle(end):
     make = lambda: problems.load("solo12-flip", pitch=f"{end}deg", yaw=0.0)  # noqa: E731
     solution = assert_outcome(Solved(None, coarse=5e-3), make, intervals=20)

@@ -15,6 +15,8 @@ from trajopt.solvers.status import Status
 from trajopt.solving.solving import solve
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 FINE = "legendre:3"
 # Open-loop error (rad) of an arm's second of motion on ten intervals of degree three, measured up to 1e-4.
 ARM = 5e-4
@@ -45,7 +47,6 @@ def ur5() -> dict[str, np.ndarray]:
     }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("singular", ["stretched", "wrist in line", "upright"])
 @pytest.mark.parametrize("end", ["start", "goal", "guess"])
 def test_arm_reaches_from_to_and_through_singular_postures(singular, end):
@@ -56,7 +57,6 @@ def test_arm_reaches_from_to_and_through_singular_postures(singular, end):
     assert_outcome(Solved(ARM), lambda: reach(arm, start, goal, guess=guess), transcription="legendre:3")
 
 
-@pytest.mark.long
 def test_pose_at_which_a_wrist_is_in_line_is_reached():
     postures, arm = ur5(), robots.load("ur5")
     end = pose_goal(arm, postures["wrist in line"], "tool0")
@@ -64,7 +64,6 @@ def test_pose_at_which_a_wrist_is_in_line_is_reached():
     assert_outcome(Solved(ARM), make, transcription="legendre:3")
 
 
-@pytest.mark.long
 def test_pose_at_full_stretch_stops_at_it_and_names_its_rows():
     """The pose is on the edge of what the arm reaches: there its rows lose rank and have no multipliers.
 
@@ -119,19 +118,12 @@ def test_quadruped_stands_on_straight_legs():
 
 @pytest.mark.parametrize(
     ("name", "end"),
-    [
-        ("solo12", "start"),
-        ("solo12", "goal"),
-        pytest.param("solo12", "guess", marks=pytest.mark.slow),
-        pytest.param("g1", "start", marks=pytest.mark.slow),
-        pytest.param("g1", "goal", marks=pytest.mark.slow),
-    ],
+    [("solo12", "start"), ("solo12", "goal"), ("solo12", "guess"), ("g1", "start"), ("g1", "goal")],
 )
 def test_legs_bend_from_and_stretch_to_straight(name, end):
     assert_outcome(Solved(STANCE), lambda: from_or_to_straight(robots.load(name), end), transcription=FINE)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("intervals", [4, 5, 6])
 def test_humanoid_bends_from_a_guess_of_straight_legs_on_coarse_grids(intervals):
     """On finer ones the singular guess takes hundreds of iterations or more: docs/extremes.md."""
@@ -155,7 +147,6 @@ def test_quadruped_rises_from_nearly_folded_legs():
     )
 
 
-@pytest.mark.long
 def test_feet_at_the_hips_fail_with_their_rows_named():
     """Five of the twelve rows that hold the feet say nothing new at the start, and all others nearby."""
     robot = robots.load("solo12")

@@ -265,6 +265,7 @@ def _assert_feet(robot, q, places, tolerance=REACHED):
         assert_allclose(place, places[name], atol=tolerance)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turn", [0.0, math.pi])
 def test_feet_pass_the_edge_of_a_box_that_the_robot_leaps_onto(solo, names, turn):
     """All of them are outside the box at all times, and their paths have no jumps."""

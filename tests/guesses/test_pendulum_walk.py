@@ -51,6 +51,7 @@ def test_feet_do_not_come_nearer_than_in_the_stance_when_walking_aside(talos: Ro
     assert moved == pytest.approx(8 * walk.side)
 
 
+@pytest.mark.long
 def test_the_centre_of_mass_stays_at_one_height_and_feet_on_their_footholds(talos: Robot, plan: Solution):
     data, model = talos.model.createData(), talos.model
     height = [pin.centerOfMass(model, data, q)[2] for q in plan.q]

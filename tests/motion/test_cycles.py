@@ -35,6 +35,7 @@ def test_the_image_of_the_start_is_the_end(kind: str) -> None:
     assert np.abs(v[0] - plan.v[-1]).max() < CLOSING
 
 
+@pytest.mark.long
 def test_a_mirrored_plan_is_gone_through_twice_a_cycle() -> None:
     assert passes_of(plan_to_export("mirrored walk"), 3) == 6
     assert passes_of(plan_to_export("turning trot"), 3) == 3

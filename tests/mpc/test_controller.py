@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.testing import assert_array_equal
 
 from trajopt.certify.contact.contact_dynamics import forward_dynamics
 from trajopt.certify.contact.contact_set import ContactSet
@@ -16,6 +15,8 @@ from trajopt.mpc.controller import Controller
 from trajopt.mpc.receding import ControllerSettings
 from trajopt.robot import Robot
 from trajopt_library import robots
+
+pytestmark = pytest.mark.long
 
 TICK, SUBSTEPS = 2e-3, 2
 # A foot holds from this height on, m: what it has left when its stance begins.
@@ -88,15 +89,6 @@ def test_it_trots_on_a_second_integrator(robot: Robot) -> None:
     assert controller.follower.relaxed[0] == len(walk.q)
 
 
-def test_torques_depend_on_nothing_but_what_was_measured(robot: Robot) -> None:
-    """Two controllers that see the same ticks give the same torques, bit by bit, in lockstep."""
-    runs = [
-        walked(robot, Controller(robot, ("trot",)), Command(gait="trot", speed=0.2), 0.3) for _ in range(2)
-    ]
-    assert_array_equal(runs[0].torque, runs[1].torque)
-
-
-@pytest.mark.long
 def test_plans_made_by_a_thread_are_used_when_they_are_ready(robot: Robot) -> None:
     controller = Controller(robot, ("trot",), ControllerSettings(live=True))
     q, v, touching = robot.reference, np.zeros(robot.nv), np.ones(4, dtype=bool)
@@ -147,7 +139,6 @@ def test_robots_that_cannot_walk_are_refused() -> None:
         Controller(robots.load("g1"), ("trot",))
 
 
-@pytest.mark.long
 def test_no_horizon_is_made_in_the_loop(robot: Robot) -> None:
     """Whatever is asked for, and when: the patterns of all changes are there from the start."""
     controller = Controller(robot, ("trot", "pronk"))

@@ -22,6 +22,7 @@ from trajopt.robot import Robot
 from trajopt.schedule.gaits import gait_of
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
 PERIOD = 0.5
 WEIGHTS = HorizonWeights()
 
@@ -57,7 +58,6 @@ def values(horizon: Horizon, x: np.ndarray) -> list[np.ndarray]:
     ]
 
 
-@pytest.mark.long
 def test_durations_in_place_equal_building_anew(robot: Robot) -> None:
     """Bit by bit for the same nominal durations, whatever was set before; to rounding for others."""
     contacts, durations = pairs(robot), [0.137, 0.25]
@@ -75,7 +75,6 @@ def test_durations_in_place_equal_building_anew(robot: Robot) -> None:
     assert_allclose(used.node_times[[0, 3, 6]], [0.0, 0.137, 0.387])
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["go2", "g1"])
 def test_friction_and_what_the_base_carries_in_place_equal_building_anew(name: str) -> None:
     """Rows of a robot whose model has the mass, with the same unscaled variables; a mass of zero is none."""
@@ -128,7 +127,6 @@ def solved(horizon: Horizon, planner: HorizonPlanner, start: np.ndarray, barrier
     return solver.solve(horizon, iterate, 80)
 
 
-@pytest.mark.long
 def test_a_shifted_optimum_changes_by_no_more_than_the_solver_leaves(robot: Robot) -> None:
     """Bellman: what is left of an optimal motion after its first phase is optimal from there."""
     first, second = pairs(robot)
@@ -160,7 +158,6 @@ def test_a_shifted_optimum_changes_by_no_more_than_the_solver_leaves(robot: Robo
     assert_allclose(after["x"], moved["x"], atol=1e-7)
 
 
-@pytest.mark.long
 def test_the_rate_of_the_cost_with_a_duration_is_that_of_optima(robot: Robot) -> None:
     """Against optima for other durations: what the first phase gains, the last loses."""
     first, second = pairs(robot)
@@ -189,7 +186,6 @@ def test_the_rate_of_the_cost_with_a_duration_is_that_of_optima(robot: Robot) ->
     assert abs(rate) > 1e-3
 
 
-@pytest.mark.long
 def test_plans_keep_their_limits_and_say_what_they_relax(robot: Robot) -> None:
     """From a start so high that the feet that land cannot reach the ground: their landing gives way."""
     clock = GaitClock(tuple(gait_of(robot, "trot").feet), {"trot": (gait_of(robot, "trot"), PERIOD)})

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.command_lines import assert_refused, invoke
+from tests.support.solved_problems import motion
 from trajopt import Solution, load, simulate, solve
 from trajopt.errors import InputError
 from trajopt.motion.samples import contact_places
@@ -17,6 +18,8 @@ from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation import Impulse
 from trajopt_library import robots
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
@@ -24,8 +27,8 @@ def problem() -> Problem:
 
 
 @pytest.fixture(scope="module")
-def jump(problem: Problem) -> Solution:
-    return solve(problem)
+def jump() -> Solution:
+    return motion("solo12-jump")
 
 
 def test_the_clock_of_a_plan_ends_with_its_last_contacts_without_end() -> None:
@@ -51,7 +54,6 @@ def test_the_clock_of_a_plan_ends_with_its_last_contacts_without_end() -> None:
     assert clock.time == pytest.approx(1.2)
 
 
-@pytest.mark.long
 def test_a_jump_is_followed_and_survives_a_push_that_its_tracker_does_not(
     problem: Problem, jump: Solution
 ) -> None:
@@ -68,7 +70,6 @@ def test_a_jump_is_followed_and_survives_a_push_that_its_tracker_does_not(
     assert planned.passed
 
 
-@pytest.mark.long
 def test_ground_of_other_heights_is_planned_for() -> None:
     """Onto a box: feet land on its top."""
     problem = load("quadruped-box-up", robot="go2")
@@ -83,7 +84,6 @@ def test_ground_of_other_heights_is_planned_for() -> None:
     assert last.landing_height(problem.robot.contacts[0].name, 0.0) == pytest.approx(foot, abs=1e-4)
 
 
-@pytest.mark.long
 def test_horizons_are_made_before_the_first_tick(problem: Problem, jump: Solution) -> None:
     controller = ReplanningController(problem.robot, jump)
     made = len(controller.planner.horizons)
@@ -104,7 +104,6 @@ def test_what_cannot_be_planned_anew_is_one_line(problem: Problem, jump: Solutio
         controller.torque(0.0, np.where(np.arange(19) == 3, np.nan, jump.q[0]), jump.v[0], standing)
 
 
-@pytest.mark.long
 def test_the_command_simulates_a_file_by_plans_made_anew(jump: Solution, tmp_path: Path) -> None:
     path = jump.save(tmp_path / "jump.npz")
     again = "simulate", path, "--controller", "receding-horizon"
@@ -112,5 +111,5 @@ def test_the_command_simulates_a_file_by_plans_made_anew(jump: Solution, tmp_pat
     assert done.exit_code == 0, done.stderr
     assert "tracked" in done.stdout
     assert_refused(invoke(*again, "--kp", 2), "--kp has no effect here")
-    arm = solve(load("ur5-reach")).save(tmp_path / "reach.npz")
+    arm = motion("ur5-reach").save(tmp_path / "reach.npz")
     assert_refused(invoke("simulate", arm, *again[2:]), "robot 'ur5' has a fixed base")

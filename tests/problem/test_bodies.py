@@ -100,6 +100,7 @@ def test_self_collision_can_be_left_out():
     assert free.pairs == bodies_of(standing()).pairs[: free.scene.n_ground]
 
 
+@pytest.mark.long
 def test_shapes_given_by_hand_replace_those_of_the_description():
     robot = replace(rods(), reference=np.array([0.0, 1.0, 1.0]))
     problem = past(swing(robot=robot), BALL, self_collision=True)

@@ -64,6 +64,7 @@ def centres(solution: Solution, contact: int, rows: np.ndarray) -> list[tuple[np
     return found
 
 
+@pytest.mark.long
 def test_material_point_that_touches_has_no_velocity_and_the_centre_no_acceleration_but_that_of_rolling():
     solution = walk()
     for contact, radius in enumerate(solution.meta["contact_radius"]):
@@ -92,6 +93,7 @@ def test_base_rows_hold_with_forces_where_balls_touch():
         assert_allclose(force[6:], solution.tau[k], atol=1e-3)
 
 
+@pytest.mark.long
 def test_ball_of_a_leg_comes_as_far_as_its_link_turns():
     solution = solved(trajopt.load("quadruped-jump-up", robot="go2:rolling"))
     stance, radius = solution.phases[0], solution.meta["contact_radius"][0]
@@ -107,6 +109,7 @@ def test_ball_of_a_leg_comes_as_far_as_its_link_turns():
     assert_allclose(places[:, 2], radius, atol=1e-5)
 
 
+@pytest.mark.long
 def test_a_plan_passes_only_as_what_it_was_planned():
     held, rolls = walk("go2"), walk()
     assert not check(held).failures()
@@ -117,6 +120,7 @@ def test_a_plan_passes_only_as_what_it_was_planned():
         assert "stance_drift" in check(solution.with_description(contacts=others)).failures()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("free", [False, True])
 def test_impacts_of_balls_that_roll_hold(free):
     problem = hop(schedule=phases(free=free, impact=True))

@@ -63,6 +63,7 @@ def test_guess_starts_and_ends_at_rest_at_the_ends(robot):
         assert np.abs(moved).max() < step**2 / duration
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robot", ["ur5", "irb1600"])
 def test_solution_is_clear_and_brings_the_tool_to_its_goal(robot):
     built = problem(robot)

@@ -94,6 +94,7 @@ def test_the_fastest_transfer_binds_limits_and_beats_its_guess():
     assert np.mean(used > 0.99) > 0.9  # of the motion some limit binds
 
 
+@pytest.mark.long
 def test_a_slower_transfer_needs_less_torque_than_the_fastest():
     _, fast = solve(arm_transfer.FAMILY, robot="ur5")
     _, slow = solve(arm_transfer.FAMILY, robot="ur5", goal="effort")

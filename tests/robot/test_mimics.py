@@ -108,6 +108,7 @@ def test_what_drifts_apart_is_found_by_the_check() -> None:
     assert "following_error" in trajopt.check(replace(solution, q=q)).failures()
 
 
+@pytest.mark.long
 def test_it_holds_in_mujoco_with_both_controllers() -> None:
     pytest.importorskip("mujoco")
     for controller in ("joints", "whole-body"):

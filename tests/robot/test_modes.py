@@ -34,6 +34,8 @@ from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 INTERVALS = 40
 # The transcriptions have different errors: measured 2.6e-4 of the optimum at 40 intervals, 2.3e-5 at 80,
 # 2.0e-6 at 160. So one optimum, met to what the grid leaves.
@@ -51,7 +53,6 @@ def solved(coordinates: str, touchdown: str = "soft", solver: str = "ipopt") -> 
     return solution
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("touchdown", ["soft", "impact"])
 def test_minimal_and_excess_coordinates_have_the_same_optimum(touchdown):
     excess, minimal = (solved(coordinates, touchdown) for coordinates in ("excess", "minimal"))
@@ -62,7 +63,6 @@ def test_minimal_and_excess_coordinates_have_the_same_optimum(touchdown):
     assert [excess.statistics.iterations <= 60, minimal.statistics.iterations <= 60] == [True, True]
 
 
-@pytest.mark.long
 def test_optima_of_both_coordinates_approach_each_other_with_the_grid():
     apart = []
     for intervals in (40, 80):
@@ -145,7 +145,6 @@ def test_embedded_contacts_have_neither_forces_nor_rows():
     assert "friction_pyramid" in t.rows.names
 
 
-@pytest.mark.long
 def test_hop_in_space_agrees_in_both_coordinates():
     # On 16 intervals excess coordinates have an optimum more, whose foot drifts by 4 mm.
     minimal = trajopt.solve(standing_hop(), intervals=24)
@@ -259,7 +258,6 @@ def two_legs() -> trajopt.Problem:
 BENT = {"HAA": 0.0, "HFE": 0.6, "KFE": -1.2}
 
 
-@pytest.mark.long
 def test_other_contacts_keep_their_rows_beside_an_embedded_one():
     problem = two_legs()
     stance = stance_mode(problem.robot, "FL_FOOT")

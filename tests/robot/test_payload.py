@@ -43,6 +43,7 @@ def _solution() -> trajopt.Solution:
     return trajopt.solve(carrying, intervals=60)
 
 
+@pytest.mark.long
 def test_torques_are_those_of_the_model_with_the_body_welded_on() -> None:
     solution, robot = _solution(), _empty().robot
     assert solution.converged

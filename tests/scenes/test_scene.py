@@ -29,6 +29,8 @@ from trajopt.terms import (
 from trajopt.terrain.surface import Surface
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 ARMS = ("left_arm", "right_arm")
 
 
@@ -57,7 +59,6 @@ def test_arms_without_a_task_are_locked_and_reported_as_a_choice() -> None:
     assert not made.report.is_exact
 
 
-@pytest.mark.long
 def test_sizes_in_the_report_are_those_of_the_solved_problems() -> None:
     problem = push(biped())
     made = smallest(problem)
@@ -66,7 +67,6 @@ def test_sizes_in_the_report_are_those_of_the_solved_problems() -> None:
         assert (size.variables, size.rows) == (found["variables"], found["constraints"])
 
 
-@pytest.mark.long
 def test_locked_joints_give_the_optimum_of_the_full_problem_that_holds_them() -> None:
     robot = biped(waist=True)
     terms = [term for term in usual(robot) if not isinstance(term, TorqueCost)]
@@ -80,7 +80,6 @@ def test_locked_joints_give_the_optimum_of_the_full_problem_that_holds_them() ->
     assert_allclose(made.lift(own).q, held.q, atol=SAME_MOTION)
 
 
-@pytest.mark.long
 def test_a_lifted_solution_holds_its_locked_joints_and_passes_the_check() -> None:
     made = smallest(push(biped(waist=True)))
     lifted = made.lift(solved(made.problem, 20))
@@ -103,7 +102,6 @@ def test_kept_joints_move_and_the_report_says_why() -> None:
     assert any("left_arm, as asked" in decision.what for decision in made.report.of_kind("kept"))
 
 
-@pytest.mark.long
 def test_a_joint_is_needed_by_its_goal_its_posture_its_speed_or_a_term_about_it() -> None:
     robot = biped()
     joint = robot.model.joints[robot.model.getJointId("left_arm")]
@@ -188,7 +186,6 @@ def test_torques_are_modelled_where_they_are_priced_or_limited() -> None:
         assert made.problem.actuation == "acceleration"
 
 
-@pytest.mark.long
 def test_limits_beyond_reach_friction_of_grasps_and_flight_are_reported_with_the_reason() -> None:
     report = str(smallest(problems.load("solo12-jump")).report)
     for words in ("no forces", "30 m g l", "more than a turn", "30 sqrt(g / l)", "in the air"):

@@ -44,6 +44,8 @@ from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.timeline import StageKind
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 # What a solver leaves in rows that are met to 1e-7 of their units.
 SOLVED = 1e-5
 # A bang-bang input has its switch within an interval: the optimum is met to the length of one, squared.
@@ -69,7 +71,6 @@ def nlp_of(name: str, scheme: str = "legendre:2") -> Nlp:
     return prepare(VARIANTS[name](), transcription=scheme, intervals=6).nlp
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["legendre:2", "hermite-simpson"])
 @pytest.mark.parametrize("name", VARIANTS)
 def test_derivatives_of_the_whole_nlp_equal_differences(name, scheme):
@@ -86,7 +87,6 @@ def test_derivatives_of_the_whole_nlp_equal_differences(name, scheme):
     assert_derivatives(nlp, seed=0, ones=time_scales.astype(int))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", VARIANTS)
 def test_next_state_enters_its_gap_rows_with_an_identity_block(name):
     nlp = nlp_of(name)
@@ -191,7 +191,6 @@ def test_start_that_moves_keeps_its_velocity_whatever_the_duration():
     assert solution.meta["durations"][0] != pytest.approx(0.1)
 
 
-@pytest.mark.long
 def test_impact_obeys_its_law_and_loses_energy():
     problem = landing(impact=True)
     solution = trajopt.solve(problem, intervals=16)
@@ -209,7 +208,6 @@ def test_impact_obeys_its_law_and_loses_energy():
     assert behind @ mass @ behind < before @ mass @ before
 
 
-@pytest.mark.long
 def test_landing_with_an_impact_is_never_worse_than_at_zero_velocity():
     """Zero foot velocity is an impact without impulse: a larger set of motions."""
     soft = trajopt.solve(landing(), intervals=16)

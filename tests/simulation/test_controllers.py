@@ -14,6 +14,8 @@ from trajopt.errors import InputError
 from trajopt.simulation.controllers import TorqueController
 from trajopt.simulation.simulate import simulate
 
+pytestmark = pytest.mark.long
+
 RATE = 200.0  # Hz
 
 

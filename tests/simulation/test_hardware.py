@@ -113,6 +113,7 @@ def test_sensor_noise_has_its_standard_deviation(stand: Solution) -> None:
         assert abs(scaled.mean()) < 5 * size / math.sqrt(scaled.size)
 
 
+@pytest.mark.long
 def test_noise_is_that_of_its_seed_and_apart_from_the_start_s(stand: Solution) -> None:
     first, again, other = (simulate(stand, sensor_noise=1e-3, seed=seed).record for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.qpos, again.qpos)
@@ -190,6 +191,7 @@ def test_a_standing_robot_bears_its_centre_of_mass_where_it_is(stand: Solution) 
     assert moved == pytest.approx([0.01, 0.0], abs=GIVES_WAY)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("offset", [0.01, -0.01])
 def test_a_foot_stands_as_much_higher_as_its_ground(offset: float, stand: Solution) -> None:
     frame, robot = stand.contact_frames[0], robots.load("solo12")

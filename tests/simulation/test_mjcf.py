@@ -22,6 +22,8 @@ from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.world import World, build_world
 from trajopt.solution.solution import Solution
 
+pytestmark = pytest.mark.long
+
 # Numbers are written in full; what MuJoCo needs of a body without mass is below this.
 SAME = 1e-9
 KINDS = (
@@ -84,7 +86,6 @@ def assert_same_dynamics(plan: Solution, written: mujoco.MjModel, world: World, 
     np.testing.assert_allclose(turn.T @ state.qfrc_bias, bias, atol=SAME * max(np.abs(bias).max(), 1.0))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_file_opens_from_another_folder_and_process_and_is_the_robot(kind: str, tmp_path: Path) -> None:
     plan, elsewhere = solution_of_kind(kind), tmp_path / "elsewhere"
@@ -106,7 +107,6 @@ def test_file_opens_from_another_folder_and_process_and_is_the_robot(kind: str, 
     assert_same_dynamics(plan, mujoco.MjModel.from_xml_path(str(path)), world, 0)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", JOINT_KINDS)
 def test_every_kind_of_joint_is_written(kind: str, tmp_path: Path) -> None:
     model = pin.Model(hand_built(kind)[0])
@@ -127,7 +127,6 @@ def test_every_kind_of_joint_is_written(kind: str, tmp_path: Path) -> None:
     assert_same_dynamics(plan, written, build_world(plan, SimulationSettings()), 1)
 
 
-@pytest.mark.long
 def test_motors_in_the_order_of_tau_accelerate_the_robot_as_planned() -> None:
     plan = solution_of_kind("torque")
     model = mujoco.MjModel.from_xml_string(mjcf_of(plan))
@@ -140,7 +139,6 @@ def test_motors_in_the_order_of_tau_accelerate_the_robot_as_planned() -> None:
     np.testing.assert_allclose(model.actuator_ctrlrange, np.column_stack([-high, high]))
 
 
-@pytest.mark.long
 def test_friction_and_ground_are_those_of_the_simulation() -> None:
     plan = solution_of_kind("drives")
     world = build_world(plan, SimulationSettings())

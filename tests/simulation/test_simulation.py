@@ -334,16 +334,6 @@ def test_half_a_cycle_is_followed_by_its_mirror_image():
     assert found.report.passed
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("robot", ["solo12", "go2", "anymal_c"])
-@pytest.mark.parametrize("problem", ["quadruped-jump-forward", "quadruped-trot"])
-def test_jumps_and_trots_end_within_five_centimetres(problem, robot):
-    report = simulate(solve(problems.load(problem, robot=robot), fixed_mesh=True)).report
-    assert not report.fell
-    assert report.base_error_end < AT_THE_END
-    assert report.passed
-
-
 @pytest.mark.parametrize(
     ("settings", "line"),
     [

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-import trajopt
 from tests.support.command_lines import invoke
+from tests.support.solved_problems import motion
 from trajopt import Solution
 from trajopt.errors import InputError
 from trajopt.simulation.simulate import simulate
@@ -19,7 +19,7 @@ PUSH = 20.0
 
 @pytest.fixture(scope="module")
 def trot() -> Solution:
-    return trajopt.solve(trajopt.load("quadruped-trot", robot="go2"))
+    return motion("quadruped-trot", robot="go2")
 
 
 @pytest.mark.slow
@@ -60,14 +60,14 @@ def test_feet_land_beside_their_footholds_where_the_centre_of_mass_is_not_the_mo
 
 @pytest.mark.slow
 def test_a_hopper_lands_and_balances_on_one_point() -> None:
-    plan = trajopt.solve(trajopt.load("hopper-hop"))
+    plan = motion("hopper-hop")
     assert simulate(plan, controller="whole-body").report.passed
     assert not simulate(plan).report.passed
 
 
 @pytest.mark.slow
 def test_a_biped_with_point_feet_steps_up_over_a_line_of_two_heights() -> None:
-    plan = trajopt.solve(trajopt.load("biped-step-up", robot="bolt"))
+    plan = motion("biped-step-up", robot="bolt")
     report = simulate(plan, controller="whole-body").report
     assert report.passed, report.failures
     assert not simulate(plan).report.passed
@@ -75,7 +75,7 @@ def test_a_biped_with_point_feet_steps_up_over_a_line_of_two_heights() -> None:
 
 @pytest.mark.slow
 def test_a_barrel_roll_lands_on_two_feet_of_a_line_and_tips_onto_the_others() -> None:
-    plan = trajopt.solve(trajopt.load("quadruped-barrel-roll", robot="a1"))
+    plan = motion("quadruped-barrel-roll", robot="a1")
     report = simulate(plan, controller="whole-body").report
     assert report.passed, report.failures
 
@@ -85,7 +85,7 @@ def test_a_barrel_roll_lands_on_two_feet_of_a_line_and_tips_onto_the_others() ->
     ("problem", "robot"), [("quadruped-bound", "solo12"), ("quadruped-gallop", "anymal_c")]
 )
 def test_ten_cycles_of_gaits_with_flights_end_within_20_mm(problem: str, robot: str) -> None:
-    plan = trajopt.solve(trajopt.load(problem, robot=robot))
+    plan = motion(problem, robot=robot)
     report = simulate(plan, cycles=10, controller="whole-body").report
     assert not report.fell
     assert report.base_error_end is not None
@@ -101,7 +101,7 @@ def test_other_masses_and_friction_are_tracked_too(trot: Solution) -> None:
 
 @pytest.mark.long
 def test_an_arm_is_tracked() -> None:
-    plan = trajopt.solve(trajopt.load("ur5-reach"))
+    plan = motion("ur5-reach")
     report = simulate(plan, controller="whole-body").report
     assert report.passed, report.failures
 

@@ -177,6 +177,7 @@ def test_members_of_other_names_are_not_read(content):
     assert Solution.from_bytes(unknown).n_samples == Solution.from_bytes(content).n_samples
 
 
+@pytest.mark.long
 def test_a_small_file_does_not_become_a_large_one():
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("t.npy", "w") as member:

@@ -48,6 +48,7 @@ def test_an_nlp_takes_more_threads_than_it_has_work_for():
     assert_array_equal(many.jacobian(problem.x0), alone.jacobian(problem.x0))
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
 def test_what_a_thread_throws_is_of_its_run_alone(tmp_path):
     program = tmp_path / "team"

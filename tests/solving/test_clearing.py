@@ -20,6 +20,8 @@ from trajopt.solving.graded import solve as solve_graded
 from trajopt.solving.solving import solve
 from trajopt_library.problems.common import PosturePath
 
+pytestmark = pytest.mark.long
+
 BETWEEN = 2e-3  # m; what one more round would gain
 EQUAL = 1e-6  # of the objective; the solver's tolerance
 # A link may be this deep in the ground, m; looked at this many times a second.
@@ -60,7 +62,6 @@ def test_pole_is_not_passed_between_points():
     assert check(solution).ok
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("side", [1, -1])
 def test_obstacle_in_the_way_is_passed_on_the_side_of_the_guess(side):
     bent = np.array([0.45, 1.2 * side, 0.0])

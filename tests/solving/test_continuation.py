@@ -22,6 +22,8 @@ from trajopt.solving.solving import solve
 from trajopt.terms import TerminalRest, TerminalState, TorqueCost, TorqueLimits, VelocityCost
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 VALUES = (0.2, 0.5, 0.8)
 # One optimum, to what the solver's tolerance leaves.
 SAME_OPTIMUM = 1e-6
@@ -163,7 +165,6 @@ def turning(goal: float) -> Problem:
     return past(rods_swing(end=np.array([goal, 0.0, 0.0])), BALL, FAR)
 
 
-@pytest.mark.long
 def test_motions_of_a_sequence_pass_obstacles_and_hold_at_any_time():
     found = continuation(turning, (1.0, 1.1, 1.2))
     assert found.success
@@ -178,7 +179,6 @@ def test_motions_of_a_sequence_pass_obstacles_and_hold_at_any_time():
     )
 
 
-@pytest.mark.long
 def test_motion_that_holds_only_at_its_points_is_no_success_of_a_sequence():
     found = continuation(swing, (0.2, 0.5), transcription="legendre:1", intervals=2)
     assert [step.solution.statistics.status for step in found.steps] == ["coarse_grid", "coarse_grid"]
@@ -221,7 +221,6 @@ def test_a_ladder_ends_at_the_optimum_of_its_finest_grid():
     assert figures["cold"]["iterations"] == ladder.cold.statistics.iterations
 
 
-@pytest.mark.long
 def test_a_ladder_passes_obstacles_on_its_finest_grid():
     ladder = solve_ladder(turning(1.2), [("legendre:2", 10), ("legendre:2", 30)])
     report = check(ladder.solution)
@@ -396,7 +395,6 @@ def test_a_user_who_stops_a_solve_stops_the_search():
     assert seen == [0.2]
 
 
-@pytest.mark.long
 def test_command_line_says_and_writes_the_nearest_value(tmp_path):
     target = tmp_path / "short-duration=0.1.npz"
     short = ("--set", "duration=0.1", "--intervals", "8")

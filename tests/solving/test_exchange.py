@@ -22,6 +22,8 @@ from trajopt.terms.moments import PlaneSide
 from trajopt_library import problems
 from trajopt_library.problems.common import PosturePath
 
+pytestmark = pytest.mark.long
+
 ROUNDING = 1e-9  # of interpolants, in natural units
 PAIR = ("joint2", "ball")
 

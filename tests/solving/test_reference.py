@@ -95,6 +95,7 @@ def test_distance_to_the_reference_falls_with_the_step():
     assert gaps[1].open_loop < 0.5 * gaps[0].open_loop
 
 
+@pytest.mark.long
 def test_budget_ends_the_climb_and_names_the_agreement():
     strict = Agreement(objective=1e-15, distance=1e-15)
     words = r"more than 600 variables; the last two meshes agree to .* m"

@@ -35,6 +35,8 @@ from trajopt.transcription.schemes import scheme
 from trajopt.transcription.transcription import chosen_mesh
 from trajopt_library import problems
 
+pytestmark = pytest.mark.long
+
 # Unknowns per node and per point of the made-up phases.
 SIZES = (10, 8)
 # Of sums of widths.
@@ -156,7 +158,6 @@ def test_no_mesh_is_without_end(local, phase, least):
     assert least <= made.count <= count * MOST_PARTS
 
 
-@pytest.mark.long
 def test_refined_motion_is_as_accurate_as_measured_anew_from_its_file(tmp_path):
     target = 1e-4
     found = solve_graded(hop(), accuracy=target, mesh=Mesh.uniform("legendre:2", (3, 3, 3)))
@@ -171,7 +172,6 @@ def test_refined_motion_is_as_accurate_as_measured_anew_from_its_file(tmp_path):
     assert len(found.rounds) > 1
 
 
-@pytest.mark.long
 def test_refinement_needs_fewer_variables_than_a_uniform_mesh_for_the_same_error():
     problem = problems.load("hopper-hop")
     uniform = solve(problem)
@@ -189,7 +189,6 @@ def test_mesh_that_meets_the_target_is_left_alone():
     assert found.rounds[0].mesh == mesh
 
 
-@pytest.mark.long
 def test_solution_at_hand_is_measured_and_its_own_mesh_refined():
     coarse = solve(hop(), intervals=6)
     found = solve_graded(hop(), accuracy=1e-4, first=coarse)

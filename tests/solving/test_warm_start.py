@@ -213,6 +213,7 @@ def test_a_solve_started_at_its_solution_ends_there(solver):
         assert again.statistics.iterations <= 1
 
 
+@pytest.mark.long
 def test_multipliers_of_the_sqp_start_ipopt():
     first = trajopt.solve(hop(), solver="sqp", tolerance=1e-8, fixed_mesh=True)
     again = trajopt.solve(hop(), start=first, fixed_mesh=True)

@@ -34,6 +34,7 @@ def test_a_published_optimum_does_not_depend_on_the_mesh(name):
     assert_allclose(values, values[1], rtol=optimum.tolerance)
 
 
+@pytest.mark.long
 def test_the_command_prints_every_optimum_and_its_json():
     table, data = invoke("bench", "outside"), invoke("bench", "outside", "--json")
     assert table.exit_code == data.exit_code == 0

@@ -207,6 +207,7 @@ def test_a_process_does_several_tasks_as_long_as_they_end_well():
         assert executor.submit(abs, -1).result(WAIT) == 1
 
 
+@pytest.mark.long
 def test_a_server_that_dies_is_replaced():
     with ProcessPerTaskExecutor(1) as executor:
         assert executor.submit(end_server).result(WAIT) == "alive"

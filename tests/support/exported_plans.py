@@ -9,6 +9,7 @@ import pinocchio as pin
 
 import trajopt
 from tests.support.sampled_problems import solution_of_kind
+from tests.support.solved_problems import motion
 from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt.robot.robot import Robot
 from trajopt.simulation.mjcf import mjcf_of
@@ -31,7 +32,7 @@ def plan_to_export(kind: str) -> Solution:
     """One of ``GAITS``, or an arm, or an impact."""
     if kind in GAITS:
         name, settings = GAITS[kind]
-        return trajopt.solve(trajopt.load(name, **settings))
+        return motion(name, **settings)
     return solution_of_kind({"an arm": "torque", "an impact": "an impact"}[kind])
 
 

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import trajopt
 from tests.support.problems import hop, landing
-from tests.support.solved_problems import solved, solved_hop
+from tests.support.solved_problems import motion, solved, solved_hop
 from trajopt.reduced.single_rigid_body import body_problem
 from trajopt.solution.solution import Solution
 
@@ -40,4 +40,4 @@ def solution_of_kind(kind: str) -> Solution:
     if kind in MADE:
         return MADE[kind]()
     name, settings = LIBRARY[kind]
-    return trajopt.solve(trajopt.load(name, **settings))
+    return motion(name, **settings)

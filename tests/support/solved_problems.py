@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import lru_cache
 
+import trajopt
 from tests.support.problems import hop
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
@@ -38,3 +39,9 @@ def solved(problem: Problem, scheme: str, intervals: int) -> Solved:
 @lru_cache
 def solved_hop() -> Solved:
     return solved(hop(), "legendre:2", 8)
+
+
+@lru_cache
+def motion(name: str, **settings: object) -> Solution:
+    """The solution of a problem of the library, to the grade; once for all tests of a worker."""
+    return trajopt.solve(trajopt.load(name, **settings))

@@ -239,6 +239,7 @@ def push_with_goals(raised: float = 0.0) -> Problem:
     return push(robot, terms=(*terms, *goals))
 
 
+@pytest.mark.long
 def test_goals_of_half_a_robot_are_those_of_the_whole():
     problem = push_with_goals()
     made = smallest(problem, keep=("left_abduction", "right_abduction", "left_arm", "right_arm"), plane=True)

@@ -11,7 +11,7 @@ from trajopt.solution.solution import Solution
 from trajopt.view.replay.browser import Chromium
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Chromium]:
     with running_chromium() as running:
         yield running

@@ -11,7 +11,7 @@ import meshcat
 import meshcat.geometry as shapes
 import pytest
 
-from tests.support.browser import running_chromium
+from tests.support.browser import require_chromium
 from tests.support.processes import LIMIT, Running, until
 from trajopt import TrajoptError
 from trajopt.view.replay import show
@@ -126,8 +126,7 @@ def test_over_ssh_it_is_said_how_to_reach_the_server(monkeypatch):
 
 @pytest.mark.long
 def test_page_shows_the_scene_and_what_a_script_adds_and_says_when_the_server_ends(hop):
-    with running_chromium():
-        pass  # skips where Chromium is missing
+    require_chromium()
     from playwright.sync_api import sync_playwright
 
     window = replay(hop, open_browser=False)

@@ -17,6 +17,7 @@ from tests.support.browser import (
     extent,
     pixels_of,
     placements,
+    require_chromium,
     until,
 )
 from tests.support.synthetic_motions import arm_motion, sampled
@@ -59,6 +60,7 @@ def arm() -> Solution:
 
 @pytest.fixture(scope="module")
 def pages(jump, arm, tmp_path_factory) -> dict:
+    require_chromium()
     folder = tmp_path_factory.mktemp("pages")
     shown = {"jump": [jump], "arm": [arm], "both": [jump, arm]}
     layout = "side-by-side"

@@ -18,6 +18,8 @@ from trajopt.solution.solution import Solution
 from trajopt.view.plotting.joints import limbs_of
 from trajopt.view.plotting.topics_contacts import NORMAL, stance_spans
 
+pytestmark = pytest.mark.long
+
 # A limit as descriptions have where nobody knew better.
 PLACEHOLDER = 5000.0
 BEYOND = {

@@ -13,7 +13,7 @@ import pytest
 from click.testing import Result
 from PIL import Image
 
-from tests.support.browser import in_motion, running_chromium
+from tests.support.browser import in_motion, require_chromium
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.processes import TRAJOPT, Running, needs_proc, processes, run, until
 from tests.support.synthetic_motions import arm_motion, sampled
@@ -45,8 +45,7 @@ def hop_file(hop, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def chromium_is_here():
-    with running_chromium():
-        pass
+    require_chromium()
 
 
 def png(picture: np.ndarray) -> bytes:
