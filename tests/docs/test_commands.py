@@ -15,7 +15,7 @@ from trajopt.cli.commands import main
 from trajopt.problem.catalogue import families
 
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
-LINE = re.compile(r"^ *(?:\$ )?(?:uv run )?trajopt ((?:[a-z]+)(?: .*)?)$", re.MULTILINE)
+LINE = re.compile(r"^ *(?:\$ )?(?:uv run (?:--\w+ \S+ )*)?trajopt ((?:[a-z]+)(?: .*)?)$", re.MULTILINE)
 # A command within a sentence is complete if it has an argument or an option.
 WITHIN = re.compile(r"`(?:uv run )?trajopt ([a-z]+ [^`\n]*)`")
 SCRIPT = re.compile(r"python -m scripts\.(\w+)([^`\n]*)")
