@@ -147,8 +147,15 @@ def links_that_cannot_move() -> Case:
     return replace(case, contacts=ContactSet.of(case.model, [("base_link", 3), ("shoulder_link", 3)]))
 
 
+def hinge_at_rest() -> Case:
+    """Of which the pivots vanish exactly."""
+    model = body({"left": (0.0, 0.2, 0.5), "right": (0.0, -0.2, 0.5)})
+    contacts = ContactSet.of(model, [("left", 3), ("right", 3)])
+    return Case(model, contacts, pin.neutral(model), np.zeros(6), np.arange(1.0, 7.0))
+
+
 # Those of feet that move contradict each other.
-DEPENDENT = [soles_twice, feet_without_lateral_joints, links_that_cannot_move]
+DEPENDENT = [soles_twice, feet_without_lateral_joints, links_that_cannot_move, hinge_at_rest]
 
 
 @pytest.mark.parametrize("build", DEPENDENT)

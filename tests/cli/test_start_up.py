@@ -12,7 +12,7 @@ START = {"click", "lazy_loader", "platformdirs", "typing_extensions"}
 MODELS = {"numpy", "casadi", "pinocchio", "coal"}
 PHYSICS = {"mujoco", "glfw", "piqp"}
 DRAWING = {"matplotlib", "mpl_toolkits", "PIL", "cycler", "dateutil", "fontTools", "kiwisolver", "packaging"}
-PAGE = {"meshcat", "IPython", "PIL", "pygments", "tornado", "traitlets", "umsgpack", "zmq"}
+PAGE = {"meshcat", "IPython", "PIL", "colorama", "pygments", "tornado", "traitlets", "umsgpack", "zmq"}
 # What a command may load besides `START`, third-party packages alone. OSQP and PIQP need SciPy for sparse
 # programs (guesses of walks, the SQP), diagnosis for factorisations, and each mesh once: its hull is then in
 # the cache.

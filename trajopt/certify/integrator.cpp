@@ -173,8 +173,15 @@ class Dynamics {
     const double unit = arm_ / std::sqrt(Matrix(factor.matrixL()).rowwise().squaredNorm().maxCoeff());
     const double norm = gram.cwiseAbs().colwise().sum().maxCoeff();
     if (!std::isfinite(norm)) throw Diverged();
-    const Eigen::PartialPivLU<Matrix> solver(gram);
-    if (norm * solver.rcond() > kConditioned * std::max(norm, unit * unit)) return force * solver.solve(wanted);
+    const double least = kConditioned * std::max(norm, unit * unit);
+    if (&held == &force) {
+      const Eigen::LLT<Matrix> solver(gram);
+      if (solver.info() == Eigen::Success && norm * solver.rcond() > least) return force * solver.solve(wanted);
+    } else {
+      const Eigen::PartialPivLU<Matrix> solver(gram);
+      if (solver.matrixLU().diagonal().cwiseAbs().minCoeff() > 0 && norm * solver.rcond() > least)
+        return force * solver.solve(wanted);
+    }
     Matrix span = independent(held, unit);
     if (&held != &force)
       for (std::size_t k = 0; k < chosen_.size(); ++k) span.col(static_cast<Eigen::Index>(k)) = force.col(chosen_[k]);
