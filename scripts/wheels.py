@@ -66,7 +66,11 @@ def main(output: Path, versions: tuple[str, ...]) -> None:
     if uv is None:
         raise click.ClickException("uv is not on the path; install it by: pip install uv")
     for python in versions or pythons(uv):
-        click.echo(build(uv, python, output))
+        try:
+            click.echo(build(uv, python, output))
+        except subprocess.CalledProcessError as error:
+            failed = " ".join(str(word) for word in error.cmd[:3])
+            raise click.ClickException(f"no wheel for Python '{python}': '{failed} ..' failed") from error
 
 
 if __name__ == "__main__":
