@@ -50,6 +50,13 @@ def holding(case: Case) -> Case:
     return Case(case.model, case.contacts, case.q, v, case.tau)
 
 
+def held_by_pinocchio(case: Case) -> tuple[np.ndarray, list]:
+    """Acceleration by Pinocchio's `constraintDynamics`, and the data of its contacts."""
+    data, models, datas = pinocchio_constraints(case)
+    exact = pin.ProximalSettings(1e-14, 0.0, 1)
+    return pin.constraintDynamics(case.model, data, case.q, case.v, case.tau, models, datas, exact), datas
+
+
 def velocity_of_contacts(case: Case, time: float) -> np.ndarray:
     """Velocities of the contact frames at a time of the motion of constant v through q."""
     data = case.model.createData()
@@ -91,9 +98,7 @@ def test_forward_dynamics_is_that_of_pinocchio_for_given_rows(name):
 def test_forward_dynamics_is_that_of_pinocchio_for_contacts_that_hold(name):
     # Pinocchio holds the spatial acceleration of 6-D contacts: the classical one where they do not move.
     case = holding(independent(name))
-    data, models, datas = pinocchio_constraints(case)
-    exact = pin.ProximalSettings(1e-14, 0.0, 1)
-    expected = pin.constraintDynamics(case.model, data, case.q, case.v, case.tau, models, datas, exact)
+    expected, datas = held_by_pinocchio(case)
     found = solved(case)
     close(found.acceleration, expected, RELATIVE)
     forces = np.array([entry.contact_force.vector for entry in datas])
@@ -103,9 +108,7 @@ def test_forward_dynamics_is_that_of_pinocchio_for_contacts_that_hold(name):
 @cases
 def test_compiled_accelerations_are_those_of_pinocchios_constraint_dynamics(name):
     case = holding(independent(name))
-    data, models, datas = pinocchio_constraints(case)
-    exact = pin.ProximalSettings(1e-14, 0.0, 1)
-    expected = pin.constraintDynamics(case.model, data, case.q, case.v, case.tau, models, datas, exact)
+    expected, _ = held_by_pinocchio(case)
     compiled = ContactDynamics(case.model, case.contacts).compiled
     found = compiled.accelerations(case.q[None], case.v[None], case.tau[None])
     close(found[0], expected, COMPILED)

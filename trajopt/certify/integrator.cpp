@@ -136,17 +136,18 @@ class Dynamics {
     Vector wanted(rows_);
     Eigen::Index first = 0;
     for (std::size_t k = 0; k < frames_.size(); ++k) {
-      Matrix rows = model_.frame_jacobian(frames_[k]).topRows(dimensions_[k]);
-      Vector drift = model_.frame_acceleration(frames_[k]).head(dimensions_[k]);
+      const Matrix whole = model_.frame_jacobian(frames_[k]);
+      const Twist moved = model_.frame_acceleration(frames_[k]);
+      Matrix rows = whole.topRows(dimensions_[k]);
+      Vector drift = moved.head(dimensions_[k]);
       if (dimensions_[k] == 6) {
         rows.bottomRows(3) *= arm_;
         drift.tail(3) *= arm_;
       }
       if (const auto ball = rolling_.find(k); ball != rolling_.end()) {
-        const Matrix turning = model_.frame_jacobian(frames_[k]).bottomRows(3);
         for (Eigen::Index column = 0; column < rows.cols(); ++column)
-          rows.col(column) += ball->second.cross(Eigen::Vector3d(turning.col(column)));
-        drift += ball->second.cross(Eigen::Vector3d(model_.frame_acceleration(frames_[k]).tail(3)));
+          rows.col(column) += ball->second.cross(Eigen::Vector3d(whole.col(column).tail(3)));
+        drift += ball->second.cross(Eigen::Vector3d(moved.tail(3)));
       }
       Matrix push = rows;
       if (const auto surface = sliding_.find(k); surface != sliding_.end()) {
@@ -174,7 +175,7 @@ class Dynamics {
     const double norm = gram.cwiseAbs().colwise().sum().maxCoeff();
     if (!std::isfinite(norm)) throw Diverged();
     const double least = kConditioned * std::max(norm, unit * unit);
-    if (&held == &force) {
+    if (sliding_.empty()) {
       const Eigen::LLT<Matrix> solver(gram);
       if (solver.info() == Eigen::Success && norm * solver.rcond() > least) return force * solver.solve(wanted);
     } else {
@@ -183,7 +184,7 @@ class Dynamics {
         return force * solver.solve(wanted);
     }
     Matrix span = independent(held, unit);
-    if (&held != &force)
+    if (!sliding_.empty())
       for (std::size_t k = 0; k < chosen_.size(); ++k) span.col(static_cast<Eigen::Index>(k)) = force.col(chosen_[k]);
     const Matrix rows = held.transpose() * span;
     const Eigen::LLT<Matrix> squares(rows.transpose() * rows);
