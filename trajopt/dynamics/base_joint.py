@@ -52,7 +52,7 @@ def position_limits(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
 
 def virtual_order(model: pin.Model) -> str | None:
     """Order of the revolute joints of a virtual base, such as "ZYX"; None for another base."""
-    if model.njoints <= ROWS:
+    if model.njoints <= ROWS or not model.names[1].startswith(PREFIX):
         return None
     names = list(model.names)[1 : ROWS + 1]
     kinds = "".join(model.joints[i].shortname().removeprefix("JointModel") for i in range(1, ROWS + 1))

@@ -65,6 +65,8 @@ class SimulationRun:
             steps = f"{self.substeps * len(reference.t):.3g}"
             raise InputError(f"a simulation of {steps} steps", f"allowed: {MOST_STEPS}; a longer --timestep")
         self.model.opt.timestep = reference.period / self.substeps
+        kind = base_of(plan.model)
+        self.base = None if kind == "fixed" else self.model.body(body_name(BASE_JOINT[kind])).id
         self.rows = world.coordinates.rows[plan.actuated_rows]
         self.drives = plan.drives
         self.low, self.high = torque_limits(plan)
@@ -198,29 +200,29 @@ class SimulationRun:
         self.model.pair_friction[self.world.pairs, :2] = friction[:, None]
 
     def _push(self, k: int) -> None:
-        kind = base_of(self.plan.model)
-        if not (self.settings.push or self.impulses) or kind == "fixed":
+        if self.base is None or not (self.settings.push or self.impulses):
             return
-        body, level = self.model.body(body_name(BASE_JOINT[kind])).id, self.forward()
-        aside = level if kind == "planar" else np.cross(self.up, level)
-        middle = abs(k / self.reference.planned - 0.5) < PUSHED / 2
-        scale = self.settings.push / max(float(np.linalg.norm(aside)), LEAST_LEVEL)
-        self.data.xfrc_applied[body, :3] = scale * aside if middle else 0.0
+        force = np.zeros(3)
+        if self.settings.push and abs(k / self.reference.planned - 0.5) < PUSHED / 2:
+            level = self.forward()
+            aside = level if base_of(self.plan.model) == "planar" else np.cross(self.up, level)
+            force += self.settings.push / max(float(np.linalg.norm(aside)), LEAST_LEVEL) * aside
         for impulse in self.impulses:
-            self.data.xfrc_applied[body, :3] += self._force_of(impulse, k, level)
+            force += self._force_of(impulse, k)
+        self.data.xfrc_applied[self.base, :3] = force
 
     def forward(self) -> np.ndarray:
         """Level part (3,) of the base's forward axis in the world."""
         self.mujoco.mj_kinematics(self.model, self.data)
-        body = self.model.body(body_name(BASE_JOINT[base_of(self.plan.model)])).id
-        ahead = self.data.xmat[body].reshape(3, 3)[:, 0]
+        ahead = self.data.xmat[self.base].reshape(3, 3)[:, 0]
         return np.asarray(ahead - self.up * (self.up @ ahead))
 
-    def _force_of(self, impulse: Impulse, k: int, level: np.ndarray) -> np.ndarray:
+    def _force_of(self, impulse: Impulse, k: int) -> np.ndarray:
         """Force (3,) of an impulse in period ``k``, N: its direction is that of its first period."""
         period = self.reference.period
         first, lasts = round(impulse.time / period), max(1, round(impulse.duration / period))
         if k == first:
+            level = self.forward()
             along = level / max(float(np.linalg.norm(level)), LEAST_LEVEL)
             turned = np.cos(impulse.direction) * along
             turned = turned + np.sin(impulse.direction) * np.cross(self.up, along)
