@@ -73,7 +73,7 @@ def _print_wrapped(text: str, indent: int) -> None:
 
 def _family_dict(family: Family) -> dict[str, Any]:
     """A family as JSON; a parameter that is a choice has no range."""
-    shared = ("unit", "lower", "upper")
+    fields = ("name", "unit", "lower", "upper", "default", "choices", "meaning")
     return {
         "name": family.name,
         "robot": family.robot,
@@ -81,7 +81,8 @@ def _family_dict(family: Family) -> dict[str, Any]:
         "phases": list(family.phases),
         "summary": family.summary,
         "parameters": [
-            {name: getattr(each, name) for name in shared} | vars(each) for each in family.parameters
+            {name: getattr(each, name) for name in fields if hasattr(each, name)}
+            for each in family.parameters
         ],
     }
 

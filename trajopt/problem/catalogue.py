@@ -13,14 +13,15 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib.metadata import EntryPoint
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 from trajopt.arguments import checked
 from trajopt.cache import read_entry, write_entry
 from trajopt.errors import InputError, TrajoptError, VersionMismatchError, in_file
-from trajopt.problem.family import Choice, Family, Parameter, RobotName, choose
+from trajopt.problem.family import Family, choose
 from trajopt.robot.catalogue import GROUP, kind_if_known, offers
 
 if TYPE_CHECKING:
@@ -88,60 +89,39 @@ def _loading(entry: EntryPoint, *passed: type[Exception]) -> Iterator[None]:
 def listing() -> tuple[dict[str, Family], dict[str, str]]:
     """The families, as `families`, to be shown rather than built, and the kinds of their robots.
 
-    It is found in the cache where no problems are loaded and no file has been added, removed or changed in
-    any folder of a module that was loaded for it.
+    They are found in the cache unless a module that was loaded for them, or its folder, has changed since.
     """
     begun, entries = time.time_ns(), offers(GROUP)
-    loaded = any(entry.module in sys.modules for entry in entries)
     key = repr((sys.path, [entry.value for entry in entries]))
     name = f"listing.{hashlib.sha256(key.encode()).hexdigest()[:32]}"
-    with contextlib.suppress(OSError):  # a folder that is gone
-        if not loaded and (content := read_entry(name)) is not None:
-            folders, digest, listed = json.loads(content)
-            if _state(folders)[0] == digest:
-                known, kinds = json.loads(listed, object_hook=_restored)
-                return dict(known), dict(kinds)
-    try:
-        with warnings.catch_warnings(record=True) as warned:
-            known = families()
-            kinds = {each.robot: kind for each in known.values() if (kind := kind_if_known(each.robot))}
-    finally:
-        for each in warned:
-            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
-    with contextlib.suppress(OSError, TypeError):  # a module in an archive; a value that JSON does not have
-        if not (loaded or warned):
-            digest, changed = _state(folders := _folders())
-            items = [list(known.items()), list(kinds.items())]
-            listed = json.dumps(items, default=lambda thing: None if callable(thing) else vars(thing))
-            if changed < begun:  # else what was loaded may be older than the files
-                write_entry(name, json.dumps((folders, digest, listed)).encode())
+    loaded = any(entry.module in sys.modules for entry in entries)
+    content = None if loaded else read_entry(name)
+    if content is not None:
+        with contextlib.suppress(OSError):  # a file that is gone
+            times, shown, kinds = json.loads(content, object_hook=lambda fields: SimpleNamespace(**fields))
+            if all(os.stat(path).st_mtime_ns == changed for path, changed in times):
+                return {each.name: each for each in shown}, dict(kinds)
+    with warnings.catch_warnings(record=True) as warned:
+        known = families()
+        kinds = {each.robot: kind for each in known.values() if (kind := kind_if_known(each.robot))}
+    for each in warned:
+        warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    files = {file for module in list(sys.modules.values()) if (file := getattr(module, "__file__", None))}
+    with contextlib.suppress(OSError):  # a module in an archive
+        places = sorted(files | set(map(os.path.dirname, files)))
+        times = [(place, os.stat(place).st_mtime_ns) for place in places]
+        if not (loaded or warned) and max(changed for _, changed in times) < begun:
+            kept = times, list(known.values()), list(kinds.items())
+            write_entry(name, json.dumps(kept, default=_fields).encode())
     return known, kinds
 
 
-def _folders() -> list[str]:
-    """Folders of the modules that are loaded, and all in the packages of families."""
-    files = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
-    tops = [top for name in problem_modules() for top in getattr(sys.modules[name], "__path__", ())]
-    inside = {folder for top in tops for folder, *_ in os.walk(top) if not folder.endswith("__pycache__")}
-    return sorted(inside | {os.path.dirname(file) for file in files if file})
-
-
-def _state(folders: Iterable[str]) -> tuple[str, int]:
-    """Digest of what is in folders, by name, time of change and size, and the last of these times, ns."""
-    inside = [each for folder in folders for each in os.scandir(folder) if each.name != "__pycache__"]
-    stats = [(each.path, each.stat()) for each in inside if each.is_file()]
-    files = sorted((path, stat.st_mtime_ns, stat.st_size) for path, stat in stats)
-    text = repr((files, sorted(each.path for each in inside)))
-    return hashlib.sha256(text.encode()).hexdigest(), max(changed for _, changed, _ in files)
-
-
-def _restored(fields: dict[str, Any]) -> object:
-    """The family or parameter with these fields, which were checked when it was made."""
-    marks = {"phases": Family, "unit": Parameter, "name": Choice, "choices": RobotName}
-    made: Any = object.__new__(next(kind for mark, kind in marks.items() if mark in fields))
-    for name, value in fields.items():
-        vars(made)[name] = tuple(value) if isinstance(value, list) else value
-    return made
+def _fields(thing: Any) -> dict[str, Any] | None:
+    """What is shown of a family or of a parameter; nothing of a function."""
+    if callable(thing):
+        return None
+    names = ("takes_robot",) if isinstance(thing, Family) else ("name", "meaning", "unit", "lower", "upper")
+    return {name: getattr(thing, name) for name in names} | vars(thing)
 
 
 def published_optima() -> tuple[PublishedOptimum, ...]:
