@@ -2,14 +2,12 @@
 
 import collections.abc
 import math
+import sys
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from trajopt.errors import InputError, not_among, shown, with_article
 
@@ -22,7 +20,6 @@ MADE_BY = {
 }
 NAMES = "a name, or a sequence of names"
 SERIES = (list, tuple, collections.abc.Sequence, collections.abc.Collection, collections.abc.Iterable)
-ARRAYS = frozenset(get_args(ArrayLike))
 
 
 @dataclass(frozen=True)
@@ -62,8 +59,10 @@ class ArrayShape:
     sizes: tuple[int | None, ...] | None = None
     infinite: bool = False
 
-    def holds(self, array: np.ndarray) -> bool:
+    def holds(self, array: Any) -> bool:
         """Whether an array has the shape, and numbers that are allowed."""
+        import numpy as np  # here as below: what has no arrays loads no NumPy
+
         sizes = array.shape if self.sizes is None else self.sizes
         if len(sizes) != array.ndim or any(
             w not in (None, n) for w, n in zip(sizes, array.shape, strict=True)
@@ -142,14 +141,16 @@ def kind_of(hint: Any, keeps: bool) -> Kind:
     if hint in (float, int):
         return _number(hint, Range())
     if hint is bool:
-        return _that("True or False", lambda value: isinstance(value, bool | np.bool_))
+        return _that(
+            "True or False", lambda value: isinstance(value, (bool, _numpy("numpy", "bool_") or bool))
+        )
     if hint is str:
         return _that("a string", lambda value: isinstance(value, str))
     if general is collections.abc.Callable:
         return _that("a function", callable)
     if origin is type:
         return _that("a class", lambda value: isinstance(value, type))
-    if general is np.ndarray:
+    if general is _numpy("numpy", "ndarray"):
         return _array(ArrayShape(), keeps)
     if origin is tuple and parts[1:] != (Ellipsis,):
         return _tuple(parts, keeps)
@@ -158,6 +159,11 @@ def kind_of(hint: Any, keeps: bool) -> Kind:
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return _mapping(kind_of(parts[0], keeps), kind_of(parts[1], keeps))
     return _instance(general) if isinstance(general, type) else ANY
+
+
+def _numpy(module: str, name: str) -> Any:
+    """A name of NumPy's; None where that is not loaded, so that no annotation has it."""
+    return getattr(sys.modules.get(module), name, None)
 
 
 def _require(right: bool) -> None:
@@ -217,7 +223,8 @@ def _instance(kind: Any) -> Kind:
 
 
 def _union(hints: tuple[Any, ...], keeps: bool) -> Kind:
-    arrays = ARRAYS if set(hints) >= ARRAYS else frozenset()  # `ArrayLike` is a union, too
+    parts = frozenset(get_args(_numpy("numpy.typing", "ArrayLike")))  # a union, too
+    arrays = parts if set(hints) >= parts else frozenset()
     kinds = [kind_of(each, keeps) for each in hints if each not in arrays]
     kinds += [_array(ArrayShape(), keeps)] if arrays else []
     texts = {kind.text: None for kind in kinds}
@@ -299,6 +306,8 @@ def _array(shape: ArrayShape, keeps: bool) -> Kind:
     """Arrays of numbers: kept ones become read-only copies, lists arrays of floats."""
 
     def accept(value: Any, place: str) -> Any:
+        import numpy as np
+
         _require(not isinstance(value, str | bytes | bool) and value is not None)
         try:
             array = value if isinstance(value, np.ndarray) else np.array(value)

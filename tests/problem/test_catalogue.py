@@ -1,16 +1,18 @@
 """Problem families are found in whatever packages are installed."""
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
 from click.testing import Result
 
 from tests.support.command_lines import assert_refused, invoke
-from trajopt.errors import InputError
+from trajopt.errors import InputError, TrajoptError
 from trajopt.problem import catalogue
-from trajopt.problem.catalogue import families
+from trajopt.problem.catalogue import families, listing
 from trajopt.problem.family import Parameter
+from trajopt.robot.catalogue import _offers
 
 
 def trajopt(*arguments: str) -> Result:
@@ -22,13 +24,13 @@ def test_an_empty_group_of_problems_is_one_line(monkeypatch: pytest.MonkeyPatch)
     assert_refused(trajopt("list"), "no problem families", "trajopt.nothing")
 
 
-def install(folder: Path, name: str, source: str) -> None:
+def install(folder: Path, name: str, source: str, group: str = "trajopt.problems") -> None:
     """A package as pip installs it: a module and the metadata of its entry point."""
     (folder / f"{name}.py").write_text(source)
     information = folder / f"{name}-1.dist-info"
     information.mkdir()
     (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
-    (information / "entry_points.txt").write_text(f"[trajopt.problems]\nown = {name}\n")
+    (information / "entry_points.txt").write_text(f"[{group}]\nown = {name}\n")
 
 
 FOREIGN_FAMILY = """
@@ -63,6 +65,55 @@ def test_a_name_offered_twice_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
     install(tmp_path, "same_problems", FOREIGN_FAMILY % ("solo12-jump", "solo12-jump"))
     monkeypatch.syspath_prepend(tmp_path)
     assert_refused(trajopt("list"), "'solo12-jump' is offered by both", "same_problems")
+
+
+@pytest.fixture
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a package whose problems are the only ones; the cache is in ``cache``."""
+    (tmp_path / "cache").mkdir()
+    sys.modules.pop("lone_problems", None)
+    install(tmp_path, "lone_problems", FOREIGN_FAMILY % ("reach", "reach"), "trajopt.alone")
+    monkeypatch.setattr(catalogue, "GROUP", "trajopt.alone")
+    monkeypatch.setenv("TRAJOPT_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+def listed() -> tuple[list[str], bool]:
+    """Names of the listing where no problems are loaded, and whether it is from the cache."""
+    sys.modules.pop("lone_problems", None)
+    sys.modules.pop("more_problems", None)
+    _offers.cache_clear()
+    return list(listing()[0]), "lone_problems" not in sys.modules
+
+
+def test_a_listing_is_kept_until_a_file_is_changed_added_or_removed(alone: Path) -> None:
+    assert listed() == (["reach"], False)
+    assert listed() == (["reach"], True)
+    (alone / "lone_problems.py").write_text(FOREIGN_FAMILY % ("reach-far", "reach-far"))
+    assert listed() == (["reach-far"], False)
+    (entry,) = (alone / "cache").iterdir()
+    entry.write_bytes(entry.read_bytes()[:-1])
+    assert listed() == (["reach-far"], False)
+    install(alone, "more_problems", FOREIGN_FAMILY % ("push", "push"), "trajopt.alone")
+    assert listed() == (["push", "reach-far"], False)
+    (alone / "more_problems-1.dist-info" / "entry_points.txt").unlink()
+    assert listed() == (["reach-far"], False)
+    assert listed() == (["reach-far"], True)
+
+
+def test_a_listing_with_a_warning_is_not_kept(alone: Path) -> None:
+    install(alone, "more_problems", "import no_such_module", "trajopt.alone")
+    for _ in range(2):
+        with pytest.warns(UserWarning, match="'more_problems' cannot be loaded"):
+            assert listed() == (["reach"], False)
+
+
+def test_why_the_only_package_cannot_be_loaded_is_the_error(alone: Path) -> None:
+    (alone / "lone_problems.py").write_text("import no_such_module")
+    for find in (families, lambda: catalogue.family("reach")):
+        with pytest.raises(TrajoptError, match=r"'lone_problems' cannot .* line 1: ModuleNotFound"):
+            find()
 
 
 SPEED = Parameter(name="speed", default=0.0, unit="m/s", lower=-10.0, upper=10.0, meaning="forward")

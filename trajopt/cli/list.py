@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -36,28 +36,26 @@ def list_command(
     """
     if brief and full:
         raise InputError("--brief and --full are both given", "allowed: one of them")
-    from trajopt.problem.catalogue import families
+    from trajopt.problem.catalogue import listing
     from trajopt.study.suite.cases import select
 
-    known = families()
+    known, kinds = listing()
     wanted = {case.problem for case in select(known, problems, [] if robot is None else [robot])}
     listed = [family for name, family in known.items() if name in wanted]
     if as_json:
         say(to_json({"problems": [_family_dict(family) for family in listed]}))
     elif brief or not (full or problems):
-        _print_brief(listed)
+        _print_brief(listed, kinds)
     else:
         for family in listed:
             _print_full(family)
 
 
-def _print_brief(families: Sequence[Family]) -> None:
+def _print_brief(families: Sequence[Family], kinds: Mapping[str, str]) -> None:
     """Name and summary of each family, under headings with the robots of their kind."""
-    from trajopt.robot.catalogue import robot_kind
-
     groups: dict[str, list[Family]] = {heading: [] for heading in HEADINGS.values()}
     for family in families:
-        groups[HEADINGS.get(robot_kind(family.robot) or "", OTHERS)].append(family)
+        groups[HEADINGS.get(kinds.get(family.robot, ""), OTHERS)].append(family)
     for heading, members in groups.items():
         if members:
             robots = ", ".join(dict.fromkeys(name for family in members for name in family.robots))
@@ -75,7 +73,7 @@ def _print_wrapped(text: str, indent: int) -> None:
 
 def _family_dict(family: Family) -> dict[str, Any]:
     """A family as JSON; a parameter that is a choice has no range."""
-    shared = ("unit", "lower", "upper")
+    fields = ("name", "unit", "lower", "upper", "default", "choices", "meaning")
     return {
         "name": family.name,
         "robot": family.robot,
@@ -83,7 +81,8 @@ def _family_dict(family: Family) -> dict[str, Any]:
         "phases": list(family.phases),
         "summary": family.summary,
         "parameters": [
-            {name: getattr(each, name) for name in shared} | vars(each) for each in family.parameters
+            {name: getattr(each, name) for name in fields if hasattr(each, name)}
+            for each in family.parameters
         ],
     }
 

@@ -6,18 +6,25 @@ faster; the library imports none by name.
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
+import os
 import sys
+import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.metadata import EntryPoint
-from typing import TYPE_CHECKING, cast
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 from trajopt.arguments import checked
+from trajopt.cache import read_entry, write_entry
 from trajopt.errors import InputError, TrajoptError, VersionMismatchError, in_file
-from trajopt.robot.catalogue import GROUP, offers
+from trajopt.problem.family import Family, choose
+from trajopt.robot.catalogue import GROUP, kind_if_known, offers
 
 if TYPE_CHECKING:
-    from trajopt.problem.family import Family
     from trajopt.problem.problem import Problem
     from trajopt.problem.published import PublishedOptimum
 
@@ -26,12 +33,22 @@ if TYPE_CHECKING:
 def families() -> dict[str, Family]:
     """Return all families by name, sorted; a package that cannot be loaded is left out with a warning.
 
-    Raises `TrajoptError` when there is none, or when two packages use the same name.
+    Raises `TrajoptError` when there is none, when the only package cannot be loaded, or when two packages use
+    the same name.
     """
     known: dict[str, Family] = {}
     origin: dict[str, str] = {}
-    for entry in offers(GROUP):
-        for name, family in _families_of(entry).items():
+    entries = offers(GROUP)
+    for entry in entries:
+        offered: Mapping[str, Family] = {}
+        try:
+            with _loading(entry):
+                offered = entry.load().families()
+        except TrajoptError as error:  # in one package must not affect the others
+            if len(entries) == 1 or isinstance(error, VersionMismatchError):
+                raise
+            warnings.warn(str(error), stacklevel=2)
+        for name, family in offered.items():
             if name in known:
                 raise TrajoptError(f"problem '{name}' is offered by both {origin[name]} and {entry.value}")
             known[name], origin[name] = family, entry.value
@@ -47,31 +64,64 @@ def families() -> dict[str, Family]:
 def family(name: str) -> Family:
     """The family of that name; where one package alone offers any, its others are not loaded.
 
-    Raises `InputError` that lists the known names.
+    Raises `InputError` that lists the known names, `TrajoptError` where that package cannot be loaded.
     """
-    from trajopt.problem.family import choose
-
-    only, *others = (*offers(GROUP), None)
-    if only is not None and others == [None]:
-        try:
-            return cast("Family", only.load().family(name))
-        except (InputError, VersionMismatchError):
-            raise
-        except Exception:  # `families` warns of it
-            pass
+    entries = offers(GROUP)
+    if len(entries) == 1:
+        with _loading(entries[0], InputError):
+            module = entries[0].load()
+            if hasattr(module, "family"):
+                return cast("Family", module.family(name))
     return choose(families(), name)
 
 
-def _families_of(entry: EntryPoint) -> Mapping[str, Family]:
+@contextlib.contextmanager
+def _loading(entry: EntryPoint, *passed: type[Exception]) -> Iterator[None]:
+    """Errors of a package become a `TrajoptError` that names it, but for those that are passed on."""
     try:
-        offered: Mapping[str, Family] = entry.load().families()
-    except VersionMismatchError:
-        raise
-    except Exception as error:  # an error in one package must not affect the others
-        reason = in_file(error)
-        warnings.warn(f"problems of '{entry.value}' cannot be loaded: {reason}", stacklevel=3)
-        return {}
-    return offered
+        yield
+    except Exception as error:
+        if isinstance(error, (VersionMismatchError, *passed)):
+            raise
+        raise TrajoptError(f"problems of '{entry.value}' cannot be loaded: {in_file(error)}") from error
+
+
+def listing() -> tuple[dict[str, Family], dict[str, str]]:
+    """The families, as `families`, to be shown rather than built, and the kinds of their robots.
+
+    They are found in the cache unless a module that was loaded for them, or its folder, has changed since.
+    """
+    begun, entries = time.time_ns(), offers(GROUP)
+    key = repr((sys.path, [entry.value for entry in entries]))
+    name = f"listing.{hashlib.sha256(key.encode()).hexdigest()[:32]}"
+    loaded = any(entry.module in sys.modules for entry in entries)
+    content = None if loaded else read_entry(name)
+    if content is not None:
+        with contextlib.suppress(OSError):  # a file that is gone
+            times, shown, kinds = json.loads(content, object_hook=lambda fields: SimpleNamespace(**fields))
+            if all(os.stat(path).st_mtime_ns == changed for path, changed in times):
+                return {each.name: each for each in shown}, dict(kinds)
+    with warnings.catch_warnings(record=True) as warned:
+        known = families()
+        kinds = {each.robot: kind for each in known.values() if (kind := kind_if_known(each.robot))}
+    for each in warned:
+        warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    files = {file for module in list(sys.modules.values()) if (file := getattr(module, "__file__", None))}
+    with contextlib.suppress(OSError):  # a module in an archive
+        places = sorted(files | set(map(os.path.dirname, files)))
+        times = [(place, os.stat(place).st_mtime_ns) for place in places]
+        if not (loaded or warned) and max(changed for _, changed in times) < begun:
+            kept = times, list(known.values()), list(kinds.items())
+            write_entry(name, json.dumps(kept, default=_fields).encode())
+    return known, kinds
+
+
+def _fields(thing: Any) -> dict[str, Any] | None:
+    """What is shown of a family or of a parameter; nothing of a function."""
+    if callable(thing):
+        return None
+    names = ("takes_robot",) if isinstance(thing, Family) else ("name", "meaning", "unit", "lower", "upper")
+    return {name: getattr(thing, name) for name in names} | vars(thing)
 
 
 def published_optima() -> tuple[PublishedOptimum, ...]:

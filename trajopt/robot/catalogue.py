@@ -53,6 +53,14 @@ def robot_kind(name: str) -> str | None:
     return None if kind is None else str(kind)
 
 
+def kind_if_known(name: str) -> str | None:
+    """Kind of a robot by name; None if it is not in any package of robots."""
+    try:
+        return robot_kind(name)
+    except InputError:
+        return None
+
+
 def _from_packages(function: str, name: str) -> object:
     """The first result of the packages' functions of that name; None where there is no such function."""
     unknown: InputError | None = None

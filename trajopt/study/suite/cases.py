@@ -6,7 +6,7 @@ from fnmatch import fnmatchcase
 
 from trajopt.errors import InputError, expanded, not_among
 from trajopt.problem.family import Family
-from trajopt.robot.catalogue import robot_kind
+from trajopt.robot.catalogue import kind_if_known, robot_kind
 
 # A robot that no family lists may be given as a file that builds it.
 ROBOT_FILE = ".py"
@@ -88,18 +88,10 @@ def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -
         if not expanded(robot).is_file():
             raise InputError(f"there is no robot file {robot}", "allowed: a .py file with build()")
         kind = robot_kind(robot)
-    elif (kind := _kind(robot)) is None:
+    elif (kind := kind_if_known(robot)) is None:
         raise not_among(sorted(known), robot, f"robot '{robot}' is unknown")
     return {
         Case(problem=family.name, robot=robot, takes_robot=True)
         for family in families.values()
-        if family.takes_robot and (kind is None or _kind(family.robot) in (None, kind))
+        if family.takes_robot and (kind is None or kind_if_known(family.robot) in (None, kind))
     }
-
-
-def _kind(robot: str) -> str | None:
-    """Kind of a robot by name; None if it is not in any package of robots."""
-    try:
-        return robot_kind(robot)
-    except InputError:
-        return None
