@@ -1,38 +1,38 @@
 """The gallery's motions as pages that play, solved when the site is built."""
 
-import multiprocessing
-import os
 import re
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import trajopt
+from trajopt.certify.check import BODIES
 from trajopt.problem import families
+from trajopt.solving.graded import first_mesh, solve_graded
+from trajopt.solving.solving import solve
 
 PAGE = "gallery/README.md"
 PICTURE = re.compile(r"(?<!\[)!\[([^]]*)\]\(([\w@.-]+)\.webp\)")
 # Its solve takes longer than those of all others together.
 TOO_LONG = ("biped-jump-forward@g1",)
-PROCESSES = 2
 
 
-def replays(text: str) -> dict[str, bytes]:
-    """Replays by path, of the motions that the gallery's page has pictures of."""
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    names = [name for _, name in PICTURE.findall(text) if name not in TOO_LONG]
-    with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
-        pages = pool.map(_replay, names)
-        return {f"gallery/{name}.html": page for name, page in zip(names, pages, strict=True)}
+def replays(text: str) -> list[str]:
+    """Names ``PROBLEM@ROBOT`` of the motions that the gallery's page has pictures of."""
+    return [name for _, name in PICTURE.findall(text) if name not in TOO_LONG]
 
 
-def _replay(name: str) -> bytes:
-    """The page of the motion that a picture ``PROBLEM@ROBOT`` shows."""
-    problem, robot = name.split("@")
-    chosen = {"robot": robot} if families()[problem].takes_robot else {}
+def replay(name: str) -> bytes:
+    """The page that plays a motion: on the first mesh; to the grade where bodies come too near there."""
+    family, robot = name.split("@")
+    problem = trajopt.load(family, **({"robot": robot} if families()[family].takes_robot else {}))
+    solution = solve(problem, mesh=first_mesh(problem), judge=False)
+    if not solution.converged:
+        solution = trajopt.solve(problem)
+    elif not set(BODIES).isdisjoint(trajopt.check(solution, integrate=False).failures()):
+        solution = solve_graded(problem, first=solution).solution
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "replay.html"
-        trajopt.replay(trajopt.solve(trajopt.load(problem, **chosen)), html=page)
+        trajopt.replay(solution, html=page)
         return page.read_bytes()
 
 
