@@ -218,8 +218,7 @@ def readme(entries: Sequence[Entry]) -> str:
         "    uv run python -m scripts.gallery --solutions out -o docs/gallery",
         "",
         "makes this page, with one robot for each problem; with `--pages` also an `index.html` whose pictures"
-        " open replays. Replays on the site are drafts on the first mesh; where bodies are over 1 cm deep, or"
-        " that is not solved, they are solved to the grade.",
+        " open replays, as those on the documentation's site do.",
     ]
     for number, (title, document, _) in enumerate(GROUPS):
         members = [entry for entry in entries if entry.group == number]

@@ -5,18 +5,12 @@ import tempfile
 from pathlib import Path
 
 import trajopt
-from trajopt.certify.check import BODIES
-from trajopt.certify.report import Tolerances
 from trajopt.problem import families
-from trajopt.solving.graded import first_mesh, solve_graded
-from trajopt.solving.solving import solve
 
 PAGE = "gallery/README.md"
 PICTURE = re.compile(r"(?<!\[)!\[([^]]*)\]\(([\w@.-]+)\.webp\)")
 # Its solve takes longer than those of all others together.
 TOO_LONG = ("biped-jump-forward@g1",)
-# How deep bodies may be in each other, m, before a picture shows it.
-VISIBLE = Tolerances(bodies=1e-2)
 
 
 def replays(text: str) -> list[str]:
@@ -25,17 +19,12 @@ def replays(text: str) -> list[str]:
 
 
 def replay(name: str) -> bytes:
-    """The page that plays a motion: on the first mesh; to the grade where bodies are too deep there."""
-    family, robot = name.split("@")
-    problem = trajopt.load(family, **({"robot": robot} if families()[family].takes_robot else {}))
-    solution = solve(problem, mesh=first_mesh(problem), judge=False)
-    if not solution.converged:
-        solution = trajopt.solve(problem)
-    elif not set(BODIES).isdisjoint(trajopt.check(solution, integrate=False).failures(VISIBLE)):
-        solution = solve_graded(problem, first=solution).solution
+    """The page that plays the motion of a picture ``PROBLEM@ROBOT``."""
+    problem, robot = name.split("@")
+    chosen = {"robot": robot} if families()[problem].takes_robot else {}
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "replay.html"
-        trajopt.replay(solution, html=page)
+        trajopt.replay(trajopt.solve(trajopt.load(problem, **chosen)), html=page)
         return page.read_bytes()
 
 
