@@ -1,10 +1,7 @@
 """The gallery's motions as pages that play, solved when the site is built."""
 
-import multiprocessing
-import os
 import re
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import trajopt
@@ -14,20 +11,15 @@ PAGE = "gallery/README.md"
 PICTURE = re.compile(r"(?<!\[)!\[([^]]*)\]\(([\w@.-]+)\.webp\)")
 # Its solve takes longer than those of all others together.
 TOO_LONG = ("biped-jump-forward@g1",)
-PROCESSES = 2
 
 
-def replays(text: str) -> dict[str, bytes]:
-    """Replays by path, of the motions that the gallery's page has pictures of."""
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    names = [name for _, name in PICTURE.findall(text) if name not in TOO_LONG]
-    with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
-        pages = pool.map(_replay, names)
-        return {f"gallery/{name}.html": page for name, page in zip(names, pages, strict=True)}
+def replays(text: str) -> list[str]:
+    """Names ``PROBLEM@ROBOT`` of the motions that the gallery's page has pictures of."""
+    return [name for _, name in PICTURE.findall(text) if name not in TOO_LONG]
 
 
-def _replay(name: str) -> bytes:
-    """The page of the motion that a picture ``PROBLEM@ROBOT`` shows."""
+def replay(name: str) -> bytes:
+    """The page that plays the motion of a picture ``PROBLEM@ROBOT``."""
     problem, robot = name.split("@")
     chosen = {"robot": robot} if families()[problem].takes_robot else {}
     with tempfile.TemporaryDirectory() as folder:
@@ -38,10 +30,6 @@ def _replay(name: str) -> bytes:
 
 def with_links(text: str) -> str:
     """The gallery's page with pictures that open the replays."""
-
-    def linked(match: re.Match[str]) -> str:
-        if match[2] in TOO_LONG:
-            return match[0]
-        return f"[{match[0]}]({match[2]}.html){{ target=_blank }}"
-
-    return PICTURE.sub(linked, text)
+    return PICTURE.sub(
+        lambda m: m[0] if m[2] in TOO_LONG else f"[{m[0]}]({m[2]}.html){{ target=_blank }}", text
+    )

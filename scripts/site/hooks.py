@@ -1,11 +1,15 @@
 """Hooks of MkDocs: pages that are generated, and links out of `docs/`."""
 
+import multiprocessing
+import os
 import posixpath
 import re
 import sys
+from concurrent.futures import Future, ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
+from jinja2 import Environment
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -22,19 +26,27 @@ LINK = re.compile(r"(?<=\]\()(\.\./[^)#\s]+)")
 # Files of the repository that are pages of the site, and the folder for others that pages link to.
 PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 FILES = "files"
+# Replays of the gallery in the making, by their paths in the site.
+replays: dict[str, Future[bytes]] = {}
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the reference, the notebooks, the replays, and pages that lie at the root of the repository."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # a process for each core
+    pool = ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn"))
+    executed = [pool.submit(notebooks.pages, path) for path in sorted((ROOT / "notebooks").glob("*.ipynb"))]
+    for name in gallery.replays(files.src_uris[gallery.PAGE].content_string):
+        make = partial(gallery.replay, name)
+        replays[f"gallery/{name}.html"] = pool.submit(stored, name, make, gallery.__file__)
+    pool.shutdown(wait=False)
     generated: dict[str, str | bytes] = {
         **reference.python_pages(),
         **reference.command_pages(),
         **reference.problem_page(),
+        **dict.fromkeys(replays, b""),
     }
-    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        generated |= stored(path.stem, partial(notebooks.pages, path))
-    page = files.src_uris[gallery.PAGE].content_string
-    generated |= stored("gallery", partial(gallery.replays, page))
+    for tutorial in executed:
+        generated |= tutorial.result()
     for source, page in PAGES.items():
         if page not in files.src_uris and (ROOT / source).is_file():
             generated[page] = (ROOT / source).read_text(encoding="utf-8").replace("](docs/", "](")
@@ -58,6 +70,13 @@ def _linked(files: Files) -> set[str]:
         links = (_outside(link, file.src_uri) for link in LINK.findall(file.content_string))
         found |= {link for link in links if link is not None and link not in PAGES}
     return found
+
+
+def on_env(env: Environment, config: MkDocsConfig, files: Files) -> None:
+    """Put the replays, made while pages were rendered, into their files."""
+    for page, replay in replays.items():
+        files.src_uris[page].content_bytes = replay.result()
+    replays.clear()
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:

@@ -1,15 +1,16 @@
 """Notebooks as pages: executed, pictures and replays as files beside the page."""
 
 import html
-import os
 import re
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import nbformat
 from nbclient import NotebookClient
-from nbconvert import MarkdownExporter
 from nbformat import NotebookNode
+
+from scripts.site.stored import stored
 
 FOLDER = "tutorials"
 # Seconds for one cell.
@@ -17,14 +18,20 @@ LIMIT = 600
 FRAME = re.compile(r'<iframe srcdoc="([^"]*)"[^>]*></iframe>')
 
 
-def pages(path: Path) -> dict[str, bytes]:
-    """Files of the site by path: the executed notebook as Markdown, its pictures and its replays."""
-    name = path.stem
+def executed(path: Path) -> NotebookNode:
+    """A notebook with its outputs."""
     notebook = nbformat.read(path, as_version=4)
     with tempfile.TemporaryDirectory() as folder:
-        # A page is made on the cores that CI shares.
-        os.environ.setdefault("OMP_NUM_THREADS", "1")
         NotebookClient(notebook, timeout=LIMIT, resources={"metadata": {"path": folder}}).execute()
+    return notebook
+
+
+def pages(path: Path) -> dict[str, bytes]:
+    """Files of the site by path: the executed notebook as Markdown, its pictures and its replays."""
+    from nbconvert import MarkdownExporter  # which tests do without
+
+    name = path.stem
+    notebook = stored(name, partial(executed, path), path)
     found: dict[str, bytes] = {}
     for cell in notebook.cells:
         for output in cell.get("outputs", ()):

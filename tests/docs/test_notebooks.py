@@ -2,17 +2,18 @@
 
 import html
 import re
+from functools import partial
 from pathlib import Path
 
 import nbformat
 import pytest
-from nbclient import NotebookClient
 from playwright.sync_api import sync_playwright
 
 import trajopt
+from scripts.site.notebooks import executed
+from scripts.site.stored import stored
 from tests.support.browser import require_chromium
 from tests.support.problems import reach
-from tests.support.processes import LIMIT
 from tests.support.repository import ROOT
 from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
@@ -53,10 +54,8 @@ def test_links_of_a_notebook_lead_somewhere(path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path: Path, tmp_path: Path) -> None:
-    notebook = nbformat.read(path, as_version=4)
-    client = NotebookClient(notebook, timeout=LIMIT, resources={"metadata": {"path": str(tmp_path)}})
-    done = client.execute()
+def test_notebook_runs(path: Path) -> None:
+    done = stored(path.stem, partial(executed, path), path)
     outputs = [output for cell in done.cells for output in cell.get("outputs", ())]
     assert not [output for output in outputs if output.output_type == "error"]
     kinds = [set(output.get("data", ())) for output in outputs]
