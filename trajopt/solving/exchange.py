@@ -19,6 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.report import PENETRATION
+from trajopt.collision.joint_distance import JointDistances
 from trajopt.collision.near import ShapePair
 from trajopt.collision.planes import PlacedBody, SeparatingPlane
 from trajopt.motion.configurations import SolutionMotion
@@ -29,7 +30,7 @@ from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.units import Units
 from trajopt.solution.interpolation import collocation_fractions
 from trajopt.solution.solution import Solution
-from trajopt.terms.moments import PlaneSide
+from trajopt.terms.moments import LinkDistance, MomentConstraint, PlaneSide
 
 # Pairs that are too near somewhere get rows wherever they are nearer than their margin plus a multiple of
 # what they lacked at most, within these parts of the length: a motion that gives way there may come near
@@ -40,6 +41,8 @@ LEAST_SLACK = 2e-5
 # Between its nodes an interval is looked at this many times, evenly, and at its points; more often where a
 # coordinate changes by more than this from look to look, in natural units (rad, lengths of the robot).
 LOOKS, LOOK_STEP = 5, 0.03
+# After so many looks in which a pair with rows is too near its distance is no longer fitted.
+MOST_MISSES = 3
 # Moments that agree to this many digits are the same.
 DIGITS = 12
 
@@ -72,10 +75,12 @@ class Exchange:
         default_factory=dict
     )
     lacking: defaultdict[ShapePair, float] = field(default_factory=lambda: defaultdict(float))
+    misses: defaultdict[ShapePair, int] = field(default_factory=lambda: defaultdict(int))
     beyond_feet: bool = False
 
     def __post_init__(self) -> None:
         self.bodies: ProblemBodies = bodies_of(self.problem)
+        self.fits = JointDistances(self.bodies.scene)
 
     @property
     def band(self) -> float:
@@ -90,11 +95,6 @@ class Exchange:
         """
         margins = self.bodies.margins
         return np.minimum(np.maximum(margins - TOO_NEAR, -PENETRATION), margins - LEAST_SLACK)
-
-    @property
-    def sided_pairs(self) -> tuple[ShapePair, ...]:
-        """Pairs other than with the ground: their bodies may pass each other on several sides."""
-        return self.bodies.pairs[self.bodies.scene.n_ground :]
 
     def moved_to(self, problem: Problem) -> Exchange:
         """The same pairs, moments and corners of links for a problem with other parameters."""
@@ -128,17 +128,28 @@ class Exchange:
         short = (look.distances - self._least).min(axis=0, initial=np.inf)
         return tuple(pair for pair, distance in zip(self.bodies.pairs, short, strict=True) if distance < 0)
 
-    def depth(self, look: Look) -> float:
-        """By how much the worst pair is too near, m; zero if none is."""
-        return max(-float((look.distances - self._least).min(initial=np.inf)), 0.0)
+    def depth(self, look: Look, sideless: bool = False) -> float:
+        """By how much the worst pair is too near, m; zero if none is.
+
+        sideless: only of pairs without rows so far, whose bodies may pass each other on several sides: no
+        ground, no links whose distance is fitted.
+        """
+        short = self._least - look.distances
+        if sideless:
+            n = self.bodies.scene.n_ground
+            sided = [pair not in self.moments and not self._fitted(pair) for pair in self.bodies.pairs[n:]]
+            short = short[:, n:][:, sided]
+        return float(short.max(initial=0.0))
 
     def add(self, look: Look) -> bool:
         """Add the moments where pairs that are, or were, too near are near; whether there are new ones."""
         before, length = sum(map(len, self.moments.values())), self.problem.robot.length
-        wanted = {*self.missing(look), *self.moments}
+        missing = self.missing(look)
+        wanted = {*missing, *self.moments}
         short = look.distances - self.bodies.margins
         for column, pair in enumerate(self.bodies.pairs):
             if pair in wanted:
+                self.misses[pair] += pair in self.moments and pair in missing
                 distances = short[:, column]
                 missed = look.distances[:, column] < self._least[column]
                 self.lacking[pair] = max(self.lacking[pair], -float(distances.min()))
@@ -161,7 +172,7 @@ class Exchange:
         groups = defaultdict(list)
         for (phase, fraction), plane in self._laid(motion):
             groups[phase, plane.frame, plane.body].append((fraction, plane))
-        terms = [
+        terms: list[MomentConstraint] = [
             PlaneSide(
                 during=self.problem.schedule.names[phase],
                 frame=frame,
@@ -171,7 +182,28 @@ class Exchange:
             )
             for (phase, frame, body), members in groups.items()
         ]
-        return replace(self.problem, terms=(*self.problem.terms, *terms))
+        return replace(self.problem, terms=(*self.problem.terms, *terms, *self._distances(motion)))
+
+    def _distances(self, motion: PhaseMotion) -> Iterator[LinkDistance]:
+        """Rows of the links whose distances are fitted, around a motion."""
+        model, names = self.problem.robot.model, self.problem.schedule.names
+        margins = dict(zip(self.bodies.pairs, self.bodies.margins.tolist(), strict=True))
+        for pair in filter(self._fitted, self.moments):
+            moments = sorted(self.moments[pair])
+            q = np.array([motion(*moment) for moment in moments])
+            rows = self.fits.rows(pair, q, margins[pair])
+            phases, fractions = (np.array(each) for each in zip(*moments, strict=True))
+            for phase in np.unique(phases):
+                yield LinkDistance(
+                    during=names[phase],
+                    joints=tuple(model.names[joint] for joint in self.fits.joints(pair)),
+                    fractions=fractions[phases == phase],
+                    parameters=rows[phases == phase],
+                )
+
+    def _fitted(self, pair: ShapePair) -> bool:
+        """Whether a pair's distance is a polynomial, which is no bound: not where that does not help."""
+        return self.misses[pair] < MOST_MISSES and bool(self.fits.joints(pair))
 
     def starts(
         self, solution: Solution, guess_first: bool = False
@@ -208,12 +240,13 @@ class Exchange:
         return bool((short[:, columns] >= 0).all())
 
     def _laid(self, motion: PhaseMotion) -> Iterator[tuple[PhaseMoment, SeparatingPlane]]:
-        every = sorted({moment for moments in self.moments.values() for moment in moments})
+        separated = {pair: moments for pair, moments in self.moments.items() if not self._fitted(pair)}
+        every = sorted({moment for moments in separated.values() for moment in moments})
         if not every:
             return
         numbers = {moment: k for k, moment in enumerate(every)}
         q = np.array([motion(*moment) for moment in every])
-        pairs = [(pair, moment) for pair, moments in self.moments.items() for moment in sorted(moments)]
+        pairs = [(pair, moment) for pair, moments in separated.items() for moment in sorted(moments)]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
         feet: list[PlacedBody | None] = [None] * len(wanted)
         if self.beyond_feet:

@@ -5,7 +5,8 @@ lambda_i = h b_i lambda(t_i); of a defect a costate, a function of time itself; 
 nodes of a phase the spacing of nodes times a function of time (Hager, "Runge-Kutta methods in optimal
 control and the transformed adjoint system", Numerische Mathematik, 2000). These functions are interpolated
 linearly in the fraction of their phase. Rows are matched by name, phase, place and number; rows without a
-match start at zero, as without a warm start.
+match start at zero, as without a warm start. Multipliers of rows at moments are shared among the rows of the
+same term in the same part of the phase: there are others, and more of them, after each look.
 """
 
 from collections import defaultdict
@@ -17,6 +18,7 @@ import numpy as np
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solvers.result import WarmMultipliers
+from trajopt.terms.moments import MomentConstraint
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.row_collection import RowInfo
 from trajopt.transcription.timeline import StageKind
@@ -66,6 +68,9 @@ def resampled_multipliers(transcription: Transcription, solution: Solution) -> W
     new = transcription.layout
     rows, bounds = np.zeros(transcription.n_rows), np.zeros(new.n_unknowns)
     _resample(_blocks(old, info), solution.row_multiplier, _blocks(new, transcription.rows), rows)
+    for term in transcription.problem.moment_constraints:
+        before, after = (_at_moments(*known, term) for known in ((old, info), (new, transcription.rows)))
+        _spread(before, solution.row_multiplier, after, rows)
     _resample(_nodes(old), solution.bound_multiplier, _nodes(new), bounds)
     return WarmMultipliers(lam_g=rows, lam_x=bounds)
 
@@ -84,6 +89,32 @@ def _resample(old: Iterable[_Block], known: np.ndarray, new: Iterable[_Block], r
             columns, times = values[block.key].T, fractions[block.key]
             samples = [np.interp(block.fraction, times, column) for column in columns]
             result[block.rows] = block.weight * np.array(samples)
+
+
+def _at_moments(layout: Layout, info: RowInfo, term: MomentConstraint) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (n,) of a term, and the intervals (n, 2) in which they lie, in fractions of its phase."""
+    phase = layout.schedule.names.index(term.during)
+    known = info.names.index(term.name) if term.name in info.names else -1
+    stages = layout.intervals_of(phase)
+    rows = np.flatnonzero((info.block == known) & np.isin(info.stage, stages))
+    edges = np.array(layout.mesh.phases[phase].fractions)
+    index = np.searchsorted(stages, info.stage[rows])
+    return rows, np.column_stack([edges[index], edges[index + 1]])
+
+
+def _spread(
+    old: tuple[np.ndarray, np.ndarray],
+    known: np.ndarray,
+    new: tuple[np.ndarray, np.ndarray],
+    result: np.ndarray,
+) -> None:
+    """Share the multipliers of rows at moments among the new rows of the same interval: their sum stays."""
+    (rows, spans), (places, others) = old, new
+    if not (len(rows) and len(places)):
+        return
+    overlap = np.minimum(spans[:, None, 1], others[:, 1]) - np.maximum(spans[:, None, 0], others[:, 0])
+    overlap = np.where(overlap > 0, overlap, overlap == overlap.max(axis=1, keepdims=True))  # or the next one
+    result[places] = known[rows] @ (overlap / overlap.sum(axis=1, keepdims=True))
 
 
 def _layout_of(layout: Layout, solution: Solution, bounds: np.ndarray) -> Layout | None:

@@ -123,7 +123,7 @@ class Refinement:
             if examined >= rounds:
                 return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
             imposed = self._far_limits_imposed(report)
-            new = {pair for pair in self.exchange.missing(look) if pair not in self.exchange.moments}
+            sideless = self.exchange.depth(look, sideless=True) >= DEEP
             self.exchange.add(look)
             mesh = mesh_of(solution)
             if self.refine and near < DEEP and not imposed:  # else the motion will be another one
@@ -139,7 +139,6 @@ class Refinement:
             if anew is not None:
                 solution, rounds = anew, rounds + examined
                 continue
-            sideless = near >= DEEP and not new.isdisjoint(self.exchange.sided_pairs)
             solution = self._solved_from(mesh, solution, sideless, DEEPER if near >= DEEP else 1)
         return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
 

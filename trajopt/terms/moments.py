@@ -5,6 +5,7 @@ its bound: those are exchanged until it holds in between (Hettich and Kortanek, 
 SIAM Review 35, 1993). Which moments, `trajopt.solving.exchange` finds.
 """
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
+from trajopt.collision.joint_distance import monomials
 from trajopt.errors import InputError
 from trajopt.pickling import picklable
 from trajopt.robot.units import Units
@@ -102,7 +104,7 @@ class PlaneSide(MomentConstraint):
     @property
     @override
     def name(self) -> str:
-        return "clearance"
+        return f"clearance of {self.frame or 'the world'} and {self.body or 'the world'}"
 
     @override
     def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:
@@ -115,6 +117,39 @@ class PlaneSide(MomentConstraint):
             normal = ca.mtimes(carrier.rotation, normal)
             offset = offset + ca.dot(normal, carrier.position)
         return Rows.create(ca.dot(normal, point) - offset, 0.0, np.inf, units.length)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinkDistance(MomentConstraint):
+    """Two links stay apart, by a polynomial of the angles of the joints between them.
+
+    The parameters of a moment are the angles (n,) rad around which the polynomial is, and its coefficients
+    (m,) m; see `trajopt.collision.joint_distance`.
+
+    Args:
+        joints: names of the joints between the links, each with one degree of freedom.
+    """
+
+    joints: tuple[str, ...]
+
+    @property
+    @override
+    def name(self) -> str:
+        return f"clearance by {', '.join(self.joints)}"
+
+    @override
+    def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:
+        model, count = context.robot.model, len(self.joints)
+        rows = [model.joints[model.getJointId(name)].idx_v for name in self.joints]
+        angles = [context.xi[row] - parameters[k] for k, row in enumerate(rows)]
+        coefficients = ca.vertsplit(parameters[count:])
+        terms = [
+            math.prod(
+                (angle for angle, power in zip(angles, powers, strict=True) for _ in range(power)), start=c
+            )
+            for c, powers in zip(coefficients, monomials(count), strict=True)
+        ]
+        return Rows.create(sum(terms), 0.0, np.inf, units.length)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
