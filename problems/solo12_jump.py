@@ -47,7 +47,9 @@ def _guess(robot: Robot, schedule: Schedule, end: np.ndarray, base: WaypointPath
     """Feet on their footholds; in flight they move with the base from one stance to the other."""
     stance, flight, _ = (phase.duration for phase in schedule.phases)
     starts, ends = (contact_positions(robot, q) for q in (robot.reference, end))
-    return partial(_posture, robot, base, (stance, flight), (starts, ends))
+    before, after = base(stance), base(stance + flight)
+    ways = {name: (before.actInv(start), after.actInv(ends[name])) for name, start in starts.items()}
+    return partial(_posture, robot, base, (stance, flight), (starts, ends), ways)
 
 
 def _posture(
@@ -55,21 +57,23 @@ def _posture(
     base: WaypointPath,
     durations: tuple[float, float],
     feet: tuple[dict[str, np.ndarray], dict[str, np.ndarray]],
+    ways: dict[str, tuple[np.ndarray, np.ndarray]],
     t: float,
 ) -> np.ndarray:
-    """Configuration at ``t`` s; durations of stance and flight, positions of the feet before and after it."""
+    """Configuration at ``t`` s.
+
+    durations: of stance and flight. feet: their positions before and after it. ways: of each foot where it is
+    in the base's axes at both ends of the flight.
+    """
     (stance, flight), (starts, ends) = durations, feet
     placement, s = base(t), (t - stance) / flight
     q = robot.reference.copy()
     q[:7] = pin.SE3ToXYZQUAT(placement)
     places = starts if s <= 0 else ends
     if 0 < s < 1:
-        before, after = base(stance), base(stance + flight)
-        ways = {name: (before.actInv(start), after.actInv(ends[name])) for name, start in starts.items()}
-        places = {
-            name: placement.act(common.hermite(s, flight, first, 0.0, last, 0.0))
-            for name, (first, last) in ways.items()
-        }
+        first, last = (np.array(end) for end in zip(*ways.values(), strict=True))
+        moved = common.hermite(s, flight, first, 0.0, last, 0.0)
+        places = {name: placement.act(foot) for name, foot in zip(ways, moved, strict=True)}
     return inverse_kinematics(robot, q, places).q
 
 

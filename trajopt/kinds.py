@@ -63,9 +63,10 @@ class ArrayShape:
         """Whether an array has the shape, and numbers that are allowed."""
         import numpy as np  # here as below: what has no arrays loads no NumPy
 
-        sizes = array.shape if self.sizes is None else self.sizes
-        if len(sizes) != array.ndim or any(
-            w not in (None, n) for w, n in zip(sizes, array.shape, strict=True)
+        sizes = self.sizes
+        if sizes is not None and (
+            len(sizes) != array.ndim
+            or any(w not in (None, n) for w, n in zip(sizes, array.shape, strict=True))
         ):
             return False
         return not np.isnan(array).any() if self.infinite else bool(np.isfinite(array).all())

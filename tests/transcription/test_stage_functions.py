@@ -132,7 +132,7 @@ def test_base_axes_give_the_values_of_world_axes(name):
     robot, contacts = case(name)
     point, p = point_of(robot, contacts, TERMS)
     plain, plain_p = point_of(robot, contacts, TERMS, PlainContext)
-    assert (len(point.layers), len(plain.layers)) == (3, 2)
+    assert (len(point.layers), len(plain.layers)) == (4, 2)
     assert_allclose(p, plain_p)
     first, second = Derivatives(point).value, Derivatives(plain).value
     turned = slice(6, 6 + sum(robot.contact(contact).dimension for contact in contacts))

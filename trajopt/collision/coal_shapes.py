@@ -130,13 +130,16 @@ class CoalPairs:
         distances, leaders = np.empty(count), np.arange(0, count, STRIDE)
         distances[leaders], normals = self._measured(pair, first, second, leaders)
         rest = np.flatnonzero(np.arange(count) % STRIDE)
+        if not len(rest):
+            return distances
         hint = np.minimum((rest + STRIDE // 2) // STRIDE, len(leaders) - 1)
         held = np.einsum("kji,kj->ki", first[0][leaders], normals)[hint]
         distances[rest] = self._apart(
             pair, (first[0][rest], first[1][rest]), (second[0][rest], second[1][rest]), held
         )
         near = rest[~(distances[rest] > within)]
-        distances[near], _ = self._measured(pair, first, second, near)
+        if len(near):
+            distances[near], _ = self._measured(pair, first, second, near)
         return distances
 
     def _apart(

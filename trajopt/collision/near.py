@@ -1,9 +1,9 @@
 """Distances of links from the ground, from obstacles and from each other, and which pairs are near."""
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -100,6 +100,14 @@ class CollisionScene:
                 apart[rows, pair] = self._coal.distances((first, second), one, other, float(limits[pair]))
             distances[:, self.n_ground :] = apart
         return distances
+
+    def distances_at(self, q: np.ndarray) -> np.ndarray:
+        """Signed distances (n_pairs,) in m at one configuration (nq,), kept for the next time."""
+        return self._distances_of(np.asarray(q, dtype=float).tobytes())
+
+    @cached_property
+    def _distances_of(self) -> Callable[[bytes], np.ndarray]:
+        return cache(lambda numbers: self.distances(np.frombuffer(numbers))[0])
 
     def witness(self, q: np.ndarray, pair: ShapePair) -> Witness:
         """Distance, normal and nearest points of a pair at ``q`` (nq,), also where they touch or penetrate.

@@ -120,6 +120,11 @@ class WaypointPath:
             self._rotations.append(pin.exp3(point.turn) @ self._rotations[-1])
         self._velocities = self._rates_of("position")
         self._spins = self._rates_of("turn")
+        # theta' = J_l(theta)^-1 omega at the end of a stretch, with J_l(theta) = J_r(theta)^T.
+        self._end_rates = [
+            spin if flying else np.linalg.solve(pin.Jexp3(np.asarray(end.turn)).T, spin)
+            for end, spin, flying in zip(self._points[1:], self._spins[1:], self._flying, strict=True)
+        ]
 
     def _flights(self, schedule: Schedule, tolerance: float) -> list[bool]:
         """Which stretches between waypoints are flights; the others do not overlap any."""
@@ -179,7 +184,7 @@ class WaypointPath:
         """Placement at ``t`` in s; beyond the waypoints that of the nearest one."""
         if not self._flying or t <= self._times[0]:
             return pin.SE3(self._rotations[0], self._points[0].position)
-        i = int(np.clip(np.searchsorted(self._times, t, side="right") - 1, 0, len(self._flying) - 1))
+        i = min(int(np.searchsorted(self._times, t, side="right")), len(self._flying)) - 1
         duration = float(self._times[i + 1] - self._times[i])
         s = min(max((t - self._times[i]) / duration, 0.0), 1.0)
         first, last = self._points[i], self._points[i + 1]
@@ -191,9 +196,7 @@ class WaypointPath:
             before, after = self._velocities[i : i + 2]
             position = _cubic(s, duration, first.position, before, last.position, after)
             turn = np.asarray(last.turn)
-            # theta' = J_l(theta)^-1 omega at the end, with J_l(theta) = J_r(theta)^T.
-            end_rate = np.linalg.solve(pin.Jexp3(turn).T, self._spins[i + 1])
-            turned = _cubic(s, duration, np.zeros(3), self._spins[i], turn, end_rate)
+            turned = _cubic(s, duration, np.zeros(3), self._spins[i], turn, self._end_rates[i])
         return pin.SE3(pin.exp3(turned) @ self._rotations[i], position)
 
 

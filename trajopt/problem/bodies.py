@@ -119,7 +119,7 @@ def bodies_of(problem: Problem) -> ProblemBodies:
     clearance = clearance_of(problem)
     scene = shapes_of(problem).scene(problem.robot.model, problem.terrain, clearance.obstacles)
     # A periodic motion's start is free.
-    start = scene.distances(problem.initial_q)[0] if problem.periodicity is None else None
+    start = scene.distances_at(problem.initial_q) if problem.periodicity is None else None
     bodies = ProblemBodies(scene=scene, margins=_margins(problem.robot, scene, clearance.margin, start))
     if start is not None:
         _require_clear(bodies, "starts", bodies.pairs, start)
@@ -147,7 +147,7 @@ def _margins(robot: Robot, scene: CollisionScene, margin: float, start: np.ndarr
 
 def self_margins(robot: Robot, scene: CollisionScene, margin: float) -> np.ndarray:
     """Least distance (n,) m of each pair of two links: ``margin``, or theirs in the reference posture."""
-    apart = scene.distances(robot.reference)[0, scene.n_outer :]
+    apart = scene.distances_at(robot.reference)[scene.n_outer :]
     return np.asarray(np.minimum(margin, np.maximum(apart, 0.0)))
 
 
@@ -210,12 +210,12 @@ def _require_clear_goals(problem: Problem, bodies: ProblemBodies) -> None:
     scene = bodies.scene
     for term in problem.terms if bodies.pairs else ():
         if isinstance(term, TerminalPosture):
-            distances = scene.distances(term.q)[0, scene.n_outer :]
+            distances = scene.distances_at(term.q)[scene.n_outer :]
             _require_clear(bodies, f"in q of {term.name} is", scene.self_pairs, distances, slack)
         for target in term.targets():
             if target.q is not None:
                 what = f"in q of {term.name} is"
-                _require_clear(bodies, what, bodies.pairs, scene.distances(target.q)[0], slack)
+                _require_clear(bodies, what, bodies.pairs, scene.distances_at(target.q), slack)
             else:
                 known = "is" if target.rotation is not None else "is at most"
                 what = f"at the goal of {term.name} of '{target.frame}' {known}"

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 
 import numpy as np
@@ -240,11 +240,15 @@ class Problem:
         What they touch, or its parallel surface at the contact's radius. A contact that stands from the start
         and for which nothing is stated touches the terrain there.
         """
-        starts, schedule, surfaces = self._starts, self.schedule, {}
-        for name in schedule.phases[phase].contacts:
-            radius = self.robot.contact(name).radius
-            surfaces[name] = schedule.surface(phase, name, self.terrain, starts, radius)
-        return surfaces
+        if phase not in self._surfaces:
+            given = ((name, self.robot.contact(name).radius) for name in self.schedule.phases[phase].contacts)
+            ground = partial(self.schedule.surface, phase, terrain=self.terrain, starts=self._starts)
+            self._surfaces[phase] = {name: ground(name, radius=radius) for name, radius in given}
+        return self._surfaces[phase]
+
+    @cached_property
+    def _surfaces(self) -> dict[int, dict[str, Ground]]:
+        return {}
 
     @cached_property
     def levers(self) -> tuple[dict[str, np.ndarray], ...]:

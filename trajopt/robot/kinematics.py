@@ -18,6 +18,8 @@ Targets = Mapping[str, pin.SE3 | np.ndarray]
 
 # Of inverse kinematics: an error below it does not matter to a guess.
 TOLERANCE = 1e-10
+# Rotation (9,) of a target that is a position: any.
+NO_TURN = tuple(np.eye(3).ravel().tolist())
 
 
 @checked
@@ -98,13 +100,14 @@ def _searched(
 ) -> Posture:
     """The posture near ``q`` by moving rows of v; ``q`` itself where its error is below the tolerance."""
     poses = [
-        target if isinstance(target, pin.SE3) else pin.SE3(np.eye(3), target) for target in targets.values()
+        [*each.rotation.ravel(), *each.translation] if isinstance(each, pin.SE3) else [*NO_TURN, *each]
+        for each in targets.values()
     ]
     return Posture(
         *robot.posture_search.search(
             np.ascontiguousarray(q, dtype=float),
             [int(robot.model.getFrameId(name)) for name in targets],
-            np.array([[*pose.rotation.ravel(), *pose.translation] for pose in poses]),
+            np.array(poses, dtype=float),
             _sizes(targets),
             movable.tolist(),
             tolerance,

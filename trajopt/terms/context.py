@@ -75,7 +75,8 @@ class Context(Parameters):
         self.time_scale = scale if scale.numel() else ca.SX(1)
         nv, order = coordinates.nv, 1 if actuation == "velocity" else 2
         names = () if self.place is Place.NODE else tuple((c.name, c.dimension) for c in contacts)
-        self.unknown_wrenches: dict[str, ca.SX] = {name: ca.SX.sym(f"w_{name}", n) for name, n in names}
+        # Symbols are named by their number, so that layers of other contacts are the same function.
+        self.unknown_wrenches = {name: ca.SX.sym(f"w{i}", n) for i, (name, n) in enumerate(names)}
         self._mode = mode if mode is not None and mode.robot is robot else None
         if self.place is Place.NODE:
             state = ca.SX.sym("x", coordinates.n_node if order == 2 else coordinates.n_node - nv)

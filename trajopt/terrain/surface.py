@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -21,6 +22,8 @@ SAME_PLANE = 1e-6
 FARTHEST = 1e4
 # Corners of one shape or face, and shapes of one robot or faces of one terrain.
 MOST_CORNERS, MOST_SHAPES = 10_000, 1000
+# Parallel surfaces that are kept.
+MOST_OFFSETS = 256
 
 
 def frame_of_normal(normal: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -106,6 +109,7 @@ class Surface:
         """The plane under a position (3,) m: itself everywhere."""
         return self
 
+    @lru_cache(maxsize=MOST_OFFSETS)  # noqa: B019 (a few surfaces, of which terms ask for the same at each node)
     def offset(self, distance: float) -> Surface:
         """The parallel surface ``distance`` m along the normal: of the centre of a ball of that radius."""
         return replace(self, point=self.point + distance * self.normal) if distance else self

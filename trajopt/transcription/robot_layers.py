@@ -2,12 +2,16 @@
 
 For a free-flyer the inverse dynamics and the contacts' accelerations need no orientation once all is
 in base axes, and do not depend on the base's own velocity (Galilean invariance). Gravity enters as
-an acceleration of the base, s = R^T (p'' - g), and wrenches are turned into base axes. So three layers
+an acceleration of the base, s = R^T (p'' - g), and wrenches are turned into base axes. So these layers
 replace one graph over (q, v, a, w), and the rigid-body algorithm is differentiated over 10 fewer inputs:
 
     z -> (quaternion, omega, omega', p'', joints, w)             exponential coordinates
       -> (omega, s, omega', joints, R^T w, R^T g)                base axes
       -> (tau, contact accelerations)                            Pinocchio, base at the identity
+      -> o                                                       those that are used
+
+Pinocchio's functions are of all contacts of the robot, with zero for the wrench of one that is not active: so
+they are built, and differentiated, once for all sets of active contacts.
 """
 
 from collections.abc import Mapping
@@ -17,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics import rigid_body
+from trajopt.dynamics.model_content import frame_content, once_per_content
 from trajopt.dynamics.rotations import body_rates, exp_quaternion, quaternion_product, rotation_matrix
 from trajopt.robot.contact import Contact
 from trajopt.terms.context import Context
@@ -51,12 +56,15 @@ def _plain_layers(context: Context, used: list[int]) -> _Layers:
     first = ca.Function("to_pinocchio", [context.z], [ca.vertcat(context.q, context.v, context.a, wrench)])
     s = ca.SX.sym("s", sum(sizes))
     q, v, a, forces = ca.vertsplit(s, [0, *np.cumsum(sizes).tolist()])
-    levers: _Levers = {contact: ca.DM(lever) for contact, lever in _levers(context).items()}
-    frames, dimensions, w = _loads(context, forces, levers)
+    levers = {contact: ca.DM(lever) for contact, lever in _levers(context).items()}
+    frames, dimensions, w = _loads(_contacts(context), _of_all(context, forces), levers)
+    extra = [name for name in context.frames if name not in frames]
+    frames, dimensions = frames + extra, dimensions + [0] * len(extra)
     model = context.robot.model
     tau, rotation, position, velocity, acceleration = rigid_body.fused(model, frames, dimensions)(q, v, a, w)
     if not context.moving:
-        tau = _still(context, frames, dimensions)(q, 0, a, w)[0]
+        still = _floating(model) if context.place is Place.IMPACT else model  # whose forces are impulses
+        tau = rigid_body.fused(still, frames, dimensions)(q, 0, a, w)[0]
     parts = [tau] if context.uses_dynamics else []
     for contact in context.used_accelerations:
         motion = acceleration[:, frames.index(contact.frame)]
@@ -68,90 +76,110 @@ def _plain_layers(context: Context, used: list[int]) -> _Layers:
     return first, ca.Function("fused", [s], [ca.vertcat(*parts)[used]])
 
 
-def _still(context: Context, frames: list[str], dimensions: list[int]) -> ca.Function:
-    """Inverse dynamics at rest; without gravity for an impact, where forces are impulses."""
-    model = context.robot.model
-    if context.place is Place.IMPACT:
-        model = model.copy()
-        model.gravity = pin.Motion.Zero()
-    return rigid_body.fused(model, frames, dimensions)
+def _floating(model: pin.Model) -> pin.Model:
+    """The model without gravity."""
+    floating = model.copy()
+    floating.gravity = pin.Motion.Zero()
+    return floating
+
+
+def _contacts(context: Context) -> tuple[Contact, ...]:
+    """All contacts that the robot has, active or not."""
+    return tuple(dict.fromkeys((*context.robot.contacts, *context.contacts)))
+
+
+def _wrench_size(contact: Contact) -> int:
+    return 3 if contact.kind == "point" else 6
+
+
+def _of_all(context: Context, wrenches: ca.SX) -> ca.SX:
+    """Wrenches of all contacts of the robot in one column, from those of the active ones."""
+    cuts = np.cumsum([0, *map(_wrench_size, context.contacts)]).tolist()
+    active = dict(zip(context.contacts, ca.vertsplit(wrenches, cuts), strict=True))
+    return ca.vertcat(*[active.get(c, ca.SX.zeros(_wrench_size(c))) for c in _contacts(context)])
 
 
 def _levers(context: Context) -> dict[Contact, np.ndarray]:
-    """Levers (3,) of the contacts that roll, in world axes."""
-    levers = ((contact, context.lever(contact)) for contact in context.contacts)
-    return {contact: lever for contact, lever in levers if lever is not None}
+    """Levers (3,) of all contacts that may roll, in world axes; zero where they do not."""
+    active = {contact: context.lever(contact) for contact in context.contacts}
+    rolling = (contact for contact in _contacts(context) if contact.rolling)
+    return {c: np.zeros(3) if (lever := active.get(c)) is None else lever for c in rolling}
 
 
-def _loads(context: Context, forces: ca.SX, levers: _Levers) -> tuple[list[str], list[int], ca.SX]:
-    """Frames of the fused function, sizes of their wrenches, and these, in the axes of ``forces``.
+def _loads(
+    contacts: tuple[Contact, ...], wrenches: ca.SX, levers: _Levers
+) -> tuple[list[str], list[int], ca.SX]:
+    """Frames of contacts, sizes of the wrenches at their origins, and these, in the axes of ``wrenches``.
 
-    Active contacts come first, then frames that terms use. The force on a ball that rolls acts where it
-    touches, so it has a moment about the frame's origin.
+    The force on a ball that rolls acts where it touches, so it has a moment about the frame's origin.
     """
-    frames, dimensions, parts, start = [], [], [], 0
-    for contact in context.contacts:
-        size = 3 if contact.kind == "point" else 6
-        wrench, start = forces[start : start + size], start + size
-        if contact in levers:
-            wrench = ca.vertcat(wrench, ca.cross(wrench, levers[contact]))
-        frames.append(contact.frame)
-        dimensions.append(wrench.numel())
-        parts.append(wrench)
-    extra = [name for name in context.frames if name not in frames]
-    return frames + extra, dimensions + [0] * len(extra), ca.vertcat(*parts)
+    cuts = np.cumsum([0, *map(_wrench_size, contacts)]).tolist()
+    parts = [
+        ca.vertcat(wrench, ca.cross(wrench, levers[contact])) if contact in levers else wrench
+        for contact, wrench in zip(contacts, ca.vertsplit(wrenches, cuts), strict=True)
+    ]
+    return [c.frame for c in contacts], [part.numel() for part in parts], ca.vertcat(*parts)
 
 
 def _base_axes_layers(context: Context, used: list[int]) -> _Layers:
     """The base's own velocity p' enters nowhere (Galilean invariance)."""
     joints = ca.vertcat(context.q[7:], context.v[6:], context.a[6:])
-    wrench = context.wrench_column()
     quaternion = quaternion_product(context.rotations[:4], exp_quaternion(context.xi[3:6]))
     omega, domega = body_rates(context.xi[3:6], context.dxi[3:6], context.ddxi[3:6])
-    rates = ca.vertcat(quaternion, omega, domega, context.ddxi[:3], joints, wrench)
+    rates = ca.vertcat(quaternion, omega, domega, context.ddxi[:3], joints, context.wrench_column())
+    contacts, model = _contacts(context), context.robot.model
+    frames = tuple(frame_content(model, contact.frame) for contact in contacts)
+    dynamics = _at_identity(model, contacts, frames)
+    starts = np.cumsum([model.nv, *[contact.dimension for contact in contacts]]).tolist()
+    outputs = [range(model.nv)] if context.uses_dynamics else []
+    outputs += [range(starts[i], starts[i + 1]) for i in map(contacts.index, context.used_accelerations)]
+    s = ca.SX.sym("s", dynamics.numel_out(0))
+    picked = s[np.concatenate(outputs)[used].tolist()]
     return (
         ca.Function("body_rates", [context.z], [rates]),
-        _to_base_axes(context, joints.numel(), wrench.numel()),
-        _at_identity(context, joints.numel(), wrench.numel(), used),
+        _to_base_axes(context, joints.numel()),
+        dynamics,
+        ca.Function("used", [s], [picked]),
     )
 
 
-def _to_base_axes(context: Context, n_joints: int, n_wrench: int) -> ca.Function:
+def _to_base_axes(context: Context, n_joints: int) -> ca.Function:
     """(quaternion, omega, omega', p'', joints, w) -> (omega, s, omega', joints, w, R^T g, levers), base axes.
 
-    s = R^T (p'' - g) is the proper acceleration of the base.
+    s = R^T (p'' - g) is the proper acceleration of the base. It gives w and levers of all contacts.
     """
-    cuts, levers = np.cumsum([0, 4, 3, 3, 3, n_joints, n_wrench]).tolist(), _levers(context).values()
+    cuts = np.cumsum([0, 4, 3, 3, 3, n_joints, context.wrench_column().numel()]).tolist()
     s = ca.SX.sym("s", cuts[-1])
     quaternion, omega, domega, acceleration, joints, wrench = ca.vertsplit(s, cuts)
     to_base = rotation_matrix(quaternion).T
     gravity = ca.mtimes(to_base, ca.DM(context.robot.model.gravity.linear))
     felt = ca.mtimes(to_base, acceleration) - gravity
-    turned = ca.vec(ca.mtimes(to_base, ca.reshape(wrench, 3, -1))) if n_wrench else wrench
-    arms = [ca.mtimes(to_base, ca.DM(lever)) for lever in levers]
-    return ca.Function("base_axes", [s], [ca.vertcat(omega, felt, domega, joints, turned, gravity, *arms)])
+    turned = ca.vec(ca.mtimes(to_base, ca.reshape(wrench, 3, -1))) if wrench.numel() else wrench
+    arms = [ca.mtimes(to_base, ca.DM(lever)) for lever in _levers(context).values()]
+    parts = [omega, felt, domega, joints, _of_all(context, turned), gravity, *arms]
+    return ca.Function("base_axes", [s], [ca.vertcat(*parts)])
 
 
-def _at_identity(context: Context, n_joints: int, n_wrench: int, used: list[int]) -> ca.Function:
-    """(omega, s, omega', joints, w, R^T g, levers) -> (tau, contact accelerations), base axes.
+@once_per_content
+def _at_identity(model: pin.Model, contacts: tuple[Contact, ...], frames: tuple) -> ca.Function:
+    """(omega, s, omega', joints, w, R^T g, levers) -> (tau, accelerations of all contacts), base axes.
 
     Pinocchio's gravity is zero here: s contains gravity, which is added back to contact accelerations.
+    ``frames``: contents of the contacts' frames, by which functions are known.
     """
-    n_v = context.coordinates.nv - 6
-    rolling = list(_levers(context))
-    cuts = np.cumsum([0, 3, 6, n_joints - 2 * n_v, n_v, n_v, n_wrench, 3, *[3] * len(rolling)]).tolist()
+    n_v, rolling = model.nv - 6, [contact for contact in contacts if contact.rolling]
+    n_wrench = sum(map(_wrench_size, contacts))
+    cuts = np.cumsum([0, 3, 6, model.nq - 7, n_v, n_v, n_wrench, 3, *[3] * len(rolling)]).tolist()
     s = ca.SX.sym("s", cuts[-1])
-    omega, rate, qj, vj, aj, forces, gravity, *arms = ca.vertsplit(s, cuts)
+    omega, rate, qj, vj, aj, wrenches, gravity, *arms = ca.vertsplit(s, cuts)
     q, v, a = ca.vertcat(0, 0, 0, 0, 0, 0, 1, qj), ca.vertcat(0, 0, 0, omega, vj), ca.vertcat(rate, aj)
     levers: _Levers = dict(zip(rolling, arms, strict=True))
-    frames, dimensions, wrench = _loads(context, forces, levers)
-    floating = context.robot.model.copy()
-    floating.gravity = pin.Motion.Zero()
-    tau, *_, acceleration = rigid_body.fused(floating, frames, dimensions)(q, v, a, wrench)
-    parts = [tau] if context.uses_dynamics else []
-    for contact in context.used_accelerations:
+    names, dimensions, w = _loads(contacts, wrenches, levers)
+    tau, *_, acceleration = rigid_body.fused(_floating(model), names, dimensions)(q, v, a, w)
+    parts = [tau]
+    for contact in contacts:
         own_gravity = ca.vertcat(gravity, ca.SX.zeros(contact.dimension - 3))
-        motion = acceleration[:, frames.index(contact.frame)]
+        motion = acceleration[:, names.index(contact.frame)]
         motion = without_rolling(motion, levers[contact]) if contact in levers else motion
         parts.append(motion[: contact.dimension] + own_gravity)
-    return ca.Function("fused", [s], [ca.vertcat(*parts)[used]])
+    return ca.Function("fused", [s], [ca.vertcat(*parts)])

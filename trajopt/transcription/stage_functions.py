@@ -25,12 +25,14 @@ all the rest, the engine's tapes a few milliseconds.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 
 from trajopt.terms.context import Context
 from trajopt.transcription.robot_layers import robot_layers
+
+KEPT_LAYERS = 32  # whose derivatives are kept: those of all points of a problem, which share most of them
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,8 @@ class PointFunction:
     @cached_property
     def text(self) -> str:
         """Serialised graph, equal for equal graphs."""
-        functions = [*self.layers, self.terms, *([] if self.squares is None else [self.squares])]
-        return "\n".join(function.serialize() for function in functions)
+        rest = [self.terms, *([] if self.squares is None else [self.squares])]
+        return "\n".join([*map(_text, self.layers), *(function.serialize() for function in rest)])
 
 
 def point_function(name: str, context: Context, cost: ca.SX, rows: Sequence[ca.SX]) -> PointFunction:
@@ -73,15 +75,34 @@ def point_function(name: str, context: Context, cost: ca.SX, rows: Sequence[ca.S
     return PointFunction(name, layers, terms, ca.Function("squares", inputs, list(context.squares)))
 
 
+@lru_cache(maxsize=KEPT_LAYERS)
+def _text(layer: ca.Function) -> str:
+    return str(layer.serialize())
+
+
+@lru_cache(maxsize=KEPT_LAYERS)
+def _jacobian(layer: str) -> ca.Function:
+    """Jacobian of a serialised layer, s -> dR/ds."""
+    function = ca.Function.deserialize(layer)
+    s = ca.SX.sym("s", function.numel_in(0))
+    return ca.Function("jacobian", [s], [ca.jacobian(function(s), s)])
+
+
+@lru_cache(maxsize=KEPT_LAYERS)
+def _curvature(layer: str) -> ca.Function:
+    """Second derivative of a serialised layer, (s, mu) -> sum_i mu_i R_i''."""
+    function = ca.Function.deserialize(layer)
+    s, mu = ca.SX.sym("s", function.numel_in(0)), ca.SX.sym("mu", function.numel_out(0))
+    return ca.Function("curvature", [s, mu], [ca.hessian(ca.dot(mu, function(s)), s)[0]])
+
+
 class _Chain:
     """Values s_k and Jacobians D_k of a chain of layers at z, as expressions."""
 
     def __init__(self, layers: Sequence[ca.Function], z: ca.SX) -> None:
         self.layers, self.values, self.jacobians = layers, [z], []
         for layer in layers:
-            s = ca.SX.sym("s", layer.numel_in(0))
-            jacobian = ca.Function("jacobian", [s], [ca.jacobian(layer(s), s)])
-            self.jacobians.append(jacobian(self.values[-1]))
+            self.jacobians.append(ca.sparsify(_jacobian(_text(layer))(self.values[-1])))
             self.values.append(layer(self.values[-1]))
 
     @property
@@ -104,9 +125,7 @@ class _Chain:
         for layer, value, jacobian in zip(
             reversed(self.layers), reversed(self.values[:-1]), reversed(self.jacobians), strict=True
         ):
-            s, mu = ca.SX.sym("s", value.numel()), ca.SX.sym("mu", multiplier.numel())
-            second, _ = ca.hessian(ca.dot(mu, layer(s)), s)
-            second = ca.Function("curvature", [s, mu], [second])(value, multiplier)
+            second = ca.sparsify(_curvature(_text(layer))(value, multiplier))
             hessian = ca.mtimes(ca.mtimes(jacobian.T, hessian), jacobian) + second
             hessian = ca.tril2symm(ca.tril(hessian))  # the graph of its upper triangle is dropped
             multiplier = ca.mtimes(jacobian.T, multiplier)

@@ -5,7 +5,6 @@
 #include <cstring>
 #include <stdexcept>
 #include <string>
-#include <unordered_map>
 #include <utility>
 
 namespace trajopt {
@@ -40,30 +39,14 @@ struct TapeGraph {
   std::vector<int> scheduled() const;
 };
 
-struct Expression {
-  int kind, operation, other, a, b;
-  std::uint64_t constant;
-  bool operator==(const Expression& e) const {
-    return kind == e.kind && operation == e.operation && other == e.other && a == e.a && b == e.b && constant == e.constant;
-  }
-};
-
-struct Hash {
-  std::size_t operator()(const Expression& e) const {
-    std::uint64_t hash = 0;
-    for (std::uint64_t part : {static_cast<std::uint64_t>(e.kind), static_cast<std::uint64_t>(e.operation), static_cast<std::uint64_t>(e.other),
-                               static_cast<std::uint64_t>(e.a), static_cast<std::uint64_t>(e.b), e.constant})
-      hash = (hash ^ part) * 0x9E3779B97F4A7C15u;
-    return hash ^ (hash >> 29);
-  }
-};
-
 // Numbers values so that equal expressions have equal numbers.
 class Numbering {
  public:
-  Numbering(std::vector<Value>& values, std::size_t expected) : values_(values) {
-    values_.reserve(expected);
-    known_.reserve(expected);
+  Numbering(std::vector<Value>& values, std::size_t most) : values_(values) {
+    values_.reserve(most);
+    std::size_t size = 2;
+    while (size < 2 * most) size *= 2;
+    known_.assign(size, -1);
   }
 
   int input(int which, int element) { return number({Value::kInput, which, element, -1, -1, 0, 0}); }
@@ -84,15 +67,35 @@ class Numbering {
   int of(std::int32_t operation, int a, int b) { return number({Value::kStatement, operation, a, b, -1, 0, 0}); }
 
   int number(const Value& value) {
-    Expression key{value.kind, value.operation, value.other, value.a, value.b, 0};
-    std::memcpy(&key.constant, &value.constant, sizeof key.constant);
-    const auto [found, added] = known_.emplace(key, static_cast<int>(values_.size()));
-    if (added) values_.push_back(value);
-    return found->second;
+    const std::size_t last = known_.size() - 1;
+    std::size_t at = hash(value) & last;
+    for (; known_[at] >= 0; at = (at + 1) & last)
+      if (same(values_[known_[at]], value)) return known_[at];
+    known_[at] = static_cast<int>(values_.size());
+    values_.push_back(value);
+    return known_[at];
+  }
+
+  static std::uint64_t bits(double number) {
+    std::uint64_t result;
+    std::memcpy(&result, &number, sizeof result);
+    return result;
+  }
+
+  static bool same(const Value& one, const Value& two) {
+    return one.kind == two.kind && one.operation == two.operation && one.other == two.other && one.a == two.a && one.b == two.b &&
+           bits(one.constant) == bits(two.constant);
+  }
+
+  static std::size_t hash(const Value& value) {
+    std::uint64_t hash = bits(value.constant);
+    for (int part : {static_cast<int>(value.kind), value.operation, value.other, value.a, value.b})
+      hash = (hash ^ static_cast<std::uint64_t>(part)) * 0x9E3779B97F4A7C15u;
+    return hash ^ (hash >> 29);
   }
 
   std::vector<Value>& values_;
-  std::unordered_map<Expression, int, Hash> known_;
+  std::vector<int> known_;  // numbers by hash, each in the first free place from there; -1 where there is none
 };
 
 [[noreturn]] void refuse(const casadi::Function& function, const std::string& what) {
@@ -116,7 +119,7 @@ TapeGraph::TapeGraph(const casadi::Function& function) {
   results.assign(n_results, -1);
   const casadi_int count = function.n_instructions();
   std::vector<int> place(static_cast<std::size_t>(function.sz_w()), -1);
-  Numbering number(values, static_cast<std::size_t>(count));
+  Numbering number(values, static_cast<std::size_t>(count) + 1);  // and zero
   for (casadi_int k = 0; k < count; ++k) {
     const int operation = static_cast<int>(function.instruction_id(k));
     const std::vector<casadi_int> in = function.instruction_input(k), out = function.instruction_output(k);
