@@ -201,6 +201,11 @@ class Exchange:
                     parameters=rows[phases == phase],
                 )
 
+    @property
+    def has_planes(self) -> bool:
+        """Whether some pair with rows is held apart by planes, which are laid anew along each motion."""
+        return not all(map(self._fitted, self.moments))
+
     def _fitted(self, pair: ShapePair) -> bool:
         """Whether a pair's distance is a polynomial, which is no bound: not where that does not help."""
         return self.misses[pair] < MOST_MISSES and bool(self.fits.joints(pair))

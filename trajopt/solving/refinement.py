@@ -22,6 +22,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
+from trajopt.solvers.ipopt import IPOPT_PUSHED
 from trajopt.solvers.result import LEAST_TIME
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.remeshing import PhaseErrors, remeshed
@@ -33,6 +34,7 @@ from trajopt.solving.rounds import (
     unknowns_by_phase,
     unknowns_on_mesh,
 )
+from trajopt.solving.solving import DEFAULT_SOLVER
 from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.solving.verdicts import judged_by
 from trajopt.terms.limits import with_far_limits
@@ -55,10 +57,10 @@ PATIENCE, BALANCE = 3, 2.5
 # Limit of the time of all rounds, s.
 MAX_TIME = 600.0
 # A solve from a motion on a coarser mesh is given up after so many times the iterations of the round before,
-# and at least so many of iterations times variables: to give up a small one gains nothing. It is taken up
-# again, without that limit, where no other start is solved. The limit is DEEPER times as high where bodies
-# were deep in each other: the motion will be another one.
-GIVE_UP, GIVE_UP_LEAST, DEEPER = 3, 3e5, 2
+# and at least so many of iterations times variables: to give up a small one gains nothing. It is begun again
+# farther from its bounds, then from other starts, and taken up without that limit where none of them is
+# solved. The limit is DEEPER times as high where bodies were deep in each other: the motion will be another.
+GIVE_UP, GIVE_UP_LEAST, DEEPER = 2, 1.5e5, 2
 # After so many rounds whose best motion is still this many times beyond what is allowed all is begun anew.
 FAR_ROUNDS, FAR = 4, 20.0
 # Iterations on the first mesh after which the problem's own is tried; then the first one is taken up again.
@@ -210,6 +212,7 @@ class Refinement:
         start: Solution | str | Path | None,
         problem: Problem | None = None,
         most: int | None = None,
+        pushed: bool = False,
     ) -> Solution | None:
         given, number = self.settings.get("label", ""), len(self.rounds) + 1
         # A named mesh is usually solved once; a refinement has several meshes.
@@ -219,6 +222,8 @@ class Refinement:
             limit["max_time"] = max(self._left(), LEAST_TIME)
         if most is not None:
             limit["max_iterations"] = min(most, self.settings.get("max_iterations", most))
+        if pushed and self.settings.get("solver", DEFAULT_SOLVER) == DEFAULT_SOLVER:
+            limit["options"] = {**IPOPT_PUSHED, **(self.settings.get("options") or {})}
         self.last = solve_on_mesh(
             problem or self.problem,
             mesh=mesh,
@@ -246,6 +251,8 @@ class Refinement:
         given_up: list[tuple[Problem, Solution | None]] = []
         for problem, start in starts:
             solved = self._solved(mesh, start, problem, most)
+            if solved is None and start is not None and not self._is_over():
+                solved = self._solved(mesh, start, problem, most, pushed=True)
             if solved is not None or self._is_over():
                 break
             if self.rounds[-1].iterations >= most:
@@ -256,7 +263,7 @@ class Refinement:
         if solved is not None:
             before, after = (s.statistics.objective or 0.0 for s in (solution, solved))
             near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
-            self.settled = near or not self.exchange.moments
+            self.settled = near or not self.exchange.has_planes
         return solved
 
     def _examine(self, solution: Solution) -> _Examined:
