@@ -5,8 +5,7 @@ import pytest
 
 import trajopt
 from tests.support.problems import hop
-from trajopt.certify import check
-from trajopt.collision.joint_distance import REACH, STEP, JointDistances, powers
+from trajopt.collision.joint_distance import REACH, STEP, JointDistances
 from trajopt.collision.near import CollisionScene
 from trajopt.problem.bodies import bodies_of
 from trajopt_library import robots
@@ -31,7 +30,7 @@ def test_a_row_is_the_distance_where_it_is_laid_and_near_it_around(scene: Collis
     moved = q.copy()
     moved[:, rows] += generator.uniform(STEP / 2 - REACH, REACH - STEP / 2, size=(20, 2))
     for at, error in ((q, 1e-12), (moved, ERROR)):
-        found = np.sum(powers(at[:, rows] - parameters[:, :2]) * parameters[:, 2:], axis=1)
+        found = fits.values(HIP, at, parameters)
         np.testing.assert_allclose(found, scene.distances(at)[:, column] - 0.002, atol=error)
 
 
@@ -62,5 +61,5 @@ def test_near_links_of_a_jump_cost_a_round_and_a_percent() -> None:
     solution = trajopt.solve(trajopt.load("biped-jump-up", robot="g1"))
     first, *others = solution.statistics.rounds
     assert solution.success
-    assert check(solution).failures() == []
+    assert trajopt.check(solution).ok
     assert sum(each.iterations for each in others) < 5 * first.iterations

@@ -10,13 +10,12 @@ import pytest
 from tests.support.problems import FOOT, hop, landing
 from tests.support.swings import BALL, DURATION, END, FAR, MARGIN, POLE, START, avoided, past, rods, swing
 from trajopt.certify.report import PENETRATION
-from trajopt.collision.link_capsules import robot_capsules
 from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.motion.configurations import SolutionMotion
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.exchange import LOOK_STEP, LOOKS, TOO_NEAR, Exchange, Look, along
-from trajopt.solving.solving import solve
+from trajopt.solving.solving import prepare, solve
 from trajopt.terms import Clearance
 from trajopt.terms.moments import PlaneSide
 from trajopt_library import problems
@@ -180,16 +179,41 @@ def test_guess_is_taken_at_the_time_of_its_phase():
     assert legged.guess(2, 0.5) == pytest.approx(hop().guess_at(0.3 + 0.2 + 0.15))
 
 
-def test_pairs_other_than_with_the_ground_have_sides():
+def test_what_may_be_passed_on_several_sides_is_no_ground_and_no_fitted_links():
     robot = replace(rods(), reference=np.array([0.0, 1.0, 1.0]))
-    raised = tuple(
-        replace(shape, points=shape.points + 0.1 * np.eye(3)[2]) for shape in robot_capsules(robot)
-    )
     ahead = np.array([0.6, 0.0, 0.0])
-    problem = past(swing(end=ahead, robot=robot), BALL, shapes=raised, self_collision=True)
-    exchange = Exchange(problem)
-    assert {pair[1] for pair in exchange.sided_pairs} == {"ball", "joint2"}
-    assert len(exchange.sided_pairs) == len(exchange.bodies.pairs) - len(raised)
+    exchange = Exchange(past(swing(end=ahead, robot=robot), BALL, self_collision=True))
+    pairs = exchange.bodies.pairs
+    deep = Look(
+        distances=-1e-3 * np.arange(1.0, len(pairs) + 1)[None], moments=((0, 0.5),), regular=np.ones(1)
+    )
+    sided = [number for number, (_, other) in enumerate(pairs) if other == "ball"]
+    assert exchange.depth(deep) == pytest.approx(1e-3 * len(pairs), abs=2 * MARGIN)
+    least = exchange.bodies.margins[sided] - TOO_NEAR
+    assert exchange.depth(deep, sideless=True) == pytest.approx(np.max(least + 1e-3 * (np.array(sided) + 1)))
+
+
+def test_multipliers_of_fitted_distances_go_on_to_the_next_round():
+    robot = replace(rods(), reference=np.array([0.0, 1.0, 1.0]))
+    folding = swing(np.array([0.0, 1.2, 2.7]), np.array([0.0, 2.6, 1.4]), robot=robot)
+    problem = past(folding, self_collision=True, margin=0.028)
+    exchange, _ = begun(problem, solve(problem))
+    solution = solve(exchange.constrained(along(solve(problem))))
+    exchange.take_up(solution)
+    (pair,) = exchange.moments
+    assert exchange.fits.joints(pair) == (2, 3)
+    again = exchange.constrained(along(solution))
+    finer = prepare(again, transcription="legendre:3", intervals=37, start=solution)
+    rows, name = finer.transcription.rows, "clearance by joint1, joint2"
+    before, after = (
+        multipliers[block == names.index(name)].sum()
+        for names, block, multipliers in (
+            (solution.statistics.row_names, solution.row_place[:, 0], solution.row_multiplier),
+            (rows.names, rows.block, finer.warm.lam_g),
+        )
+    )
+    assert before < -1e-6
+    assert after == pytest.approx(before)
 
 
 def test_rows_move_to_a_problem_with_other_parameters():

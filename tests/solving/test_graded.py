@@ -5,6 +5,7 @@ import pytest
 
 import trajopt
 from tests.support.problems import hop, landing, reach
+from tests.support.swings import BALL, FAR, past, swing
 from trajopt.certify.check import examine
 from trajopt.certify.report import GRADE
 from trajopt.errors import InputError
@@ -75,3 +76,16 @@ def test_only_broken_intervals_are_split_where_phases_are_accurate():
     broken = np.array([0.5, 0.9, 0.0, 3.0, 100.0])
     assert remeshed(mesh, accurate, broken, 1.0).counts == (2, 1 + 2 + 4)
     assert remeshed(mesh, accurate, 0 * broken, 1.0) == mesh
+
+
+def test_a_start_brings_its_mesh_and_the_rows_of_its_bodies(tmp_path):
+    problem = past(swing(), BALL, FAR)
+    first = solve_graded(problem)
+    assert first.reached
+    assert len(first.rounds) > 1
+    again = solve_graded(problem, start=first.solution.save(tmp_path / "past.npz"))
+    assert again.reached
+    (only,) = again.rounds
+    assert only.mesh == first.rounds[-1].mesh
+    assert 3 * only.iterations < sum(each.iterations for each in first.rounds)
+    assert again.solution.statistics.objective == pytest.approx(first.solution.statistics.objective, rel=1e-3)

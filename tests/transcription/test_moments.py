@@ -14,7 +14,7 @@ from trajopt.motion.configurations import SolutionMotion
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
-from trajopt.terms.moments import ForceSide, JointSide, MomentConstraint, PlaneSide
+from trajopt.terms.moments import ForceSide, JointSide, LinkDistance, MomentConstraint, PlaneSide
 from trajopt.transcription.moment_rows import moments_by_stage
 
 # The file's motion is the transcription's own interpolant: rounding, in natural units.
@@ -79,7 +79,7 @@ def test_a_row_is_that_of_the_interpolated_motion(scheme):
     solution = solve(problem, transcription=scheme, intervals=9)
     terms = [term for phase in problem.schedule.names for term in sides(phase)]
     motion, length = SolutionMotion(solution), problem.robot.length
-    for number, index, value in rows_of(with_terms(problem, *terms), solution, {"clearance"}):
+    for number, index, value in rows_of(with_terms(problem, *terms), solution, {term.name for term in terms}):
         term = terms[number]
         phase = problem.schedule.names.index(term.during)
         q = motion.in_phase(phase, float(term.fractions[index]), 0.5).q
@@ -112,7 +112,13 @@ def test_joint_and_force_rows_are_those_of_the_motion_in_true_time():
 
 @pytest.mark.parametrize("scheme", ["legendre:2", "radau:3", "hermite-simpson"])
 def test_derivatives_equal_differences(scheme):
-    problem = with_terms(hop(), *sides("stance"), *sides("landing", 1))
+    cubic = LinkDistance(
+        during="flight",
+        joints=("hip", "shank"),
+        fractions=FRACTIONS,
+        parameters=np.random.default_rng(3).normal(size=(len(FRACTIONS), 12)),
+    )
+    problem = with_terms(hop(), *sides("stance"), *sides("landing", 1), cubic)
     assert_derivatives(prepare(problem, transcription=scheme, intervals=6).nlp, seed=2)
 
 

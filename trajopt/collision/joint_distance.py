@@ -55,9 +55,15 @@ class JointDistances:
         cells = np.round(angles / STEP).astype(int)
         self._fit(pair, q[0], list(np.unique(cells, axis=0)))
         coefficients = np.array([self._fits[pair, tuple(cell.tolist())] for cell in cells])
-        values = np.sum(powers(angles - STEP * cells) * coefficients, axis=1)
-        coefficients[:, 0] += self._distances(pair, q) - values - margin
-        return np.hstack([STEP * cells, coefficients])
+        rows = np.hstack([STEP * cells, coefficients])
+        rows[:, angles.shape[1]] += self.distances(pair, q) - margin - self.values(pair, q, rows)
+        return rows
+
+    def values(self, pair: ShapePair, configurations: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Values (K,) m of rows (K, n + m) at configurations (K, nq)."""
+        columns = self._columns(pair)
+        angles = configurations[:, columns] - rows[:, : len(columns)]
+        return np.asarray(np.sum(powers(angles) * rows[:, len(columns) :], axis=1))
 
     def _fit(self, pair: ShapePair, q: np.ndarray, cells: Sequence[np.ndarray]) -> None:
         """Fit what is new of ``cells``; ``q`` (nq,) is a configuration for all other joints."""
@@ -69,11 +75,12 @@ class JointDistances:
         around = np.array(list(itertools.product(axis, repeat=len(columns))))
         sampled = np.tile(q, (len(new), len(around), 1))
         sampled[:, :, columns] = STEP * np.array(new)[:, None] + around
-        distances = self._distances(pair, sampled.reshape(-1, len(q))).reshape(len(new), -1)
+        distances = self.distances(pair, sampled.reshape(-1, len(q))).reshape(len(new), -1)
         fitted = np.linalg.lstsq(powers(around), distances.T, rcond=None)[0].T
         self._fits.update({(pair, tuple(c.tolist())): fit for c, fit in zip(new, fitted, strict=True)})
 
-    def _distances(self, pair: ShapePair, configurations: np.ndarray) -> np.ndarray:
+    def distances(self, pair: ShapePair, configurations: np.ndarray) -> np.ndarray:
+        """Signed distances (K,) m of a pair at configurations (K, nq)."""
         if pair not in self._pairs:
             shapes = tuple(shape for shape in self.scene.shapes if shape.name in pair)
             self._pairs[pair] = CollisionScene(model=self.scene.model, shapes=shapes, self_pairs=(pair,))

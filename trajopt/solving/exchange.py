@@ -30,7 +30,7 @@ from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.units import Units
 from trajopt.solution.interpolation import collocation_fractions
 from trajopt.solution.solution import Solution
-from trajopt.terms.moments import LinkDistance, MomentConstraint, PlaneSide
+from trajopt.terms.moments import LinkDistance, MomentConstraint, PlaneSide, joint_row, plane_row
 
 # Pairs that are too near somewhere get rows wherever they are nearer than their margin plus a multiple of
 # what they lacked at most, within these parts of the length: a motion that gives way there may come near
@@ -76,6 +76,7 @@ class Exchange:
     )
     lacking: defaultdict[ShapePair, float] = field(default_factory=lambda: defaultdict(float))
     misses: defaultdict[ShapePair, int] = field(default_factory=lambda: defaultdict(int))
+    laid: dict[ShapePair, tuple[list[PhaseMoment], np.ndarray]] = field(default_factory=dict)
     beyond_feet: bool = False
 
     def __post_init__(self) -> None:
@@ -131,13 +132,13 @@ class Exchange:
     def depth(self, look: Look, sideless: bool = False) -> float:
         """By how much the worst pair is too near, m; zero if none is.
 
-        sideless: only of pairs without rows so far, whose bodies may pass each other on several sides: no
-        ground, no links whose distance is fitted.
+        sideless: only of pairs whose bodies may pass each other on several sides: no ground, no links whose
+        distance is fitted.
         """
         short = self._least - look.distances
         if sideless:
             n = self.bodies.scene.n_ground
-            sided = [pair not in self.moments and not self._fitted(pair) for pair in self.bodies.pairs[n:]]
+            sided = [not self._fitted(pair) for pair in self.bodies.pairs[n:]]
             short = short[:, n:][:, sided]
         return float(short.max(initial=0.0))
 
@@ -157,6 +158,22 @@ class Exchange:
                 near = (distances < band) & look.regular | missed & _least_around(distances)
                 self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
         return sum(map(len, self.moments.values())) > before
+
+    def take_up(self, solution: Solution) -> None:
+        """Give rows to the pairs that had some in a solution of such a problem, where they are near there."""
+        known = set(solution.statistics.row_names)
+        self.moments.update({pair: set() for pair in self.bodies.pairs if known & self._row_names(pair)})
+        if self.moments:
+            self.add(self.look(solution))
+        for pair in [pair for pair, moments in self.moments.items() if not moments]:
+            del self.moments[pair]
+
+    def _row_names(self, pair: ShapePair) -> set[str]:
+        model = self.problem.robot.model
+        frames = {shape.name: shape.frame for shape in self.bodies.scene.shapes}
+        one, other = (frames.get(name) for name in pair)
+        joints = tuple(model.names[joint] for joint in self.fits.joints(pair))
+        return {plane_row(one, other), plane_row(other, one)} | ({joint_row(joints)} if joints else set())
 
     def constrained(self, motion: PhaseMotion, last: PhaseMotion | None = None) -> Problem:
         """The problem with rows at all moments so far, their planes laid along a motion.
@@ -192,6 +209,7 @@ class Exchange:
             moments = sorted(self.moments[pair])
             q = np.array([motion(*moment) for moment in moments])
             rows = self.fits.rows(pair, q, margins[pair])
+            self.laid[pair] = moments, rows
             phases, fractions = (np.array(each) for each in zip(*moments, strict=True))
             for phase in np.unique(phases):
                 yield LinkDistance(
@@ -201,10 +219,16 @@ class Exchange:
                     parameters=rows[phases == phase],
                 )
 
-    @property
-    def has_planes(self) -> bool:
-        """Whether some pair with rows is held apart by planes, which are laid anew along each motion."""
-        return not all(map(self._fitted, self.moments))
+    def holds_back(self, solution: Solution) -> bool:
+        """Whether a fitted distance keeps links farther apart than it must, along a motion with its rows."""
+        motion = along(solution)
+        margins = dict(zip(self.bodies.pairs, self.bodies.margins.tolist(), strict=True))
+        for pair, (moments, rows) in self.laid.items():
+            q = np.array([motion(*moment) for moment in moments])
+            kept, true = self.fits.values(pair, q, rows), self.fits.distances(pair, q) - margins[pair]
+            if np.any((kept < LEAST_SLACK) & (true > TOO_NEAR)):
+                return True
+        return False
 
     def _fitted(self, pair: ShapePair) -> bool:
         """Whether a pair's distance is a polynomial, which is no bound: not where that does not help."""

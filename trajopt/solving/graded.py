@@ -16,6 +16,8 @@ from trajopt.errors import InputError, require_positive
 from trajopt.problem.problem import Problem
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.units import Units
+from trajopt.solution.grid import mesh_of
+from trajopt.solution.input import solution_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.refinement import USUAL_SCHEME, Refinement
@@ -118,8 +120,9 @@ def solve_graded(
 
     Args:
         problem: What to solve.
-        mesh: The first one; default: `first_mesh`.
-        start: A solution, or its file, from which the first solve starts.
+        mesh: The first one; default: that of ``start``, or `first_mesh`.
+        start: A solution, or its file, from which the first solve starts, with rows for the bodies that rows
+            kept apart there.
         first: A solution of this problem, examined instead of a first solve.
         exchange: Rows for bodies of another solve of such a problem, which the first solve has already.
         tolerances: The grade.
@@ -144,5 +147,12 @@ def solve_graded(
         rounds = (Round.of(mesh, solution),)
         return Graded(solution=solution, examination=None, rounds=rounds, why="it has no legs", examined=0.0)
     known = Exchange(problem) if exchange is None else exchange.moved_to(problem)
+    if start is not None:
+        start = solution_of(start)
+        alike = len(start.phases) == len(problem.schedule.phases) and start.model.nq == problem.robot.model.nq
+        if alike and exchange is None:
+            known.take_up(start)
+        if alike and mesh is None:
+            mesh = mesh_of(start)
     loop = Refinement(problem, tolerances, refine, settings, known, accuracy, solver_time)
     return loop.result(loop.run(mesh or first_mesh(problem, accuracy is not None), start, first, max_rounds))

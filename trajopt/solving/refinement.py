@@ -60,7 +60,7 @@ MAX_TIME = 600.0
 # and at least so many of iterations times variables: to give up a small one gains nothing. It is begun again
 # farther from its bounds, then from other starts, and taken up without that limit where none of them is
 # solved. The limit is DEEPER times as high where bodies were deep in each other: the motion will be another.
-GIVE_UP, GIVE_UP_LEAST, DEEPER = 2, 1.5e5, 2
+GIVE_UP, GIVE_UP_LEAST, DEEPER = 2, 2.5e5, 2
 # After so many rounds whose best motion is still this many times beyond what is allowed all is begun anew.
 FAR_ROUNDS, FAR = 4, 20.0
 # Iterations on the first mesh after which the problem's own is tried; then the first one is taken up again.
@@ -164,7 +164,6 @@ class Refinement:
         for tried in dict.fromkeys((mesh, own)):
             if isinstance(start, Solution) and self.exchange.moments:
                 solution = self._solved_from(tried, start, sideless=False)
-                self.settled = False  # planes were laid along another problem's motion
             else:
                 solution = self._solved(tried, start, most=None if tried == own else MOST_FIRST)
             if solution is not None or self._is_over():
@@ -263,7 +262,7 @@ class Refinement:
         if solved is not None:
             before, after = (s.statistics.objective or 0.0 for s in (solution, solved))
             near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
-            self.settled = near or not self.exchange.has_planes
+            self.settled = (near or not self.exchange.moments) and not self.exchange.holds_back(solved)
         return solved
 
     def _examine(self, solution: Solution) -> _Examined:

@@ -7,6 +7,7 @@ SIAM Review 35, 1993). Which moments, `trajopt.solving.exchange` finds.
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -71,6 +72,16 @@ class MomentConstraint(Term, ABC):
         """
 
 
+def plane_row(frame: str | None, body: str | None) -> str:
+    """Name of a row that keeps what one frame carries beyond what another does; None for the world."""
+    return f"clearance of {frame or 'the world'} and {body or 'the world'}"
+
+
+def joint_row(joints: Sequence[str]) -> str:
+    """Name of a row that keeps the links apart that these joints are between."""
+    return f"clearance by {', '.join(joints)}"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlaneSide(MomentConstraint):
     """A point stays on the positive side of a plane: normal . x >= offset at each moment.
@@ -104,7 +115,7 @@ class PlaneSide(MomentConstraint):
     @property
     @override
     def name(self) -> str:
-        return f"clearance of {self.frame or 'the world'} and {self.body or 'the world'}"
+        return plane_row(self.frame, self.body)
 
     @override
     def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:
@@ -135,7 +146,7 @@ class LinkDistance(MomentConstraint):
     @property
     @override
     def name(self) -> str:
-        return f"clearance by {', '.join(self.joints)}"
+        return joint_row(self.joints)
 
     @override
     def row(self, context: Context, units: Units, parameters: ca.SX) -> Rows:
@@ -149,7 +160,7 @@ class LinkDistance(MomentConstraint):
             )
             for c, powers in zip(coefficients, monomials(count), strict=True)
         ]
-        return Rows.create(sum(terms), 0.0, np.inf, units.length)
+        return Rows.create(ca.sum1(ca.vertcat(*terms)), 0.0, np.inf, units.length)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
