@@ -12,6 +12,7 @@ import click
 from scripts.measure.guesses import standing_still
 from scripts.measure.shared import Timed, head, median, row, solver_option, timed
 from trajopt import solve, solve_ladder
+from trajopt.solving.graded import solve as graded
 from trajopt.solving.ladder import total_effort
 from trajopt.solving.solving import prepare
 from trajopt_library import problems
@@ -57,6 +58,15 @@ CASES = (
     Case(problem="biped-walk", after={"length": 0.26}),
     Case(problem="solo12-slope", coarse=(None, 20), grid=(None, 30)),
     Case(problem="talos-wall", coarse=(None, 16), grid=(None, 24)),
+)
+# Solved to the grade, and again from there.
+RESTARTED = (
+    ("biped-jump-up", "g1"),
+    ("biped-jump-forward", "talos"),
+    ("quadruped-stairs", "hyq"),
+    ("quadruped-box-up", "laikago"),
+    ("quadruped-jump-up", "go2"),
+    ("arm-pick-place", "kinova"),
 )
 # From a guess that stands still instead of the default one.
 STILL: tuple[tuple[str, tuple[Grid, ...]], ...] = (
@@ -115,3 +125,14 @@ def _cost(runs: list[Timed]) -> str:
 def _feasible(runs: list[Timed]) -> str:
     found = [run.feasible for run in runs if run.feasible is not None]
     return f"{found[0][0]}, {median([seconds for _, seconds in found]):.3f} s" if found else ""
+
+
+@click.command()
+def restarts() -> None:
+    """Iterations by round to the grade: from the default guess, and from the solution of that."""
+    head("pair", "default guess", "its solution")
+    for name, robot in RESTARTED:
+        first = graded(problems.load(name, robot=robot))
+        again = graded(problems.load(name, robot=robot), start=first)
+        counts = (", ".join(str(each.iterations) for each in own.statistics.rounds) for own in (first, again))
+        row(f"`{name}` {robot}", *counts)

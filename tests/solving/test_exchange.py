@@ -190,7 +190,11 @@ def test_what_may_be_passed_on_several_sides_is_no_ground_and_no_fitted_links():
     sided = [number for number, (_, other) in enumerate(pairs) if other == "ball"]
     assert exchange.depth(deep) == pytest.approx(1e-3 * len(pairs), abs=2 * MARGIN)
     least = exchange.bodies.margins[sided] - TOO_NEAR
-    assert exchange.depth(deep, sideless=True) == pytest.approx(np.max(least + 1e-3 * (np.array(sided) + 1)))
+    deepest = np.max(least + 1e-3 * (np.array(sided) + 1))
+    assert exchange.sideless_depth(deep, known=False) == pytest.approx(deepest)
+    exchange.moments.update({pair: set() for pair in pairs})
+    assert exchange.sideless_depth(deep, known=False) == 0
+    assert exchange.sideless_depth(deep, known=True) == pytest.approx(deepest)
 
 
 def test_multipliers_of_fitted_distances_go_on_to_the_next_round():

@@ -129,18 +129,20 @@ class Exchange:
         short = (look.distances - self._least).min(axis=0, initial=np.inf)
         return tuple(pair for pair, distance in zip(self.bodies.pairs, short, strict=True) if distance < 0)
 
-    def depth(self, look: Look, sideless: bool = False) -> float:
-        """By how much the worst pair is too near, m; zero if none is.
+    def depth(self, look: Look) -> float:
+        """By how much the worst pair is too near, m; zero if none is."""
+        return float((self._least - look.distances).max(initial=0.0))
 
-        sideless: only of pairs whose bodies may pass each other on several sides: no ground, no links whose
-        distance is fitted.
+    def sideless_depth(self, look: Look, known: bool) -> float:
+        """As `depth`, of pairs whose bodies may pass each other on several sides.
+
+        They are not with the ground, nor links whose distance is fitted. known: also those that have rows.
         """
-        short = self._least - look.distances
-        if sideless:
-            n = self.bodies.scene.n_ground
-            sided = [not self._fitted(pair) for pair in self.bodies.pairs[n:]]
-            short = short[:, n:][:, sided]
-        return float(short.max(initial=0.0))
+        n, pairs = self.bodies.scene.n_ground, self.bodies.pairs
+        sided = [
+            k for k, p in enumerate(pairs[n:], n) if (known or p not in self.moments) and not self._fitted(p)
+        ]
+        return float((self._least - look.distances)[:, sided].max(initial=0.0))
 
     def add(self, look: Look) -> bool:
         """Add the moments where pairs that are, or were, too near are near; whether there are new ones."""

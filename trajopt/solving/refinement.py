@@ -125,7 +125,9 @@ class Refinement:
             if examined >= rounds:
                 return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
             imposed = self._far_limits_imposed(report)
-            sideless = self.exchange.depth(look, sideless=True) >= DEEP
+            # A motion from a start passes bodies where that does.
+            deep = self.exchange.sideless_depth(look, known=not self.settled) >= DEEP
+            sideless = deep and start is None
             self.exchange.add(look)
             mesh = mesh_of(solution)
             if self.refine and near < DEEP and not imposed:  # else the motion will be another one
@@ -240,9 +242,9 @@ class Refinement:
     ) -> Solution | None:
         """From the last motion or from the guess, whichever is on the right side of bodies to pass.
 
-        A motion that goes deep through a body that had no rows may be on no side of it (``sideless``); a
-        guess that is clear passes it where its author wants it to. From then on motions are on that side, and
-        planes along them hold them back less than those along the guess.
+        A motion that goes deep through a body may be on no side of it (``sideless``); a guess that is clear
+        passes it where its author wants it to. From then on motions are on that side, and planes along them
+        hold them back less than those along the guess.
         """
         starts = self.exchange.starts(solution, sideless and self.exchange.guess_is_clear())
         least = math.ceil(GIVE_UP_LEAST / unknowns_on_mesh(self.problem, mesh))
