@@ -76,7 +76,6 @@ class Exchange:
     )
     lacking: defaultdict[ShapePair, float] = field(default_factory=lambda: defaultdict(float))
     misses: defaultdict[ShapePair, int] = field(default_factory=lambda: defaultdict(int))
-    laid: dict[ShapePair, tuple[list[PhaseMoment], np.ndarray]] = field(default_factory=dict)
     beyond_feet: bool = False
 
     def __post_init__(self) -> None:
@@ -211,7 +210,6 @@ class Exchange:
             moments = sorted(self.moments[pair])
             q = np.array([motion(*moment) for moment in moments])
             rows = self.fits.rows(pair, q, margins[pair])
-            self.laid[pair] = moments, rows
             phases, fractions = (np.array(each) for each in zip(*moments, strict=True))
             for phase in np.unique(phases):
                 yield LinkDistance(
@@ -220,17 +218,6 @@ class Exchange:
                     fractions=fractions[phases == phase],
                     parameters=rows[phases == phase],
                 )
-
-    def holds_back(self, solution: Solution) -> bool:
-        """Whether a fitted distance keeps links farther apart than it must, along a motion with its rows."""
-        motion = along(solution)
-        margins = dict(zip(self.bodies.pairs, self.bodies.margins.tolist(), strict=True))
-        for pair, (moments, rows) in self.laid.items():
-            q = np.array([motion(*moment) for moment in moments])
-            kept, true = self.fits.values(pair, q, rows), self.fits.distances(pair, q) - margins[pair]
-            if np.any((kept < LEAST_SLACK) & (true > TOO_NEAR)):
-                return True
-        return False
 
     def _fitted(self, pair: ShapePair) -> bool:
         """Whether a pair's distance is a polynomial, which is no bound: not where that does not help."""

@@ -72,7 +72,7 @@ def resampled_multipliers(transcription: Transcription, solution: Solution) -> W
     moments = {transcription.rows.names.index(term.name) for term in transcription.problem.moment_constraints}
     rows[np.isin(transcription.rows.block, list(moments))] = 0.0
     for term in transcription.problem.moment_constraints:
-        if isinstance(term, PlaneSide):  # another plane than before: its row is another one
+        if isinstance(term, PlaneSide) and term.body is not None:  # another plane than before
             continue
         before, after = (_at_moments(*known, term) for known in ((old, info), (new, transcription.rows)))
         _spread(before, solution.row_multiplier, after, rows)

@@ -264,7 +264,7 @@ class Refinement:
         if solved is not None:
             before, after = (s.statistics.objective or 0.0 for s in (solution, solved))
             near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
-            self.settled = (near or not self.exchange.moments) and not self.exchange.holds_back(solved)
+            self.settled = near or not self.exchange.moments
         return solved
 
     def _examine(self, solution: Solution) -> _Examined:
