@@ -29,6 +29,7 @@ class Result:
     """Outcome of a solve in scaled units; ``wall_time`` and ``function_time`` in s.
 
     lam_g, lam_x: multipliers of rows and bounds, of the Lagrangian f + lam_g . g + lam_x . x.
+    recent_primal: median of primal over the last iterations, where they were watched.
     primal, dual, complementarity: the solver's own infeasibilities (largest entries, unscaled by its
     multipliers) at ``x``; NaN where it was not started. figures: further figures of the solver.
     """
@@ -45,6 +46,7 @@ class Result:
     primal: float = math.nan
     dual: float = math.nan
     complementarity: float = math.nan
+    recent_primal: float = math.inf
     figures: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod

@@ -282,7 +282,7 @@ def _solution(
         solver_status=result.solver_status,
         success=success,
         converged=success,
-        advice=advice_for(status, place, worst <= TRUSTED_VIOLATION * tolerance),
+        advice=advice_for(status, place, min(worst, result.recent_primal) <= TRUSTED_VIOLATION * tolerance),
         iterations=result.iterations,
         objective=finite_or_none(result.objective * t.objective_unit),
         tolerance=tolerance,

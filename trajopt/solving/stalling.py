@@ -26,6 +26,8 @@ LIMITED = "Maximum_Iterations_Exceeded"
 GIVEN_UP = Status.INFEASIBLE, Status.STEP_FAILED
 # Figures of iterations of the elastic problem after that.
 NO_FIGURES = {"barrier": 0.0, "step": 0.0, "regularization": 0.0, "line_search": 0}
+# Last iterations that tell whether a solve that stops is feasible: now and then one leaves the rows.
+RECENT = 20
 # Iterations of one search for the least violation: those that end take 20 to 200.
 MOST_ELASTIC = 250
 
@@ -110,6 +112,7 @@ def solve_or_certify(
         function_time=result.function_time + test.function_time,
         status=Status.ITERATION_LIMIT if test.limited else result.status,
         solver_status=LIMITED if test.limited else result.solver_status,
+        recent_primal=float(np.median(test.primal[-RECENT:])) if test.primal else np.inf,
     )
     if test.verdict is None:
         return result, None
