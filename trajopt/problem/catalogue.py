@@ -98,8 +98,8 @@ def listing() -> tuple[dict[str, Family], dict[str, str]]:
     content = None if loaded else read_entry(name)
     if content is not None:
         with contextlib.suppress(OSError):  # a file that is gone
-            times, shown, kinds = json.loads(content, object_hook=lambda fields: SimpleNamespace(**fields))
-            if all(os.stat(path).st_mtime_ns == changed for path, changed in times):
+            states, shown, kinds = json.loads(content, object_hook=lambda fields: SimpleNamespace(**fields))
+            if all(_state(place) == before for place, before in states):
                 return {each.name: each for each in shown}, dict(kinds)
     with warnings.catch_warnings(record=True) as warned:
         known = families()
@@ -109,11 +109,19 @@ def listing() -> tuple[dict[str, Family], dict[str, str]]:
     files = {file for module in list(sys.modules.values()) if (file := getattr(module, "__file__", None))}
     with contextlib.suppress(OSError):  # a module in an archive
         places = sorted(files | set(map(os.path.dirname, files)))
-        times = [(place, os.stat(place).st_mtime_ns) for place in places]
-        if not (loaded or warned) and max(changed for _, changed in times) < begun:
-            kept = times, list(known.values()), list(kinds.items())
+        states = [(place, _state(place)) for place in places]
+        if not (loaded or warned) and all(isinstance(now, str) or now < begun for _, now in states):
+            kept = states, list(known.values()), list(kinds.items())
             write_entry(name, json.dumps(kept, default=_fields).encode())
     return known, kinds
+
+
+def _state(place: str) -> int | str:
+    """When a file changed, ns, or what modules and packages a folder has."""
+    if not os.path.isdir(place):
+        return os.stat(place).st_mtime_ns
+    inside = (name for name in os.listdir(place) if name.endswith(".py") or "." not in name)
+    return " ".join(sorted(name for name in inside if name != "__pycache__"))
 
 
 def _fields(thing: Any) -> dict[str, Any] | None:
