@@ -9,13 +9,11 @@ from trajopt.problem import families
 
 PAGE = "gallery/README.md"
 PICTURE = re.compile(r"(?<!\[)!\[([^]]*)\]\(([\w@.-]+)\.webp\)")
-# Its solve takes longer than those of all others together.
-TOO_LONG = ("biped-jump-forward@g1",)
 
 
 def replays(text: str) -> list[str]:
     """Names ``PROBLEM@ROBOT`` of the motions that the gallery's page has pictures of."""
-    return [name for _, name in PICTURE.findall(text) if name not in TOO_LONG]
+    return [name for _, name in PICTURE.findall(text)]
 
 
 def replay(name: str) -> bytes:
@@ -30,6 +28,4 @@ def replay(name: str) -> bytes:
 
 def with_links(text: str) -> str:
     """The gallery's page with pictures that open the replays."""
-    return PICTURE.sub(
-        lambda m: m[0] if m[2] in TOO_LONG else f"[{m[0]}]({m[2]}.html){{ target=_blank }}", text
-    )
+    return PICTURE.sub(r"[\g<0>](\2.html){ target=_blank }", text)
