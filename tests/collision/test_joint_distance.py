@@ -57,7 +57,7 @@ def test_links_that_a_slide_moves_are_not_fitted() -> None:
 
 @pytest.mark.long
 @pytest.mark.slow
-def test_near_links_of_a_jump_cost_a_round_and_a_percent() -> None:
+def test_near_links_of_a_jump_take_few_iterations() -> None:
     solution = trajopt.solve(trajopt.load("biped-jump-up", robot="g1"))
     first, *others = solution.statistics.rounds
     assert solution.success

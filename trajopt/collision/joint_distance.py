@@ -95,12 +95,9 @@ class JointDistances:
             return ()
         one, other = (model.supports[_carrier(model, shapes[name].frame)].tolist() for name in pair)
         between = tuple(sorted(set(one) ^ set(other)))
-        kinds = [model.joints[joint].shortname() for joint in between]
-        turning = all(
-            kind.startswith("JointModelR") and not kind.startswith("JointModelRUB") for kind in kinds
-        )
-        turning = turning and all(model.joints[joint].nq == 1 for joint in between)
-        return between if turning and len(between) <= MOST_JOINTS else ()
+        joints = [model.joints[joint] for joint in between]
+        turn = all(joint.nq == 1 and joint.shortname().startswith("JointModelR") for joint in joints)
+        return between if turn and len(between) <= MOST_JOINTS else ()
 
 
 def _carrier(model: pin.Model, frame: str) -> int:

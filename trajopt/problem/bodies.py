@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -46,6 +47,11 @@ class ProblemBodies:
         """Pairs of the scene."""
         return self.scene.pairs
 
+    @cached_property
+    def margin_of(self) -> dict[ShapePair, float]:
+        """The least distance of each pair, m."""
+        return dict(zip(self.pairs, self.margins.tolist(), strict=True))
+
     @property
     def widest(self) -> float:
         """The largest margin of a pair, m; zero if none is positive."""
@@ -81,7 +87,7 @@ class ProblemBodies:
             within: faces of the ground farther away than this, m, get no plane, except for the nearest one.
             feet: of each the contacts of the pair's first link: where these are clear, planes leave them so.
         """
-        margins = dict(zip(self.pairs, self.margins.tolist(), strict=True))
+        margins = self.margin_of
         by_pair = self.scene.approaches(configurations, wanted, within)
         return [
             tuple(
@@ -187,7 +193,7 @@ def _require_clear(
     ``what`` says where the first of a pair is this near; ``pairs``, some of the bodies', have ``distances``
     (n,) in m.
     """
-    margins = dict(zip(bodies.pairs, bodies.margins.tolist(), strict=True))
+    margins = bodies.margin_of
     short = [float(distance) - margins[pair] for pair, distance in zip(pairs, distances, strict=True)]
     worst = min(range(len(short)), key=short.__getitem__, default=None)
     if worst is not None and short[worst] < -TOO_NEAR - slack:

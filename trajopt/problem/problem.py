@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -240,15 +240,15 @@ class Problem:
         What they touch, or its parallel surface at the contact's radius. A contact that stands from the start
         and for which nothing is stated touches the terrain there.
         """
-        if phase not in self._surfaces:
-            given = ((name, self.robot.contact(name).radius) for name in self.schedule.phases[phase].contacts)
-            ground = partial(self.schedule.surface, phase, terrain=self.terrain, starts=self._starts)
-            self._surfaces[phase] = {name: ground(name, radius=radius) for name, radius in given}
         return self._surfaces[phase]
 
     @cached_property
-    def _surfaces(self) -> dict[int, dict[str, Ground]]:
-        return {}
+    def _surfaces(self) -> tuple[dict[str, Ground], ...]:
+        on, terrain, starts = self.schedule.surface, self.terrain, self._starts
+        return tuple(
+            {name: on(k, name, terrain, starts, self.robot.contact(name).radius) for name in phase.contacts}
+            for k, phase in enumerate(self.schedule.phases)
+        )
 
     @cached_property
     def levers(self) -> tuple[dict[str, np.ndarray], ...]:

@@ -143,11 +143,14 @@ class Exchange:
         ]
         return float((self._least - look.distances)[:, sided].max(initial=0.0))
 
-    def add(self, look: Look) -> bool:
-        """Add the moments where pairs that are, or were, too near are near; whether there are new ones."""
+    def add(self, look: Look, kept: Sequence[ShapePair] = ()) -> bool:
+        """Add the moments where pairs that are, or were, too near are near; whether there are new ones.
+
+        kept: pairs that get rows where they are near, too.
+        """
         before, length = sum(map(len, self.moments.values())), self.problem.robot.length
         missing = self.missing(look)
-        wanted = {*missing, *self.moments}
+        wanted = {*missing, *self.moments, *kept}
         short = look.distances - self.bodies.margins
         for column, pair in enumerate(self.bodies.pairs):
             if pair in wanted:
@@ -157,17 +160,16 @@ class Exchange:
                 self.lacking[pair] = max(self.lacking[pair], -float(distances.min()))
                 band = np.clip(REACH * self.lacking[pair], LEAST_BAND * length, self.band)
                 near = (distances < band) & look.regular | missed & _least_around(distances)
-                self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
+                if near.any():
+                    self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
         return sum(map(len, self.moments.values())) > before
 
     def take_up(self, solution: Solution) -> None:
         """Give rows to the pairs that had some in a solution of such a problem, where they are near there."""
         known = set(solution.statistics.row_names)
-        self.moments.update({pair: set() for pair in self.bodies.pairs if known & self._row_names(pair)})
-        if self.moments:
-            self.add(self.look(solution))
-        for pair in [pair for pair, moments in self.moments.items() if not moments]:
-            del self.moments[pair]
+        held = [pair for pair in self.bodies.pairs if known & self._row_names(pair)]
+        if held:
+            self.add(self.look(solution), held)
 
     def _row_names(self, pair: ShapePair) -> set[str]:
         model = self.problem.robot.model
@@ -205,11 +207,10 @@ class Exchange:
     def _distances(self, motion: PhaseMotion) -> Iterator[LinkDistance]:
         """Rows of the links whose distances are fitted, around a motion."""
         model, names = self.problem.robot.model, self.problem.schedule.names
-        margins = dict(zip(self.bodies.pairs, self.bodies.margins.tolist(), strict=True))
         for pair in filter(self._fitted, self.moments):
             moments = sorted(self.moments[pair])
             q = np.array([motion(*moment) for moment in moments])
-            rows = self.fits.rows(pair, q, margins[pair])
+            rows = self.fits.rows(pair, q, self.bodies.margin_of[pair])
             phases, fractions = (np.array(each) for each in zip(*moments, strict=True))
             for phase in np.unique(phases):
                 yield LinkDistance(

@@ -6,8 +6,8 @@ nodes of a phase the spacing of nodes times a function of time (Hager, "Runge-Ku
 control and the transformed adjoint system", Numerische Mathematik, 2000). These functions are interpolated
 linearly in the fraction of their phase. Rows are matched by name, phase, place and number; rows without a
 match start at zero, as without a warm start. Multipliers of rows at moments are shared among the rows of the
-same term in the same part of the phase: there are others, and more of them, after each look. Planes are laid
-anew along each motion, and their rows start at zero.
+same term in the same part of the phase: there are others, and more of them, after each look. Planes that a
+link carries are laid anew along each motion, and their rows start at zero.
 """
 
 from collections import defaultdict
@@ -68,11 +68,12 @@ def resampled_multipliers(transcription: Transcription, solution: Solution) -> W
         return None
     new = transcription.layout
     rows, bounds = np.zeros(transcription.n_rows), np.zeros(new.n_unknowns)
-    _resample(_blocks(old, info), solution.row_multiplier, _blocks(new, transcription.rows), rows)
-    moments = {transcription.rows.names.index(term.name) for term in transcription.problem.moment_constraints}
-    rows[np.isin(transcription.rows.block, list(moments))] = 0.0
-    for term in transcription.problem.moment_constraints:
-        if isinstance(term, PlaneSide) and term.body is not None:  # another plane than before
+    exchanged = transcription.problem.moment_constraints
+    names = {term.name for term in exchanged}
+    lasting = (block for block in _blocks(new, transcription.rows) if block.key[0] not in names)
+    _resample(_blocks(old, info), solution.row_multiplier, lasting, rows)
+    for term in exchanged:
+        if isinstance(term, PlaneSide) and term.body is not None:
             continue
         before, after = (_at_moments(*known, term) for known in ((old, info), (new, transcription.rows)))
         _spread(before, solution.row_multiplier, after, rows)

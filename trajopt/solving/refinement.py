@@ -8,7 +8,7 @@ drift of its contacts where that is larger.
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solvers.ipopt import IPOPT_PUSHED
-from trajopt.solvers.result import LEAST_TIME
+from trajopt.solvers.result import LEAST_TIME, Option
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.rounds import (
@@ -213,7 +213,7 @@ class Refinement:
         start: Solution | str | Path | None,
         problem: Problem | None = None,
         most: int | None = None,
-        pushed: bool = False,
+        options: Mapping[str, Option] | None = None,
     ) -> Solution | None:
         given, number = self.settings.get("label", ""), len(self.rounds) + 1
         # A named mesh is usually solved once; a refinement has several meshes.
@@ -223,8 +223,8 @@ class Refinement:
             limit["max_time"] = max(self._left(), LEAST_TIME)
         if most is not None:
             limit["max_iterations"] = min(most, self.settings.get("max_iterations", most))
-        if pushed and self.settings.get("solver", DEFAULT_SOLVER) == DEFAULT_SOLVER:
-            limit["options"] = {**IPOPT_PUSHED, **(self.settings.get("options") or {})}
+        if options is not None:
+            limit["options"] = {**options, **(self.settings.get("options") or {})}
         self.last = solve_on_mesh(
             problem or self.problem,
             mesh=mesh,
@@ -252,8 +252,8 @@ class Refinement:
         given_up: list[tuple[Problem, Solution | None]] = []
         for problem, start in starts:
             solved = self._solved(mesh, start, problem, most)
-            if solved is None and start is not None and not self._is_over():
-                solved = self._solved(mesh, start, problem, most, pushed=True)
+            if solved is None and start is not None and self._may_be_pushed():
+                solved = self._solved(mesh, start, problem, most, IPOPT_PUSHED)
             if solved is not None or self._is_over():
                 break
             if self.rounds[-1].iterations >= most:
@@ -266,6 +266,12 @@ class Refinement:
             near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
             self.settled = near or not self.exchange.moments
         return solved
+
+    def _may_be_pushed(self) -> bool:
+        """Whether the last solve may succeed farther from its bounds: IPOPT's, not shown to be infeasible."""
+        ipopt = self.settings.get("solver", DEFAULT_SOLVER) == DEFAULT_SOLVER
+        certified = self.last is not None and self.last.statistics.certified_infeasible
+        return ipopt and not certified and not self._is_over()
 
     def _examine(self, solution: Solution) -> _Examined:
         """Check and measure the solution of the last round; keep it if it is the best."""
