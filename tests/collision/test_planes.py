@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import nnls
 
+import trajopt
 from tests.support.ground import HILLS, STAIRS
 from trajopt.collision.coal_shapes import coal_capsule, coal_hull
 from trajopt.collision.description import robot_shapes, sampled_postures
@@ -22,9 +23,11 @@ from trajopt.collision.planes import (
     SeparatingPlane,
     beyond_foot,
     nearest,
+    nearest_along,
     separating_plane,
 )
 from trajopt.collision.shapes import box_corners
+from trajopt.problem.bodies import bodies_of
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
@@ -240,6 +243,30 @@ def test_bodies_about_the_same_centre_have_some_way_out():
     found = nearest(*named(ball(0.1), ball(0.2)), np.zeros(3))
     assert found.distance == pytest.approx(-0.3)
     assert np.linalg.norm(found.normal) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("count", [1, 2])
+def test_ways_of_a_mechanism_bound_the_normal(seed, count):
+    random = np.random.default_rng(seed)
+    turn = pin.exp3(random.uniform(-2, 2, 3))
+    first, second = lump(random, at=random.uniform(-0.2, 0.2, 3)), lump(random)
+    found = nearest_along(*named(first, second), turn[:, :count])
+    assert np.abs(turn[:, count:].T @ found.normal).max() < 1e-12
+    angles = np.linspace(0, 2 * np.pi, 20_001) if count == 2 else np.array([0, np.pi])
+    normals = np.column_stack([np.cos(angles), np.sin(angles)][:count]) @ turn[:, :count].T
+    depths = (first.placed @ normals.T).min(axis=0) - (second.placed @ normals.T).max(axis=0)
+    assert found.distance == pytest.approx(depths.max() - first.radius - second.radius, abs=1e-4)
+
+
+def test_links_that_move_in_a_plane_get_planes_that_their_joints_can_meet():
+    """The acrobot's links overlap along its axes: the shortest way out is one that no joint takes."""
+    scene = bodies_of(trajopt.load("acrobot", robot="acrobot")).scene
+    pair, q = ("base_link", "link2"), np.array([1.0, 0.0, -0.99, 0.14])
+    assert abs(scene.witness(q, pair).normal[0]) > 0.99
+    ((found,),) = scene.approaches(q, [(0, pair)], 0.1)
+    assert abs(found.normal[0]) < 1e-12
+    assert found.distance < scene.witness(q, pair).distance
 
 
 def test_half_space_has_its_own_normal():

@@ -17,9 +17,8 @@ from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
-import pinocchio as pin
 
-from trajopt.collision.near import CollisionScene, ShapePair
+from trajopt.collision.near import CollisionScene, ShapePair, joints_between
 
 # Most joints between two links whose distance is fitted, and the polynomial's total degree.
 MOST_JOINTS, DEGREE = 3, 3
@@ -93,15 +92,10 @@ class JointDistances:
         model, shapes = self.scene.model, {shape.name: shape for shape in self.scene.shapes}
         if not set(pair) <= set(shapes):  # an obstacle, or the ground
             return ()
-        one, other = (model.supports[_carrier(model, shapes[name].frame)].tolist() for name in pair)
-        between = tuple(sorted(set(one) ^ set(other)))
+        between = joints_between(model, *(shapes[name].frame for name in pair))
         joints = [model.joints[joint] for joint in between]
         turn = all(joint.nq == 1 and joint.shortname().startswith("JointModelR") for joint in joints)
         return between if turn and len(between) <= MOST_JOINTS else ()
-
-
-def _carrier(model: pin.Model, frame: str) -> int:
-    return int(model.frames[model.getFrameId(frame)].parentJoint)
 
 
 @cache

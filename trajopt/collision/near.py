@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ import pinocchio as pin
 from trajopt.arguments import checked
 from trajopt.collision.coal_shapes import CoalBody, CoalPairs, Witness, coal_link, coal_obstacle
 from trajopt.collision.ground_distance import BodyDistance, SmoothDistance
-from trajopt.collision.planes import Approach, PlacedBody, nearest
+from trajopt.collision.planes import Approach, PlacedBody, nearest, nearest_along
 from trajopt.collision.shapes import LinkShape, Obstacle, ball_around, require_different_names
 from trajopt.dynamics.joint_placements import Placements, joint_placements
 from trajopt.dynamics.model_content import frame_content
@@ -23,6 +23,11 @@ from trajopt.terrain.terrain import Terrain
 # Two shapes by their names; the second may be an obstacle's, or `GROUND`.
 ShapePair = tuple[str, str]
 GROUND = "ground"
+# Displacements below this part of the largest are none.
+FIXED = 1e-6
+# Where bodies overlap a normal with less than this of it along the ways in which they pass each other is none
+# along which their joints can part them.
+STEEP = 0.1
 
 
 @checked
@@ -39,6 +44,7 @@ class CollisionScene:
     obstacles: tuple[Obstacle, ...] = ()
     self_pairs: tuple[ShapePair, ...] = ()
     terrain: Terrain | None = None
+    _known_ways: dict[tuple[int, int], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("shapes", "obstacles"):
@@ -163,8 +169,27 @@ class CollisionScene:
         else:
             first, second = (int(part[number - self.n_ground]) for part in self._indices)
             witness = self._coal.witness((first, second), places[first], places[second])
+            ways = places[first][0][0] @ self._ways(first, second)
+            if witness.distance < 0 and np.linalg.norm(witness.normal @ ways) < STEEP:
+                return [nearest_along(placed(first), placed(second), ways)]
             pairs = [(placed(first), placed(second), witness)]
         return [nearest(first, second, witness.normal) for first, second, witness in pairs]
+
+    def _ways(self, first: int, second: int) -> np.ndarray:
+        """Directions (3, r), orthonormal, in which two bodies pass each other, in the axes of the first one.
+
+        They move in a plane, r = 2, where all joints between them turn about parallel axes.
+        """
+        if (first, second) not in self._known_ways:
+            model, data = self.model, self.model.createData()
+            frames = [shape.frame for shape in self.shapes] + ["universe"] * len(self.obstacles)
+            frame, joints = frames[first], joints_between(model, frames[first], frames[second])
+            axes = pin.computeJointJacobians(model, data, pin.neutral(model)).T
+            pin.updateFramePlacements(model, data)
+            moved = [axes[model.idx_vs[joint] :][: model.nvs[joint]] for joint in joints]
+            turn = data.oMf[model.getFrameId(frame)].rotation
+            self._known_ways[first, second] = turn.T @ _passing(np.vstack(moved))
+        return self._known_ways[first, second]
 
     def least_distances(self, configurations: Iterable[np.ndarray], within: float = np.inf) -> np.ndarray:
         """Least signed distance in m of each pair (n,) over configurations (nq,); inf without any."""
@@ -262,3 +287,21 @@ def separable_pairs(
     scene = CollisionScene(model=model, shapes=tuple(shapes), self_pairs=pairs)
     distances = scene.distances(q)[0]
     return tuple(pair for pair, distance in zip(pairs, distances, strict=True) if distance > margin)
+
+
+def _passing(axes: np.ndarray) -> np.ndarray:
+    """Orthonormal directions (3, r) of all displacements that joints with these axes (n, 6) make.
+
+    A direction is left out if every axis is parallel to it and no axis moves along it: a rotation about it
+    keeps both so.
+    """
+    rows = np.vstack([axes[:, :3], *(pin.skew(axis) for axis in axes[:, 3:])])
+    _, sizes, directions = np.linalg.svd(rows)
+    return np.asarray(directions[: int((sizes > FIXED * sizes.max()).sum())].T)
+
+
+def joints_between(model: pin.Model, first: str, second: str) -> tuple[int, ...]:
+    """Joints between the links of two frames, by index."""
+    carriers = (model.frames[model.getFrameId(frame)].parentJoint for frame in (first, second))
+    one, other = (set(model.supports[joint].tolist()) for joint in carriers)
+    return tuple(sorted(one ^ other))

@@ -35,6 +35,8 @@ UNIT = 1e-6
 NEARER = 1e-5
 # Halvings in the search for a direction between two: to 1e-6 of their angle.
 HALVINGS = 20
+# Directions around a circle among which one is sought, and searches: each is around the best one so far.
+DIRECTIONS, TURNS = 64, 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,6 +118,25 @@ def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approa
     distances = [_apart(first, second, direction) for direction in directions]
     best = int(np.argmax(distances))
     return Approach(first=first, second=second, normal=directions[best], distance=distances[best])
+
+
+def nearest_along(first: PlacedBody, second: PlacedBody, ways: np.ndarray) -> Approach:
+    """The approach of two bodies of which one passes the other along ``ways`` (3, r), orthonormal, r <= 2.
+
+    Where they overlap across these, the shortest way out may be one that no motion takes: the normal is the
+    best direction along them, by a search around the circle.
+    """
+    middle, width = 0.0, np.pi
+    directions = ways.T
+    for _ in range(TURNS if ways.shape[1] == 2 else 0):
+        angles = middle + width * np.linspace(-1.0, 1.0, DIRECTIONS)
+        directions = np.column_stack([np.cos(angles), np.sin(angles)]) @ ways.T
+        middle = angles[int(np.argmax([_apart(first, second, direction) for direction in directions]))]
+        width *= 4 / DIRECTIONS
+    options = [*directions, *-directions]
+    distances = [_apart(first, second, direction) for direction in options]
+    best = int(np.argmax(distances))
+    return Approach(first=first, second=second, normal=options[best], distance=distances[best])
 
 
 def beyond_foot(approach: Approach, foot: PlacedBody, margin: float) -> Approach:
