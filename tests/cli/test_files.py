@@ -95,8 +95,8 @@ WORDS = {
     "a start": (("--start", "files/old.npz", "--compare"), ("start=files_old",)),
     "a target": (("--accuracy", "1e-3"), ("accuracy=0.001",)),
     "a solver": (
-        ("--solver", "sqp", "--solver-option", "mu_init=1e-7"),
-        ("solver=sqp", "mu_init=1e-7"),
+        ("--hessian", "gauss-newton", "--solver-option", "mu_init=1e-7"),
+        ("hessian=gauss-newton", "mu_init=1e-7"),
     ),
     "limits": (("--max-iterations", "3"), ("max-iterations=3",)),
     "defaults": (("--solver", "ipopt", "--tolerance", "1e-6"), ()),

@@ -14,7 +14,7 @@ PHYSICS = {"mujoco", "glfw", "piqp"}
 DRAWING = {"matplotlib", "mpl_toolkits", "PIL", "cycler", "dateutil", "fontTools", "kiwisolver", "packaging"}
 PAGE = {"meshcat", "IPython", "PIL", "colorama", "pygments", "tornado", "traitlets", "umsgpack", "zmq"}
 # What a command may load besides `START`, third-party packages alone. OSQP and PIQP need SciPy for sparse
-# programs (guesses of walks, the SQP), diagnosis for factorisations, and each mesh once: its hull is then in
+# programs (guesses of walks), diagnosis for factorisations, and each mesh once: its hull is then in
 # the cache.
 MAY_LOAD = {
     "list": MODELS,

@@ -60,7 +60,7 @@ def test_lists_take_several_words(lists: tuple[str, ...]):
         (("--resume",), "trajopt: --resume has no results to continue from; allowed: with --output-dir DIR"),
         (("--perturbed", "x"), "trajopt: Invalid value for '--perturbed': 'x' is not a whole number"),
         (("--sigma", "-1"), "trajopt: sigma is -1; allowed: > 0"),
-        (("--solver", "snopt"), "trajopt: unknown solver 'snopt'; allowed: ipopt, sqp"),
+        (("--solver", "snopt"), "trajopt: unknown solver 'snopt'; allowed: ipopt"),
         (("--compare", "no/such"), "trajopt: cannot read no/such: No such file or directory; allowed: "),
         (
             ("--scheduler", "nonsense"),

@@ -188,10 +188,9 @@ def test_a_converged_plan_through_the_lock_is_no_success():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
-def test_half_a_flip_solves_with_the_quaternion(solver):
+def test_half_a_flip_solves_with_the_quaternion():
     flip = problems.load("solo12-flip")
-    solution = trajopt.solve(flip, solver=solver, intervals=30)
+    solution = trajopt.solve(flip, intervals=30)
     assert solution.converged, solution.statistics.advice
     assert solution.statistics.iterations <= 60
     assert trajopt.check(solution).within(AT_POINTS)

@@ -269,10 +269,9 @@ def test_the_same_problem_has_the_same_optimum_on_both_bases(order):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
-def test_plans_on_virtual_joints_pass_the_check_and_the_free_flyers_dynamics(solver, tmp_path):
+def test_plans_on_virtual_joints_pass_the_check_and_the_free_flyers_dynamics(tmp_path):
     problem = with_virtual_base(problems.load("solo12-jump", distance=0.1, yaw=0.3))
-    solution = trajopt.solve(problem, solver=solver, intervals=30)
+    solution = trajopt.solve(problem, intervals=30)
     assert solution.converged, solution.statistics.advice
     solution.save(tmp_path / "jump.npz")
     report = trajopt.check(tmp_path / "jump.npz")

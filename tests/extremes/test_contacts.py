@@ -213,13 +213,10 @@ def repeated(robot: Robot) -> Robot:
     return replace(robot, contacts=(*robot.contacts, replace(robot.contacts[0], name="again")))
 
 
-@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
-def test_a_contact_given_twice_shares_its_force(solver):
+def test_a_contact_given_twice_shares_its_force():
     robot = robots.load("solo12")
-    twice = assert_outcome(
-        Solved(STILL), lambda: stance(repeated(robot), robot.reference, intervals=6), solver=solver
-    )
-    once = assert_outcome(Solved(STILL), lambda: stance(robot, robot.reference, intervals=6), solver=solver)
+    twice = assert_outcome(Solved(STILL), lambda: stance(repeated(robot), robot.reference, intervals=6))
+    once = assert_outcome(Solved(STILL), lambda: stance(robot, robot.reference, intervals=6))
     assert twice.statistics.redundant_contact_rows == {"stance": ["again x", "again y", "again z"]}
     assert_allclose(total_force(twice), total_force(once), atol=1e-2 * robot.weight)
     shared = twice.f[:, [0, 4], :3]

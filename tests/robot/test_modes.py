@@ -72,12 +72,6 @@ def test_optima_of_both_coordinates_approach_each_other_with_the_grid():
     assert apart[1] < apart[0] / 4
 
 
-@pytest.mark.parametrize("coordinates", ["excess", "minimal"])
-def test_both_solvers_find_the_same_hop(coordinates):
-    first, second = (solved(coordinates, "soft", solver) for solver in ("ipopt", "sqp"))
-    assert second.statistics.objective == pytest.approx(first.statistics.objective, rel=1e-4)
-
-
 def test_a_solution_in_minimal_coordinates_is_certified_as_the_floating_robot():
     solution = solved("minimal")
     report = trajopt.check(solution)

@@ -1,4 +1,4 @@
-"""Solvers on transcribed problems: IPOPT, the SQP and CasADi's own IPOPT agree; stops, options, threads."""
+"""Solvers on transcribed problems: IPOPT and CasADi's own IPOPT agree; stops, options, threads."""
 
 from collections.abc import Callable
 
@@ -14,10 +14,9 @@ from trajopt.solvers.drivers import SOLVERS, run_solver
 from trajopt.solvers.ipopt import IPOPT_OPTIONS
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
-from trajopt.solving.solving import PreparedProblem, prepare, solve
+from trajopt.solving.solving import PreparedProblem, prepare
 from trajopt.terms import TorqueCost
 from trajopt.transcription.transcription import Transcription
-from trajopt_library import problems
 
 pytestmark = pytest.mark.long
 
@@ -96,14 +95,6 @@ def test_iteration_limit_is_a_status(solver):
     result = run_solver(made.nlp, made.guess, solver, StoppingCriteria(max_iterations=2), {}, go_on)
     assert result.status is Status.ITERATION_LIMIT
     assert result.iterations <= 3
-
-
-def test_solvers_agree_on_the_optimum_of_a_jump():
-    options = {"transcription": "legendre:2", "intervals": 12}
-    problem = problems.load("solo12-jump")
-    ipopt, sqp = (solve(problem, solver=solver, **options) for solver in ("ipopt", "sqp"))
-    assert [ipopt.converged, sqp.converged] == [True, True]
-    assert sqp.statistics.objective == pytest.approx(ipopt.statistics.objective, rel=AGREEMENT)
 
 
 def symbolic(t: Transcription) -> tuple[ca.MX, ca.MX, ca.MX]:

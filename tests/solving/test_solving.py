@@ -147,7 +147,7 @@ def test_progress_that_returns_false_interrupts():
 @pytest.mark.parametrize(
     ("setting", "value", "message"),
     [
-        ("solver", "snopt", "unknown solver 'snopt'; allowed: ipopt, sqp"),
+        ("solver", "snopt", "unknown solver 'snopt'; allowed: ipopt"),
         ("tolerance", 0.0, "allowed: between 0 and 1"),
         ("tolerance", float("nan"), "allowed: between 0 and 1"),
         ("max_iterations", -1, "allowed: 0 or more"),

@@ -91,10 +91,3 @@ def test_iterations_are_told_in_order_with_the_iterates_of_the_problem():
     found = solve(weak(), watch=look)
     assert numbers == sorted(numbers)
     assert sizes == {found.statistics.variables}
-
-
-@pytest.mark.parametrize("solver", ["sqp"])
-def test_other_solvers_end_by_their_own_tests(solver):
-    statistics = solve(weak(), solver=solver, max_iterations=60).statistics
-    assert not statistics.success
-    assert statistics.solver_status != CERTIFIED

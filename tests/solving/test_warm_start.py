@@ -201,8 +201,7 @@ def test_soft_and_hard_landings_start_from_each_other():
 @pytest.mark.long
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_solve_started_at_its_solution_ends_there(solver):
-    # The SQP does not find this hop from a guess that stands.
-    first = trajopt.solve(hop(), solver="ipopt" if solver == "sqp" else solver, fixed_mesh=True)
+    first = trajopt.solve(hop(), solver=solver, fixed_mesh=True)
     again = trajopt.solve(hop(), solver=solver, start=first, fixed_mesh=True)
     assert again.converged
     assert again.statistics.warm_start is True
@@ -211,14 +210,6 @@ def test_a_solve_started_at_its_solution_ends_there(solver):
     assert again.statistics.objective == pytest.approx(first.statistics.objective, rel=1e-4)
     if solver == "ipopt":  # which takes multipliers, too: at most the step that sees it is there
         assert again.statistics.iterations <= 1
-
-
-@pytest.mark.long
-def test_multipliers_of_the_sqp_start_ipopt():
-    first = trajopt.solve(hop(), solver="sqp", tolerance=1e-8, fixed_mesh=True)
-    again = trajopt.solve(hop(), start=first, fixed_mesh=True)
-    assert again.converged
-    assert again.statistics.iterations <= trajopt.solve(hop(), fixed_mesh=True).statistics.iterations / 2
 
 
 def test_multipliers_on_a_finer_grid_are_near_those_found_there():

@@ -72,7 +72,7 @@ def test_times_of_warm_starts_and_second_stages_count():
 
 FAST, FINE, SLOW, FAILED = (
     replace(BASE, **changes)
-    for changes in ({"intervals": 5}, {"intervals": 20}, {"solver": "sqp"}, {"tolerance": 1e-3})
+    for changes in ({"intervals": 5}, {"intervals": 20}, {"hessian": "gauss-newton"}, {"tolerance": 1e-3})
 )
 PLAN = SweepPlan(base=BASE, settings=(BASE, FAST, FINE, SLOW, FAILED))
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
 
 from trajopt.solving.solving import solve
@@ -16,14 +15,12 @@ from trajopt_library.robots.ur5 import TOOL
 SOLVED = 1e-5
 
 
-@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
-def test_tool_passes_its_goal_with_the_velocity_asked(solver):
+def test_tool_passes_its_goal_with_the_velocity_asked():
     velocity = np.array([0.2, -0.1, 0.05, 0.0, 0.3, 0.0])
     reach = problems.load("ur5-reach")
     kept = tuple(term for term in reach.terms if not isinstance(term, TerminalRest))
     solution = solve(
         replace(reach, terms=(*kept, FrameVelocity(frame=TOOL, velocity=velocity))),
-        solver=solver,
         intervals=15,
     )
     assert solution.converged

@@ -99,13 +99,12 @@ def test_height_is_counted_at_the_middle_of_its_phase_and_distance_at_the_end():
 
 
 @pytest.mark.parametrize("goal", ["height", "distance"])
-@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
-def test_highest_point_is_that_of_full_thrust(goal, solver):
+def test_highest_point_is_that_of_full_thrust(goal):
     costs = {
         "height": FrameHeightCost(weight=1.0, frame="top", at=end_of("thrust")),
         "distance": DistanceCost(weight=1.0, frame="top", direction=(0.0, 0.0, 1.0)),
     }
-    solution = solve(thrust(costs[goal]), solver=solver)
+    solution = solve(thrust(costs[goal]))
     assert solution.converged
     acceleration = PUSH / 2.0 - 9.81
     assert_allclose(solution.q[-1], acceleration * THRUST_TIME**2 / 2, rtol=SOLVED)
@@ -201,8 +200,7 @@ def test_transport_counts_cost_of_transport():
     assert_allclose(objective(with_terms(problem, sharp), x), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
-def test_least_time_of_a_double_integrator_is_bang_bang(solver):
+def test_least_time_of_a_double_integrator_is_bang_bang():
     arm = one_joint_arm()
     inertia, torque = pin.crba(arm.model, arm.model.createData(), np.zeros(1))[0, 0], 3.0
     schedule = Schedule((Phase(name="reach", duration=0.8, duration_bounds=(0.1, 3.0)),))
@@ -215,7 +213,7 @@ def test_least_time_of_a_double_integrator_is_bang_bang(solver):
             TorqueLimits(limit=np.array([torque])), TerminalState(q=goal), TerminalRest(q=goal),
         ),
     )  # fmt: skip
-    solution = solve(problem, solver=solver, intervals=10)
+    solution = solve(problem, intervals=10)
     assert solution.converged
     assert_allclose(solution.meta["durations"], 2 * math.sqrt(REACH * inertia / torque), rtol=SOLVED)
 

@@ -39,20 +39,17 @@ def test_sizes_and_nonzeros_grow_linearly(name: str) -> None:
     np.testing.assert_array_equal(first, second)
 
 
-def solved(made: PreparedProblem, solver: str, seed: int) -> tuple[int, float, int]:
+def solved(made: PreparedProblem, seed: int) -> tuple[int, float, int]:
     """Iterations, objective, evaluations of values."""
     start = perturbed(made.transcription, made.guess, seed, SIGMA) if seed else made.guess
-    result = run_solver(made.nlp, start, solver, StoppingCriteria(), {}, lambda *_: True)
-    assert result.status is Status.SOLVED, (solver, seed, result.solver_status)
+    result = run_solver(made.nlp, start, "ipopt", StoppingCriteria(), {}, lambda *_: True)
+    assert result.status is Status.SOLVED, (seed, result.solver_status)
     return result.iterations, result.objective, made.nlp.engine.timings()["value"][1]
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
-def test_iterations_do_not_grow_with_the_mesh(solver: str) -> None:
-    coarse, fine = (
-        [solved(prepared("ur5-reach", n), solver, seed) for seed in (0, *SEEDS)] for n in (COARSE, FINE)
-    )
+def test_iterations_do_not_grow_with_the_mesh() -> None:
+    coarse, fine = ([solved(prepared("ur5-reach", n), seed) for seed in (0, *SEEDS)] for n in (COARSE, FINE))
     own = [rows[0][0] for rows in (coarse, fine)]
     medians = [statistics.median(row[0] for row in rows[1:]) for rows in (coarse, fine)]
     assert max(own) <= MOST * min(own)
@@ -62,7 +59,6 @@ def test_iterations_do_not_grow_with_the_mesh(solver: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", ["ipopt", "sqp"])
-def test_a_hop_is_solved_on_meshes_from_coarse_to_fine(solver: str) -> None:
-    optima = [solved(prepared("hopper-hop", n), solver, 0)[1] for n in (100, FINE)]
+def test_a_hop_is_solved_on_meshes_from_coarse_to_fine() -> None:
+    optima = [solved(prepared("hopper-hop", n), 0)[1] for n in (100, FINE)]
     assert optima[0] == pytest.approx(optima[1], rel=SAME)

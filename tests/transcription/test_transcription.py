@@ -78,14 +78,6 @@ def test_rows_of_a_stage_are_gaps_then_points_then_node():
         assert set(points) >= {0, 1}
 
 
-def test_stage_sizes_add_up_to_the_unknowns_and_rows():
-    t = nlp_of("hop", "radau:2").transcription
-    states, controls, paths = t.stage_sizes()
-    assert sum(states) + sum(controls) == t.layout.n_unknowns
-    assert sum(paths) + sum(len(rows) for rows in t.gap_rows) == t.n_rows
-    assert controls[-1] == 0
-
-
 def test_inactive_contact_makes_no_unknown_and_no_row():
     t = transcribe(hop(terms=()), "legendre:2", 8)
     layout, robot = t.layout, hopper()

@@ -137,7 +137,7 @@ def _of_conflict(diagnosis: Diagnosis) -> Iterator[Advice]:
     if clash.mended:
         yield Advice(
             misses,
-            "the iterate is early and shows no conflict: more iterations, another solver or another start",
+            "the iterate is early and shows no conflict: more iterations or another start",
         )
         return
     goal = any(party.block in GOALS for party in clash.giving)

@@ -73,15 +73,13 @@ class Solver:
 
 
 SOLVERS = {
-    # IPOPT and the SQP get a tighter tolerance on rows than on optimality, so that a solution passes a check
-    # at its tolerance.
+    # The tolerance on rows is tighter than that on optimality, so that a solution passes a check at it.
     "ipopt": Solver(
         driver="trajopt.solvers.ipopt:solve_ipopt",
         hessians=HESSIANS,
         feasibility_share=0.1,
         certifies_with=(EXACT,),
     ),
-    "sqp": Solver(driver="trajopt.solvers.sqp_driver:solve_sqp", feasibility_share=0.1),
 }
 
 

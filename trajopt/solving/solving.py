@@ -124,7 +124,7 @@ def solve(
             default: the problem's.
         intervals: Number over the whole schedule; default: the problem's.
         mesh: Schemes and widths of intervals by phase, instead of both.
-        solver: ``ipopt`` or ``sqp``.
+        solver: Of `trajopt.solvers.drivers.SOLVERS`; ``ipopt``, or one of your own.
         tolerance: On feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
         max_iterations: Limit of the solver's iterations.
         max_time: Limit of wall time, s, without compilation, which is done once.

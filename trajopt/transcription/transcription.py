@@ -78,15 +78,6 @@ class Transcription:
         """The different point functions of the groups, by identity."""
         return {id(group.point): group.point for group in self.groups}
 
-    def stage_sizes(self) -> tuple[list[int], list[int], list[int]]:
-        """Numbers of states, controls and path rows of each stage, as structured solvers need them."""
-        layout = self.layout
-        states = [form.size for form in layout.forms]
-        controls = [layout.n_control(k) for k in range(layout.n_stages)]
-        rows = np.bincount(self.rows.stage, minlength=layout.n_stages + 1)
-        gaps = [*states[1:], 0]
-        return states, [*controls, 0], [int(count) - gap for count, gap in zip(rows, gaps, strict=True)]
-
 
 @dataclass(frozen=True)
 class _Numbers:

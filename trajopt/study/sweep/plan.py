@@ -23,10 +23,10 @@ TOLERANCES = (1e-4, 1e-8)
 JOINED = (
     (0.1, "legendre:3 1e-2"),
     (0.1, "legendre:4 1e-3"),
-    (0.1, "legendre:4 1e-2 sqp"),
+    (0.1, "legendre:4 1e-2"),
     (0.2, "legendre:3 1e-2"),
-    (0.2, "legendre:3 1e-3 sqp"),
-    (0.2, "legendre:2 1e-3 sqp gauss-newton"),
+    (0.2, "legendre:3 1e-3"),
+    (0.2, "legendre:2 1e-3 gauss-newton"),
     (0.25, "legendre:4"),
     (0.5, "legendre:3 1e-4"),
     (0.5, "legendre:4"),

@@ -115,7 +115,7 @@ class Setting:
 
     @classmethod
     def parse(cls, text: str, base: Setting) -> Setting:
-        """``base`` with the words of ``text`` in place of its own, as in ``legendre:1@10 sqp 1e-3``."""
+        """``base`` with the words of ``text`` in place of its own, as in ``legendre:1@10 pyramid 1e-3``."""
         chosen: dict[str, Any] = {}
         for word in text.replace(",", " ").split():
             for axis, value in _meaning(word).items():
