@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
@@ -44,7 +44,6 @@ class CollisionScene:
     obstacles: tuple[Obstacle, ...] = ()
     self_pairs: tuple[ShapePair, ...] = ()
     terrain: Terrain | None = None
-    _known_ways: dict[tuple[int, int], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("shapes", "obstacles"):
@@ -169,9 +168,10 @@ class CollisionScene:
         else:
             first, second = (int(part[number - self.n_ground]) for part in self._indices)
             witness = self._coal.witness((first, second), places[first], places[second])
-            ways = places[first][0][0] @ self._ways(first, second)
-            if witness.distance < 0 and np.linalg.norm(witness.normal @ ways) < STEEP:
-                return [nearest_along(placed(first), placed(second), ways)]
+            if witness.distance < 0:
+                ways = places[first][0][0] @ self._ways(first, second)
+                if np.linalg.norm(witness.normal @ ways) < STEEP:
+                    return [nearest_along(placed(first), placed(second), ways)]
             pairs = [(placed(first), placed(second), witness)]
         return [nearest(first, second, witness.normal) for first, second, witness in pairs]
 
@@ -180,16 +180,13 @@ class CollisionScene:
 
         They move in a plane, r = 2, where all joints between them turn about parallel axes.
         """
-        if (first, second) not in self._known_ways:
-            model, data = self.model, self.model.createData()
-            frames = [shape.frame for shape in self.shapes] + ["universe"] * len(self.obstacles)
-            frame, joints = frames[first], joints_between(model, frames[first], frames[second])
-            axes = pin.computeJointJacobians(model, data, pin.neutral(model)).T
-            pin.updateFramePlacements(model, data)
-            moved = [axes[model.idx_vs[joint] :][: model.nvs[joint]] for joint in joints]
-            turn = data.oMf[model.getFrameId(frame)].rotation
-            self._known_ways[first, second] = turn.T @ _passing(np.vstack(moved))
-        return self._known_ways[first, second]
+        model, data = self.model, self.model.createData()
+        frames = [shape.frame for shape in self.shapes] + ["universe"] * len(self.obstacles)
+        axes = pin.computeJointJacobians(model, data, pin.neutral(model)).T
+        pin.updateFramePlacements(model, data)
+        joints = joints_between(model, frames[first], frames[second])
+        moved = [axes[model.idx_vs[joint] :][: model.nvs[joint]] for joint in joints]
+        return np.asarray(data.oMf[model.getFrameId(frames[first])].rotation.T @ _passing(np.vstack(moved)))
 
     def least_distances(self, configurations: Iterable[np.ndarray], within: float = np.inf) -> np.ndarray:
         """Least signed distance in m of each pair (n,) over configurations (nq,); inf without any."""

@@ -126,17 +126,19 @@ def nearest_along(first: PlacedBody, second: PlacedBody, ways: np.ndarray) -> Ap
     Where they overlap across these, the shortest way out may be one that no motion takes: the normal is the
     best direction along them, by a search around the circle.
     """
-    middle, width = 0.0, np.pi
-    directions = ways.T
-    for _ in range(TURNS if ways.shape[1] == 2 else 0):
-        angles = middle + width * np.linspace(-1.0, 1.0, DIRECTIONS)
-        directions = np.column_stack([np.cos(angles), np.sin(angles)]) @ ways.T
-        middle = angles[int(np.argmax([_apart(first, second, direction) for direction in directions]))]
-        width *= 4 / DIRECTIONS
-    options = [*directions, *-directions]
-    distances = [_apart(first, second, direction) for direction in options]
-    best = int(np.argmax(distances))
-    return Approach(first=first, second=second, normal=options[best], distance=distances[best])
+
+    def apart(normal: np.ndarray) -> float:
+        return _apart(first, second, normal)
+
+    normal = max([*ways.T, *-ways.T], key=apart)
+    if ways.shape[1] == 2:
+        angle, width = 0.0, np.pi
+        for _ in range(TURNS):
+            around = angle + width * np.linspace(-1.0, 1.0, DIRECTIONS)
+            angle = max(around, key=lambda each: apart(ways @ [np.cos(each), np.sin(each)]))
+            width *= 4 / DIRECTIONS
+        normal = ways @ [np.cos(angle), np.sin(angle)]
+    return Approach(first=first, second=second, normal=normal, distance=apart(normal))
 
 
 def beyond_foot(approach: Approach, foot: PlacedBody, margin: float) -> Approach:
