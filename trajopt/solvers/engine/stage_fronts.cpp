@@ -9,6 +9,11 @@ namespace trajopt {
 
 namespace {
 
+// Rows with more entries are condensed together, by a product of matrices.
+constexpr std::size_t kFew = 12;
+// Adding such a product to a front takes as long as this many rows of it.
+constexpr double kScatter = 16;
+
 struct Range {
   int first = std::numeric_limits<int>::max(), last = -1;
   void add(int i) {
@@ -166,8 +171,54 @@ void StageFronts::place_entries(const std::vector<int>& front, const std::vector
       condensed[row] = inequalities[row].terms;
       for (Term& term : condensed[row]) term.variable = place[term.variable];
     }
+    group_rows(own);
     for (const int child : own.children)
       for (const int i : fronts[child].border) fronts[child].to_parent.push_back(place[i]);
+  }
+}
+
+// Takes rows with many entries from the front's inequalities into groups: each row to the one to whose product it
+// adds least, which may be a new one.
+void StageFronts::group_rows(Front& own) {
+  const std::size_t size = own.own.size() + own.border.size();
+  auto cost = [](double columns, std::size_t rows) { return columns * columns * (static_cast<double>(rows) + kScatter); };
+  std::vector<int> few;
+  std::vector<std::vector<char>> held;  // whether a group has a place
+  for (const int row : own.inequalities) {
+    const std::vector<Term>& terms = condensed[row];
+    if (terms.size() <= kFew) {
+      few.push_back(row);
+      continue;
+    }
+    std::size_t chosen = own.groups.size();
+    double least = cost(static_cast<double>(terms.size()), 1);
+    for (std::size_t g = 0; g < own.groups.size(); ++g) {
+      const RowGroup& group = own.groups[g];
+      std::size_t wider = group.places.size();
+      for (const Term& term : terms) wider += !held[g][term.variable];
+      const double more = cost(static_cast<double>(wider), group.rows.size() + 1) -
+                          cost(static_cast<double>(group.places.size()), group.rows.size());
+      if (more < least) {
+        least = more;
+        chosen = g;
+      }
+    }
+    if (chosen == own.groups.size()) {
+      own.groups.emplace_back();
+      held.emplace_back(size);
+    }
+    RowGroup& group = own.groups[chosen];
+    group.rows.push_back(row);
+    for (const Term& term : terms)
+      if (!std::exchange(held[chosen][term.variable], 1)) group.places.push_back(term.variable);
+  }
+  own.inequalities = std::move(few);
+  std::vector<int> column(size);
+  for (RowGroup& group : own.groups) {
+    std::sort(group.places.begin(), group.places.end());
+    for (std::size_t i = 0; i < group.places.size(); ++i) column[group.places[i]] = static_cast<int>(i);
+    for (const int row : group.rows)
+      for (Term& term : condensed[row]) term.variable = column[term.variable];
   }
 }
 

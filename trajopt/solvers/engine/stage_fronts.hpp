@@ -45,10 +45,16 @@ struct Alone {
   std::vector<std::int64_t> curvature, coefficient;
 };
 
+// Inequalities with many entries in nearly the same columns, which are condensed by one product of matrices.
+struct RowGroup {
+  std::vector<int> rows, places;  // places of the front, ascending
+};
+
 struct Front {
   std::vector<int> own, border;    // unknowns that are eliminated here, and that these are coupled with
   std::vector<KktEntry> entries;   // at places of the front, on or below the diagonal
-  std::vector<int> inequalities;   // condensed here, their terms at places of the front
+  std::vector<int> inequalities;   // condensed here one by one, their terms at places of the front
+  std::vector<RowGroup> groups;    // condensed here together, their terms at places of the group
   std::vector<std::pair<int, int>> alone;  // those of its equalities, and the places of the multipliers
   std::vector<int> children;
   int parent = -1;
@@ -67,7 +73,7 @@ class StageFronts {
   std::vector<Front> fronts;
   std::vector<Inequality> inequalities;  // variables of their terms are those of the system
   std::vector<Alone> alone;
-  std::vector<std::vector<Term>> condensed;  // the same terms at places of their fronts
+  std::vector<std::vector<Term>> condensed;  // the same terms at places of their fronts, or of their groups
   int half = 0;                // fronts of the later nodes come first: [0, half), then [half, last)
   bool independent = true;     // no front of one half has its parent in the other
   int last() const { return static_cast<int>(fronts.size()) - 1; }
@@ -80,6 +86,7 @@ class StageFronts {
   std::vector<int> assign(const std::vector<int>& stage, const std::vector<KktEntry>& coupled) const;
   void find_borders(const std::vector<int>& front, const std::vector<KktEntry>& coupled);
   void place_entries(const std::vector<int>& front, const std::vector<KktEntry>& coupled);
+  void group_rows(Front& own);
 
   int n_stages_ = 0, middle_ = 0;
 };

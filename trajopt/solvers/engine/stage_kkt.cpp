@@ -8,8 +8,6 @@ namespace trajopt {
 
 namespace {
 
-// Rows with more entries are condensed together, by a product of matrices.
-constexpr int kFew = 12;
 // Part of the largest entry of its row below which a pivot is rounding.
 constexpr double kRounding = 1e-14;
 // Least part of its column's entries that a pivot has, at first and at most.
@@ -122,32 +120,40 @@ void StageKkt::assemble(int f, Work& work) {
 
 // Adds weight J^T J of its inequalities.
 void StageKkt::condense(int f, Work& work) const {
-  const int shift = static_cast<int>(factors_[f].late.size()), ld = work.ld, n = factors_[f].n;
-  double* matrix = work.matrix.data();
-  int many = 0;
-  work.left.clear();
-  work.right.clear();
-  for (const int row : structure_.fronts[f].inequalities) {
+  const Front& front = structure_.fronts[f];
+  const std::size_t shift = factors_[f].late.size(), ld = work.ld;
+  double* matrix = work.matrix.data() + shift * (ld + 1);
+  for (const int row : front.inequalities) {
     const std::vector<Term>& terms = structure_.condensed[row];
-    const double weight = -blocks_[row].s / blocks_[row].determinant();
+    const double weight = blocks_[row].weight();
     if (weight == 0) continue;
-    if (terms.size() > kFew) {
-      work.left.resize(static_cast<std::size_t>(ld) * ++many, 0.0);
-      work.right.resize(work.left.size(), 0.0);
-      const std::size_t column = work.left.size() - ld;
-      for (const Term& term : terms) {
-        work.left[column + term.variable + shift] += values_[term.source];
-        work.right[column + term.variable + shift] -= weight * values_[term.source];
-      }
-      continue;
-    }
     for (const Term& one : terms)
       for (const Term& other : terms)
         if (other.variable >= one.variable)
-          matrix[static_cast<std::size_t>(one.variable + shift) * ld + other.variable + shift] +=
-              weight * values_[one.source] * values_[other.source];
+          matrix[one.variable * ld + other.variable] += weight * values_[one.source] * values_[other.source];
   }
-  if (many) subtract_product(matrix, ld, work.left.data(), ld, work.right.data(), ld, n, n, many);
+  for (const RowGroup& group : front.groups) {
+    const std::size_t size = group.places.size(), ldg = size + kPadding, depth = group.rows.size();
+    work.left.assign(ldg * depth, 0.0);
+    work.right.assign(ldg * depth, 0.0);
+    work.product.assign(ldg * (size + 1), 0.0);
+    for (std::size_t i = 0; i < depth; ++i) {
+      const double weight = blocks_[group.rows[i]].weight();
+      if (weight == 0) continue;
+      for (const Term& term : structure_.condensed[group.rows[i]]) {
+        work.left[i * ldg + term.variable] += values_[term.source];
+        work.right[i * ldg + term.variable] -= weight * values_[term.source];
+      }
+    }
+    const int n = static_cast<int>(size), stride = static_cast<int>(ldg);
+    subtract_product(work.product.data(), stride, work.left.data(), stride, work.right.data(), stride, n, n,
+                     static_cast<int>(depth));
+    for (std::size_t j = 0; j < size; ++j) {
+      const double* from = work.product.data() + j * ldg;
+      double* to = matrix + group.places[j] * ld;
+      for (std::size_t i = j; i < size; ++i) to[group.places[i]] += from[i];
+    }
+  }
 }
 
 // Adds what children have left: Schur complements of their borders, and of unknowns without a pivot.

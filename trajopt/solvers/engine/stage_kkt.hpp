@@ -44,13 +44,14 @@ class StageKkt {
   };
   // Memory of one thread.
   struct Work {
-    std::vector<double> matrix, left, right, z;
+    std::vector<double> matrix, left, right, product, z;
     int ld = 0;
   };
   // The block [[s, link], [link, d]] of a slack and its multiplier.
   struct Block {
     double s = 0, d = 0, link = 0;
     double determinant() const { return s * d - link * link; }
+    double weight() const { return -s / determinant(); }  // of the row's square in the condensed Hessian
   };
 
   // Of a variable that is alone.
