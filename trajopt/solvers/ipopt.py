@@ -13,16 +13,19 @@ from trajopt.transcription.nlp import Nlp
 # The NLP is scaled by units, so the solvers' own scaling is off; a solution "to an acceptable level" does not
 # count. The bound relaxation is far below the tolerance. Multipliers start at zero: least-squares estimates
 # at a guess off the constraints are large and make the first Hessians indefinite, which doubles the
-# iterations of IPOPT on the jump.
+# iterations of IPOPT on the jump. Solutions are refined where residuals ask for it.
 IPOPT_OPTIONS: dict[str, Option] = {
     "nlp_scaling_method": "none",
     "mu_strategy": "adaptive",
     "acceptable_iter": 0,
     "bound_relax_factor": 1e-9,
     "constr_mult_init_max": 0.0,
+    "min_refinement_steps": 0,
     "print_level": 0,
     "sb": "yes",
 }
+# A start from a guess: Mehrotra's corrector, and multipliers of bounds as small as costs in natural units are.
+IPOPT_COLD: dict[str, Option] = {"corrector_type": "affine", "bound_mult_init_val": 3e-3}
 # A start from another solution (docs/warm-starts.md). IPOPT's default distance from bounds, 1e-2, and its
 # default initial multipliers discard the solution's information. With the solution's multipliers iterates
 # stay where they are; without them a small first barrier keeps them there.
@@ -82,10 +85,10 @@ def solve_ipopt(
     """A `Driver`: with the engine's factorisation stage by stage, or another linear solver of IPOPT."""
     t = nlp.transcription
     lam_g, lam_x = (None, None) if warm is None else (warm.lam_g, warm.lam_x)
-    restart = IPOPT_WARM_WITHOUT_MULTIPLIERS if lam_g is None else IPOPT_WARM
+    begin = IPOPT_COLD if warm is None else IPOPT_WARM if lam_g is not None else IPOPT_WARM_WITHOUT_MULTIPLIERS
     chosen = {
         **IPOPT_OPTIONS,
-        **({} if warm is None else restart),
+        **begin,
         **({"hessian_approximation": LIMITED_MEMORY} if nlp.hessian == LIMITED_MEMORY else {}),
         "tol": stop.tolerance,
         "constr_viol_tol": stop.feasibility,
