@@ -1,8 +1,12 @@
-"""From a motion q(t) to a guess of all variables: rates by differences, forces that balance the motion."""
+"""From a motion q(t) to a guess of all variables: rates by differences, forces that balance the motion.
+
+Accelerations of an interval are the derivative of the polynomial through its rates: at a kink of the motion
+second differences would be as large as the change of the rate over their step.
+"""
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -15,10 +19,8 @@ from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.variable_bounds import initial_state
 
-# Step of the differences that turn q(t) into v and a, s: errors far below those of a guess.
+# Step of the differences that turn q(t) into v, s: errors far below those of a guess.
 DIFFERENCE_STEP = 1e-3
-
-_State = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class MotionSource(Protocol):
@@ -95,28 +97,30 @@ def initial_guess(transcription: Transcription, deadline: float = math.inf) -> n
 class _ProblemGuess(MotionSource):
     """The guess q(t) of a problem: rates by differences, forces that balance the motion.
 
-    last: the posture that was computed last, at which the robot stays after the deadline.
+    last: the posture that was computed last, at which the robot stays after the deadline. states: q and v at
+    the points of an interval, and a.
     """
 
     transcription: Transcription
     deadline: float
     last: np.ndarray | None = None
+    states: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @override
     def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         layout, problem = self.transcription.layout, self.transcription.problem
         if k == 0 and problem.periodicity is None:
             return initial_state(problem, layout)
-        return layout.in_coordinates_of(
-            layout.forms[k], *self._state(layout.node_times[k], node_phase(layout, k))
-        )[:2]
+        q, v = self._state(layout.node_times[k], node_phase(layout, k))
+        return layout.in_coordinates_of(layout.forms[k], q, v, np.zeros_like(v))[:2]
 
     @override
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         layout = self.transcription.layout
         phase, form = layout.stages[k].phase, layout.forms[k]
-        t = float(layout.node_times[k] + layout.scheme_of(phase).c[i] * layout.steps[k])
-        q, v, a = layout.in_coordinates_of(form, *self._state(t, phase))
+        if k not in self.states:
+            self.states = {k: self._states(k)}
+        q, v, a = layout.in_coordinates_of(form, *(each[i] for each in self.states[k]))
         if layout.order == 2:
             highest = form.coordinates.acceleration_from_pinocchio(q, v, a)
         else:
@@ -128,26 +132,30 @@ class _ProblemGuess(MotionSource):
     def impulses(self, k: int) -> None:
         return None
 
-    def _state(self, t: float, phase: int) -> _State:
-        """(q, v, a) at time t by differences on the manifold, taken within the phase.
+    def _states(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Configurations, rates and accelerations at the points of interval k, (s, nq), (s, nv), (s, nv)."""
+        layout, phase = self.transcription.layout, self.transcription.layout.stages[k].phase
+        method, step = layout.scheme_of(phase), layout.steps[k]
+        fractions, matrix = method.differentiation
+        samples = [self._state(float(layout.node_times[k] + f * step), phase) for f in fractions]
+        q, v = (np.array(each) for each in zip(*samples, strict=True))
+        points = np.searchsorted(fractions, method.c)
+        return q[points], v[points], matrix @ v / step
+
+    def _state(self, t: float, phase: int) -> tuple[np.ndarray, np.ndarray]:
+        """(q, v) at time t by differences on the manifold, taken within the phase.
 
         A motion may have kinks between phases (a foot that leaves, a push that ends).
         """
         layout, motion = self.transcription.layout, self.transcription.problem.guess_at
         model, stages = layout.robot.model, layout.intervals_of(phase)
         if self.last is not None and time.perf_counter() > self.deadline:
-            return self.last, np.zeros(model.nv), np.zeros(model.nv)
+            return self.last, np.zeros(model.nv)
         low, high = layout.node_times[stages[0]], layout.node_times[stages[-1] + 1]
         step = min(DIFFERENCE_STEP, (high - low) / 4)
         middle = min(max(t, low + step), high - step)
-        before, centre, after = (motion(middle + offset) for offset in (-step, 0.0, step))
-        forward, backward = pin.difference(model, centre, after), pin.difference(model, before, centre)
-        self.last = centre if middle == t else motion(t)
-        return (
-            self.last,
-            (forward + backward) / (2 * step),
-            (forward - backward) / step**2,
-        )
+        self.last = motion(t)
+        return self.last, pin.difference(model, motion(middle - step), motion(middle + step)) / (2 * step)
 
 
 def node_phase(layout: Layout, k: int) -> int:

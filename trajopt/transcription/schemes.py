@@ -110,6 +110,16 @@ class Scheme:
                 result[times, : len(basis.coef), j] = basis.coef
         return result
 
+    @cached_property
+    def differentiation(self) -> tuple[np.ndarray, np.ndarray]:
+        """Fractions (m,) of the interval, and (s, m) the rates at the points, times h, of samples there.
+
+        They are the start and the points, and the end where the scheme has no point but the start.
+        """
+        fractions = np.unique([0.0, *self.c])
+        fractions = fractions if len(fractions) > 1 else np.array([0.0, 1.0])
+        return fractions, np.column_stack([basis.deriv()(self.c) + 0 * self.c for basis in _lagrange(fractions)])
+
     def interpolation_rate(self, fractions: np.ndarray) -> np.ndarray:
         """Matrix (len(fractions), s) of the Lagrange polynomials' derivatives by the fraction."""
         where = np.asarray(fractions, dtype=float)
