@@ -159,7 +159,9 @@ class Exchange:
                 missed = look.distances[:, column] < self._least[column]
                 self.lacking[pair] = max(self.lacking[pair], -float(distances.min()))
                 band = np.clip(REACH * self.lacking[pair], LEAST_BAND * length, self.band)
-                near = (distances < band) & look.regular | missed & _least_around(distances)
+                # of a motion that slips through between rows, time and again, all that was looked at
+                deepest = missed if self.misses[pair] > 1 else missed & _least_around(distances)
+                near = (distances < band) & look.regular | deepest
                 if near.any():
                     self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
         return sum(map(len, self.moments.values())) > before
