@@ -41,6 +41,8 @@ LEAST_SLACK = 2e-5
 # Between its nodes an interval is looked at this many times, evenly, and at its points; more often where a
 # coordinate changes by more than this from look to look, in natural units (rad, lengths of the robot).
 LOOKS, LOOK_STEP = 5, 0.03
+# Rows along the last motion are at most this many bands away.
+FAR_ROWS = 2.0
 # After so many looks in which a pair with rows is too near its distance is no longer fitted.
 MOST_MISSES = 3
 # Moments that agree to this many digits are the same.
@@ -183,6 +185,9 @@ class Exchange:
     def constrained(self, motion: PhaseMotion, last: PhaseMotion | None = None) -> Problem:
         """The problem with rows at all moments so far, their planes laid along a motion.
 
+        Along the last motion, from which it is solved again, only where the pair is near: it has to pass what
+        is left out before it gets there. Pairs that were too near between their rows, time and again, keep all.
+
         Args:
             motion: phase, fraction of its duration -> configuration (nq,), as `along` or `guess` give it.
             last: the motion that was too near, if that is another: its nearest corners get rows, too.
@@ -192,7 +197,7 @@ class Exchange:
                 pass
         groups: defaultdict[tuple[int, str | None, str | None], list[tuple[float, SeparatingPlane]]]
         groups = defaultdict(list)
-        for (phase, fraction), plane in self._laid(motion):
+        for (phase, fraction), plane in self._laid(motion, FAR_ROWS * self.band if last is None else np.inf):
             groups[phase, plane.frame, plane.body].append((fraction, plane))
         terms: list[MomentConstraint] = [
             PlaneSide(
@@ -260,7 +265,9 @@ class Exchange:
         columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
         return bool((short[:, columns] >= 0).all())
 
-    def _laid(self, motion: PhaseMotion) -> Iterator[tuple[PhaseMoment, SeparatingPlane]]:
+    def _laid(
+        self, motion: PhaseMotion, within: float = np.inf
+    ) -> Iterator[tuple[PhaseMoment, SeparatingPlane]]:
         separated = {pair: moments for pair, moments in self.moments.items() if not self._fitted(pair)}
         every = sorted({moment for moments in separated.values() for moment in moments})
         if not every:
@@ -268,6 +275,14 @@ class Exchange:
         numbers = {moment: k for k, moment in enumerate(every)}
         q = np.array([motion(*moment) for moment in every])
         pairs = [(pair, moment) for pair, moments in separated.items() for moment in sorted(moments)]
+        if within < np.inf:
+            short = self.bodies.scene.distances(q, within + self.bodies.widest) - self.bodies.margins
+            column = {pair: k for k, pair in enumerate(self.bodies.pairs)}
+            pairs = [
+                (pair, moment)
+                for pair, moment in pairs
+                if self.misses[pair] > 1 or short[numbers[moment], column[pair]] <= within
+            ]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
         feet: list[PlacedBody | None] = [None] * len(wanted)
         if self.beyond_feet:
