@@ -17,7 +17,6 @@ import pinocchio as pin
 
 from scripts.peers.halves import answer
 from scripts.peers.plans import Stopwatch, plan, times_told
-from scripts.peers.problems import QUICK
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.problem.problem import Problem
 from trajopt.robot import Robot, robot_file
@@ -147,7 +146,7 @@ def solve(task: str, method: str, intervals: int) -> dict[str, Any]:
     """Solve from the guess; the processor's time counts that of reading the solution."""
     prepared, build = _prepared(task, method, intervals)
     with Stopwatch() as watch:
-        found = solve_prepared(prepared, prepared.guess, origin={}, judge=False, stop=STOP, options=QUICK)
+        found = solve_prepared(prepared, prepared.guess, origin={}, judge=False, stop=STOP)
     watch.seconds = found.statistics.wall_time_s
     breaks = np.append(found.interval_t[:, 0], found.interval_t[-1, 1])
     sampled = found.sample(times=times_told(breaks))

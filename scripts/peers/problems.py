@@ -24,13 +24,6 @@ from trajopt_library import problems, robots
 from trajopt_library.problems import common
 
 FRICTION = 0.7
-# Options of IPOPT, which are not the defaults (docs/solvers.md): Mehrotra's corrector, small multipliers of
-# bounds at the start, and no refinement of solutions that need none.
-QUICK: dict[str, str | float] = {
-    "corrector_type": "affine",
-    "bound_mult_init_val": 3e-3,
-    "min_refinement_steps": 0,
-}
 # Guesses of swings are higher than required by this factor.
 HIGHER = 1.1
 # In the guess of a jump: rise of the base while the legs extend, and fraction of the way at each end on the

@@ -47,7 +47,7 @@ def describe(task: str) -> dict[str, Any]:
 def solve(task: str, scheme: str, intervals: int, linear_solver: str, threads: int) -> dict[str, Any]:
     """Time of the solver in s, its iterations, and whether the problem is solved."""
     prepared = _prepared(task, scheme, intervals, threads)
-    options = {**problems.QUICK, LINEAR_SOLVER: linear_solver}
+    options = {LINEAR_SOLVER: linear_solver}
     found = solve_prepared(prepared, prepared.guess, origin={}, judge=False, options=options)
     _SOLVED[task, scheme, intervals, linear_solver, threads] = found
     return {

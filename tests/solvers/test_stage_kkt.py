@@ -26,7 +26,8 @@ class Random:
 
     sizes: of nodes and controls in turn. gap: rows that join neighbouring nodes; local: rows of a stage;
     loop: rows that join the first and the last node. delta: regularisation of equalities. curvature: of
-    controls, over that of nodes. slacks: variables that are in one row only.
+    controls, over that of nodes. slacks: variables in one row only. limbs: parts of a stage, of which
+    each inequality has entries in one, and in the first quarter of the variables.
     """
 
     seed: int = 0
@@ -41,6 +42,7 @@ class Random:
     curvature: float = 1.0
     repeated: bool = False
     slacks: int = 0
+    limbs: int = 1
 
     def build(self):
         rng = np.random.default_rng(self.seed)
@@ -69,7 +71,11 @@ class Random:
             gap = rows(self.node, own)
             gap[:, of(k + 1)] = np.eye(self.node)
             equal.append(gap)
-            unequal += [rows(self.unequal, own), rows(1, of(-1 - k)[:2])]
+            bounded = rows(self.unequal, own)
+            if self.limbs > 1:
+                limb, place = np.arange(self.unequal)[:, None] % self.limbs, np.arange(len(own))
+                bounded[:, own] *= (place % self.limbs == limb) | (place < len(own) / 4)
+            unequal += [bounded, rows(1, of(-1 - k)[:2])]
         hessian[np.ix_(of(self.n), of(self.n))] += self.convex * np.eye(self.node)
         if self.loop:
             equal.append(rows(self.loop, of(0, self.n)))
@@ -131,6 +137,8 @@ SYSTEMS = {
     "hardly any curvature": Random(curvature=1e-12, local=2),
     "slacks": Random(slacks=100),
     "slacks in a periodic system": Random(slacks=100, loop=3, delta=1e-8),
+    "limbs": Random(node=24, control=40, local=20, unequal=30, n=4, limbs=4),
+    "limbs without curvature": Random(node=24, control=40, local=6, unequal=30, n=4, limbs=3, curvature=0.0),
     "no curvature": Random(curvature=0.0, local=2, node=6),
 }
 

@@ -89,6 +89,27 @@ def tumbling_motion(t: float) -> np.ndarray:
     return pin.integrate(hopper().model, hopper().reference, t * TURNING)
 
 
+@pytest.mark.parametrize("name", SCHEME_ORDERS)
+def test_accelerations_at_a_kink_are_those_of_the_interval(name):
+    model, n = hopper().model, 7
+    t = transcribe(hop(guess=tumbling_motion), name, n)
+    layout, interval = t.layout, 3
+    points = layout.scheme_of(layout.stages[interval].phase).c
+    kink = float(layout.node_times[interval] + points[-1] * layout.steps[interval])
+
+    def bent(time: float) -> np.ndarray:
+        return pin.integrate(model, tumbling_motion(min(time, kink)), max(time - kink, 0.0) * FASTER)
+
+    x = initial_guess(transcribe(hop(guess=bent), name, n)) * t.scale
+    phase, window = layout.stages[interval].phase, x[layout.window(interval)]
+    found = [window[layout.local_derivative(phase, i)] for i in range(len(points))]
+    # the change of the rate over the time between points, times what a polynomial overshoots
+    assert np.abs(found).max() < 20 * np.abs(FASTER - TURNING).max() / layout.steps[interval]
+
+
+FASTER = np.array([0.3, -0.2, 0.1, 1.0, -4.0, 2.0, 3.4, 0.05])
+
+
 def test_quaternions_and_turns_of_the_guess_continue_from_node_to_node():
     t = transcribe(hop(guess=tumbling_motion), "legendre:1", 12)
     x, layout = initial_guess(t), t.layout

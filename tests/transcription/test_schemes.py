@@ -91,6 +91,16 @@ def test_semi_implicit_euler_moves_with_the_velocity_of_the_end():
 
 
 @pytest.mark.parametrize("name", [*COLLOCATION, *CLASSIC])
+def test_rates_of_samples_are_exact_for_polynomials_through_them(name):
+    found = scheme(name)
+    fractions, matrix = found.differentiation
+    assert set(found.c) <= set(fractions)
+    for power in range(len(fractions)):
+        exact = power * found.c ** max(power - 1, 0)
+        assert_allclose(matrix @ fractions**power, exact, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [*COLLOCATION, *CLASSIC])
 def test_interpolation_is_the_identity_at_the_points(name):
     method = scheme(name)
     assert_allclose(method.interpolation(method.c), np.eye(method.s), atol=ROUNDING)

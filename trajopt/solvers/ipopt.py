@@ -24,7 +24,7 @@ IPOPT_OPTIONS: dict[str, Option] = {
     "print_level": 0,
     "sb": "yes",
 }
-# A start from a guess: Mehrotra's corrector, and multipliers of bounds as small as costs in natural units are.
+# A start from a guess: Mehrotra's corrector, and multipliers of bounds as small as costs in natural units.
 IPOPT_COLD: dict[str, Option] = {"corrector_type": "affine", "bound_mult_init_val": 3e-3}
 # A start from another solution (docs/warm-starts.md). IPOPT's default distance from bounds, 1e-2, and its
 # default initial multipliers discard the solution's information. With the solution's multipliers iterates
@@ -85,10 +85,10 @@ def solve_ipopt(
     """A `Driver`: with the engine's factorisation stage by stage, or another linear solver of IPOPT."""
     t = nlp.transcription
     lam_g, lam_x = (None, None) if warm is None else (warm.lam_g, warm.lam_x)
-    begin = IPOPT_COLD if warm is None else IPOPT_WARM if lam_g is not None else IPOPT_WARM_WITHOUT_MULTIPLIERS
+    restart = IPOPT_WARM_WITHOUT_MULTIPLIERS if lam_g is None else IPOPT_WARM
     chosen = {
         **IPOPT_OPTIONS,
-        **begin,
+        **(IPOPT_COLD if warm is None else restart),
         **({"hessian_approximation": LIMITED_MEMORY} if nlp.hessian == LIMITED_MEMORY else {}),
         "tol": stop.tolerance,
         "constr_viol_tol": stop.feasibility,

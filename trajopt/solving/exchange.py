@@ -185,8 +185,8 @@ class Exchange:
     def constrained(self, motion: PhaseMotion, last: PhaseMotion | None = None) -> Problem:
         """The problem with rows at all moments so far, their planes laid along a motion.
 
-        Along the last motion, from which it is solved again, only where the pair is near: it has to pass what
-        is left out before it gets there. Pairs that were too near between their rows, time and again, keep all.
+        Along the last motion, from which it is solved again, only where a pair is near; all of one that was
+        too near between its rows, time and again.
 
         Args:
             motion: phase, fraction of its duration -> configuration (nq,), as `along` or `guess` give it.

@@ -118,7 +118,9 @@ class Scheme:
         """
         fractions = np.unique([0.0, *self.c])
         fractions = fractions if len(fractions) > 1 else np.array([0.0, 1.0])
-        return fractions, np.column_stack([basis.deriv()(self.c) + 0 * self.c for basis in _lagrange(fractions)])
+        return fractions, np.column_stack(
+            [basis.deriv()(self.c) + 0 * self.c for basis in _lagrange(fractions)]
+        )
 
     def interpolation_rate(self, fractions: np.ndarray) -> np.ndarray:
         """Matrix (len(fractions), s) of the Lagrange polynomials' derivatives by the fraction."""
