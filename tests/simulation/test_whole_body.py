@@ -50,7 +50,7 @@ def test_cycles_end_where_the_command_leads(trot: Solution) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset", [(0.0, 0.02, 0.0), (-0.02, 0.0, 0.0)])
+@pytest.mark.parametrize("offset", [(0.0, 0.015, 0.0), (-0.02, 0.0, 0.0)])
 def test_feet_land_beside_their_footholds_where_the_centre_of_mass_is_not_the_models(
     trot: Solution, offset: tuple[float, float, float]
 ) -> None:

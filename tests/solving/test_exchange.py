@@ -14,7 +14,7 @@ from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.motion.configurations import SolutionMotion
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solving.exchange import LOOK_STEP, LOOKS, TOO_NEAR, Exchange, Look, along
+from trajopt.solving.exchange import LOOK_STEP, LOOKS, MOST_SLIPS, TOO_NEAR, Exchange, Look, along
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import Clearance
 from trajopt.terms.moments import PlaneSide
@@ -123,21 +123,12 @@ def test_faster_intervals_are_looked_at_more_often():
     assert counts[1] == pytest.approx(100 * (LOOKS + 3), rel=0.02)
 
 
-def aside(phase: int, fraction: float) -> np.ndarray:
-    """A motion that keeps far away from the ball."""
-    return np.array([-2.0, 0.0, 0.0])
-
-
-def fractions(problem: Problem) -> set[tuple[int, float]]:
-    return {(0, float(fraction)) for term in planes(problem) for fraction in term.fractions}
-
-
-def test_moments_stay_when_the_motion_has_left_and_have_rows_where_it_is_near():
+def test_rows_stay_when_the_motion_has_left():
     exchange, _ = begun(past(swing(), BALL, FAR), straight())
     moments = set(exchange.moments[PAIR])
-    assert fractions(exchange.constrained(aside)) == set()
-    assert fractions(exchange.constrained(along(straight()))) == moments
-    assert fractions(exchange.constrained(aside, last=along(straight()))) == moments  # from the guess
+    aside = exchange.constrained(lambda phase, fraction: np.array([-2.0, 0.0, 0.0]))
+    (term,) = planes(aside)
+    assert {(0, float(f)) for f in term.fractions} == moments
     exchange.add(exchange.look(avoided()[1]))
     assert exchange.moments[PAIR] >= moments
 
@@ -147,11 +138,11 @@ def test_a_pair_that_slips_through_time_and_again_has_rows_wherever_it_was_seen_
     column = exchange.bodies.pairs.index(PAIR)
     lacking = look.distances[:, column] < exchange._least[column]
     seen = {moment for moment, missed in zip(look.moments, lacking, strict=True) if missed}
-    exchange.add(look)
-    assert not seen <= exchange.moments[PAIR]
+    for _ in range(MOST_SLIPS):
+        exchange.add(look)
+        assert not seen <= exchange.moments[PAIR]
     exchange.add(look)
     assert seen <= exchange.moments[PAIR]
-    assert fractions(exchange.constrained(aside)) == exchange.moments[PAIR]
 
 
 def test_a_foot_that_stands_in_the_ground_may_get_no_deeper_than_the_check_allows():

@@ -24,8 +24,10 @@ IPOPT_OPTIONS: dict[str, Option] = {
     "print_level": 0,
     "sb": "yes",
 }
-# A start from a guess: Mehrotra's corrector, and multipliers of bounds as small as costs in natural units.
-IPOPT_COLD: dict[str, Option] = {"corrector_type": "affine", "bound_mult_init_val": 3e-3}
+# A start from a guess: Mehrotra's corrector, and multipliers of bounds that balance costs: as large as 99 %
+# of the entries of their gradient, from this least value to one.
+IPOPT_COLD: dict[str, Option] = {"corrector_type": "affine"}
+LEAST_MULTIPLIER, BALANCED = 3e-3, 0.99
 # A start from another solution (docs/warm-starts.md). IPOPT's default distance from bounds, 1e-2, and its
 # default initial multipliers discard the solution's information. With the solution's multipliers iterates
 # stay where they are; without them a small first barrier keeps them there.
@@ -88,7 +90,7 @@ def solve_ipopt(
     restart = IPOPT_WARM_WITHOUT_MULTIPLIERS if lam_g is None else IPOPT_WARM
     chosen = {
         **IPOPT_OPTIONS,
-        **(IPOPT_COLD if warm is None else restart),
+        **(_from_guess(nlp, x0) if warm is None else restart),
         **({"hessian_approximation": LIMITED_MEMORY} if nlp.hessian == LIMITED_MEMORY else {}),
         "tol": stop.tolerance,
         "constr_viol_tol": stop.feasibility,
@@ -110,3 +112,11 @@ def solve_ipopt(
             "an option has a value that is not available here, such as a linear_solver that is not installed"
         )
     return Result.from_engine(raw, _IPOPT_STATUS.get(raw["status"], Status.FAILED))
+
+
+def _from_guess(nlp: Nlp, x0: np.ndarray) -> dict[str, Option]:
+    """Options of a start from a guess."""
+    t = nlp.transcription
+    slopes = np.abs(nlp.engine.gradient(x0))[t.lower_x < t.upper_x]
+    size = float(np.quantile(slopes, BALANCED)) if len(slopes) else 0.0
+    return {**IPOPT_COLD, "bound_mult_init_val": min(max(size, LEAST_MULTIPLIER), 1.0)}

@@ -41,10 +41,9 @@ LEAST_SLACK = 2e-5
 # Between its nodes an interval is looked at this many times, evenly, and at its points; more often where a
 # coordinate changes by more than this from look to look, in natural units (rad, lengths of the robot).
 LOOKS, LOOK_STEP = 5, 0.03
-# Rows along the last motion are at most this many bands away.
-FAR_ROWS = 2.0
-# After so many looks in which a pair with rows is too near its distance is no longer fitted.
-MOST_MISSES = 3
+# After so many looks in which a pair with rows is too near its distance is no longer fitted, and it gets rows
+# wherever it is too near instead of where it is nearest: a motion slips through between them.
+MOST_MISSES, MOST_SLIPS = 3, 4
 # Moments that agree to this many digits are the same.
 DIGITS = 12
 
@@ -161,8 +160,7 @@ class Exchange:
                 missed = look.distances[:, column] < self._least[column]
                 self.lacking[pair] = max(self.lacking[pair], -float(distances.min()))
                 band = np.clip(REACH * self.lacking[pair], LEAST_BAND * length, self.band)
-                # of a motion that slips through between rows, time and again, all that was looked at
-                deepest = missed if self.misses[pair] > 1 else missed & _least_around(distances)
+                deepest = missed if self.misses[pair] > MOST_SLIPS else missed & _least_around(distances)
                 near = (distances < band) & look.regular | deepest
                 if near.any():
                     self.moments[pair] |= {look.moments[row] for row in np.flatnonzero(near)}
@@ -185,9 +183,6 @@ class Exchange:
     def constrained(self, motion: PhaseMotion, last: PhaseMotion | None = None) -> Problem:
         """The problem with rows at all moments so far, their planes laid along a motion.
 
-        Along the last motion, from which it is solved again, only where a pair is near; all of one that was
-        too near between its rows, time and again.
-
         Args:
             motion: phase, fraction of its duration -> configuration (nq,), as `along` or `guess` give it.
             last: the motion that was too near, if that is another: its nearest corners get rows, too.
@@ -197,7 +192,7 @@ class Exchange:
                 pass
         groups: defaultdict[tuple[int, str | None, str | None], list[tuple[float, SeparatingPlane]]]
         groups = defaultdict(list)
-        for (phase, fraction), plane in self._laid(motion, FAR_ROWS * self.band if last is None else np.inf):
+        for (phase, fraction), plane in self._laid(motion):
             groups[phase, plane.frame, plane.body].append((fraction, plane))
         terms: list[MomentConstraint] = [
             PlaneSide(
@@ -265,9 +260,7 @@ class Exchange:
         columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
         return bool((short[:, columns] >= 0).all())
 
-    def _laid(
-        self, motion: PhaseMotion, within: float = np.inf
-    ) -> Iterator[tuple[PhaseMoment, SeparatingPlane]]:
+    def _laid(self, motion: PhaseMotion) -> Iterator[tuple[PhaseMoment, SeparatingPlane]]:
         separated = {pair: moments for pair, moments in self.moments.items() if not self._fitted(pair)}
         every = sorted({moment for moments in separated.values() for moment in moments})
         if not every:
@@ -275,14 +268,6 @@ class Exchange:
         numbers = {moment: k for k, moment in enumerate(every)}
         q = np.array([motion(*moment) for moment in every])
         pairs = [(pair, moment) for pair, moments in separated.items() for moment in sorted(moments)]
-        if within < np.inf:
-            short = self.bodies.scene.distances(q, within + self.bodies.widest) - self.bodies.margins
-            column = {pair: k for k, pair in enumerate(self.bodies.pairs)}
-            pairs = [
-                (pair, moment)
-                for pair, moment in pairs
-                if self.misses[pair] > 1 or short[numbers[moment], column[pair]] <= within
-            ]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
         feet: list[PlacedBody | None] = [None] * len(wanted)
         if self.beyond_feet:

@@ -154,8 +154,9 @@ class _ProblemGuess(MotionSource):
         low, high = layout.node_times[stages[0]], layout.node_times[stages[-1] + 1]
         step = min(DIFFERENCE_STEP, (high - low) / 4)
         middle = min(max(t, low + step), high - step)
+        v = pin.difference(model, motion(middle - step), motion(middle + step)) / (2 * step)
         self.last = motion(t)
-        return self.last, pin.difference(model, motion(middle - step), motion(middle + step)) / (2 * step)
+        return self.last, v
 
 
 def node_phase(layout: Layout, k: int) -> int:
