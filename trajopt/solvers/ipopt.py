@@ -24,10 +24,9 @@ IPOPT_OPTIONS: dict[str, Option] = {
     "print_level": 0,
     "sb": "yes",
 }
-# A start from a guess: Mehrotra's corrector, and multipliers of bounds that balance costs: as large as 99 %
-# of the entries of their gradient, from this least value to one.
-IPOPT_COLD: dict[str, Option] = {"corrector_type": "affine"}
-LEAST_MULTIPLIER, BALANCED = 3e-3, 0.99
+# Multipliers of bounds balance costs: they start as large as this part of the entries of the costs' gradient,
+# from the least value to the largest.
+BALANCED, LEAST_MULTIPLIER, MOST_MULTIPLIER = 0.99, 3e-3, 1.0
 # A start from another solution (docs/warm-starts.md). IPOPT's default distance from bounds, 1e-2, and its
 # default initial multipliers discard the solution's information. With the solution's multipliers iterates
 # stay where they are; without them a small first barrier keeps them there.
@@ -115,8 +114,11 @@ def solve_ipopt(
 
 
 def _from_guess(nlp: Nlp, x0: np.ndarray) -> dict[str, Option]:
-    """Options of a start from a guess."""
+    """Options of a start from a guess: Mehrotra's corrector, and multipliers of bounds by the costs there."""
     t = nlp.transcription
     slopes = np.abs(nlp.engine.gradient(x0))[t.lower_x < t.upper_x]
     size = float(np.quantile(slopes, BALANCED)) if len(slopes) else 0.0
-    return {**IPOPT_COLD, "bound_mult_init_val": min(max(size, LEAST_MULTIPLIER), 1.0)}
+    return {
+        "corrector_type": "affine",
+        "bound_mult_init_val": min(max(size, LEAST_MULTIPLIER), MOST_MULTIPLIER),
+    }
