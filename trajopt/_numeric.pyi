@@ -1,10 +1,21 @@
-"""Numeric Pinocchio, compiled: dynamics/numeric.cpp, certify/integrator.cpp, robot/inverse_kinematics.cpp."""
+"""Numeric Pinocchio and Coal, compiled: sources of `_numeric` in CMakeLists.txt."""
+
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 Reals = NDArray[np.float64]
+
+def sampled(
+    model: pin.Model, frames: list[int], q: Reals, v: Reals, a: Reals, wrenches: Reals
+) -> tuple[Reals, Reals]:
+    """Generalised forces (K, nv), RNEA(q, v, a) - sum J^T f, and the motion (K n, 24) of n frames.
+
+    Rotation, row by row, place, velocity and classical acceleration, as ``wrenches`` (K, 6 n) in world axes
+    at the frames' origins, linear rows first.
+    """
 
 class Method:
     """Coefficients of an explicit Runge-Kutta method of n stages: (n, n) below the diagonal, else (n,)."""
@@ -76,3 +87,26 @@ class InverseKinematics:
         poses: (n, 12) rotation, row by row, and place of each frame's target. sizes: 6, or 3 for the place
         alone. movable: rows of v.
         """
+
+class Bodies:
+    """Convex bodies on frames of a model, or in the world, and half-spaces."""
+
+    def __init__(self, model: pin.Model) -> None: ...
+    def add(self, solid: Any, frame: int, place: Reals, points: Reals, radius: float, planes: Reals) -> int:
+        """Add all within ``radius`` m of the hull of ``points`` (n, 3) m on a frame, -1: world; its number.
+
+        solid: Coal's body, at ``place`` (3, 4) in the frame; None for a half-space. planes: (m, 4) outward
+        unit normals and offsets of its faces, world, where it is ground; else (0, 4).
+        """
+
+    def placements(self, q: Reals) -> Reals:
+        """Rotations, row by row, and origins (K n, 12) of the frames of n bodies at ``q`` (K, nq)."""
+
+    def distances(self, q: Reals, pairs: list[tuple[int, int]], within: Reals) -> Reals:
+        """Signed distances (K, p) m of pairs of bodies; lower bounds of those > ``within`` (p,) m.
+
+        Neighbours in time have almost the same normal, and how far apart bodies are along it is a bound.
+        """
+
+    def witnesses(self, q: Reals, rows: list[int], pairs: list[tuple[int, int]]) -> Reals:
+        """Distance, normal and nearest points (w, 10) of pairs, each at a row of ``q``; see `Witness`."""

@@ -79,16 +79,15 @@ class Dynamics {
         static_cast<int>(force.shape(1)) != model_.nv() || v.shape(0) != q.shape(0) || force.shape(0) != q.shape(0))
       throw std::invalid_argument("q, v or force have a wrong shape");
     const RowMajor places = read(q), rates = read(v), forces = read(force);
-    auto* kept = new RowMajor(RowMajor::Constant(count, model_.nv(), std::nan("")));
-    nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<RowMajor*>(p); });
+    auto result = std::make_unique<RowMajor>(RowMajor::Constant(count, model_.nv(), std::nan("")));
     {
       nb::gil_scoped_release unlocked;
       for (Eigen::Index row = 0; row < count; ++row) try {
-          kept->row(row) = acceleration(places.row(row), rates.row(row), forces.row(row));
+          result->row(row) = acceleration(places.row(row), rates.row(row), forces.row(row));
         } catch (const Diverged&) {
         }
     }
-    return OutputTable(kept->data(), {static_cast<std::size_t>(count), static_cast<std::size_t>(model_.nv())}, owner);
+    return to_numpy(std::move(result));
   }
 
   // Whether it is finite, and the state after `duration` from q, v under actuation * coefficients^T (1, t, t^2, ...).
@@ -297,6 +296,8 @@ class Dynamics {
 }  // namespace
 
 NB_MODULE(_numeric, module) {
+  module.def("sampled", &sampled, "model"_a, "frames"_a, "q"_a, "v"_a, "a"_a, "wrenches"_a);
+  define_bodies(module);
   define_inverse_kinematics(module);
   nb::class_<Method>(module, "Method")
       .def(

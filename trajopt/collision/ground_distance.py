@@ -1,20 +1,15 @@
-"""Signed distances of a link's shape from the ground, at many placements at once."""
+"""Signed distances of a link's shape from smooth ground, at many placements at once."""
 
 import math
 from functools import cached_property
 
 import numpy as np
-import pinocchio as pin
 
-from trajopt.collision.coal_shapes import CoalBody, CoalPairs, Witness, coal_hull, coal_link, thick
-from trajopt.collision.planes import PlacedBody
+from trajopt.collision.coal_shapes import Witness, thick
 from trajopt.collision.shapes import LinkShape
-from trajopt.dynamics.joint_placements import Placements
-from trajopt.terrain.bodies import ConvexGround, GroundBody, HalfSpace, convex_hull
+from trajopt.terrain.bodies import convex_hull
 from trajopt.terrain.smooth import SmoothTerrain
 
-# A point whose foot is this far outside of a face, m, still projects onto it: rounding.
-ON_FACE = 1e-9
 # Smooth ground is taken to rise by no more than 45 degrees where links high above it are passed over.
 STEEPEST = math.sqrt(2.0)
 # Points of a shape within a cube of this side, m, are looked at together.
@@ -24,73 +19,8 @@ CLUSTER = 0.08
 SPACING = 0.02
 
 
-class BodyDistance:
-    """Exact distances of one shape from a convex body of the ground."""
-
-    def __init__(self, shape: LinkShape, body: GroundBody) -> None:
-        self._shape, self._body = shape, body
-        self._normals, self._offsets = body.planes
-
-    def distances(self, places: Placements, within: float) -> np.ndarray:
-        """Distances (K,) m at placements (K, 3, 3), (K, 3); lower bounds of those > ``within``."""
-        rotation, origin = places
-        centre, reach = self._shape.ball
-        away = (origin + rotation @ centre) @ self._normals.T
-        distances = np.asarray((away - self._offsets).max(axis=1) - reach)
-        rows = np.flatnonzero(distances <= within)
-        if len(rows):
-            distances[rows] = self._beyond_planes((rotation[rows], origin[rows]), within)
-        return distances
-
-    def _beyond_planes(self, places: Placements, within: float) -> np.ndarray:
-        """By the plane that lies farthest from the shape: exact where its nearest point is over that face."""
-        rotation, origin = places
-        along = np.ascontiguousarray(np.moveaxis(self._normals @ rotation, 1, 0))
-        heights = along @ np.ascontiguousarray(self._shape.points.T)
-        lowest = heights.min(axis=2) + (self._normals @ origin.T - self._offsets[:, None])
-        distances = np.asarray(lowest.max(axis=0) - self._shape.radius)
-        if isinstance(self._body, HalfSpace):
-            return distances
-        rows = np.flatnonzero(distances <= within)
-        face = lowest[:, rows].argmax(axis=0)
-        vertex = heights[face, rows].argmin(axis=1)
-        point = origin[rows] + np.einsum("kij,kj->ki", rotation[rows], self._shape.points[vertex])
-        gap = lowest[face, rows]
-        foot = point - gap[:, None] * self._normals[face]
-        over = (gap > 0) & (foot @ self._normals.T <= self._offsets + ON_FACE).all(axis=1)
-        rest = rows[~over]
-        if len(rest):
-            distances[rest] = self._coal.distances((0, 1), *self._both((rotation[rest], origin[rest])))
-        return distances
-
-    def witness(self, place: Placements) -> Witness:
-        """Nearest points at one placement (1, 3, 3), (1, 3); the normal points out of the ground."""
-        if not isinstance(self._body, HalfSpace):
-            return self._coal.witness((0, 1), *self._both(place))
-        normal = self._normals[0]
-        points = place[1] + self._shape.points @ place[0][0].T
-        heights = points @ normal
-        lowest = points[np.abs(heights - heights.min()) <= ON_FACE].mean(axis=0)
-        return _over(lowest, self._shape.radius, normal, float(self._offsets[0]))
-
-    def solid(self, witness: Witness) -> PlacedBody:
-        """The body of the ground."""
-        if isinstance(self._body, HalfSpace):
-            return PlacedBody(normal=self._body.normal, height=self._body.offset)
-        return PlacedBody(points=self._body.points, sides=self._normals)
-
-    def _both(self, places: Placements) -> tuple[Placements, Placements]:
-        count = len(places[1])
-        return places, (np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros((count, 3)))
-
-    @cached_property
-    def _coal(self) -> CoalPairs:
-        (solid, place), shape = coal_link(self._shape), self._shape
-        bodies = [CoalBody(solid=solid, place=place, points=shape.points, radius=shape.radius)]
-        if isinstance(self._body, ConvexGround):
-            points, still = self._body.points, pin.SE3.Identity()
-            bodies.append(CoalBody(solid=coal_hull(points), place=still, points=points, radius=0.0))
-        return CoalPairs(bodies)
+# Rotations (K, 3, 3) and origins (K, 3) m, world.
+Placements = tuple[np.ndarray, np.ndarray]
 
 
 class SmoothDistance:
@@ -160,10 +90,6 @@ class SmoothDistance:
         nearest = points[int(np.argmin(surface.distance(points)))]
         plane = surface.plane_at(nearest)
         return _over(nearest, self._shape.radius, plane.normal, plane.height)
-
-    def solid(self, witness: Witness) -> PlacedBody:
-        """What lies below the tangent plane at the nearest point."""
-        return PlacedBody(normal=witness.normal, height=float(witness.normal @ witness.second_point))
 
 
 def _over(point: np.ndarray, radius: float, normal: np.ndarray, offset: float) -> Witness:

@@ -8,15 +8,15 @@ from functools import cache, cached_property
 import numpy as np
 import pinocchio as pin
 
+from trajopt import _numeric
 from trajopt.arguments import checked
-from trajopt.collision.coal_shapes import CoalBody, CoalPairs, Witness, coal_link, coal_obstacle
-from trajopt.collision.ground_distance import BodyDistance, SmoothDistance
+from trajopt.collision.coal_shapes import Witness, coal_hull, coal_link, coal_obstacle
+from trajopt.collision.ground_distance import Placements, SmoothDistance
 from trajopt.collision.planes import Approach, PlacedBody, nearest, nearest_along
-from trajopt.collision.shapes import LinkShape, Obstacle, ball_around, require_different_names
-from trajopt.dynamics.joint_placements import Placements, joint_placements
+from trajopt.collision.shapes import LinkShape, Obstacle, require_different_names
 from trajopt.dynamics.model_content import frame_content
 from trajopt.errors import InputError
-from trajopt.terrain.bodies import ground_bodies
+from trajopt.terrain.bodies import GroundBody, HalfSpace, ground_bodies
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.terrain import Terrain
 
@@ -89,21 +89,17 @@ class CollisionScene:
         """
         q = np.atleast_2d(np.asarray(configurations, dtype=float))
         limits = np.broadcast_to(np.asarray(within, dtype=float), len(self.pairs))
-        rotation, origin = self._placements(q)
         distances = np.empty((len(q), len(self.pairs)))
-        for column, (index, bodies) in enumerate(self._grounds):
+        counts = np.array([len(members) for members in self._members], dtype=int)
+        solid = counts > 0
+        if solid.any():
+            listed = list(itertools.chain.from_iterable(self._members))
+            each = self._bodies.distances(q, listed, np.repeat(limits, counts))
+            distances[:, solid] = np.minimum.reduceat(each, (np.cumsum(counts) - counts)[solid], axis=1)
+        rotation, origin = self._placements(q) if self._smooth else (q, q)
+        for column, (index, ground) in enumerate(self._smooth):
             places = rotation[index], origin[index]
-            limit = float(limits[column])
-            distances[:, column] = np.min([body.distances(places, limit) for body in bodies], axis=0)
-        if len(self.pairs) > self.n_ground:
-            apart, limits = self._apart(rotation, origin), limits[self.n_ground :]
-            near = apart <= limits
-            for pair in np.flatnonzero(near.any(axis=0)):
-                rows = np.flatnonzero(near[:, pair])
-                first, second = (int(part[pair]) for part in self._indices)
-                one, other = ((rotation[i][rows], origin[i][rows]) for i in (first, second))
-                apart[rows, pair] = self._coal.distances((first, second), one, other, float(limits[pair]))
-            distances[:, self.n_ground :] = apart
+            distances[:, column] = ground.distances(places, float(limits[column]))
         return distances
 
     def distances_at(self, q: np.ndarray) -> np.ndarray:
@@ -121,15 +117,12 @@ class CollisionScene:
         """
         if pair not in self.pairs:
             raise InputError(f"the scene has no pair {pair}", "allowed: pairs of the scene")
-        index = self.pairs.index(pair)
-        rotation, origin = self._placements(np.atleast_2d(q))
-        if index < self.n_ground:
-            shape, bodies = self._grounds[index]
-            witnesses = [body.witness((rotation[shape], origin[shape])) for body in bodies]
-            return min(witnesses, key=lambda witness: witness.distance)
-        first, second = (int(part[index - self.n_ground]) for part in self._indices)
-        places = ((rotation[i], origin[i]) for i in (first, second))
-        return self._coal.witness((first, second), *places)
+        number, configurations = self.pairs.index(pair), np.atleast_2d(np.asarray(q, dtype=float))
+        if not self._members[number]:
+            index, ground = self._smooth[number]
+            return ground.witness(tuple(part[index] for part in self._placements(configurations)))
+        members = [(0, member) for member in self._members[number]]
+        return min(self._witnesses(configurations, members), key=lambda witness: witness.distance)
 
     def approaches(
         self, configurations: np.ndarray, wanted: Sequence[tuple[int, ShapePair]], within: float
@@ -139,41 +132,45 @@ class CollisionScene:
         Of two bodies one approach; with ground of several faces one for each within ``within`` m, or for the
         nearest one.
         """
-        rotation, origin = self._placements(np.atleast_2d(configurations))
-        numbers = {pair: number for number, pair in enumerate(self.pairs)}
-        by_pair = []
-        for row, pair in wanted:
-            here = slice(row, row + 1)
-            places = [(turn[here], at[here]) for turn, at in zip(rotation, origin, strict=True)]
-            approaches = self._approaches(numbers[pair], places)
+        q = np.atleast_2d(np.asarray(configurations, dtype=float))
+        places, numbers = self._placements(q), {pair: number for number, pair in enumerate(self.pairs)}
+        rows = [(row, numbers[pair]) for row, pair in wanted]
+        members = [(row, member) for row, number in rows for member in self._members[number]]
+        witnesses, by_pair = iter(self._witnesses(q, members)), []
+        for row, number in rows:
+            here = places[0][:, row], places[1][:, row]
+            approaches = [self._approach(*pair, next(witnesses), here) for pair in self._members[number]]
+            if not approaches:
+                index, ground = self._smooth[number]
+                witness = ground.witness((places[0][index, row : row + 1], places[1][index, row : row + 1]))
+                tangent = HalfSpace(
+                    normal=witness.normal, offset=float(witness.normal @ witness.second_point)
+                )
+                approaches = [nearest(self._placed(index, here), _of_ground(tangent), witness.normal)]
             reach = max(within, min(approach.distance for approach in approaches))
             by_pair.append([approach for approach in approaches if approach.distance <= reach])
         return by_pair
 
-    def _approaches(self, number: int, places: Sequence[Placements]) -> list[Approach]:
-        def placed(index: int) -> PlacedBody:
-            body, (rotation, origin) = (*self.shapes, *self.obstacles)[index], places[index]
-            return PlacedBody(
-                frame=body.frame if isinstance(body, LinkShape) else None,
-                points=body.points,
-                radius=body.radius,
-                rotation=rotation[0],
-                position=origin[0],
-            )
+    def _approach(self, first: int, second: int, witness: Witness, places: Placements) -> Approach:
+        """Of two bodies whose frames are at placements (n, 3, 3), (n, 3)."""
+        one, other = self._placed(first, places), self._placed(second, places)
+        if witness.distance < 0 and second < len(self.shapes) + len(self.obstacles):
+            ways = places[0][first] @ self._ways(first, second)
+            if np.linalg.norm(witness.normal @ ways) < STEEP:
+                return nearest_along(one, other, ways)
+        return nearest(one, other, witness.normal)
 
-        if number < self.n_ground:
-            shape, bodies = self._grounds[number]
-            seen = [(ground, ground.witness(places[shape])) for ground in bodies]
-            pairs = [(placed(shape), ground.solid(witness), witness) for ground, witness in seen]
-        else:
-            first, second = (int(part[number - self.n_ground]) for part in self._indices)
-            witness = self._coal.witness((first, second), places[first], places[second])
-            if witness.distance < 0:
-                ways = places[first][0][0] @ self._ways(first, second)
-                if np.linalg.norm(witness.normal @ ways) < STEEP:
-                    return [nearest_along(placed(first), placed(second), ways)]
-            pairs = [(placed(first), placed(second), witness)]
-        return [nearest(first, second, witness.normal) for first, second, witness in pairs]
+    def _placed(self, index: int, places: Placements) -> PlacedBody:
+        every = (*self.shapes, *self.obstacles)
+        if index >= len(every):
+            return _of_ground(self._grounds[index - len(every)])
+        return PlacedBody(
+            frame=self.shapes[index].frame if index < len(self.shapes) else None,
+            points=every[index].points,
+            radius=every[index].radius,
+            rotation=places[0][index],
+            position=places[1][index],
+        )
 
     def _ways(self, first: int, second: int) -> np.ndarray:
         """Directions (3, r), orthonormal, in which two bodies pass each other, in the axes of the first one.
@@ -201,66 +198,59 @@ class CollisionScene:
         return tuple(pair for pair, distance in zip(self.pairs, least, strict=True) if distance < within)
 
     def _placements(self, q: np.ndarray) -> Placements:
-        """Rotations (n, K, 3, 3) and origins (n, K, 3) of the shapes' frames, then of the obstacles: zero."""
-        joints, origins = joint_placements(self.model, q)
-        count = len(self.shapes) + len(self.obstacles)
-        rotation, origin = np.empty((count, len(q), 3, 3)), np.zeros((count, len(q), 3))
-        rotation[len(self.shapes) :] = np.eye(3)
-        for index, shape in enumerate(self.shapes):
-            frame = self.model.frames[self.model.getFrameId(shape.frame)]
-            joint, place = int(frame.parentJoint), frame.placement
-            rotation[index] = joints[joint] @ place.rotation
-            origin[index] = origins[joint] + joints[joint] @ place.translation
-        return rotation, origin
+        """Rotations (n, K, 3, 3) and origins (n, K, 3) of the frames of all bodies; zero in the world."""
+        rows = self._bodies.placements(q).reshape(len(q), -1, 12).swapaxes(0, 1)
+        return rows[..., :9].reshape(*rows.shape[:2], 3, 3), rows[..., 9:]
 
-    def _apart(self, rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:
-        """Distances (K, n) m between the bounding balls of every pair that is not with the ground."""
-        balls = self._balls
-        centres = origin + np.einsum("nkij,nj->nki", rotation, balls[:, :3])
-        across = np.moveaxis(centres, 0, 1)
-        squares = np.sum(across**2, axis=-1)
-        first, second = self._indices
-        square = squares[:, first] + squares[:, second]
-        square -= 2 * (across @ np.moveaxis(across, 1, 2))[:, first, second]
-        return np.asarray(np.sqrt(np.maximum(square, 0.0)) - (balls[first, 3] + balls[second, 3]))
+    def _witnesses(self, q: np.ndarray, members: Sequence[tuple[int, tuple[int, int]]]) -> list[Witness]:
+        """Of bodies, each with the row of the configurations (K, nq)."""
+        rows, pairs = [row for row, _ in members], [pair for _, pair in members]
+        return [
+            Witness(distance=float(each[0]), normal=each[1:4], first_point=each[4:7], second_point=each[7:])
+            for each in self._bodies.witnesses(q, rows, pairs)
+        ]
 
     @cached_property
-    def _balls(self) -> np.ndarray:
-        """Centre and radius (n, 4) m of a ball around each shape in its frame, and each obstacle."""
-        balls = []
+    def _bodies(self) -> _numeric.Bodies:
+        """All bodies: shapes, obstacles, those of the ground."""
+        bodies, none, still = _numeric.Bodies(self.model), np.zeros((0, 4)), np.eye(3, 4)
         for body in (*self.shapes, *self.obstacles):
-            centre, reach = ball_around(body.points)
-            balls.append([*centre, reach + body.radius])
-        return np.array(balls).reshape(-1, 4)
+            solid, place = coal_link(body) if isinstance(body, LinkShape) else coal_obstacle(body)
+            frame = self.model.getFrameId(body.frame) if isinstance(body, LinkShape) else -1
+            bodies.add(solid, frame, place.homogeneous[:3], body.points, body.radius, none)
+        for ground in self._grounds:
+            points = np.zeros((0, 3)) if isinstance(ground, HalfSpace) else ground.points
+            solid = coal_hull(points) if len(points) else None
+            bodies.add(solid, -1, still, points, 0.0, np.column_stack(ground.planes))
+        return bodies
 
     @cached_property
-    def _indices(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of both bodies of every pair that is not with the ground: shapes, then obstacles."""
+    def _members(self) -> list[list[tuple[int, int]]]:
+        """Numbers of both bodies of a pair, with the ground of each of its bodies: none if it is smooth."""
         names = [*(shape.name for shape in self.shapes), *(obstacle.name for obstacle in self.obstacles)]
         place = {name: index for index, name in enumerate(names)}
-        listed = [(place[first], place[second]) for first, second in self.pairs[self.n_ground :]]
-        indices = np.array(listed, dtype=int).reshape(-1, 2)
-        return indices[:, 0], indices[:, 1]
+        under = range(len(names), len(names) + len(self._grounds))
+        members = [[(place[shape], ground) for ground in under] for shape, _ in self.pairs[: self.n_ground]]
+        return members + [[(place[one], place[other])] for one, other in self.pairs[self.n_ground :]]
 
     @cached_property
-    def _coal(self) -> CoalPairs:
-        solids = [coal_link(shape) for shape in self.shapes]
-        solids += [coal_obstacle(obstacle) for obstacle in self.obstacles]
-        bodies = zip(solids, (*self.shapes, *self.obstacles), strict=True)
-        return CoalPairs(
-            [CoalBody(solid=s, place=p, points=b.points, radius=b.radius) for (s, p), b in bodies]
-        )
+    def _grounds(self) -> tuple[GroundBody, ...]:
+        """Bodies of the ground; none if it is smooth."""
+        terrain = self.terrain
+        return () if terrain is None or isinstance(terrain, SmoothTerrain) else ground_bodies(terrain)
 
     @cached_property
-    def _grounds(self) -> list[tuple[int, list[BodyDistance] | list[SmoothDistance]]]:
-        """Of each pair with the ground, the shape's index and its distances from the bodies of the ground."""
-        if self.terrain is None:
+    def _smooth(self) -> list[tuple[int, SmoothDistance]]:
+        """Of each pair with smooth ground, the shape's index and its distances."""
+        if not isinstance(self.terrain, SmoothTerrain):
             return []
-        moving = [(self.shapes.index(shape), shape) for shape in self.moving]
-        if isinstance(self.terrain, SmoothTerrain):
-            return [(index, [SmoothDistance(shape, self.terrain)]) for index, shape in moving]
-        bodies = ground_bodies(self.terrain)
-        return [(index, [BodyDistance(shape, body) for body in bodies]) for index, shape in moving]
+        return [(self.shapes.index(shape), SmoothDistance(shape, self.terrain)) for shape in self.moving]
+
+
+def _of_ground(body: GroundBody) -> PlacedBody:
+    if isinstance(body, HalfSpace):
+        return PlacedBody(normal=body.normal, height=body.offset)
+    return PlacedBody(points=body.points, sides=body.planes[0])
 
 
 def separable_pairs(

@@ -42,6 +42,12 @@ inline Output to_numpy(const Vector& values) {
   return Output(kept->data(), {static_cast<std::size_t>(kept->size())}, owner);
 }
 
+inline OutputTable to_numpy(std::unique_ptr<RowMajor> values) {
+  RowMajor* kept = values.release();
+  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<RowMajor*>(p); });
+  return OutputTable(kept->data(), {static_cast<std::size_t>(kept->rows()), static_cast<std::size_t>(kept->cols())}, owner);
+}
+
 // Pinocchio's algorithms in double precision; frames by their index, axes of the world at a frame's origin.
 class NumericModel {
  public:
@@ -60,12 +66,17 @@ class NumericModel {
 
   Matrix mass_matrix(const Vector& q);  // its upper triangle
   Vector bias(const Vector& q, const Vector& v);
+  Vector inverse_dynamics(const Vector& q, const Vector& v, const Vector& a);
   // For what follows.
   void move(const Vector& q, const Vector& v);
+  void move(const Vector& q, const Vector& v, const Vector& a);
   void place(const Vector& q);
+  void place_frames(const Vector& q);     // for placements alone
   Matrix frame_jacobian(int frame);       // (6, nv)
-  Twist frame_acceleration(int frame);  // classical, without that of the joints
+  Twist frame_velocity(int frame);
+  Twist frame_acceleration(int frame);  // classical
   Eigen::Vector3d frame_position(int frame);
+  void frame_placement(int frame, Eigen::Matrix3d& rotation, Eigen::Vector3d& position);
   // log6 of the frame's placement as seen from the target, rotation and position, and its Jacobian (6, nv).
   Twist pose_error(int frame, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& position);
   Matrix pose_error_jacobian(int frame, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& position);
@@ -77,4 +88,10 @@ class NumericModel {
   std::vector<int> position_of_;
 };
 
+// Generalised forces (K, nv), RNEA(q, v, a) - sum J^T f, and the motion of frames (K n, 24) at K states: rotation, place,
+// velocity and classical acceleration, in axes of the world, as the wrenches (K, 6 n).
+std::pair<OutputTable, OutputTable> sampled(const nb::object& model, const std::vector<int>& frames, const Table& q,
+                                            const Table& v, const Table& a, const Table& wrenches);
+
+void define_bodies(nb::module_& module);
 void define_inverse_kinematics(nb::module_& module);

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt import _numeric
 from trajopt.dynamics.base_joint import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
-from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.motion.carried import carrying_model
 from trajopt.solution.solution import Solution
 
@@ -39,49 +39,41 @@ class SampleQuantities(ContactPlaces):
 
 def contact_places(solution: Solution) -> ContactPlaces:
     """The contact frames at every sample of ``solution``."""
-    model = solution.model
-    data = model.createData()
-    frames = [model.getFrameId(frame) for frame in solution.contact_frames]
-    size = (solution.n_samples, len(frames))
-    position, rotation, velocity = np.zeros((*size, 3)), np.zeros((*size, 3, 3)), np.zeros((*size, 6))
-    for row, (q, v) in enumerate(zip(solution.q, solution.v, strict=True)):
-        pin.forwardKinematics(model, data, q, v)
-        for index, frame in enumerate(frames):
-            placement = pin.updateFramePlacement(model, data, frame)
-            position[row, index], rotation[row, index] = placement.translation, placement.rotation
-            velocity[row, index] = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
-    return ContactPlaces(position=position, rotation=rotation, velocity=velocity)
+    still, unloaded = np.zeros_like(solution.v), np.zeros_like(solution.f)
+    _, moved = _sampled(solution.model, solution, slice(None), still, unloaded)
+    return ContactPlaces(position=moved[..., 9:12], rotation=_rotations(moved), velocity=moved[..., 12:18])
 
 
 def sample_quantities(solution: Solution) -> SampleQuantities:
     """Evaluate every sample of ``solution``."""
-    model = solution.model
-    loaded = {number: carrying_model(solution, number) for number in np.unique(solution.phase).tolist()}
-    frames = [model.getFrameId(frame) for frame in solution.contact_frames]
-    count, contacts = solution.n_samples, len(frames)
-    force = np.zeros((count, model.nv))
-    position, rotation = np.zeros((count, contacts, 3)), np.zeros((count, contacts, 3, 3))
-    velocity, acceleration = np.zeros((count, contacts, 6)), np.zeros((count, contacts, 6))
-    axes = pin.LOCAL_WORLD_ALIGNED
-    for row in range(count):
-        if row == 0 or solution.phase[row] != solution.phase[row - 1]:
-            model = loaded[int(solution.phase[row])]
-            data = model.createData()
-        q, v, a = solution.q[row], solution.v[row], solution.a[row]
-        force[row] = generalized_force(model, data, (q, v, a), frames, solution.f[row])
-        pin.forwardKinematics(model, data, q, v, a)
-        for index, frame in enumerate(frames):
-            placement = pin.updateFramePlacement(model, data, frame)
-            position[row, index], rotation[row, index] = placement.translation, placement.rotation
-            velocity[row, index] = pin.getFrameVelocity(model, data, frame, axes).vector
-            acceleration[row, index] = pin.getFrameClassicalAcceleration(model, data, frame, axes).vector
+    parts = [
+        _sampled(
+            carrying_model(solution, int(solution.phase[rows.start])), solution, rows, solution.a, solution.f
+        )
+        for rows in (slice(each.start, each.stop) for each in solution.phases)
+    ]
+    force, moved = (np.concatenate(part) for part in zip(*parts, strict=True))
     return SampleQuantities(
         generalized_force=force - solution.joint_force(solution.q, solution.v),
-        position=position,
-        rotation=rotation,
-        velocity=velocity,
-        acceleration=acceleration,
+        position=moved[..., 9:12],
+        rotation=_rotations(moved),
+        velocity=moved[..., 12:18],
+        acceleration=moved[..., 18:],
     )
+
+
+def _sampled(
+    model: pin.Model, plan: Solution, rows: slice, a: np.ndarray, f: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (k, nv) and the motion of the contact frames (k, nc, 24): see `_numeric.sampled`."""
+    frames = [model.getFrameId(frame) for frame in plan.contact_frames]
+    q, v = plan.q[rows], plan.v[rows]
+    force, moved = _numeric.sampled(model, frames, q, v, a[rows], f[rows].reshape(len(q), 6 * len(frames)))
+    return force, moved.reshape(len(force), len(frames), 24)
+
+
+def _rotations(moved: np.ndarray) -> np.ndarray:
+    return moved[..., :9].reshape(*moved.shape[:2], 3, 3)
 
 
 def largest(values: np.ndarray) -> float | None:
