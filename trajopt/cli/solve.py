@@ -131,7 +131,7 @@ def solve_command(
         scene = smallest_scene(loaded, keep=keep, mesh=mesh_at_first(loaded, arguments))
         if explain and not as_json:
             say(str(scene.report))
-    extra: dict[str, Any] = {"scene": scene.report.to_dict()} if scene else {}
+    extra: dict[str, Any] = {"scene": scene.report.to_dict()} if scene and as_json else {}
     if not (smallest or keep):
         scene = None  # only explained
     asked = scene.problem if scene else loaded

@@ -17,6 +17,7 @@ at touching and for parallel faces too.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -58,7 +59,7 @@ class PlacedBody:
     height: float = 0.0
     sides: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
-    @property
+    @cached_property
     def placed(self) -> np.ndarray:
         """The points (n, 3), world, m."""
         return np.asarray(self.points @ self.rotation.T + self.position)
@@ -90,6 +91,8 @@ class SeparatingPlane:
 
     def with_corners(self, others: np.ndarray) -> SeparatingPlane:
         """The plane with further corners (n, 3) m of the same body."""
+        if np.array_equal(self.corners, others):
+            return self
         every = np.unique(np.concatenate([self.corners, others]), axis=0)
         return replace(self, corners=every)
 

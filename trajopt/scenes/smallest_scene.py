@@ -11,6 +11,7 @@ Decisions are taken in this order, each on the result of the one before:
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 from trajopt.arguments import checked
@@ -39,15 +40,40 @@ class Scene:
         original: the problem as built.
         problem: the reduced one, ready for `trajopt.solve`.
         reduction: from the whole robot to the one of ``problem``.
-        report: every decision with its reason and what it saved.
+        steps: every decision, and the problem that it made where it made another.
+        modelled: lines of the report about what is left.
+        mesh: the one that sizes are reported for.
         soles: surface contacts in place of corners, None without any.
     """
 
     original: Problem
     problem: Problem
     reduction: Reduction
-    report: SceneReport
+    steps: tuple[tuple[Decision, Problem | None], ...]
+    modelled: tuple[str, ...]
+    mesh: Mesh
     soles: Soles | None = None
+
+    @cached_property
+    def report(self) -> SceneReport:
+        """Every decision with its reason and what it saved; each problem is transcribed."""
+        size = before = size_of(self.original, self.mesh)
+        decisions = []
+        for decision, made in self.steps:
+            after = size if made is None else size_of(made, self.mesh)
+            saved = ProblemSize(variables=size.variables - after.variables, rows=size.rows - after.rows)
+            decisions.append(replace(decision, saved=saved))
+            size = after
+        return SceneReport(
+            problem=self.original.name,
+            robot=self.original.robot.name,
+            modelled=self.modelled,
+            decisions=tuple(decisions),
+            before=before,
+            after=size,
+            transcription=self.mesh.transcription,
+            intervals=sum(self.mesh.counts),
+        )
 
     def lift(self, solution: Solution) -> Solution:
         """Return a solution of ``problem`` as one of the whole robot, for ``check`` and ``replay``.
@@ -105,8 +131,7 @@ class _Smallest:
         self.original, self.keep, self.plane, self.mesh = problem, keep, plane, mesh
         self.whole = problem
         self.problem = problem
-        self.decisions: list[Decision] = []
-        self.size = self.before = size_of(problem, mesh)
+        self.steps: list[tuple[Decision, Problem | None]] = []
         self.reduction = lock_joints(problem.robot, (), problem.initial_q)
 
     def build(self, lock: tuple[str, ...], soles: bool, torques: bool) -> Scene:
@@ -115,7 +140,7 @@ class _Smallest:
         self.needs = needed_joints(self.whole, self.keep)
         require_lockable(self.whole, lock, self.keep)
         if self.refuses():
-            self.decisions.append(Decision(kind=KEPT, what="the whole robot", why=self.refuses()))
+            self.note(KEPT, "the whole robot", self.refuses())
             if self.plane is True:
                 raise InputError(f"problem '{self.original.name}' cannot be halved: {self.refuses()}")
         else:
@@ -124,22 +149,21 @@ class _Smallest:
             self.halve()
         if not torques:
             self.drop_torques()
-        self.decisions += remarks(self.problem, self.whole, self.mesh)
+        self.steps += ((remark, None) for remark in remarks(self.problem, self.whole, self.mesh))
         return Scene(
             original=self.original,
             problem=self.problem,
             reduction=self.reduction,
-            report=self.report(),
+            steps=tuple(self.steps),
+            modelled=modelled(self.problem, self.whole, self.needs),
+            mesh=self.mesh,
             soles=merged,
         )
 
     def note(self, kind: str, what: str, why: str) -> None:
-        """Record a decision with what it saved."""
-        size = size_of(self.problem, self.mesh)
-        variables, rows = self.size.variables - size.variables, self.size.rows - size.rows
-        saved = ProblemSize(variables=variables, rows=rows)
-        self.decisions.append(Decision(kind=kind, what=what, why=why, saved=saved))
-        self.size = size
+        """Record a decision, and the problem it made unless it was to keep something."""
+        made = None if kind == KEPT else self.problem
+        self.steps.append((Decision(kind=kind, what=what, why=why), made))
 
     def refuses(self) -> str:
         """Why the problem cannot be reduced, or an empty text."""
@@ -189,7 +213,7 @@ class _Smallest:
         idle = [name for name in idle if name not in wanted]
         if len(idle) + len(wanted) == robot.model.njoints - 1:
             why = "no joint is needed, and a robot must have a joint"
-            self.decisions.append(Decision(kind=KEPT, what="all other joints", why=why))
+            self.note(KEPT, "all other joints", why)
         elif idle:
             self.reduce(lock_joints(robot, [*wanted, *idle], self.whole.initial_q, contacts))
             why = (
@@ -198,8 +222,7 @@ class _Smallest:
             self.note(CHOICE, f"{len(idle)} joints locked: {', '.join(idle)}", why)
         asked = [name for name in self.keep if self.needs.get(name) == KEPT_AS_ASKED]
         if asked:
-            what = f"joints {', '.join(asked)}, as asked"
-            self.decisions.append(Decision(kind=KEPT, what=what, why="nothing else needs them"))
+            self.note(KEPT, f"joints {', '.join(asked)}, as asked", "nothing else needs them")
 
     def halve(self) -> None:
         """The half in the plane, if the robot and the task are symmetric."""
@@ -210,7 +233,7 @@ class _Smallest:
         except InputError as error:
             if self.plane is True:
                 raise
-            self.decisions.append(Decision(kind=KEPT, what="both sides", why=str(error)))
+            self.note(KEPT, "both sides", str(error))
             return
         self.reduce(self.reduction.then(half))
         self.note(decision.kind, decision.what, decision.why)
@@ -223,8 +246,7 @@ class _Smallest:
             self.note(CHOICE, what, f"at their start, in pairs: {why}")
         if stay:
             why = "their limbs' other joints leave it too, or a goal or the caller needs them"
-            what, why = "joints that leave the plane", f"{', '.join(stay)}: {why}"
-            self.decisions.append(Decision(kind=KEPT, what=what, why=why))
+            self.note(KEPT, "joints that leave the plane", f"{', '.join(stay)}: {why}")
 
     def _kept(self) -> tuple[str, ...]:
         """Joints to keep, by their present names."""
@@ -237,16 +259,3 @@ class _Smallest:
         if self.problem.actuation == "torque" and not any(one.uses_torques for one in instances):
             self.problem = replace(self.problem, actuation="acceleration")
             self.note(EXACT, "joint torques", "no term limits, prices or uses them: accelerations are inputs")
-
-    def report(self) -> SceneReport:
-        made = transcribe(self.problem, mesh=self.mesh)
-        return SceneReport(
-            problem=self.original.name,
-            robot=self.original.robot.name,
-            modelled=modelled(self.problem, self.whole, self.needs),
-            decisions=tuple(self.decisions),
-            before=self.before,
-            after=ProblemSize(variables=made.layout.n_unknowns, rows=made.n_rows),
-            transcription=made.layout.mesh.transcription,
-            intervals=made.layout.n_intervals,
-        )

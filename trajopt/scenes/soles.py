@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import nnls
 
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
@@ -77,6 +76,8 @@ def _corner_forces(
     columns = np.array([[*ray, *np.cross(place, ray)] for place in sole.places for ray in rays]).T
     # A small part of the sum of squares makes the forces even where more than one choice fits.
     even = 1e-6 * np.eye(columns.shape[1])
+    from scipy.optimize import nnls  # takes a while to load
+
     weights, _ = nnls(np.vstack([columns, even]), np.concatenate([local, np.zeros(len(even))]))
     parts = weights.reshape(len(sole.corners), len(rays)) @ rays
     return {
