@@ -126,7 +126,7 @@ def test_faster_intervals_are_looked_at_more_often():
 def test_rows_stay_when_the_motion_has_left():
     exchange, _ = begun(past(swing(), BALL, FAR), straight())
     moments = set(exchange.moments[PAIR])
-    aside = exchange.constrained(lambda phase, fraction: np.array([-2.0, 0.0, 0.0]))
+    aside = exchange.constrained(lambda phases, fractions: np.tile([-2.0, 0.0, 0.0], (len(phases), 1)))
     (term,) = planes(aside)
     assert {(0, float(f)) for f in term.fractions} == moments
     exchange.add(exchange.look(avoided()[1]))
@@ -186,9 +186,13 @@ def test_guess_is_clear_where_it_is_apart_at_the_rows():
 
 def test_guess_is_taken_at_the_time_of_its_phase():
     exchange = Exchange(past(swing(), BALL))
-    assert exchange.guess(0, 0.25) == pytest.approx(swing().guess_at(0.25 * DURATION))
+    assert exchange.guess(np.array([0]), np.array([0.25]))[0] == pytest.approx(
+        swing().guess_at(0.25 * DURATION)
+    )
     legged = Exchange(hop())
-    assert legged.guess(2, 0.5) == pytest.approx(hop().guess_at(0.3 + 0.2 + 0.15))
+    assert legged.guess(np.array([0, 2]), np.array([0.1, 0.5]))[1] == pytest.approx(
+        hop().guess_at(0.3 + 0.2 + 0.15)
+    )
 
 
 def test_what_may_be_passed_on_several_sides_is_no_ground_and_no_fitted_links():

@@ -35,11 +35,20 @@ class SolutionMotion:
 
     def in_phase(self, phase: int, fraction: float, towards: float) -> MotionSample:
         """Sample at a fraction of a phase; at a node, of the interval on the side of ``towards``."""
-        start, end = self.span(phase)
-        numbers = self.solution.intervals_of(phase)
-        inner = start + (fraction + INSIDE * (towards - fraction)) * (end - start)
-        index = int(np.searchsorted(self.solution.interval_t[numbers, 0], inner, side="right")) - 1
-        return self._sample(numbers[max(index, 0)], start + fraction * (end - start))
+        return rows_of(self.in_phases(np.array([phase]), np.array([fraction]), np.array([towards])), 0)
+
+    def in_phases(self, phases: np.ndarray, fractions: np.ndarray, towards: np.ndarray) -> MotionSample:
+        """Samples at fractions of phases (K,), see `in_phase`."""
+        plan = self.solution
+        intervals = [plan.intervals_of(phase) for phase in range(len(plan.phases))]
+        first, last = np.array([[numbers[0], numbers[-1]] for numbers in intervals])[phases].T
+        start, end = plan.interval_t[first, 0], plan.interval_t[last, 1]
+        inner = start + (fractions + INSIDE * (towards - fractions)) * (end - start)
+        numbers = np.searchsorted(plan.interval_t[:, 0], inner, side="right") - 1
+        numbers = np.clip(numbers, first, last)
+        begin, close = plan.interval_t[numbers].T
+        within = (start + fractions * (end - start) - begin) / (close - begin)
+        return plan.polynomials.at(numbers, np.clip(within, 0.0, 1.0))
 
     def _sample(self, number: int, t: float) -> MotionSample:
         start, end = self.solution.interval_t[number]

@@ -47,9 +47,9 @@ MOST_MISSES, MOST_SLIPS = 3, 4
 # Moments that agree to this many digits are the same.
 DIGITS = 12
 
-# Phase, fraction of its duration; and a motion over these.
+# Phase, fraction of its duration; and a motion (K, nq) over K of these.
 PhaseMoment = tuple[int, float]
-PhaseMotion = Callable[[int, float], np.ndarray]
+PhaseMotion = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,7 +184,7 @@ class Exchange:
         """The problem with rows at all moments so far, their planes laid along a motion.
 
         Args:
-            motion: phase, fraction of its duration -> configuration (nq,), as `along` or `guess` give it.
+            motion: phases, fractions (K,) -> configurations (K, nq), as `along` or `guess` give it.
             last: the motion that was too near, if that is another: its nearest corners get rows, too.
         """
         if last is not None:
@@ -211,9 +211,8 @@ class Exchange:
         model, names = self.problem.robot.model, self.problem.schedule.names
         for pair in filter(self._fitted, self.moments):
             moments = sorted(self.moments[pair])
-            q = np.array([motion(*moment) for moment in moments])
-            rows = self.fits.rows(pair, q, self.bodies.margin_of[pair])
             phases, fractions = (np.array(each) for each in zip(*moments, strict=True))
+            rows = self.fits.rows(pair, motion(phases, fractions), self.bodies.margin_of[pair])
             for phase in np.unique(phases):
                 yield LinkDistance(
                     during=names[phase],
@@ -245,17 +244,18 @@ class Exchange:
                 else:
                     yield self.constrained(last), solution
 
-    def guess(self, phase: int, fraction: float) -> np.ndarray:
-        """The problem's guess (nq,) at a fraction of a phase."""
-        durations = [entry.duration for entry in self.problem.schedule.phases]
-        return self.problem.guess_at(sum(durations[:phase]) + fraction * durations[phase])
+    def guess(self, phases: np.ndarray, fractions: np.ndarray) -> np.ndarray:
+        """The problem's guess (K, nq) at fractions of phases (K,)."""
+        durations = np.array([entry.duration for entry in self.problem.schedule.phases])
+        times = (np.cumsum(durations) - durations)[phases] + fractions * durations[phases]
+        return np.array([self.problem.guess_at(time) for time in times.tolist()])
 
     def guess_is_clear(self) -> bool:
         """Whether pairs are apart along the guess wherever they have rows."""
         every = sorted({moment for moments in self.moments.values() for moment in moments})
         if not every:
             return True
-        q = np.array([self.guess(*moment) for moment in every])
+        q = self.guess(*(np.array(each) for each in zip(*every, strict=True)))
         short = self.bodies.scene.distances(q, self.band + self.bodies.widest) - self._least
         columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
         return bool((short[:, columns] >= 0).all())
@@ -266,7 +266,7 @@ class Exchange:
         if not every:
             return
         numbers = {moment: k for k, moment in enumerate(every)}
-        q = np.array([motion(*moment) for moment in every])
+        q = motion(*(np.array(each) for each in zip(*every, strict=True)))
         pairs = [(pair, moment) for pair, moments in separated.items() for moment in sorted(moments)]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
         feet: list[PlacedBody | None] = [None] * len(wanted)
@@ -308,7 +308,7 @@ class Exchange:
 def along(solution: Solution) -> PhaseMotion:
     """The motion of a solution by phase and fraction."""
     motion = SolutionMotion(solution)
-    return lambda phase, fraction: motion.in_phase(phase, fraction, 0.5).q
+    return lambda phases, fractions: motion.in_phases(phases, fractions, np.full(len(phases), 0.5)).q
 
 
 def _moments_to_look_at(

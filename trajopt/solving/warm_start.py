@@ -10,6 +10,7 @@ within its bounds. The state at the start is the problem's own where that is fix
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -17,6 +18,7 @@ from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.motion.configurations import SolutionMotion
+from trajopt.solution.arrays import rows_of
 from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.local_states import local_state
 from trajopt.solution.solution import Solution
@@ -24,6 +26,7 @@ from trajopt.solvers.result import WarmMultipliers
 from trajopt.solving.multipliers import resampled_multipliers
 from trajopt.transcription.guess import MotionSource, node_phase, unknowns_from_motion
 from trajopt.transcription.layout import Layout
+from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.variable_bounds import initial_state
 
@@ -54,17 +57,13 @@ class _Source(MotionSource):
     @override
     def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         layout = self.layout
-        phase = node_phase(layout, k)
-        stages = layout.intervals_of(phase)
-        middle = (layout.node_times[stages[0]] + layout.node_times[stages[-1] + 1]) / 2
-        sample = self._at(phase, float(layout.node_times[k]), float(middle))
+        sample = rows_of(self._samples, k)
         return layout.in_coordinates_of(layout.forms[k], sample.q, sample.v, sample.a)[:2]
 
     @override
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         layout, form, phase = self.layout, self.layout.forms[k], self.layout.stages[k].phase
-        start, step = layout.node_times[k], layout.steps[k]
-        sample = self._at(phase, float(start + layout.scheme_of(phase).c[i] * step), float(start + step / 2))
+        sample = rows_of(self._samples, self._first_points[k] + i)
         origin = form.coordinates.node_to_pinocchio(form.state(node))[0][0]
         state = layout.in_coordinates_of(form, sample.q, sample.v, sample.a)
         highest = local_state(form.robot.model, origin, *state)[layout.order]
@@ -81,12 +80,33 @@ class _Source(MotionSource):
         contacts = self.layout.touching[phase]
         return np.concatenate([impulse[self.columns[c.frame], list(c.rows)] for c in contacts])
 
-    def _at(self, phase: int, t: float, towards: float) -> MotionSample:
-        """Sample at nominal time ``t`` of a phase, at a node on the side of ``towards``, in its new time."""
-        stages, times = self.layout.intervals_of(phase), self.layout.node_times
-        start, end = float(times[stages[0]]), float(times[stages[-1] + 1])
-        fraction, side = (t - start) / (end - start), (towards - start) / (end - start)
-        sample, stretch = self.motion.in_phase(phase, fraction, side), self.stretch[phase]
+    @cached_property
+    def _first_points(self) -> np.ndarray:
+        """Of each stage the row of `_samples` of its first point."""
+        stages = self.layout.stages
+        points = [self.layout.scheme_of(each.phase).s * (each.kind is StageKind.INTERVAL) for each in stages]
+        return len(self.layout.forms) + np.cumsum([0, *points])
+
+    @cached_property
+    def _samples(self) -> MotionSample:
+        """The motion at all nodes and then all points, in its new time: inside their phases and intervals."""
+        layout, times = self.layout, self.layout.node_times
+        phases = [node_phase(layout, k) for k in range(len(layout.forms))]
+        stages = [layout.intervals_of(phase) for phase in range(len(layout.schedule.phases))]
+        spans = np.array([[times[each[0]], times[each[-1] + 1]] for each in stages])
+        at, middles = list(times[: len(phases)]), list(spans[phases].mean(axis=1))
+        for k, stage in enumerate(layout.stages):
+            if stage.kind is StageKind.INTERVAL:
+                nodes = layout.scheme_of(stage.phase).c
+                phases += [stage.phase] * len(nodes)
+                at += list(times[k] + nodes * layout.steps[k])
+                middles += [times[k] + layout.steps[k] / 2] * len(nodes)
+        start, end = spans[phases].T
+        fractions, sides = ((np.array(each) - start) / (end - start) for each in (at, middles))
+        sample, stretch = (
+            self.motion.in_phases(np.array(phases), fractions, sides),
+            self.stretch[phases, None],
+        )
         return replace(sample, v=sample.v / stretch, a=sample.a / stretch**2)
 
 
