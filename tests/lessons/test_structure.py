@@ -19,7 +19,7 @@ from tests.support.lecture_models import (
     three_joint_arm,
 )
 from tests.support.models import JOINT_KINDS, random_state
-from trajopt.classical import structure
+from trajopt_library.lessons import structure
 from trajopt.dynamics.model_quantities import mass_matrix_at, mass_of
 from trajopt.errors import InputError, UnsupportedJointError
 

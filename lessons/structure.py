@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from trajopt.classical import lagrange
+from trajopt_library.lessons import lagrange
 from trajopt.dynamics import rigid_body
 from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS, base_of
 from trajopt.dynamics.model_content import joint_kind, once_per_content
