@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from trajopt.dynamics.model_content import frame_content
+from trajopt.dynamics.model_quantities import generalized_force, require_shapes
 from trajopt_library.lessons.newton_euler import outer_wrenches
 from trajopt_library.lessons.structure import (
     MomentumMaps,
@@ -18,8 +20,6 @@ from trajopt_library.lessons.structure import (
     composite_inertia,
     momentum_maps,
 )
-from trajopt.dynamics.model_content import frame_content
-from trajopt.dynamics.model_quantities import generalized_force, require_shapes
 
 
 @dataclass(frozen=True, kw_only=True)
