@@ -225,7 +225,7 @@ def test_swings_about_a_command_are_no_error_of_the_mean() -> None:
             {"ground": PiecewiseTerrain.stairs(0.1, 0.3, 2)},
             "not at the height 0 where the robot stands",
         ),
-        ("go2", {"friction_scale": -1.0}, "friction_scale of a simulation is -1"),
+        ("go2", {"friction_scale": -1.0}, "friction_scale of SimulationSettings is -1.0"),
         ("go2", {"settings": ControllerSettings(live=True)}, "settings of drive are live"),
         ("go2", {"duration": 1e4}, "a simulation of 1e+07 periods of its controller; allowed: 200000"),
         (
