@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
-from trajopt.collision.hulls import read_shapes
+from trajopt.collision.hulls import joint_frame, read_shapes
 from trajopt.collision.near import CollisionScene, ShapePair
 from trajopt.collision.shapes import LinkShape, Obstacle
 from trajopt.dynamics.base_joint import BASE_ROWS
@@ -269,3 +269,21 @@ def sampled_postures(robot: Robot, count: int) -> np.ndarray:
             upper[rows] = np.minimum(robot.position_upper[entries] - at, free)
     steps = random.uniform(lower, upper, (count, robot.nv))
     return np.array([pin.integrate(model, robot.reference, step) for step in steps])
+
+
+def inertia_capsules(model: pin.Model) -> tuple[LinkShape, ...]:
+    """Capsules around the solid boxes with the masses and inertias of the links: for a robot without shapes.
+
+    I_1 = m (b^2 + c^2) / 12, and so on. A hollow link's box is larger than the link.
+    """
+    capsules = []
+    for joint in range(1, model.njoints):
+        inertia, frame = model.inertias[joint], joint_frame(model, joint)
+        moments, axes = np.linalg.eigh(inertia.inertia)  # ascending: the longest side first
+        sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / (inertia.mass or np.inf), 0.0))
+        if sides[0] > 0:
+            within = model.frames[model.getFrameId(frame)].placement
+            ends = (within.actInv(inertia.lever + half * sides[0] * axes[:, 0]) for half in (-0.5, 0.5))
+            radius = float(np.linalg.norm(sides[1:])) / 2
+            capsules.append(LinkShape.capsule(str(model.names[joint]), frame, *ends, radius))
+    return tuple(capsules)
