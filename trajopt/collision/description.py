@@ -283,7 +283,7 @@ def inertia_capsules(model: pin.Model) -> tuple[LinkShape, ...]:
         sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / (inertia.mass or np.inf), 0.0))
         if sides[0] > 0:
             within = model.frames[model.getFrameId(frame)].placement
-            ends = (within.actInv(inertia.lever + half * sides[0] * axes[:, 0]) for half in (-0.5, 0.5))
+            start, end = (within.actInv(inertia.lever + half * sides[0] * axes[:, 0]) for half in (-0.5, 0.5))
             radius = float(np.linalg.norm(sides[1:])) / 2
-            capsules.append(LinkShape.capsule(str(model.names[joint]), frame, *ends, radius))
+            capsules.append(LinkShape.capsule(str(model.names[joint]), frame, start, end, radius))
     return tuple(capsules)
