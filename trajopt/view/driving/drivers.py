@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -24,7 +25,6 @@ from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
-from trajopt.view.driving.targets import TargetPath
 
 # Gaits that are prepared unless others are asked for: each takes seconds.
 USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
@@ -308,3 +308,36 @@ def _rounded(value: float) -> float:
     """To two digits."""
     digits = 1 - math.floor(math.log10(value))
     return round(value, digits)
+
+
+class TargetPath:
+    """A target that goes in straight lines, at one speed, to where it was last sent.
+
+    Args:
+        start: where it is until then (3,), m.
+        speed: m/s.
+
+    goals: times, s, and places (3,), m, to which it was sent.
+    """
+
+    def __init__(self, start: np.ndarray, speed: float) -> None:
+        self._speed = speed
+        self.goals = [(0.0, start)]
+        self._from = [start]
+
+    def send(self, time: float, goal: np.ndarray) -> None:
+        """Send it to another place (3,), m, at ``time`` s, which is not before the last one."""
+        if not np.array_equal(goal, self.goals[-1][1]):
+            start, _ = self.at(time)
+            self.goals.append((time, goal))
+            self._from.append(start)
+
+    def at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Its place (3,) m and velocity (3,) m/s at ``time`` s."""
+        last = max(bisect_right(self.goals, time, key=lambda sent: sent[0]) - 1, 0)
+        (begun, goal), start = self.goals[last], self._from[last]
+        way = goal - start
+        far, gone = float(np.linalg.norm(way)), self._speed * (time - begun)
+        if gone >= far:
+            return goal, np.zeros(3)
+        return start + gone / far * way, self._speed / far * way
