@@ -25,7 +25,7 @@ from trajopt.study.runner import (
     REFUSED,
     TIME_LIMIT,
     NotRunError,
-    Task,
+    TimedCall,
     limited,
     run_tasks,
 )
@@ -258,14 +258,14 @@ def test_no_task_outlives_the_process_that_waits(tmp_path: Path):
 # The loop
 
 
-def made(name: str) -> Task:
+def made(name: str) -> TimedCall:
     """A task by what becomes of it."""
     functions = {"refuse": refuse, "fail": fail, "hang": time.sleep, "left out": abs}
     if name == "left out":
         raise NotRunError("not wanted")
     args = (3600,) if name == "hang" else () if name in functions else (-1,)
     limit = SHORT if name == "hang" else WAIT
-    return Task(name=name, limit=limit, function=functions.get(name, abs), args=args)
+    return TimedCall(name=name, limit=limit, function=functions.get(name, abs), args=args)
 
 
 @pytest.mark.parametrize("make", [lambda: ProcessPerTaskExecutor(2), lambda: ThreadPoolExecutor(2)])

@@ -133,11 +133,11 @@ def robot_shapes(robot: Robot) -> RobotShapes:
     or in almost all of a sample of postures within the limits. Nothing is random beyond a fixed seed, and a
     robot of the same content is not read again.
     """
-    return _robot_shapes(_Keyed(_content(robot), robot))
+    return _robot_shapes(_KeyedRobot(_content(robot), robot))
 
 
 @dataclass(frozen=True)
-class _Keyed:
+class _KeyedRobot:
     """A robot that is equal to another of the same content."""
 
     content: tuple[object, ...]
@@ -153,7 +153,7 @@ def _content(robot: Robot) -> tuple[object, ...]:
 
 
 @lru_cache(maxsize=MOST_ROBOTS)
-def _robot_shapes(keyed: _Keyed) -> RobotShapes:
+def _robot_shapes(keyed: _KeyedRobot) -> RobotShapes:
     robot = keyed.robot
     if robot.visual is None:
         return RobotShapes()

@@ -36,7 +36,7 @@ class NotRunError(TaskError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class TimedCall:
     """A picklable function with its arguments and its time limit, s. ``name``: for a display."""
 
     name: str
@@ -59,7 +59,7 @@ class Ended(Generic[Key]):
 
 def run_tasks(
     waiting: deque[Key],
-    make: Callable[[Key], Task],
+    make: Callable[[Key], TimedCall],
     executor: Executor,
     *,
     window: Callable[[], int],

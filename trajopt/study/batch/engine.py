@@ -10,7 +10,7 @@ import numpy as np
 from trajopt.study.batch.records import BatchRecords
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult, solve_case
 from trajopt.study.batch.variation import BatchCase
-from trajopt.study.runner import DONE, Ended, Task, run_tasks
+from trajopt.study.runner import DONE, Ended, TimedCall, run_tasks
 
 # A case whose process was lost is run again, up to so many times in all.
 MOST_ATTEMPTS = 3
@@ -36,11 +36,11 @@ def run_batch(
     queue = _Queue(cases, settings, records)
     starts: dict[int, int | None] = {}
 
-    def make(index: int) -> Task:
+    def make(index: int) -> TimedCall:
         start = starts[index] = queue.start(index)
         content = None if start is None else records.content(start)
         args = (cases[index], settings, content)
-        return Task(name=cases[index].name, limit=settings.longest, function=solve_case, args=args)
+        return TimedCall(name=cases[index].name, limit=settings.longest, function=solve_case, args=args)
 
     ended = run_tasks(
         queue.waiting, make, executor, window=window, attempts=MOST_ATTEMPTS, check=check, show=show

@@ -15,7 +15,7 @@ from typing_extensions import override
 
 from trajopt.collision import Obstacle
 from trajopt.errors import InputError, not_among, shown
-from trajopt.mpc.arm import ArmController, ArmSettings, Target
+from trajopt.mpc.arm import ArmController, ArmSettings, ToolTarget
 from trajopt.mpc.commands import STAND, Command
 from trajopt.mpc.controller import Controller
 from trajopt.mpc.follow import Follower
@@ -62,7 +62,7 @@ class Slider:
     keys: tuple[str, str] = ("", "")
 
 
-class Driver(ABC):
+class PageController(ABC):
     """A robot that follows what a page sets; a simulation asks it for torques.
 
     obstacles: that it keeps clear of. sliders, gaits: what a page may set. values, gait: what is set. offset:
@@ -127,7 +127,7 @@ class Driver(ABC):
         self.plans.close()
 
 
-class LegsDriver(Driver):
+class LegsDriver(PageController):
     """A robot on legs, which follows gait, speeds and height.
 
     Args:
@@ -207,7 +207,7 @@ class LegsDriver(Driver):
         return self.controller.plans
 
 
-class ArmDriver(Driver):
+class ArmDriver(PageController):
     """An arm whose tool follows a target that moves at a bounded speed to where a page sets it.
 
     Args:
@@ -259,7 +259,7 @@ class ArmDriver(Driver):
         time = t + self.offset
         self.path.send(time, np.array([self.values[axis] for axis in "xyz"]))
         self._place, velocity = self.path.at(time)
-        target = Target(position=self._place, rotation=self._start.rotation, velocity=velocity)
+        target = ToolTarget(position=self._place, rotation=self._start.rotation, velocity=velocity)
         return self.controller.step(time, q, v, target)
 
     @property
