@@ -23,6 +23,7 @@ from trajopt.solving.graded import MOST_ROUNDS
 from trajopt.study.cluster import chosen_cluster
 from trajopt.study.runner import DONE, TimedCall, run_tasks
 from trajopt.study.workers.executor import processors
+from trajopt.study.workers.task import end_unguarded_import
 
 SEEDS, MOST, MAX_TIME, KEEP, EFFORT = 4, 12, 30.0, 3, 15.0
 # Solves at a time on a cluster; known schedules and neighbours that are screened at a time.
@@ -84,6 +85,7 @@ def discover(
             "nothing is proposed or solved",
             "allowed: seeds or known ones, most >= 1, keep >= 1, max_time > 0, effort > 0",
         )
+    end_unguarded_import()
     task = problem if isinstance(problem, ContactTask) else ContactTask.of(problem)
     records = Records(task, folder, resume=resume)
     done = {each.source for each in records.candidates}
