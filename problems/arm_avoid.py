@@ -150,14 +150,14 @@ def build(
     duration: float | None,
 ) -> Problem:
     """Build the motion past the obstacles; see ``FAMILY`` for the parameters. Raises InputError."""
-    from trajopt.collision import CollisionScene, robot_capsules  # not for a list of problems
+    from trajopt.collision import CollisionScene, inertia_capsules  # not for a list of problems
 
     arm = arms.load(robot)
     body, reach = arm.robot, arm.robot.length
     place = (radius * reach, height * reach)
     start, goal = (turned(arm, side * turn, *place) for side in (-1.0, 1.0))
     obstacles = obstacles_of(arm, turn, *place, rise * reach)
-    shapes = None if robot_shapes(body).shapes else robot_capsules(body)
+    shapes = None if robot_shapes(body).shapes else inertia_capsules(body.model)
     clearance = Clearance(obstacles=obstacles, margin=margin * reach, shapes=shapes)
     solid = shapes or robot_shapes(body).shapes
     scene = CollisionScene(model=body.model, shapes=solid, obstacles=obstacles)

@@ -19,7 +19,7 @@ import click
 
 ROOT = Path(__file__).resolve().parent.parent
 # Libraries that the dependencies' wheels bring.
-OTHERS = ("libcasadi.so*", "libipopt.so*", "libpinocchio*.so*", "libboost_*.so*")
+OTHERS = ("libcasadi.so*", "libipopt.so*", "libpinocchio*.so*", "libcoal*.so*", "libboost_*.so*")
 SUPPORTED = range(11, 15)  # minor versions
 
 

@@ -211,8 +211,10 @@ def _instance(kind: Any) -> Kind:
         if not getattr(kind, "_is_protocol", False):
             return isinstance(value, kind)
         members = [member for member in vars(kind) if not member.startswith("_")]
-        return all(hasattr(value, each) for each in members) and (
-            callable(value) or "__call__" not in vars(kind)
+        return (
+            not isinstance(value, type)
+            and all(hasattr(value, each) for each in members)
+            and (callable(value) or "__call__" not in vars(kind))
         )
 
     def made_by(value: Any) -> str:
@@ -283,8 +285,11 @@ def _tuple(hints: tuple[Any, ...], keeps: bool) -> Kind:
             _require(not numbers)  # which are shown together
             raise
 
-    texts = ", ".join(kind.text for kind in kinds)
-    return Kind(f"{len(kinds)} finite numbers" if numbers else f"({texts})", accept)
+    texts = [kind.text for kind in kinds]
+    if numbers:
+        return Kind(f"{len(kinds)} finite numbers", accept)
+    alike = len(texts) > 1 and len(set(texts)) == 1
+    return Kind(f"{len(texts)}, each {texts[0]}" if alike else f"({', '.join(texts)})", accept)
 
 
 def _mapping(keys: Kind, values: Kind) -> Kind:

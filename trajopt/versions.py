@@ -53,11 +53,12 @@ def check_versions(needed: Mapping[str, str]) -> None:
 def check_installation() -> None:
     """Check the wheels against those recorded when the extension was compiled.
 
-    ``pin`` is the Python half of ``libpinocchio`` and must be of the same version.
+    ``pin`` and ``coal`` are the Python halves of ``libpinocchio`` and ``libcoal``, of the same versions.
     """
     from trajopt._built_against import BUILT_AGAINST
 
-    check_versions({**BUILT_AGAINST, "pin": BUILT_AGAINST["libpinocchio"]})
+    pairs = {"pin": "libpinocchio", "coal": "libcoal"}
+    check_versions({**BUILT_AGAINST, **{name: BUILT_AGAINST[other] for name, other in pairs.items()}})
 
 
 VERSIONED = ("trajopt", "casadi", "pin", "numpy")

@@ -11,7 +11,7 @@ import numpy as np
 
 import trajopt
 from scripts.measure.shared import head, row
-from trajopt.study.batch.neighbours import StartTree
+from trajopt.study.batch.engine import StartTree
 from trajopt.study.batch.records import INDEX, BatchRecords
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult, solve_case
 from trajopt.study.batch.variation import BatchCase, batch_cases

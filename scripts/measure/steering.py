@@ -14,7 +14,7 @@ from trajopt.mpc import (
     CommandScript,
     Controller,
     ControllerSettings,
-    Drive,
+    DrivenMotion,
     PlannerSettings,
     SolverSettings,
     drive,
@@ -117,7 +117,7 @@ def survived(
     return best
 
 
-def cells(run: Drive) -> list[str]:
+def cells(run: DrivenMotion) -> list[str]:
     """Whether it fell, errors of commands, and times."""
     report, errors = run.report, run.report.mean_errors
     tracked = (

@@ -7,7 +7,7 @@ import pinocchio as pin
 from scripts.measure.shared import head, row
 from scripts.measure.steering import seeds_option
 from trajopt.collision import CapsuleObstacle
-from trajopt.mpc import ArmController, Target
+from trajopt.mpc import ArmController, ToolTarget
 from trajopt.robot import Robot, frame_pose
 from trajopt_library import robots
 
@@ -44,7 +44,7 @@ def _followed(robot: Robot, tool: str, seconds: float, seed: int) -> list[str]:
             rate = 0.8 * rate + generator.standard_normal(3) * [0.25, 0.1, 0.1]
         before, way = way, np.clip(way + 1e-3 * rate, [-1.2, -0.15, -0.15], [1.2, 0.15, 0.15])
         last, goal = (_around(place, each) for each in (before, way))
-        torque = controller.step(1e-3 * k, q, v, Target(position=goal, velocity=(goal - last) / 1e-3))
+        torque = controller.step(1e-3 * k, q, v, ToolTarget(position=goal, velocity=(goal - last) / 1e-3))
         v = v + 1e-3 * pin.aba(model, data, q, v, torque)
         q = pin.integrate(model, q, 1e-3 * v)
         pin.framesForwardKinematics(model, data, q)

@@ -18,7 +18,7 @@ from trajopt.mpc import (
     PlannerSettings,
     drive,
 )
-from trajopt.mpc.motion import MotionSample
+from trajopt.mpc.motion import FollowedSample
 from trajopt.robot import Robot
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt_library import robots
@@ -74,7 +74,7 @@ class GainFollower(Follower):
 
     controller: Controller
 
-    def torque(self, wanted: MotionSample, q: np.ndarray, v: np.ndarray, active: np.ndarray) -> np.ndarray:
+    def torque(self, wanted: FollowedSample, q: np.ndarray, v: np.ndarray, active: np.ndarray) -> np.ndarray:
         """Torques (nu,) for a measured state; contacts that are late are not pressed down."""
         planner, motion = self.controller.planner, self.controller.plans.motion
         assert isinstance(planner, GainPlanner)

@@ -138,7 +138,10 @@ def test_targets_that_do_not_fit_are_one_line(text, line, tmp_path):
         (["go2", "--script", "CSV", "--boxes", "3"], "part of boxes_ahead is 3.0"),
         (["go2", "--script", "CSV", "--boxes", "0.1", "--slope", "5"], "--slope and --boxes are both given"),
         (["go2", "--script", "CSV", "--seed", "3"], "--seed has no effect here"),
-        (["go2", "--script", "CSV", "--delay", "101"], "delay of a simulation is 101; allowed: 0 to 100"),
+        (
+            ["go2", "--script", "CSV", "--delay", "101"],
+            "delay of SimulationSettings is 101",
+        ),
         (["go2", "--script", "CSV", "-o", "CSV"], "is an input file"),
         (["go2", "--script", "CSV", "-o", "/no/such/folder/x.npz"], "cannot write /no/such/folder/x.npz"),
     ],

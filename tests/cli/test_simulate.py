@@ -75,8 +75,11 @@ def test_page_shows_plan_and_simulation(stand, tmp_path):
     ("arguments", "line"),
     [
         (["missing.npz"], "missing.npz does not exist"),
-        (["PLAN", "--kp", "-1"], "kp of a simulation is -1; allowed: 0 to 1e+06"),
-        (["PLAN", "--cycles", "0"], "cycles of a simulation is 0; allowed: a whole number >= 1"),
+        (
+            ["PLAN", "--kp", "-1"],
+            "kp of SimulationSettings is -1.0; allowed: a finite number from 0 to 1e+06",
+        ),
+        (["PLAN", "--cycles", "0"], "cycles of SimulationSettings is 0; allowed: a whole number >= 1"),
         (["PLAN", "--cycles", "2"], "the solution is not periodic; allowed: --cycles 1"),
         (["PLAN", "-o", "PLAN"], "is an input file"),
         (["PLAN", "-o", "x.npz", "--html", "./x.npz"], "x.npz is written twice"),

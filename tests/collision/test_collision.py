@@ -1,12 +1,12 @@
-"""Scenes of capsules and obstacles: their distances by Coal, and what is refused."""
+"""Scenes of links and obstacles: their distances by Coal, and what is refused."""
 
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from trajopt.collision.coal_shapes import coal_capsule, coal_obstacle
-from trajopt.collision.link_capsules import robot_capsules
+from trajopt.collision.coal_shapes import coal_link, coal_obstacle
+from trajopt.collision.description import robot_shapes
 from trajopt.collision.near import CollisionScene, separable_pairs
 from trajopt.collision.shapes import (
     BoxObstacle,
@@ -38,7 +38,7 @@ OBSTACLES = (
 
 def arm_scene(**changes: object) -> CollisionScene:
     robot = robots.load("ur5")
-    given = {"model": robot.model, "shapes": robot_capsules(robot), "obstacles": OBSTACLES}
+    given = {"model": robot.model, "shapes": robot_shapes(robot).shapes, "obstacles": OBSTACLES}
     return CollisionScene(**(given | changes))
 
 
@@ -50,7 +50,8 @@ def test_distances_of_a_scene_are_those_of_its_shapes():
     shapes = {o.name: coal_obstacle(o) for o in scene.obstacles}
     for c in scene.shapes:
         frame = data.oMf[model.getFrameId(c.frame)]
-        shapes[c.name] = coal_capsule(*(frame.act(end) for end in c.axis), c.radius)
+        solid, place = coal_link(c)
+        shapes[c.name] = solid, frame * place
     expected = [by_coal(shapes[first], shapes[second]) for first, second in scene.pairs]
     assert scene.distances(q)[0] == pytest.approx(expected, abs=COAL)
     near = [pair for pair, distance in zip(scene.pairs, expected, strict=True) if distance < 0.3]
@@ -61,9 +62,9 @@ def test_distances_of_a_scene_are_those_of_its_shapes():
 @pytest.mark.parametrize("name", ["ur5", "panda", "solo12"])
 def test_links_that_can_be_kept_apart_are_so_in_the_reference(name):
     robot = robots.load(name)
-    capsules = robot_capsules(robot)
-    pairs = separable_pairs(robot.model, capsules, robot.reference, 0.01)
-    scene = CollisionScene(model=robot.model, shapes=capsules, self_pairs=pairs)
+    shapes = robot_shapes(robot).shapes
+    pairs = separable_pairs(robot.model, shapes, robot.reference, 0.01)
+    scene = CollisionScene(model=robot.model, shapes=shapes, self_pairs=pairs)
     assert scene.distances(robot.reference).min() > 0.01
     assert pairs
 

@@ -10,10 +10,17 @@ from numpy.testing import assert_allclose
 from tests.support.synthetic_motions import sampled, standing
 from trajopt import Solution
 from trajopt.control import Tracker
-from trajopt.control.falling import FallingMass
-from trajopt.control.recovery import DEEPEST, LIFT, SWING, Recovery, swing_height
-from trajopt.control.support_polygon import SupportPolygon
-from trajopt.control.swing_legs import diagonal_pairs, swing_leg
+from trajopt.control.recovery import (
+    DEEPEST,
+    LIFT,
+    SWING,
+    FallingMass,
+    Recovery,
+    SupportPolygon,
+    diagonal_pairs,
+    swing_height,
+    swing_leg,
+)
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation.push import PushTrials

@@ -11,7 +11,7 @@ from tests.support.repository import ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 # What is compiled against: at run time exactly these versions.
-COMPILED_AGAINST = {"casadi", "libpinocchio", "cmeel-boost"}
+COMPILED_AGAINST = {"casadi", "libpinocchio", "libcoal", "cmeel-boost"}
 PYTHON = "Programming Language :: Python :: 3."
 # pip would find the other project `trajopt` of PyPI, or nothing.
 INSTALLS = re.compile(r"\b(?:pip install|uv add|uvx)\b([^\n`]*)")

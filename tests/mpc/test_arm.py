@@ -6,7 +6,7 @@ import pytest
 
 from trajopt.collision import CapsuleObstacle
 from trajopt.errors import InputError
-from trajopt.mpc.arm import ArmController, ArmSettings, Target
+from trajopt.mpc.arm import ArmController, ArmSettings, ToolTarget
 from trajopt.robot import Robot, frame_pose
 from trajopt_library import robots
 
@@ -42,9 +42,9 @@ def test_a_tool_follows_a_target_past_an_obstacle(name: str) -> None:
     )
     controller = ArmController(robot, TOOLS[name], (post,))
 
-    def target(time: float) -> Target:
+    def target(time: float) -> ToolTarget:
         share = min(time / 2.0, 1.0)
-        return Target(position=(1 - share) * place.translation + share * turned)
+        return ToolTarget(position=(1 - share) * place.translation + share * turned)
 
     q = followed(robot, controller, target, 4.0)
     end = frame_pose(robot, q[-1], TOOLS[name]).translation
@@ -63,7 +63,7 @@ def test_a_tool_turns_where_a_rotation_is_asked_for() -> None:
     place = frame_pose(robot, robot.reference, "tool0")
     goal = place.rotation @ pin.utils.rotate("x", 0.4)
     controller = ArmController(robot, "tool0")
-    q = followed(robot, controller, lambda _: Target(position=place.translation, rotation=goal), 1.5)
+    q = followed(robot, controller, lambda _: ToolTarget(position=place.translation, rotation=goal), 1.5)
     away = pin.log3(goal.T @ frame_pose(robot, q[-1], "tool0").rotation)
     assert np.linalg.norm(away) < 0.02
 
@@ -75,8 +75,8 @@ def test_targets_frames_and_bases_that_are_none_are_refused() -> None:
     with pytest.raises(InputError, match="tool"):
         ArmController(robot, "nothing")
     with pytest.raises(InputError, match="position"):
-        Target(position=np.array([0.0, np.nan, 0.0]))
+        ToolTarget(position=np.array([0.0, np.nan, 0.0]))
     with pytest.raises(InputError, match="rotation"):
-        Target(position=np.zeros(3), rotation=np.ones((3, 3)))
+        ToolTarget(position=np.zeros(3), rotation=np.ones((3, 3)))
     with pytest.raises(InputError, match="span"):
         ArmSettings(span=-1.0)

@@ -15,7 +15,7 @@ from trajopt.mpc.commands import Command, CommandScript
 from trajopt.mpc.controller import Controller
 from trajopt.mpc.drive_report import command_errors
 from trajopt.mpc.hidden_ground import AHEAD, boxes_ahead, slope_ahead
-from trajopt.mpc.lockstep import Drive, drive
+from trajopt.mpc.lockstep import DrivenMotion, drive
 from trajopt.mpc.payload import carrying, payload_numbers
 from trajopt.mpc.planner import PlannerSettings
 from trajopt.mpc.receding import ControllerSettings
@@ -42,11 +42,11 @@ def go2() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def walk(go2: Robot) -> Drive:
+def walk(go2: Robot) -> DrivenMotion:
     return drive(go2, SCRIPT, duration=2.0)
 
 
-def test_a_robot_moves_as_commanded_and_does_not_fall(walk: Drive) -> None:
+def test_a_robot_moves_as_commanded_and_does_not_fall(walk: DrivenMotion) -> None:
     report = walk.report
     assert report.passed
     assert report.simulated == pytest.approx(2.0)
@@ -60,7 +60,7 @@ def test_a_robot_moves_as_commanded_and_does_not_fall(walk: Drive) -> None:
 
 
 def test_a_drive_is_the_same_each_time_bit_by_bit_with_a_controller_of_ones_own_too(
-    walk: Drive, go2: Robot
+    walk: DrivenMotion, go2: Robot
 ) -> None:
     again = drive(go2, SCRIPT, duration=0.6, controller=Controller(go2))
     for name in ("qpos", "qvel", "torque", "force"):
@@ -106,7 +106,7 @@ def test_durations_that_are_free_change_with_a_push(go2: Robot) -> None:
     assert abs(pushed - steady) > 0.05
 
 
-def test_speeds_are_those_of_the_base(walk: Drive) -> None:
+def test_speeds_are_those_of_the_base(walk: DrivenMotion) -> None:
     q, period = walk.record.qpos, walk.reference.period
     assert walk.velocity.shape == walk.commanded.shape == (2000, 3)
     moved = np.linalg.norm(np.diff(q[:, :2], axis=0), axis=1) / period
@@ -115,7 +115,7 @@ def test_speeds_are_those_of_the_base(walk: Drive) -> None:
     np.testing.assert_array_equal(walk.commanded[200:], [[SPEED, 0.0, TURN]] * 1800)
 
 
-def test_the_report_is_json_with_the_commands(walk: Drive) -> None:
+def test_the_report_is_json_with_the_commands(walk: DrivenMotion) -> None:
     figures = json.loads(json.dumps(walk.report.to_dict()))
     assert figures["passed"] is True
     assert figures["plans"] == 200
@@ -126,7 +126,7 @@ def test_the_report_is_json_with_the_commands(walk: Drive) -> None:
     assert walk.report.table().endswith("it did not fall")
 
 
-def test_the_motion_is_a_solution(walk: Drive, tmp_path: Path) -> None:
+def test_the_motion_is_a_solution(walk: DrivenMotion, tmp_path: Path) -> None:
     found = Solution.load(walk.as_solution().save(tmp_path / "run.npz"))
     assert found.success
     assert found.statistics.simulated
@@ -139,7 +139,7 @@ def test_the_motion_is_a_solution(walk: Drive, tmp_path: Path) -> None:
     assert (stands < 0.9).all()
 
 
-def test_a_push_moves_the_base_to_its_side(walk: Drive, go2: Robot) -> None:
+def test_a_push_moves_the_base_to_its_side(walk: DrivenMotion, go2: Robot) -> None:
     size, time = 8.0, 0.1
     push = Impulse(direction=math.pi / 2, size=size, time=time, duration=0.02)
     pushed = drive(go2, SCRIPT, duration=0.4, pushes=[push])
@@ -225,7 +225,7 @@ def test_swings_about_a_command_are_no_error_of_the_mean() -> None:
             {"ground": PiecewiseTerrain.stairs(0.1, 0.3, 2)},
             "not at the height 0 where the robot stands",
         ),
-        ("go2", {"friction_scale": -1.0}, "friction_scale of a simulation is -1"),
+        ("go2", {"friction_scale": -1.0}, "friction_scale of SimulationSettings is -1.0"),
         ("go2", {"settings": ControllerSettings(live=True)}, "settings of drive are live"),
         ("go2", {"duration": 1e4}, "a simulation of 1e+07 periods of its controller; allowed: 200000"),
         (

@@ -9,9 +9,8 @@ import pytest
 
 import trajopt
 from tests.support.ground import HILLS, STAIRS
-from tests.support.swings import BALL, FAR, MARGIN, past, rods, swing
+from tests.support.swings import BALL, FAR, MARGIN, ROD_CAPSULES, past, rods, swing
 from trajopt.collision.description import robot_shapes, sampled_postures
-from trajopt.collision.link_capsules import robot_capsules
 from trajopt.collision.near import GROUND
 from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.errors import InputError
@@ -105,9 +104,9 @@ def test_shapes_given_by_hand_replace_those_of_the_description():
     robot = replace(rods(), reference=np.array([0.0, 1.0, 1.0]))
     problem = past(swing(robot=robot), BALL, self_collision=True)
     assert bodies_of(problem).scene.self_pairs == (("joint0", "joint2"),)
-    capsules = robot_capsules(robots.load("solo12"))
-    given = bodies_of(standing(clearance=Clearance(shapes=capsules, self_collision=False)))
-    assert given.scene.shapes == capsules
+    shapes = robot_shapes(robots.load("solo12")).shapes[:4]
+    given = bodies_of(standing(clearance=Clearance(shapes=shapes, self_collision=False)))
+    assert given.scene.shapes == shapes
 
 
 def test_robot_without_shapes_has_no_pairs():
@@ -119,7 +118,7 @@ def test_robot_without_shapes_has_no_pairs():
 
 def test_ground_is_not_solid_to_a_pendulum():
     assert bodies_of(past(swing(), BALL)).scene.n_ground == 0
-    raised = tuple(replace(s, points=s.points + 0.1 * np.eye(3)[2]) for s in robot_capsules(rods()))
+    raised = tuple(replace(s, points=s.points + 0.1 * np.eye(3)[2]) for s in ROD_CAPSULES)
     higher = swing(end=np.array([0.6, 0.0, 0.0]))
     assert bodies_of(past(higher, FAR, shapes=raised)).scene.n_ground == len(raised)
 
@@ -134,7 +133,7 @@ def test_start_too_near_an_obstacle_is_refused_in_one_line():
 def beside_the_start(gap: float) -> Problem:
     """The swing beside a ball that is ``gap`` m from the last rod at the start."""
     problem = swing()
-    (rod,) = (shape for shape in robot_capsules(problem.robot) if shape.name == "joint2")
+    (rod,) = (shape for shape in ROD_CAPSULES if shape.name == "joint2")
     middle = np.array([np.sin(-0.3), 0.0, np.cos(-0.3)]) * 1.25
     centre = middle + (rod.radius + 0.1 + gap) * np.array([0.0, 1.0, 0.0])
     return past(problem, SphereObstacle(name="near", centre=centre, radius=0.1))
@@ -164,7 +163,7 @@ def test_final_configuration_in_an_obstacle_is_refused_in_one_line():
 def test_final_configuration_may_be_as_near_as_a_look_allows_and_no_nearer():
     def above_the_ball(gap: float) -> Problem:
         problem = swing(end=np.array([np.pi / 2, 0.0, 0.0]))
-        thickness = next(s.radius for s in robot_capsules(problem.robot) if s.name == "joint2")
+        thickness = next(s.radius for s in ROD_CAPSULES if s.name == "joint2")
         centre = np.array([1.25, 0.0, -(thickness + 0.1 + gap)])
         return past(problem, SphereObstacle(name="near", centre=centre, radius=0.1))
 
@@ -200,7 +199,7 @@ def test_posture_of_a_landing_is_judged_by_its_links_alone():
 
 def test_position_of_a_link_in_an_obstacle_is_refused_however_it_turns():
     """The last joint lies in its own link, a capsule: as deep as that is thick."""
-    (thickness,) = (s.radius for s in robot_capsules(rods()) if s.name == "joint2")
+    (thickness,) = (s.radius for s in ROD_CAPSULES if s.name == "joint2")
 
     def at(gap: float) -> FramePose:
         return FramePose(frame="joint2", position=LYING.centre + (LYING.radius + gap) * np.eye(3)[2])
@@ -226,7 +225,7 @@ def test_waypoint_in_an_obstacle_is_refused():
 
 
 def test_rotation_alone_and_frames_without_shapes_are_not_judged():
-    shapes = tuple(shape for shape in robot_capsules(rods()) if shape.name != "joint2")
+    shapes = tuple(shape for shape in ROD_CAPSULES if shape.name != "joint2")
     inside = FramePose(frame="joint2", position=LYING.centre)
     assert bodies_of(ending(inside, shapes=shapes)).pairs
     assert bodies_of(ending(FramePose(frame="joint2", rotation=np.eye(3)))).pairs

@@ -105,7 +105,7 @@ def test_motion_that_knows_no_obstacle_collides():
 
 def test_arm_has_the_shapes_of_its_description_or_capsules():
     assert bodies("ur5").scene.shapes == robot_shapes(problem("ur5").robot).shapes
-    assert {shape.kind for shape in bodies("irb1600").scene.shapes} == {"capsule", "sphere"}
+    assert {shape.kind for shape in bodies("irb1600").scene.shapes} == {"capsule"}
 
 
 def test_obstacles_scale_with_the_arm():

@@ -104,11 +104,14 @@ def test_the_state_that_a_controller_gets_is_its_own(reach: Solution) -> None:
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"controller": "pid"}, "controller of a simulation is 'pid'; .*joints, whole-body"),
-        ({"controller": 3}, "controller of a simulation is 3; .*torque"),
-        ({"controller": Springs}, "controller of a simulation is .*an object with torque"),
-        ({"gains": TrackerGains()}, "gains of a simulation .*'joints'; allowed: .*'whole-body'"),
-        ({"gains": 8.0, "controller": "whole-body"}, "gains of a simulation is 8.0; allowed: a TrackerGains"),
+        ({"controller": "pid"}, "controller of SimulationSettings is 'pid'; .*joints, whole-body"),
+        ({"controller": 3}, "controller of SimulationSettings is 3; .*TorqueController"),
+        ({"controller": Springs}, "controller of SimulationSettings is .*TorqueController"),
+        ({"gains": TrackerGains()}, "gains of SimulationSettings .*'joints'; allowed: .*'whole-body'"),
+        (
+            {"gains": 8.0, "controller": "whole-body"},
+            "gains of SimulationSettings is 8.0; .*TrackerGains",
+        ),
     ],
 )
 def test_settings_of_controllers_are_checked(reach: Solution, settings: dict[str, Any], said: str) -> None:
@@ -118,7 +121,7 @@ def test_settings_of_controllers_are_checked(reach: Solution, settings: dict[str
 
 
 def test_settings_of_other_controllers_are_refused(reach: Solution) -> None:
-    with pytest.raises(InputError, match=r"kp of a simulation is 2.*controller Springs"):
+    with pytest.raises(InputError, match=r"kp of SimulationSettings is 2.*controller Springs"):
         simulate(reach, controller=Springs(reach), kp=2.0)
 
 

@@ -223,22 +223,45 @@ def test_links_of_a_leg_have_the_ground_of_its_foot(stand: Solution) -> None:
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        ({"sensor_noise": -1.0}, "sensor_noise of a simulation is -1; allowed: 0 to 1"),
-        ({"delay": 101}, "delay of a simulation is 101; allowed: 0 to 100"),
-        ({"delay": 1.5}, "delay of a simulation is 1.5; allowed: a whole number >= 0"),
-        ({"torque_step": -1.0}, "torque_step of a simulation is -1; allowed: 0 to 1e+06"),
-        ({"torque_rate": math.inf}, "torque_rate of a simulation is inf; allowed: a finite number"),
-        ({"com_offset": 0.02}, "com_offset of a simulation is 0.02; allowed: three numbers, m"),
-        ({"com_offset": (0, 0)}, "com_offset of a simulation is (0, 0); allowed: three numbers, m"),
-        ({"com_offset": (0, 99, 0)}, "y of com_offset of a simulation is 99; allowed: -10 to 10"),
-        ({"ground_offsets": 0.02}, "ground_offsets of a simulation is 0.02; allowed: m by contact frame"),
+        (
+            {"sensor_noise": -1.0},
+            "sensor_noise of SimulationSettings is -1.0; allowed: a finite number from 0 to 1",
+        ),
+        ({"delay": 101}, "delay of SimulationSettings is 101; allowed: a whole number from 0 to 100"),
+        ({"delay": 1.5}, "delay of SimulationSettings is 1.5; allowed: a whole number from 0 to 100"),
+        (
+            {"torque_step": -1.0},
+            "torque_step of SimulationSettings is -1.0; allowed: a finite number from 0 to 1e+06",
+        ),
+        (
+            {"torque_rate": math.inf},
+            "torque_rate of SimulationSettings is inf; allowed: a finite number from 0 to 1e+12",
+        ),
+        (
+            {"com_offset": 0.02},
+            "com_offset of SimulationSettings is 0.02; allowed: 3, each a finite number from -10 to 10",
+        ),
+        (
+            {"com_offset": (0, 0)},
+            "com_offset of SimulationSettings is (0, 0); allowed: 3, each a finite number from -10 to 10",
+        ),
+        (
+            {"com_offset": (0, 99, 0)},
+            "com_offset[1] of SimulationSettings is 99; allowed: a finite number from -10 to 10",
+        ),
+        (
+            {"ground_offsets": 0.02},
+            "ground_offsets of SimulationSettings is 0.02; "
+            "allowed: a mapping of a string to a finite number from -10 to 10",
+        ),
         (
             {"ground_offsets": {"FL_FOOT": "high"}},
-            "ground_offsets of a simulation for 'FL_FOOT' is 'high'; allowed: a finite number",
+            "ground_offsets['FL_FOOT'] of SimulationSettings is 'high'; "
+            "allowed: a finite number from -10 to 10",
         ),
         (
             {"ground_offsets": {"FL": 0.02}},
-            "ground_offsets of a simulation for 'FL'; allowed: FL_FOOT, FR_FOOT, HL_FOOT, HR_FOOT",
+            "ground_offsets of SimulationSettings for 'FL'; allowed: FL_FOOT, FR_FOOT, HL_FOOT, HR_FOOT",
         ),
     ],
 )
@@ -267,5 +290,5 @@ def test_the_command_takes_all_of_them(stand: Solution, tmp_path: Path) -> None:
     offset = ("--ground-offset", f"{frame}=high")
     assert_refused(invoke("simulate", file, *offset), f"--ground-offset for '{frame}' is 'high'")
     assert_refused(
-        invoke("simulate", file, "--ground-offset", "x=1"), "ground_offsets of a simulation for 'x'"
+        invoke("simulate", file, "--ground-offset", "x=1"), "ground_offsets of SimulationSettings for 'x'"
     )

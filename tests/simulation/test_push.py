@@ -177,7 +177,7 @@ def test_bad_input_is_one_line(stand: Solution) -> None:
     arm = robots.load("ur5")
     with pytest.raises(InputError, match="a push on the base, which is fixed"):
         largest_pushes(sampled(arm, [arm_motion(arm)], 4))
-    with pytest.raises(InputError, match="impulse of a simulation is 3"):
+    with pytest.raises(InputError, match="impulse of SimulationSettings is 3"):
         simulate(stand, impulse=3)
     late = Impulse(direction=0.0, size=1.0, time=9.0, duration=0.02)
     with pytest.raises(InputError, match="an impulse at 9 s is after the simulation"):

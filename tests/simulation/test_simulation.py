@@ -337,11 +337,20 @@ def test_half_a_cycle_is_followed_by_its_mirror_image():
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        ({"timestep": 0.0}, "timestep of a simulation is 0; allowed: 1e-09 to 0.01"),
-        ({"kp": -1.0}, "kp of a simulation is -1; allowed: 0 to 1e+06"),
-        ({"push": 1e300}, "push of a simulation is 1e+300; allowed: -1e+09 to 1e+09"),
-        ({"mass_scale": float("nan")}, "mass_scale of a simulation is nan; allowed: a finite number"),
-        ({"cycles": 0}, "cycles of a simulation is 0; allowed: a whole number >= 1"),
+        (
+            {"timestep": 0.0},
+            "timestep of SimulationSettings is 0.0; allowed: a finite number from 1e-09 to 0.01 or None",
+        ),
+        ({"kp": -1.0}, "kp of SimulationSettings is -1.0; allowed: a finite number from 0 to 1e+06"),
+        (
+            {"push": 1e300},
+            "push of SimulationSettings is 1e+300; allowed: a finite number from -1e+09 to 1e+09",
+        ),
+        (
+            {"mass_scale": float("nan")},
+            "mass_scale of SimulationSettings is nan; allowed: a finite number from 1e-06 to 1e+06",
+        ),
+        ({"cycles": 0}, "cycles of SimulationSettings is 0; allowed: a whole number >= 1"),
         ({"cycles": 2}, "the solution is not periodic; allowed: --cycles 1"),
         (
             {"gain": 2.0},
@@ -349,8 +358,8 @@ def test_half_a_cycle_is_followed_by_its_mirror_image():
             "mass_scale, noise, seed, cycles, push, rolling, controller, gains, qp_solver, impulse, "
             "sensor_noise, delay, torque_step, torque_rate, com_offset, ground_offsets",
         ),
-        ({"rolling": 1}, "rolling of a simulation is 1; allowed: True, False or None"),
-        ({"noise": "much"}, "noise of a simulation is 'much'; allowed: a finite number"),
+        ({"rolling": 1}, "rolling of SimulationSettings is 1; allowed: True or False or None"),
+        ({"noise": "much"}, "noise of SimulationSettings is 'much'; allowed: a finite number from 0 to 1"),
     ],
 )
 def test_wrong_settings_are_refused_in_one_line(settings, line, stand):

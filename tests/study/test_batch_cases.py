@@ -10,7 +10,7 @@ import pytest
 from tests.support import batch_problems
 from tests.support.packages import installed
 from tests.support.refusals import assert_refused_in_one_line
-from trajopt.study.batch.neighbours import StartTree
+from trajopt.study.batch.engine import StartTree
 from trajopt.study.batch.variation import BatchCase, batch_cases, checked_cases
 
 SWING = "t-swing"

@@ -9,9 +9,9 @@ import pytest
 
 from tests.support.problems import hop, reach
 from trajopt.errors import InputError
-from trajopt.study.sweep.pareto import dominators, front
 from trajopt.study.sweep.plan import OTHER_SCHEMES, make_plan, own_setting
 from trajopt.study.sweep.setting import WORDS, Setting
+from trajopt.study.sweep.summary import dominators, front
 from trajopt.study.sweep.variants import cone_of, with_cone
 from trajopt.terms import FrictionCone, FrictionPyramid
 

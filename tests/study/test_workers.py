@@ -25,7 +25,7 @@ from trajopt.study.runner import (
     REFUSED,
     TIME_LIMIT,
     NotRunError,
-    Task,
+    TimedCall,
     limited,
     run_tasks,
 )
@@ -258,14 +258,14 @@ def test_no_task_outlives_the_process_that_waits(tmp_path: Path):
 # The loop
 
 
-def made(name: str) -> Task:
+def made(name: str) -> TimedCall:
     """A task by what becomes of it."""
     functions = {"refuse": refuse, "fail": fail, "hang": time.sleep, "left out": abs}
     if name == "left out":
         raise NotRunError("not wanted")
     args = (3600,) if name == "hang" else () if name in functions else (-1,)
     limit = SHORT if name == "hang" else WAIT
-    return Task(name=name, limit=limit, function=functions.get(name, abs), args=args)
+    return TimedCall(name=name, limit=limit, function=functions.get(name, abs), args=args)
 
 
 @pytest.mark.parametrize("make", [lambda: ProcessPerTaskExecutor(2), lambda: ThreadPoolExecutor(2)])
@@ -350,3 +350,32 @@ def test_a_terminal_shows_what_runs_and_keeps_the_lines():
     assert "0/2" in plain or "1/3" in plain
     assert "first: solved" in plain
     assert "a note" in plain
+
+
+UNGUARDED = """
+import trajopt
+from trajopt.discovery import discover
+from trajopt.study import batch_cases
+
+{call}
+"""
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        'trajopt.batch(batch_cases("hopper-hop", vary=["distance=0.2,0.3"]), "out", jobs=2)',
+        'discover(trajopt.load("hopper-hop"), jobs=2, most=1, keep=1)',
+    ],
+    ids=["batch", "discover"],
+)
+def test_a_script_without_a_main_guard_gets_one_error(call: str, tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED.format(call=call), encoding="utf-8")
+    command = [sys.executable, str(script)]
+    ended = subprocess.run(
+        command, cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=WAIT
+    )
+    assert ended.returncode == 1
+    assert ended.stderr.count("Traceback") == 1
+    assert ended.stderr.splitlines()[-1].endswith('allowed: start them below `if __name__ == "__main__":`')

@@ -13,8 +13,8 @@ from trajopt import solve
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
 from trajopt.view.plotting.figure import figure_of
-from trajopt.view.plotting.summary import pages_of
 from trajopt.view.plotting.track import Track, tracks_of
+from trajopt.view.plotting.writing import pages_of
 from trajopt_library import robots
 
 

@@ -6,8 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-from trajopt.collision.link_capsules import robot_capsules
-from trajopt.collision.shapes import CapsuleObstacle, Obstacle, SphereObstacle
+from trajopt.collision.shapes import CapsuleObstacle, LinkShape, Obstacle, SphereObstacle
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
@@ -17,10 +16,15 @@ from trajopt.terms import AccelerationCost, Clearance, TerminalRest, TerminalSta
 from trajopt.terrain.flat import FlatGround
 from trajopt_library.problems.common import PosturePath
 
-LINK, DURATION, MARGIN = 0.5, 1.5, 0.02  # m, s, m
+LINK, SIDE, DURATION, MARGIN = 0.5, 0.06, 1.5, 0.02  # m, m, s, m
 START, END = np.array([-0.3, 0.0, 0.0]), np.array([1.2, 0.0, 0.0])
 
 BALL = SphereObstacle(name="ball", centre=[0.69, 0.0, 1.443], radius=0.1)
+# Capsules around the rods.
+ROD_CAPSULES = tuple(
+    LinkShape.capsule(name, name, np.zeros(3), [0.0, 0.0, LINK], SIDE / np.sqrt(2))
+    for name in ("joint0", "joint1", "joint2")
+)
 # In the middle of the way, where a link in a hurry may pass it between two points.
 POLE = SphereObstacle(name="pole", centre=[0.55, 0.0, 1.15], radius=0.1)
 FAR = CapsuleObstacle(name="far", start=[-3.0, 0.0, 0.0], end=[-3.0, 0.0, 1.0], radius=0.1)
@@ -33,7 +37,7 @@ def rods() -> Robot:
     for i in range(3):
         place = pin.SE3(np.eye(3), np.array([0.0, 0.0, LINK if i else 0.0]))
         parent = model.addJoint(parent, pin.JointModelRY(), place, f"joint{i}")
-        rod = pin.Inertia.FromBox(1.0, 0.06, 0.06, LINK)
+        rod = pin.Inertia.FromBox(1.0, SIDE, SIDE, LINK)
         rod.lever = np.array([0.0, 0.0, LINK / 2])
         model.appendBodyToJoint(parent, rod, pin.SE3.Identity())
         model.addJointFrame(parent)
@@ -62,7 +66,7 @@ def swing(start: np.ndarray = START, end: np.ndarray = END, **changes: object) -
 
 def past(problem: Problem, *obstacles: Obstacle, **changes: object) -> Problem:
     """The problem, its links as capsules clear of obstacles; of each other too with ``self_collision``."""
-    given = {"shapes": robot_capsules(problem.robot), "margin": MARGIN, "self_collision": False}
+    given = {"shapes": ROD_CAPSULES, "margin": MARGIN, "self_collision": False}
     return replace(problem, terms=(*problem.terms, Clearance(obstacles=obstacles, **(given | changes))))
 
 

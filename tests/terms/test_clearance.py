@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from tests.support.replay_pages import objects_of, placements_of, shown
-from tests.support.swings import BALL, FAR, MARGIN, POLE, avoided, past, rods, swing
+from tests.support.swings import BALL, FAR, MARGIN, POLE, ROD_CAPSULES, avoided, past, swing
 from tests.support.synthetic_motions import with_meta
 from trajopt.certify.check import check
-from trajopt.collision.link_capsules import robot_capsules
 from trajopt.collision.near import CollisionScene
 from trajopt.collision.shapes import LinkShape
 from trajopt.errors import InputError
@@ -64,7 +63,7 @@ def test_file_without_margins_is_judged_by_contact_alone():
 
 def test_motion_at_less_than_the_margin_is_no_success():
     """The links pass beside a ball at half the margin, and can do nothing about it in their plane."""
-    thickness = max(shape.radius for shape in robot_capsules(rods()))
+    thickness = max(shape.radius for shape in ROD_CAPSULES)
     beside = replace(POLE, centre=POLE.centre + np.array([0.0, thickness + POLE.radius + MARGIN / 2, 0.0]))
     draft = solve_graded(past(swing(), beside), draft=True)
     assert draft.converged

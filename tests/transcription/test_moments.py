@@ -15,7 +15,7 @@ from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms.moments import ForceSide, JointSide, LinkDistance, MomentConstraint, PlaneSide
-from trajopt.transcription.moment_rows import moments_by_stage
+from trajopt.transcription.transcription import moments_by_stage
 
 # The file's motion is the transcription's own interpolant: rounding, in natural units.
 ROUNDING = 1e-9

@@ -25,9 +25,8 @@ from trajopt.solution.solution import Solution
 from trajopt.view.plotting import style
 from trajopt.view.plotting.figure import figure_of
 from trajopt.view.plotting.joints import limbs_of
-from trajopt.view.plotting.summary import PAGES, pages_of
 from trajopt.view.plotting.track import Track, tracks_of
-from trajopt.view.plotting.writing import write_plots
+from trajopt.view.plotting.writing import PAGES, pages_of, write_plots
 
 # CIE 1976 distance of two colours: about 2.3 is a just noticeable difference, 15 is told apart at a glance.
 APART = 15.0

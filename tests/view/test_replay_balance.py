@@ -13,7 +13,7 @@ from trajopt.motion.samples import sample_quantities
 from trajopt.robot.payload import Payload, loaded, loaded_model
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
-from trajopt.view.replay.balance import SUPPORT_LIFT, Balance, balance_of, on_ground, outer_wrenches
+from trajopt.view.replay.balance import SUPPORT_LIFT, BalanceTrack, balance_of, on_ground, outer_wrenches
 from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.scene import build_scene
 from trajopt_library import robots
@@ -33,7 +33,7 @@ def rising() -> Solution:
     return sampled(robot, [pushing_off(robot)], INTERVALS)
 
 
-def balance(solution: Solution) -> Balance:
+def balance(solution: Solution) -> BalanceTrack:
     motion = replay_motion(solution)
     return balance_of(solution, motion)
 

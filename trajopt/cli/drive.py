@@ -25,7 +25,7 @@ from trajopt.solution.output import check_apart, check_solution_output
 
 if TYPE_CHECKING:
     from trajopt.collision import Obstacle
-    from trajopt.mpc.lockstep import Drive
+    from trajopt.mpc.lockstep import DrivenMotion
     from trajopt.robot.robot import Robot
     from trajopt.simulation.settings import Impulse
     from trajopt.terrain.piecewise import PiecewiseTerrain
@@ -140,7 +140,7 @@ def drive_command(
 
     loaded = load(robot)
     driving = busy(f"driving {loaded.name} in MuJoCo by {script}")
-    driven: ArmDrive | Drive
+    driven: ArmDrive | DrivenMotion
     if loaded.base == "fixed":
         for name in ON_LEGS:
             if is_given(name):

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
-from trajopt.collision.hulls import read_shapes
+from trajopt.collision.hulls import joint_frame, read_shapes
 from trajopt.collision.near import CollisionScene, ShapePair
 from trajopt.collision.shapes import LinkShape, Obstacle
 from trajopt.dynamics.base_joint import BASE_ROWS
@@ -133,11 +133,11 @@ def robot_shapes(robot: Robot) -> RobotShapes:
     or in almost all of a sample of postures within the limits. Nothing is random beyond a fixed seed, and a
     robot of the same content is not read again.
     """
-    return _robot_shapes(_Keyed(_content(robot), robot))
+    return _robot_shapes(_KeyedRobot(_content(robot), robot))
 
 
 @dataclass(frozen=True)
-class _Keyed:
+class _KeyedRobot:
     """A robot that is equal to another of the same content."""
 
     content: tuple[object, ...]
@@ -153,7 +153,7 @@ def _content(robot: Robot) -> tuple[object, ...]:
 
 
 @lru_cache(maxsize=MOST_ROBOTS)
-def _robot_shapes(keyed: _Keyed) -> RobotShapes:
+def _robot_shapes(keyed: _KeyedRobot) -> RobotShapes:
     robot = keyed.robot
     if robot.visual is None:
         return RobotShapes()
@@ -269,3 +269,21 @@ def sampled_postures(robot: Robot, count: int) -> np.ndarray:
             upper[rows] = np.minimum(robot.position_upper[entries] - at, free)
     steps = random.uniform(lower, upper, (count, robot.nv))
     return np.array([pin.integrate(model, robot.reference, step) for step in steps])
+
+
+def inertia_capsules(model: pin.Model) -> tuple[LinkShape, ...]:
+    """Capsules around the solid boxes with the masses and inertias of the links: for a robot without shapes.
+
+    I_1 = m (b^2 + c^2) / 12, and so on. A hollow link's box is larger than the link.
+    """
+    capsules = []
+    for joint in range(1, model.njoints):
+        inertia, frame = model.inertias[joint], joint_frame(model, joint)
+        moments, axes = np.linalg.eigh(inertia.inertia)  # ascending: the longest side first
+        sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / (inertia.mass or np.inf), 0.0))
+        if sides[0] > 0:
+            within = model.frames[model.getFrameId(frame)].placement
+            start, end = (within.actInv(inertia.lever + half * sides[0] * axes[:, 0]) for half in (-0.5, 0.5))
+            radius = float(np.linalg.norm(sides[1:])) / 2
+            capsules.append(LinkShape.capsule(str(model.names[joint]), frame, start, end, radius))
+    return tuple(capsules)

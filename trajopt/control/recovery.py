@@ -8,20 +8,22 @@ else diagonal pairs of feet swing in turn, until they can (Koolen et al., IJRR 3
 from __future__ import annotations
 
 import copy
+import itertools
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
-from trajopt.control.falling import FallingMass
 from trajopt.control.footholds import FootholdOffsets
 from trajopt.control.measured_contacts import DEEPEST, LOST, PRESSED
 from trajopt.control.plan_targets import PlanTargets
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import LOWEST
-from trajopt.control.support_polygon import SupportPolygon
-from trajopt.control.swing_legs import SwingLeg, diagonal_pairs, swing_leg
 from trajopt.control.swing_tasks import level_footholds
+from trajopt.dynamics.base_joint import position_limits
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP
@@ -304,3 +306,142 @@ def _feet_of(
     ):
         return [], ()
     return feet.tolist(), diagonal_pairs(feet, targets.position[-1, feet])
+
+
+# Motion grows by at most exp of this: the pendulum is linear.
+MOST_GROWTH = 2.0
+
+
+@dataclass(frozen=True)
+class FallingMass:
+    """The centre of mass over level ground: place (2,) m, velocity (2,) m/s, and w = sqrt(g / h), 1/s."""
+
+    place: np.ndarray
+    velocity: np.ndarray
+    rate: float
+
+    @property
+    def capture(self) -> np.ndarray:
+        """The capture point (2,), c + dc / w: with the centre of pressure there it comes to rest there."""
+        return np.asarray(self.place + self.velocity / self.rate)
+
+    def acceleration(self, pressure: np.ndarray) -> np.ndarray:
+        """w^2 (c - p) (2,) over a centre of pressure (2,)."""
+        return np.asarray(self.rate**2 * (self.place - pressure))
+
+    def after(self, time: float, pressure: np.ndarray | None) -> FallingMass:
+        """After some time over a centre of pressure (2,), or thrown where there is none."""
+        if pressure is None:
+            return FallingMass(self.place + time * self.velocity, self.velocity, self.rate)
+        angle = min(self.rate * time, MOST_GROWTH)
+        grown, turned, beside = np.cosh(angle), np.sinh(angle), self.place - pressure
+        return FallingMass(
+            pressure + grown * beside + turned / self.rate * self.velocity,
+            self.rate * turned * beside + grown * self.velocity,
+            self.rate,
+        )
+
+    def holding(self, middle: np.ndarray, gain: float) -> np.ndarray:
+        """Centre of pressure (2,) that brings the capture point to ``middle`` (2,) at the rate gain * w."""
+        return np.asarray(self.capture + gain * (self.capture - middle))
+
+
+# Corners that turn by less than this (m^2, twice the area of the triangle) are on one line.
+STRAIGHT = 1e-9
+
+
+class SupportPolygon:
+    """Convex hull of points (n, 2 or more) in the level plane; also of one or two, or of points on a line.
+
+    corners: (m, 2) of the hull, counter-clockwise.
+    """
+
+    def __init__(self, points: np.ndarray) -> None:
+        places = sorted({(float(point[0]), float(point[1])) for point in points})
+        lower, upper = _chain(places), _chain(places[::-1])
+        self.corners = np.array(places if len(places) < 3 else lower[:-1] + upper[:-1])
+
+    def nearest(self, point: np.ndarray) -> np.ndarray:
+        """The point (2,) of the hull that is nearest to a point (2,)."""
+        if self.outside(point) <= 0:
+            return np.array(point[:2])
+        feet = [_nearest_on(first, second, point) for first, second in self._edges()]
+        return min(feet, key=lambda foot: math.hypot(*(foot - point[:2])))
+
+    def outside(self, point: np.ndarray) -> float:
+        """Distance of a point (2,) from the hull, m; inside that from its nearest edge, negative."""
+        edges = self._edges()
+        if len(self.corners) > 2:
+            inside = min(_left_of(first, second, point) for first, second in edges)
+            if inside >= 0:
+                return -inside
+        return min(math.hypot(*(_nearest_on(first, second, point) - point[:2])) for first, second in edges)
+
+    def _edges(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return list(zip(self.corners, np.roll(self.corners, -1, axis=0), strict=True))
+
+
+def _chain(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """One side of the hull of points in lexicographic order (Andrew, Inf. Proc. Letters 9, 1979)."""
+    chain: list[tuple[float, float]] = []
+    for point in points:
+        while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= STRAIGHT:
+            chain.pop()
+        chain.append(point)
+    return chain
+
+
+def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _left_of(first: np.ndarray, second: np.ndarray, point: np.ndarray) -> float:
+    """Distance of a point to the left of an edge, m."""
+    return _turn(tuple(first), tuple(second), tuple(point)) / max(math.hypot(*(second - first)), 1e-12)
+
+
+def _nearest_on(first: np.ndarray, second: np.ndarray, point: np.ndarray) -> np.ndarray:
+    along = second - first
+    length = float(along @ along)
+    share = 0.0 if length == 0 else float((point[:2] - first) @ along) / length
+    return np.asarray(first + min(1.0, max(0.0, share)) * along)
+
+
+# Angles of each joint that are tried for the longest leg; with an odd number also the middle of its range.
+ANGLES = 9
+# Joints of a leg beyond its hip that are tried: the reach of longer legs is that of their last ones.
+TRIED = 3
+
+
+@dataclass(frozen=True)
+class SwingLeg:
+    """A leg: its hip, the first actuated joint on the way to its foot, and the foot's largest distance, m."""
+
+    hip: int
+    reach: float
+
+
+def swing_leg(model: pin.Model, frame: int, actuated_rows: np.ndarray) -> SwingLeg:
+    """The leg that moves a frame of the model, by trying angles within the ranges of its joints."""
+    way = [
+        joint
+        for joint in list(model.supports[model.frames[frame].parentJoint])[1:]
+        if model.joints[joint].idx_v in actuated_rows
+    ]
+    hip, turned = int(way[0]), way[1:][-TRIED:]
+    lower, upper = position_limits(model)
+    rows = [model.joints[joint].idx_q for joint in turned]
+    ranges = [np.linspace(max(lower[row], -np.pi), min(upper[row], np.pi), ANGLES) for row in rows]
+    data, q, longest = model.createData(), pin.neutral(model), 0.0
+    for angles in itertools.product(*ranges):
+        q[rows] = angles
+        pin.framesForwardKinematics(model, data, q)
+        longest = max(longest, float(np.linalg.norm(data.oMf[frame].translation - data.oMi[hip].translation)))
+    return SwingLeg(hip, longest)
+
+
+def diagonal_pairs(feet: np.ndarray, places: np.ndarray) -> tuple[tuple[int, ...], ...]:
+    """The two diagonals of four feet (4,), by their places (4, 2 or more)."""
+    beside = places[:, :2] - places[:, :2].mean(axis=0)
+    around = feet[np.argsort(np.arctan2(beside[:, 1], beside[:, 0]))].tolist()
+    return (around[0], around[2]), (around[1], around[3])

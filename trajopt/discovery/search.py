@@ -21,8 +21,9 @@ from trajopt.problem.problem import Problem
 from trajopt.solvers.status import Status
 from trajopt.solving.graded import MOST_ROUNDS
 from trajopt.study.cluster import chosen_cluster
-from trajopt.study.runner import DONE, Task, run_tasks
+from trajopt.study.runner import DONE, TimedCall, run_tasks
 from trajopt.study.workers.executor import processors
+from trajopt.study.workers.task import end_unguarded_import
 
 SEEDS, MOST, MAX_TIME, KEEP, EFFORT = 4, 12, 30.0, 3, 15.0
 # Solves at a time on a cluster; known schedules and neighbours that are screened at a time.
@@ -84,12 +85,13 @@ def discover(
             "nothing is proposed or solved",
             "allowed: seeds or known ones, most >= 1, keep >= 1, max_time > 0, effort > 0",
         )
+    end_unguarded_import()
     task = problem if isinstance(problem, ContactTask) else ContactTask.of(problem)
     records = Records(task, folder, resume=resume)
     done = {each.source for each in records.candidates}
     with _workers(jobs, scheduler, BESIDE * max_time) as run:
         wave = AHEAD if scheduler is not None else processors() if jobs is None else jobs
-        search = _Search(task, records, run, wave, keep, most, effort, max_time, told)
+        search = _ScheduleSearch(task, records, run, wave, keep, most, effort, max_time, told)
         seed = deque(each for each in range(seeds) if relaxed_name(each) not in done)
         search.tried(search.relaxed([seed.popleft()] if seed else []))
         names = search.in_turn(search.ordered(known), least=AT_A_TIME)
@@ -128,7 +130,7 @@ def nearest_reached(
 
 
 @dataclass
-class _Search:
+class _ScheduleSearch:
     """Proposals that wait, the least objective on a coarse mesh first; all that were screened; attempts.
 
     given_up: what was not certified on the first meshes, with its proposal. relaxing: effort of the last
@@ -319,8 +321,8 @@ def _workers(jobs: int | None, scheduler: str | None, limit: float) -> Iterator[
         def run(
             function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
         ) -> Iterator[tuple[int, Any]]:
-            def make(index: int) -> Task:
-                return Task(name=str(index), limit=limit, function=function, args=arguments[index])
+            def make(index: int) -> TimedCall:
+                return TimedCall(name=str(index), limit=limit, function=function, args=arguments[index])
 
             waiting = deque(range(len(arguments)))
             for ended in run_tasks(

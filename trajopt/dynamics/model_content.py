@@ -45,7 +45,7 @@ def model_content(model: pin.Model) -> tuple:
 
 
 @dataclass(frozen=True)
-class _Keyed:
+class _KeyedModel:
     """A model that is equal to another of the same content."""
 
     content: tuple
@@ -56,12 +56,12 @@ def once_per_content(build: Callable[..., ca.Function]) -> Callable[..., ca.Func
     """Decorate ``build(model, *hashable)`` so that it runs once for each content of a model."""
 
     @lru_cache(maxsize=_CACHED_FUNCTIONS)
-    def built(keyed: _Keyed, *arguments: object) -> ca.Function:
+    def built(keyed: _KeyedModel, *arguments: object) -> ca.Function:
         return build(keyed.model, *arguments)
 
     @wraps(build)
     def of_model(model: pin.Model, *arguments: object) -> ca.Function:
-        return built(_Keyed(model_content(model), model), *arguments)
+        return built(_KeyedModel(model_content(model), model), *arguments)
 
     return of_model
 

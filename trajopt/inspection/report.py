@@ -1,20 +1,91 @@
 """A robot in figures: joints, limits, contacts, torques needed to stand, and likely mistakes."""
 
+from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from trajopt.collision.description import RobotShapes, robot_shapes
+from trajopt.collision.shapes import KINDS
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.model_quantities import joints_of_rows
 from trajopt.errors import InputError
 from trajopt.inspection.faults import find_faults, listed
-from trajopt.inspection.shape_facts import ShapeFacts, shape_facts
 from trajopt.inspection.standing import StandingPosture, standing_posture
-from trajopt.inspection.unused import unused_parts
+from trajopt.robot.coupling import couplings_of
 from trajopt.robot.geometry import described_geometry, mesh_vertices
 from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.mjcf import body_names, compile_mjcf, joint_names
+from trajopt.robot.mjcf_actuators import BALL, actuation_of
+from trajopt.robot.reading import require_xml
 from trajopt.robot.robot import Robot
+
+# Pairs and files that the text names for each reason; the JSON has all of them.
+NAMED = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeFacts:
+    """Shapes of a robot's links.
+
+    kinds: number of each. pairs: number of those that must not touch. left_out: the other pairs by the reason
+    for which they are not judged. missing: what could not be read. above_ground: whether the ground is solid
+    to the robot.
+    """
+
+    kinds: dict[str, int]
+    pairs: int
+    left_out: dict[str, tuple[tuple[str, str], ...]]
+    missing: tuple[str, ...]
+    above_ground: bool
+
+    def lines(self) -> list[str]:
+        """The facts as text, one a line."""
+        if not self.kinds:
+            return ["none: the size of its links is not known", *self._missing()]
+        counts = [f"{number} {_plural(kind, number)}" for kind, number in self.kinds.items()]
+        lines = [f"{', '.join(counts)}; {self.pairs} {_plural('pair', self.pairs)} must not touch"]
+        for reason, pairs in self.left_out.items():
+            named = ", ".join(f"{first} and {second}" for first, second in pairs[:NAMED])
+            more = ", ..." if len(pairs) > NAMED else ""
+            lines.append(f"{len(pairs)} {_plural('pair', len(pairs))} not judged, {reason}: {named}{more}")
+        if not self.above_ground:
+            lines.append("links reach below the base's ground in the reference posture: it is not judged")
+        return lines + self._missing()
+
+    def _missing(self) -> list[str]:
+        if not self.missing:
+            return []
+        more = ", ..." if len(self.missing) > NAMED else ""
+        return [f"{len(self.missing)} shapes cannot be read: {'; '.join(self.missing[:NAMED])}{more}"]
+
+
+def shape_facts(robot: Robot) -> ShapeFacts:
+    """Return the figures of `robot_shapes`."""
+    shapes = robot_shapes(robot)
+    counts = Counter(shape.kind for shape in shapes.shapes)
+    return ShapeFacts(
+        kinds={kind: counts[kind] for kind in KINDS if counts[kind]},
+        pairs=len(shapes.pairs),
+        left_out=_by_reason(shapes),
+        missing=shapes.missing,
+        above_ground=shapes.above_ground,
+    )
+
+
+def _by_reason(shapes: RobotShapes) -> dict[str, tuple[tuple[str, str], ...]]:
+    """Pairs by reason; the depths of overlaps are left out."""
+    reasons: dict[str, list[tuple[str, str]]] = {}
+    for pair, reason in shapes.left_out.items():
+        what = "overlap in the reference posture" if "reference" in reason else reason
+        reasons.setdefault(what, []).append(pair)
+    return {reason: tuple(pairs) for reason, pairs in reasons.items()}
+
+
+def _plural(word: str, number: int) -> str:
+    ending = "es" if word.endswith("x") else "s"
+    return word if number == 1 else word + ending
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,3 +300,35 @@ def _columns(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
         "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in (titles, *rows)
     ]
+
+
+def unused_parts(robot: Robot) -> dict[str, list[str]]:
+    """Names of parts, by what they are. Raises `InputError` for a file that cannot be read."""
+    source, moving, found = robot.visual, set(robot.model.names), dict[str, list[str]]()
+    if source is None or not source.urdf.is_file():
+        return {}
+    for coupling in couplings_of(source):
+        if not moving.intersection(coupling.needed):
+            found.setdefault("couplings of joints, which are locked", []).append(coupling.what)
+    if source.is_mjcf:
+        return found | _of_mjcf(compile_mjcf(source.urdf), {thruster.name for thruster in robot.thrusters})
+    root = require_xml(source.urdf)
+    guarded = [each for each in root.findall("joint") if each.find("safety_controller") is not None]
+    parts = {"transmissions": root.findall("transmission"), "safety controllers": guarded}
+    return found | {what: [each.get("name", "") for each in these] for what, these in parts.items()}
+
+
+def _of_mjcf(compiled: Any, thrusters: set[str]) -> dict[str, list[str]]:
+    actuation = actuation_of(compiled)
+    idle = [thruster.name for thruster in actuation.thrusters if thruster.name not in thrusters]
+    joints, bodies = np.array(joint_names(compiled)), np.array(body_names(compiled))
+    limited = (compiled.jnt_type == BALL) & compiled.jnt_limited.astype(bool)
+    return {
+        "actuators other than of hinges, slides and thrusters on the base": [*actuation.others, *idle],
+        "tendons": [compiled.tendon(index).name or f"tendon{index}" for index in range(compiled.ntendon)],
+        "flexes": [f"flex{index}" for index in range(compiled.nflex)],
+        "springs of joints": joints[compiled.jnt_stiffness != 0].tolist(),
+        "limits of ball joints": joints[limited].tolist(),
+        "gravity compensation of bodies": bodies[compiled.body_gravcomp != 0].tolist(),
+        "fluid forces": [n for n in ("density", "viscosity", "wind") if np.any(getattr(compiled.opt, n))],
+    }

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import Base, base_of
+from trajopt.dynamics.base_joint import Base, base_of, position_limits
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.motion.body_distances import FileBodies, missing_shapes
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.cycles import periodicity_error
-from trajopt.motion.dynamics_rows import DynamicsRows, dynamics_rows, dynamics_traces
-from trajopt.motion.integration_gaps import IntegrationGaps, interval_gaps
-from trajopt.motion.limits import drive_traces, limit_traces
 from trajopt.motion.resampling import samples_at
-from trajopt.motion.rolled import RolledPaths
 from trajopt.motion.samples import (
     ContactPlaces,
     SampleQuantities,
@@ -26,7 +24,7 @@ from trajopt.motion.samples import (
     state_distance,
 )
 from trajopt.motion.touched import TouchedSurfaces, held_part, touched_surfaces, without_rolling
-from trajopt.motion.traces import Traces
+from trajopt.motion.traces import Trace, Traces, joints_of, names_of_inputs, names_of_rows
 from trajopt.robot.building import reach
 from trajopt.robot.natural_units import NaturalUnits, turning_rows
 from trajopt.solution.interpolation import (
@@ -34,6 +32,7 @@ from trajopt.solution.interpolation import (
     collocation_fractions,
     lagrange_coefficients,
 )
+from trajopt.solution.local_states import local_state
 from trajopt.solution.solution import Solution
 
 
@@ -224,3 +223,188 @@ class MotionQuantities:
     def distance_from(self, row: int, reached: np.ndarray) -> np.ndarray:
         """Distance (3,) of a configuration (nq,) from that of a sample, see `state_distance`."""
         return state_distance(self.solution.model, self.solution.q[row], reached)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamicsRows:
+    """Residuals of the rows that hold at the collocation points, at K samples, in SI units.
+
+    base (K, n_unactuated), actuated (K, nu): N and N m. contact (K, nc, 6), linear rows first: classical
+    acceleration of active contacts, with velocity sources, their velocity, of contacts that roll without what
+    they roll; zero where there is no such row.
+    """
+
+    base: np.ndarray
+    actuated: np.ndarray
+    contact: np.ndarray
+
+
+def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> DynamicsRows:
+    """Residuals at every sample; base rows of velocity sources are statics, RNEA(q, 0, 0) - sum J^T f."""
+    free, force = plan.unactuated_rows, plan.actuation.unmade(samples.generalized_force, plan.tau)
+    balance, held = force[:, free], samples.acceleration
+    if plan.description.velocity_input:  # rows of statics and of velocities, not of motion
+        still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
+        balance = sample_quantities(still).generalized_force[:, free] if len(free) else balance
+        held = samples.velocity
+    contact = np.concatenate([held_part(without_rolling(held, surfaces), surfaces), held[..., 3:]], axis=-1)
+    contact[~plan.active] = 0.0
+    contact[:, ~plan.description.soles, 3:] = 0.0
+    return DynamicsRows(base=balance, actuated=force[:, plan.actuated_rows], contact=contact)
+
+
+def dynamics_traces(plan: Solution, rows: DynamicsRows) -> Traces:
+    """Largest residuals at the collocation points, over the weight (moments: times 1 m) and over g.
+
+    With velocity sources, the contacts' velocities are over sqrt(g 1 m).
+    """
+    points, gravity = plan.collocation[:, None], gravity_of(plan.model)
+    weight = mass_of(plan.model) * gravity
+    moving = np.sqrt(gravity) if plan.description.velocity_input else gravity
+    names, contact = names_of_rows(plan), np.abs(rows.contact).max(axis=-1, initial=0.0) / moving
+    free, actuated = ([names[i] for i in rows] for rows in (plan.unactuated_rows, plan.actuated_rows))
+    return {
+        "base_residual": Trace.of(np.abs(rows.base) / weight, points, free),
+        "actuated_residual": Trace.of(np.abs(rows.actuated) / weight, points, actuated),
+        "contact_acceleration": Trace.of(contact, points & plan.active, plan.contact_frames),
+    }
+
+
+# Samples closer than this fraction of the interval count as one point of the quadrature.
+SAME_POINT = 1e-9
+
+
+@dataclass(frozen=True)
+class IntegrationGaps:
+    """Worst mismatch of position (m, rad) and of velocity (m/s, rad/s) over one interval."""
+
+    position: float
+    velocity: float
+
+
+def interval_gaps(solution: Solution) -> IntegrationGaps:
+    """Return the worst difference between ends of an interval and what integration gives.
+
+    position: end minus start minus the integral of the velocity polynomial through all samples.
+    velocity: end minus start minus the integral of the acceleration polynomial through the
+    collocation points. Both vanish up to rounding for collocation of the acceleration; schemes
+    that are inconsistent within an interval (semi-implicit Euler) show their step error.
+    """
+    counts = np.array([len(rows) for rows in solution.intervals])
+    same = (np.flatnonzero(counts == size) for size in set(counts.tolist()))
+    gaps = [_intervals(solution, numbers) for numbers in same]
+    return IntegrationGaps(max(gap.position for gap in gaps), max(gap.velocity for gap in gaps))
+
+
+def _intervals(solution: Solution, numbers: np.ndarray) -> IntegrationGaps:
+    """Gaps of intervals with the same number of samples."""
+    rows = np.array([solution.intervals[number] for number in numbers])
+    start, step = solution.interval_t[numbers, :1], np.diff(solution.interval_t[numbers], axis=1)
+    fractions, points = (solution.t[rows] - start) / step, solution.collocation[rows]
+    origin = solution.q[rows[:, :1]]
+    xi, rate, second = local_state(
+        solution.model, origin, solution.q[rows], solution.v[rows], solution.a[rows]
+    )
+    worst = np.zeros(2)
+    for i, h in enumerate(step[:, 0]):
+        distinct = np.concatenate([[0], 1 + np.flatnonzero(np.diff(fractions[i]) > SAME_POINT)])
+        inner = points[i]
+        position = xi[i, -1] - xi[i, 0] - h * quadrature_weights(fractions[i, distinct]) @ rate[i, distinct]
+        velocity = rate[i, -1] - rate[i, 0] - h * quadrature_weights(fractions[i, inner]) @ second[i, inner]
+        worst = np.maximum(worst, [np.abs(position).max(), np.abs(velocity).max()])
+    return IntegrationGaps(*worst.tolist())
+
+
+def quadrature_weights(fractions: np.ndarray) -> np.ndarray:
+    """Return weights (n,) on [0, 1] that are exact for polynomials through ``fractions`` (n,)."""
+    moments = 1.0 / np.arange(1, len(fractions) + 1)
+    weights: np.ndarray = np.linalg.solve(np.vander(fractions, increasing=True).T, moments)
+    return weights
+
+
+def limit_traces(plan: Solution) -> Traces:
+    """Torques and velocities over their limits minus one, positions beyond theirs over the range."""
+    rows = names_of_rows(plan)
+    driven, least = names_of_inputs(plan), [thruster.least for thruster in plan.description.thrusters]
+    # Rates that are control inputs have values at collocation points only, others everywhere.
+    moving = plan.collocation[:, None] if plan.description.velocity_input else True
+    lower, upper = position_limits(plan.model)
+    beyond = np.maximum(plan.q - upper, lower - plan.q)
+    limited = np.isfinite(lower) | np.isfinite(upper)
+    span = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
+    places = [name for joint, name in joints_of(plan) for _ in range(joint.nq)]
+    mimics = plan.description.mimics
+    apart = np.zeros((plan.n_samples, len(mimics)))
+    for column, mimic in enumerate(mimics):
+        apart[:, column] = np.abs(mimic.apart(plan.model, plan.q))
+    return {
+        "effort_excess": _beyond(plan.tau, plan.description.effort_limit, driven, least=least),
+        "velocity_excess": _beyond(plan.v, plan.description.velocity_limit, rows, moving),
+        "position_excess": Trace.of(beyond / span, limited, places),
+        "following_error": Trace.of(apart, True, [mimic.joint for mimic in mimics]),
+    }
+
+
+def _beyond(
+    values: np.ndarray,
+    limit: np.ndarray | None,
+    names: list[str],
+    counts: np.ndarray | bool = True,
+    least: Sequence[float] = (),
+) -> Trace:
+    """|x| / limit - 1 of the limited columns; where the limit is zero, |x| itself."""
+    bound = np.full(values.shape[1], np.inf) if limit is None else limit
+    limited = np.isfinite(bound)
+    unit, most = np.where(limited & (bound > 0), bound, 1.0), np.where(limited, bound, 0.0)
+    beyond, last = np.where(limited, np.abs(values) - most, -np.inf), values.shape[1] - len(least)
+    beyond[:, last:] = np.maximum(beyond[:, last:], least - values[:, last:])
+    limited[last:] = True
+    return Trace.of(beyond / unit, limited & counts, names)
+
+
+def drive_traces(plan: Solution) -> Traces:
+    """Motor torque and voltage over their limits, minus one, from ``tau``, ``v`` and the drives."""
+    rates, torque = plan.actuation.rates(plan.v), plan.drive_torque
+    names = names_of_inputs(plan)
+    current, voltage = np.zeros(torque.shape), np.zeros(torque.shape)
+    limited, wound = np.zeros(torque.shape[1], dtype=bool), np.zeros(torque.shape[1], dtype=bool)
+    for i, drive in enumerate(plan.drives):
+        if drive is not None and np.isfinite(drive.torque_limit):
+            limited[i], current[:, i] = True, torque[:, i] / drive.joint_torque_limit
+        if drive is not None and np.isfinite(drive.stall_torque):
+            wound[i], voltage[:, i] = True, drive.voltage_use(torque[:, i], rates[:, i])
+    return {
+        "drive_torque_excess": Trace.of(np.abs(current) - 1, limited, names),
+        "drive_voltage_excess": Trace.of(np.abs(voltage) - 1, wound, names),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolledPaths:
+    """By interval polynomials over its fraction, lowest power first, and where they begin (nc, 3), m."""
+
+    coefficients: tuple[np.ndarray, ...]
+    begins: tuple[np.ndarray, ...]
+
+    @classmethod
+    def of(cls, plan: Solution, velocity: np.ndarray, surfaces: TouchedSurfaces) -> RolledPaths:
+        """Integrate omega x lever of twists (K, nc, 6), through the collocation points of each interval."""
+        rates = np.cross(velocity[..., 3:], surfaces.lever)
+        coefficients, begins = [], [np.zeros(rates.shape[1:])]
+        for number, (begin, end) in enumerate(plan.interval_t):
+            rows, fractions = collocation_fractions(plan.arrays, number)
+            rate = lagrange_coefficients(fractions, rates[rows].reshape(len(fractions), -1))
+            powers = np.arange(1, len(rate) + 1)
+            coefficients.append((end - begin) * rate / powers[:, None])
+            begins.append(begins[-1] + coefficients[-1].sum(axis=0).reshape(begins[0].shape))
+        return cls(coefficients=tuple(coefficients), begins=tuple(begins))
+
+    def at(self, plan: Solution) -> np.ndarray:
+        """Paths (K, nc, 3) m at the samples of a plan with the same intervals."""
+        begin, end = plan.interval_t[plan.interval].T
+        fractions, paths = (plan.t - begin) / (end - begin), []
+        for number, fraction in zip(plan.interval.tolist(), fractions, strict=True):
+            powers = fraction ** np.arange(1, len(self.coefficients[number]) + 1)
+            start = self.begins[number]
+            paths.append(start + (powers @ self.coefficients[number]).reshape(start.shape))
+        return np.array(paths)

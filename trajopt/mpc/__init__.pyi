@@ -1,6 +1,6 @@
 from .arm import ArmController as ArmController
 from .arm import ArmSettings as ArmSettings
-from .arm import Target as Target
+from .arm import ToolTarget as ToolTarget
 from .clock import GaitClock as GaitClock
 from .commands import Command as Command
 from .commands import CommandScript as CommandScript
@@ -14,7 +14,7 @@ from .hidden_ground import boxes_ahead as boxes_ahead
 from .hidden_ground import slope_ahead as slope_ahead
 from .horizon import Horizon as Horizon
 from .horizon import Pattern as Pattern
-from .lockstep import Drive as Drive
+from .lockstep import DrivenMotion as DrivenMotion
 from .lockstep import drive as drive
 from .motion import HorizonMotion as HorizonMotion
 from .planner import HorizonPlanner as HorizonPlanner

@@ -93,7 +93,7 @@ class ArmSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Target:
+class ToolTarget:
     """Where the tool should be: position (3,) m and rotation (3, 3) in the world, and its velocity (3,) m/s.
 
     Without a rotation the tool may turn.
@@ -222,7 +222,7 @@ class ArmController:
         usual[own] = np.minimum(usual[own], self.scene.distances(self.robot.reference)[0, own])
         return usual
 
-    def step(self, time: float, q: np.ndarray, v: np.ndarray, target: Target) -> np.ndarray:
+    def step(self, time: float, q: np.ndarray, v: np.ndarray, target: ToolTarget) -> np.ndarray:
         """Torques (nu,) for a tick at ``time`` s and the measured state (nq,), (nv,). Raises `InputError`."""
         require_state(self.robot, time, q, v)
         motion = self.plans.motion
@@ -250,7 +250,7 @@ class ArmController:
         return self.plans.report
 
     def _plan(
-        self, begin: float, q: np.ndarray, v: np.ndarray, target: Target, last: HorizonMotion | None
+        self, begin: float, q: np.ndarray, v: np.ndarray, target: ToolTarget, last: HorizonMotion | None
     ) -> HorizonMotion:
         horizon, solver = self.horizon, self.settings.solver
         horizon.set_start(horizon.layout.coordinates.node_from_pinocchio(q, v))
@@ -273,7 +273,7 @@ class ArmController:
             return last
         return HorizonMotion(horizon, iterate["x"], begin)
 
-    def _targets(self, target: Target, times: np.ndarray) -> np.ndarray:
+    def _targets(self, target: ToolTarget, times: np.ndarray) -> np.ndarray:
         rows = np.zeros((len(times), 13))
         velocity = np.zeros(3) if target.velocity is None else target.velocity
         rows[:, :3] = target.position + times[:, None] * velocity

@@ -14,7 +14,7 @@ from trajopt.control.limits import JointRange
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.task_space import limits_at, program_of, standing_contact
 from trajopt.control.tasks import ContactForceTask, FrameTask, PostureTask, RegularisationTask, Task
-from trajopt.mpc.motion import MotionSample
+from trajopt.mpc.motion import FollowedSample
 from trajopt.mpc.payload import carrying
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
@@ -93,7 +93,7 @@ class Follower:
                 rates[leg] = self.gains.joint
         return rates / self.units.time
 
-    def torque(self, wanted: MotionSample, q: np.ndarray, v: np.ndarray, active: np.ndarray) -> np.ndarray:
+    def torque(self, wanted: FollowedSample, q: np.ndarray, v: np.ndarray, active: np.ndarray) -> np.ndarray:
         """Torques (nu,) for a measured state, with the contacts (nc,) that transmit forces."""
         self.state.update(q, v)
         robot, standing = self.robot, np.flatnonzero(active)
@@ -110,7 +110,7 @@ class Follower:
         held = wanted.torque[: len(rows)] + inertia * (w**2 * error + 2 * w * (wanted.v - v)[rows])
         return np.asarray(np.clip(held, self._low, self._high))
 
-    def _tasks(self, wanted: MotionSample, active: np.ndarray) -> Sequence[Task]:
+    def _tasks(self, wanted: FollowedSample, active: np.ndarray) -> Sequence[Task]:
         gains, model, time = self.gains, self.state.model, self.units.time
         weights = np.full(model.nv, gains.joint_weight)
         for leg, stands in zip(self._legs, active, strict=True):

@@ -52,7 +52,7 @@ HARDWARE = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drive:
+class DrivenMotion:
     """A robot that was driven: report, commands, and everything that was recorded.
 
     stand: the robot at rest at the start. reference: at every tick the base upright where it was.
@@ -100,7 +100,7 @@ def drive(
     pushes: Sequence[Impulse] = (),
     ground: PiecewiseTerrain | None = None,
     **hardware: Any,
-) -> Drive:
+) -> DrivenMotion:
     """Drive a robot by a script in MuJoCo; it ends early after a fall.
 
     Args:
@@ -153,7 +153,7 @@ def drive(
     with muted_mujoco():
         world = build_world(stand, wanted, math.inf)
         record, fall = _driven(SimulationRun(stand, reference, world, wanted), script)
-    return Drive(
+    return DrivenMotion(
         robot=robot,
         script=script,
         controller=steering.controller,

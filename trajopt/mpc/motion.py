@@ -14,7 +14,7 @@ from trajopt.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionSample:
+class FollowedSample:
     """Pinocchio's q (nq,), v and a (nv,); torque (nu,); forces (nc, 6), world axes; active (nc,)."""
 
     q: np.ndarray
@@ -73,7 +73,7 @@ class HorizonMotion:
         """The configuration (nq,) at a time, s."""
         return self._state(time)[1]
 
-    def sample(self, time: float) -> MotionSample:
+    def sample(self, time: float) -> FollowedSample:
         """The motion at a time, s; before its begin its first state, beyond its end its last."""
         phase, q, v, a, wrench = self._state(time)
         nv = self.coordinates.nv
@@ -92,7 +92,7 @@ class HorizonMotion:
             load += jacobian.T @ forces[number]
         needed = pin.rnea(self.model, self.data, q, v, a) - load
         torque = self.robot.actuation.inputs(needed)
-        return MotionSample(q=q, v=v, a=a, torque=torque, forces=forces, active=active)
+        return FollowedSample(q=q, v=v, a=a, torque=torque, forces=forces, active=active)
 
 
 def predicted(

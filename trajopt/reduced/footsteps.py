@@ -175,7 +175,7 @@ class Walk:
             )
         swing = robot.contacts[0].name if self.first is None else robot.contact(self.first).name
         supports, feet = [StepPhase(name="shift", duration=self.shift_time, feet=start)], start
-        path = _Path(start, self.width)
+        path = _FootPath(start, self.width)
         for step in range(1, self.steps + 1):
             stance = next(name for name in feet if name != swing)
             held = {stance: feet[stance]}
@@ -191,7 +191,7 @@ class Walk:
         return FootstepPlan(tuple(supports))
 
 
-class _Path:
+class _FootPath:
     """A path on the ground that starts between the feet; each foot stays on its side of it."""
 
     def __init__(self, feet: Mapping[str, Foothold], width: float | None) -> None:

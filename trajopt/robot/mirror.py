@@ -74,7 +74,7 @@ class _Match:
         self.note(other.error, other.worst)
 
 
-class _Search:
+class _MirrorSearch:
     def __init__(self, robot: Robot) -> None:
         self.model, self.robot = robot.model, robot
         self.mass, self.length = robot.mass, robot.length
@@ -141,7 +141,7 @@ def find_mirror(robot: Robot) -> Mirror:
         raise InputError(f"robot '{robot.name}' has a {robot.base} base", "a free-flyer in world axes")
     match = _Match()
     match.images[1] = (1, 1.0, pin.SE3.Identity())
-    _Search(robot).body(1, 1, pin.SE3.Identity(), match)
+    _MirrorSearch(robot).body(1, 1, pin.SE3.Identity(), match)
     if not math.isfinite(match.error):
         raise InputError(
             f"robot '{robot.name}' has no mirror image: {match.worst} differ", "a symmetric robot"

@@ -20,7 +20,7 @@ from trajopt.robot.building import sagittal
 from trajopt.robot.contact import Contact
 from trajopt.robot.mirror import Mirror, keepers, mirrored_range, reflected, reflected_inertia
 from trajopt.robot.robot import Robot
-from trajopt.scenes.reduction import Follower, Reduction
+from trajopt.scenes.reduction import FollowingPart, Reduction
 
 
 def turned_by_mirror(robot: Robot, mirror: Mirror) -> tuple[str, ...]:
@@ -39,9 +39,9 @@ def half_robot(robot: Robot, mirror: Mirror, images: Sequence[int], q: np.ndarra
     kept = keepers(robot, mirror, q)
     names, joints = robot.model.names, {}
     for joint, image in list(enumerate(mirror.partner))[2:]:
-        joints[names[joint]] = Follower(names[joint])
+        joints[names[joint]] = FollowingPart(names[joint])
         if joint not in kept:
-            joints[names[joint]] = Follower(names[image], mirror.sign[joint], True)
+            joints[names[joint]] = FollowingPart(names[image], mirror.sign[joint], True)
     contacts = {
         contact.name: _contact_follower(robot, kept, contact, robot.contacts[image])
         for contact, image in zip(robot.contacts, images, strict=True)
@@ -55,14 +55,14 @@ def half_robot(robot: Robot, mirror: Mirror, images: Sequence[int], q: np.ndarra
     return replace(made, small=_finished(made))
 
 
-def _contact_follower(robot: Robot, kept: Sequence[int], contact: Contact, image: Contact) -> Follower:
+def _contact_follower(robot: Robot, kept: Sequence[int], contact: Contact, image: Contact) -> FollowingPart:
     """Maps a contact on a kept limb to itself, and a pair on bodies of the plane to its first contact."""
     joint = int(robot.model.frames[robot.model.getFrameId(contact.frame)].parentJoint)
     names = [entry.name for entry in robot.contacts]
     image_joint = int(robot.model.frames[robot.model.getFrameId(image.frame)].parentJoint)
     earlier = names.index(contact.name) <= names.index(image.name)
     first = earlier if joint == image_joint else joint in kept
-    return Follower(contact.name) if first else Follower(image.name, 1.0, True)
+    return FollowingPart(contact.name) if first else FollowingPart(image.name, 1.0, True)
 
 
 def _half_model(
@@ -125,7 +125,7 @@ def _merge_rows(model: pin.Model, new: pin.Model, mirror: Mirror, kept: Sequence
 
 
 def _with_limits(
-    robot: Robot, model: pin.Model, joints: Mapping[str, Follower], contacts: tuple[Contact, ...]
+    robot: Robot, model: pin.Model, joints: Mapping[str, FollowingPart], contacts: tuple[Contact, ...]
 ) -> Robot:
     """The small robot with the tighter position and velocity limits of each pair; a neutral reference."""
     lower, upper = position_limits(model)

@@ -41,16 +41,16 @@ _Trajectory = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Follower:
+class FollowingPart:
     """The joint or contact of the small robot that one of the whole follows, and whether mirrored."""
 
     name: str
     sign: float = 1.0
     mirrored: bool = False
 
-    def behind(self, other: Follower) -> Follower:
+    def behind(self, other: FollowingPart) -> FollowingPart:
         """Return the composition, where the followed one follows another."""
-        return Follower(other.name, self.sign * other.sign, self.mirrored != other.mirrored)
+        return FollowingPart(other.name, self.sign * other.sign, self.mirrored != other.mirrored)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,8 +65,8 @@ class Reduction:
     whole: Robot
     small: Robot
     start: np.ndarray
-    joints: Mapping[str, Follower]
-    contacts: Mapping[str, Follower]
+    joints: Mapping[str, FollowingPart]
+    contacts: Mapping[str, FollowingPart]
     mirrored_frames: frozenset[str] = field(default=frozenset())
 
     @property
@@ -186,7 +186,9 @@ class Reduction:
         return REFLECTION * point + np.array([0.0, 2 * self.y0, 0.0])
 
 
-def _followed(first: Mapping[str, Follower], second: Mapping[str, Follower]) -> dict[str, Follower]:
+def _followed(
+    first: Mapping[str, FollowingPart], second: Mapping[str, FollowingPart]
+) -> dict[str, FollowingPart]:
     """The composition of both reductions."""
     return {name: f.behind(second[f.name]) for name, f in first.items() if f.name in second}
 
@@ -231,8 +233,8 @@ def lock_joints(
         whole=robot,
         small=fewer.with_locked(names, reference=q) if names else fewer,
         start=q,
-        joints={name: Follower(name) for name in behind_base(robot) if name not in names},
-        contacts={contact.name: Follower(contact.name) for contact in kept},
+        joints={name: FollowingPart(name) for name in behind_base(robot) if name not in names},
+        contacts={contact.name: FollowingPart(contact.name) for contact in kept},
     )
     small = replace(made.small, reference=made.drop_q(robot.reference), given_length=robot.length)
     return replace(made, small=small)

@@ -1,16 +1,14 @@
 """Settings of a simulation, and the scales from which everything else follows."""
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
-import numpy as np
-
-from trajopt.arguments import NonNegative, Positive, checked
+from trajopt.arguments import Count, NonNegative, Positive, PositiveCount, checked
 from trajopt.control.gains import TrackerGains
 from trajopt.control.quadratic_programs import QpSolverName
-from trajopt.errors import InputError, not_among, require_finite, shown
+from trajopt.errors import InputError, shown
+from trajopt.kinds import Range
 from trajopt.simulation.controllers import TorqueController, name_of
 
 # Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
@@ -19,27 +17,12 @@ STEP, CONTACT_TIME, FEEDBACK_TIME = 1 / 500, 1 / 100, 1 / 25
 LONGEST_STEP = 1e-3
 # Longest step that may be asked for, s: with longer ones a robot's contacts are no longer resolved.
 LONGEST = 0.01
-# Allowed ranges: far beyond any robot, and still numerically sound.
-ALLOWED = {
-    "timestep": (1e-9, LONGEST),
-    "control_rate": (1e-3, 1e6),
-    "kp": (0.0, 1e6),
-    "kd": (0.0, 1e6),
-    "friction_scale": (0.0, 1e3),
-    "mass_scale": (1e-6, 1e6),
-    "noise": (0.0, 1.0),
-    "push": (-1e9, 1e9),
-    "sensor_noise": (0.0, 1.0),
-    "delay": (0, 100),
-    "torque_step": (0.0, 1e6),
-    "torque_rate": (0.0, 1e12),
-}
 # Largest offset of a centre of mass or of the ground, m.
 FARTHEST = 10.0
-# Settings that are checked separately.
-CHECKED_APART = (
-    "rolling", "controller", "gains", "qp_solver", "impulse", "com_offset", "ground_offsets",
-)  # fmt: skip
+# Ranges are far beyond any robot, and still numerically sound.
+_Gain = Annotated[float, Range(0.0, 1e6)]
+_Share = Annotated[float, Range(0.0, 1.0)]
+_Offset = Annotated[float, Range(-FARTHEST, FARTHEST)]
 
 
 # Feedback of single joints, or a quadratic program for the whole body at each tick (`trajopt.control`).
@@ -64,6 +47,7 @@ class Impulse:
     duration: Positive
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings:
     """Settings of a simulation; None is a value that follows from the robot.
@@ -89,85 +73,36 @@ class SimulationSettings:
     Raises `InputError`.
     """
 
-    timestep: float | None = None
-    control_rate: float = 1000.0
-    kp: float = 1.0
-    kd: float = 1.0
-    friction_scale: float = 1.0
-    mass_scale: float = 1.0
-    noise: float = 0.0
-    seed: int = 0
-    cycles: int = 1
-    push: float = 0.0
+    timestep: Annotated[float, Range(1e-9, LONGEST)] | None = None
+    control_rate: Annotated[float, Range(1e-3, 1e6)] = 1000.0
+    kp: _Gain = 1.0
+    kd: _Gain = 1.0
+    friction_scale: Annotated[float, Range(0.0, 1e3)] = 1.0
+    mass_scale: Annotated[float, Range(1e-6, 1e6)] = 1.0
+    noise: _Share = 0.0
+    seed: Count = 0
+    cycles: PositiveCount = 1
+    push: Annotated[float, Range(-1e9, 1e9)] = 0.0
     rolling: bool | None = None
     controller: Controller | TorqueController = "joints"
     gains: TrackerGains | None = None
     qp_solver: QpSolverName = "piqp"
     impulse: Impulse | Sequence[Impulse] | None = None
-    sensor_noise: float = 0.0
-    delay: int = 0
-    torque_step: float = 0.0
-    torque_rate: float = 0.0
-    com_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    ground_offsets: Mapping[str, float] = field(default_factory=dict)
+    sensor_noise: _Share = 0.0
+    delay: Annotated[int, Range(0, 100)] = 0
+    torque_step: _Gain = 0.0
+    torque_rate: Annotated[float, Range(0.0, 1e12)] = 0.0
+    com_offset: tuple[_Offset, _Offset, _Offset] = (0.0, 0.0, 0.0)
+    ground_offsets: Mapping[str, _Offset] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.rolling, bool | None):
-            raise InputError(
-                f"rolling of a simulation is {shown(self.rolling)}", "allowed: True, False or None"
-            )
-        words = get_args(Controller)
-        if isinstance(self.controller, str) and self.controller not in words:
-            raise not_among(words, self.controller, f"controller of a simulation is '{self.controller}'")
-        if isinstance(self.controller, type) or not isinstance(self.controller, str | TorqueController):
-            raise InputError(
-                f"controller of a simulation is {shown(self.controller)}",
-                f"allowed: {', '.join(words)}, or an object with torque(t, q, v, touching), as a Tracker",
-            )
-        if not isinstance(self.gains, TrackerGains | None):
-            raise InputError(
-                f"gains of a simulation is {shown(self.gains)}", "allowed: a TrackerGains or None"
-            )
-        if self.qp_solver not in get_args(QpSolverName):
-            raise not_among(
-                get_args(QpSolverName),
-                str(self.qp_solver),
-                f"qp_solver of a simulation is {shown(self.qp_solver)}",
-            )
-        if not isinstance(self.impulse, Sequence | Impulse | None) or not all(
-            isinstance(each, Impulse) for each in self.impulses
-        ):
-            raise InputError(
-                f"impulse of a simulation is {shown(self.impulse)}", "allowed: an Impulse, several, or None"
-            )
-        object.__setattr__(self, "com_offset", _com_offset(self.com_offset))
-        object.__setattr__(self, "ground_offsets", _ground_offsets(self.ground_offsets))
-        for name in (setting.name for setting in fields(self) if setting.name not in CHECKED_APART):
-            value = getattr(self, name)
-            if value is None and name == "timestep":
-                continue
-            require_finite(f"{name} of a simulation", value)
-            least, most = ALLOWED.get(name, (-math.inf, math.inf))
-            if not least <= value <= most:
-                raise InputError(f"{name} of a simulation is {value:g}", f"allowed: {least:g} to {most:g}")
-        for name, least in (("cycles", 1), ("seed", 0), ("delay", 0)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < least:
-                raise InputError(
-                    f"{name} of a simulation is {shown(value)}", f"allowed: a whole number >= {least}"
-                )
-
-        self._require_effect()
-
-    def _require_effect(self) -> None:
-        """Raise `InputError` for settings that are of the other controller."""
         whole = "whole-body"
         for name, controller in (("kp", "joints"), ("kd", "joints"), ("qp_solver", whole), ("gains", whole)):
             value, default = getattr(self, name), SimulationSettings.__dataclass_fields__[name].default
             if value != default and self.controller != controller:
                 other = name_of(self.controller)
                 raise InputError(
-                    f"{name} of a simulation is {shown(value)}, with the controller {other}",
+                    f"{name} of SimulationSettings is {shown(value)}, with the controller {other}",
                     f"allowed: with the controller {controller!r}",
                 )
 
@@ -181,28 +116,3 @@ class SimulationSettings:
     def step(self, natural_time: float) -> float:
         """Longest step of the physics in s."""
         return self.timestep or min(STEP * natural_time, LONGEST_STEP)
-
-
-def _com_offset(value: Any) -> tuple[float, float, float]:
-    """Three finite numbers. Raises `InputError`."""
-    if isinstance(value, str) or not isinstance(value, list | tuple | np.ndarray) or len(value) != 3:
-        raise InputError(f"com_offset of a simulation is {shown(value)}", "allowed: three numbers, m")
-    for axis, number in zip("xyz", value, strict=True):
-        _require_length(f"{axis} of com_offset of a simulation", number)
-    x, y, z = (float(number) for number in value)
-    return x, y, z
-
-
-def _ground_offsets(value: Any) -> dict[str, float]:
-    """Finite numbers by name, a copy. Raises `InputError`."""
-    if not isinstance(value, Mapping):
-        raise InputError(f"ground_offsets of a simulation is {shown(value)}", "allowed: m by contact frame")
-    for name, number in value.items():
-        _require_length(f"ground_offsets of a simulation for '{name}'", number)
-    return {str(name): float(number) for name, number in value.items()}
-
-
-def _require_length(what: str, value: Any) -> None:
-    require_finite(what, value)
-    if not abs(value) <= FARTHEST:
-        raise InputError(f"{what} is {value:g}", f"allowed: {-FARTHEST:g} to {FARTHEST:g}")

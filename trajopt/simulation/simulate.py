@@ -102,7 +102,7 @@ def require_fitting(settings: SimulationSettings, plan: Solution) -> None:
         raise InputError("com_offset of a robot whose base has no mass", "allowed: none for it")
     for name in settings.ground_offsets:
         if name not in plan.contact_frames:
-            raise not_among(plan.contact_frames, name, f"ground_offsets of a simulation for '{name}'")
+            raise not_among(plan.contact_frames, name, f"ground_offsets of SimulationSettings for '{name}'")
 
 
 def require_within(settings: SimulationSettings, reference: ReferenceTrajectory) -> None:

@@ -17,6 +17,7 @@ from trajopt.study.workers.task import (
     RefusedTaskError,
     TaskError,
     TaskTimeoutError,
+    UnguardedScriptError,
     limit_time,
 )
 
@@ -36,7 +37,7 @@ class NotRunError(TaskError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class TimedCall:
     """A picklable function with its arguments and its time limit, s. ``name``: for a display."""
 
     name: str
@@ -59,7 +60,7 @@ class Ended(Generic[Key]):
 
 def run_tasks(
     waiting: deque[Key],
-    make: Callable[[Key], Task],
+    make: Callable[[Key], TimedCall],
     executor: Executor,
     *,
     window: Callable[[], int],
@@ -79,7 +80,7 @@ def run_tasks(
         show: called as often with the names of the tasks that run.
 
     Raises:
-        InputError: where the executor has broken down.
+        InputError: where the executor has broken down, or the script lacks its main guard.
     """
     run = limited if isinstance(executor, ProcessPerTaskExecutor) else limited_anywhere
     running: dict[Future[Any], tuple[Key, str]] = {}
@@ -154,7 +155,7 @@ def _processes(worker: int) -> ProcessPerTaskExecutor:
 def _ended(future: Future[Any], key: Key, name: str, attempts: int) -> Ended[Key]:
     try:
         return Ended(key=key, name=name, value=future.result(), attempts=attempts)
-    except (BrokenExecutor, CancelledError):
+    except (BrokenExecutor, CancelledError, UnguardedScriptError):
         raise
     except Exception as error:  # of the task, or of the executor: a worker that was lost too often
         return Ended(key=key, name=name, kind=_kind(error), detail=_text(error), attempts=attempts)

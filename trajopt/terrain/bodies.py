@@ -115,11 +115,11 @@ def ground_bodies(terrain: FlatGround | PiecewiseTerrain) -> tuple[GroundBody, .
     if isinstance(terrain, FlatGround):
         surface = terrain.surface
         return (HalfSpace(normal=surface.normal, offset=surface.height),)
-    return _below(_Keyed(b"".join(face.vertices.tobytes() for face in terrain.faces), terrain))
+    return _below(_KeyedTerrain(b"".join(face.vertices.tobytes() for face in terrain.faces), terrain))
 
 
 @dataclass(frozen=True)
-class _Keyed:
+class _KeyedTerrain:
     """A terrain that is equal to another with the same faces."""
 
     content: bytes
@@ -127,7 +127,7 @@ class _Keyed:
 
 
 @lru_cache(maxsize=MOST_TERRAINS)
-def _below(keyed: _Keyed) -> tuple[ConvexGround, ...]:
+def _below(keyed: _KeyedTerrain) -> tuple[ConvexGround, ...]:
     terrain = keyed.terrain
     grown = [_grown(face, terrain) for face in terrain.faces]
     low = min(float(tops[:, 2].min()) for tops in grown) - DEPTH

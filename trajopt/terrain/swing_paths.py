@@ -77,12 +77,12 @@ def swing_path(
         InputError: for a clearance that is negative or not finite.
     """
     require_clearance(clearance)
-    return _Path(terrain=terrain, clearance=clearance, reach=reach, radii=radii)
+    return _SwingPath(terrain=terrain, clearance=clearance, reach=reach, radii=radii)
 
 
 @picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Path:
+class _SwingPath:
     terrain: Terrain
     clearance: float
     reach: float

@@ -6,6 +6,7 @@ is measured in its natural unit, so that one tolerance means the same everywhere
 """
 
 import itertools
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,10 +15,10 @@ import numpy as np
 from trajopt.errors import InputError, shown
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
+from trajopt.terms.moments import MomentConstraint
 from trajopt.transcription.collocation import Collocation
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.mesh import Mesh
-from trajopt.transcription.moment_rows import MomentPlace, alike, moments_by_stage
 from trajopt.transcription.row_collection import RowCollection, RowInfo
 from trajopt.transcription.schedule_rows import schedule_rows
 from trajopt.transcription.sparse_maps import SparseMatrix
@@ -25,6 +26,53 @@ from trajopt.transcription.stage_functions import PointFunction
 from trajopt.transcription.term_functions import StageTerms, TermFunctions
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.variable_bounds import scaled_rate_limits, variable_bounds
+
+# A moment this close to a node, as a fraction of an interval, is at the node.
+AT_NODE = 1e-9
+# Fractions of intervals that agree to this many digits share a function group.
+DIGITS = 12
+
+
+@dataclass(frozen=True)
+class MomentPlace:
+    """One moment of a term (by its number, and the moment's): the interval (stage) and the fraction of it."""
+
+    term: int
+    index: int
+    stage: int
+    fraction: float
+
+
+def moments_by_stage(problem: Problem, layout: Layout) -> Mapping[int, list[MomentPlace]]:
+    """Moments of a problem's terms by the interval in which they lie, in the order of terms.
+
+    A node between two intervals of a phase belongs to the later one. Moments at a start that is fixed are
+    left out: nothing moves there.
+    """
+    by_stage: defaultdict[int, list[MomentPlace]] = defaultdict(list)
+    for number, term in enumerate(problem.moment_constraints):
+        for index, (stage, fraction) in enumerate(_places(problem, layout, term)):
+            if not (stage == 0 and fraction == 0.0 and problem.periodicity is None):
+                by_stage[stage].append(MomentPlace(number, index, stage, fraction))
+    return by_stage
+
+
+def _places(problem: Problem, layout: Layout, term: MomentConstraint) -> list[tuple[int, float]]:
+    phase = problem.schedule.names.index(term.during)
+    edges, stages = np.array(layout.mesh.phases[phase].fractions), layout.intervals_of(phase)
+    numbers = np.clip(np.searchsorted(edges, term.fractions + AT_NODE, side="right") - 1, 0, len(stages) - 1)
+    local = (term.fractions - edges[numbers]) / (edges[numbers + 1] - edges[numbers])
+    local[np.abs(local) < AT_NODE], local[np.abs(local - 1) < AT_NODE] = 0.0, 1.0
+    return [(int(stages[n]), round(float(c), DIGITS)) for n, c in zip(numbers, local, strict=True)]
+
+
+def alike(layout: Layout, moments: Mapping[int, list[MomentPlace]]) -> list[list[MomentPlace]]:
+    """Moments of one term at the same fraction of intervals of the same width: they share their gather."""
+    groups: defaultdict[tuple[int, float, float], list[MomentPlace]] = defaultdict(list)
+    for stage, places in moments.items():
+        for moment in places:
+            groups[moment.term, moment.fraction, float(layout.steps[stage])].append(moment)
+    return list(groups.values())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,11 +5,12 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Executor
 from typing import Any
 
-from trajopt.study.batch.neighbours import StartTree
+import numpy as np
+
 from trajopt.study.batch.records import BatchRecords
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult, solve_case
 from trajopt.study.batch.variation import BatchCase
-from trajopt.study.runner import DONE, Ended, Task, run_tasks
+from trajopt.study.runner import DONE, Ended, TimedCall, run_tasks
 
 # A case whose process was lost is run again, up to so many times in all.
 MOST_ATTEMPTS = 3
@@ -35,11 +36,11 @@ def run_batch(
     queue = _Queue(cases, settings, records)
     starts: dict[int, int | None] = {}
 
-    def make(index: int) -> Task:
+    def make(index: int) -> TimedCall:
         start = starts[index] = queue.start(index)
         content = None if start is None else records.content(start)
         args = (cases[index], settings, content)
-        return Task(name=cases[index].name, limit=settings.longest, function=solve_case, args=args)
+        return TimedCall(name=cases[index].name, limit=settings.longest, function=solve_case, args=args)
 
     ended = run_tasks(
         queue.waiting, make, executor, window=window, attempts=MOST_ATTEMPTS, check=check, show=show
@@ -82,3 +83,75 @@ class _Queue:
 def _without(ended: Ended[int]) -> CaseResult:
     figures = {"success": False, "status": ended.kind, "detail": ended.detail}
     return CaseResult(figures=figures, content=None)
+
+
+Words = tuple[tuple[str, str], ...]
+
+
+class StartTree:
+    """The trees of all groups of cases that differ in numbers alone.
+
+    parents: of each case, None for a root. order: of the cases, parents before children, by levels.
+    """
+
+    def __init__(self, cases: Sequence[BatchCase]) -> None:
+        self.parents: list[int | None] = [None] * len(cases)
+        self._points: list[np.ndarray] = [np.zeros(0)] * len(cases)
+        levels: list[list[int]] = []
+        for members in _groups(cases):
+            names = [name for name, value in cases[members[0]].values.items() if not isinstance(value, str)]
+            numbers = np.array([[float(cases[i].values[name]) for name in names] for i in members])
+            for index, point in zip(members, _scaled(numbers), strict=True):
+                self._points[index] = point
+            self._grow(np.array(members), levels)
+        self.order = [index for level in levels for index in sorted(level)]
+
+    def ancestors(self, index: int) -> list[int]:
+        """The parent of a case, its parent and so on up to the root."""
+        ancestors: list[int] = []
+        above = self.parents[index]
+        while above is not None:
+            ancestors.append(above)
+            above = self.parents[above]
+        return ancestors
+
+    def nearest(self, index: int) -> list[int]:
+        """The ancestors of a case, the nearest first; of those as near, the lower in the tree."""
+        point, ancestors = self._points[index], self.ancestors(index)
+        return sorted(ancestors, key=lambda other: float(np.linalg.norm(self._points[other] - point)))
+
+    def _grow(self, members: np.ndarray, levels: list[list[int]]) -> None:
+        """Split cases at the median of their widest axis: the parent of the medians of both halves."""
+        waiting: list[tuple[np.ndarray, int | None, int]] = [(members, None, 0)]
+        while waiting:
+            part, parent, depth = waiting.pop()
+            points = np.array([self._points[i] for i in part])
+            # Ties are broken by the other axes and by number: the tree depends on the cases alone.
+            keys = [part]
+            if points.shape[1]:
+                widest = int(np.argmax(np.ptp(points, axis=0)))
+                keys += [*np.delete(points, widest, axis=1).T, points[:, widest]]
+            ordered = part[np.lexsort(keys)]
+            middle = len(ordered) // 2
+            node = int(ordered[middle])
+            self.parents[node] = parent
+            if depth == len(levels):
+                levels.append([])
+            levels[depth].append(node)
+            halves = (ordered[:middle], ordered[middle + 1 :])
+            waiting += [(half, node, depth + 1) for half in halves if len(half)]
+
+
+def _groups(cases: Sequence[BatchCase]) -> list[list[int]]:
+    groups: dict[tuple[str, Words, tuple[str, ...]], list[int]] = {}
+    for index, case in enumerate(cases):
+        words = tuple((name, value) for name, value in sorted(case.values.items()) if isinstance(value, str))
+        numbers = tuple(name for name, value in sorted(case.values.items()) if not isinstance(value, str))
+        groups.setdefault((case.problem, words, numbers), []).append(index)
+    return list(groups.values())
+
+
+def _scaled(points: np.ndarray) -> np.ndarray:
+    """Points (n, d) in the unit cube of their ranges."""
+    size = np.ptp(points, axis=0)
+    return np.asarray((points - points.min(axis=0)) / np.where(size > 0, size, 1.0))

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from trajopt.study.cluster import Cluster
-from trajopt.study.runner import DONE, NOT_RUN, REFUSED, TIME_LIMIT, Ended, NotRunError, Task, run_tasks
+from trajopt.study.runner import DONE, NOT_RUN, REFUSED, TIME_LIMIT, Ended, NotRunError, TimedCall, run_tasks
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.failure import ERROR, TIME
 from trajopt.study.suite.outcome import Attempt, Ledger, Outcome
@@ -40,7 +40,7 @@ def run_all(
     yield from (pair.outcome() for pair in pairs.values() if not pair.left)
     waiting = deque((case, part) for case in _interleaved(cases) for part in pairs[case].first())
 
-    def make(key: tuple[Case, str | int]) -> Task:
+    def make(key: tuple[Case, str | int]) -> TimedCall:
         return pairs[key[0]].task(key[1])
 
     def check_both() -> None:
@@ -87,7 +87,7 @@ class _PairRun:
         """What is run first: the default guess, and where that is known the starts."""
         return [OWN] if OWN in self.left else self.left
 
-    def task(self, part: str | int) -> Task:
+    def task(self, part: str | int) -> TimedCall:
         """The task of a part. Raises `NotRunError` for one that is not begun because of others."""
         case, settings = self._case, self._settings
         if self._reason:
@@ -97,10 +97,10 @@ class _PairRun:
                 raise NotRunError("no motion to simulate")
             args = (self._plan, settings.controller)
             name = f"{case.name} simulating"
-            return Task(name=name, limit=settings.longest, function=simulate_plan, args=args)
+            return TimedCall(name=name, limit=settings.longest, function=simulate_plan, args=args)
         seed = None if part == OWN else part
         name = case.name if seed is None else f"{case.name} start {seed}"
-        return Task(name=name, limit=settings.longest, function=solve_start, args=(case, settings, seed))
+        return TimedCall(name=name, limit=settings.longest, function=solve_start, args=(case, settings, seed))
 
     def end(self, part: str | int, ended: Ended[Any]) -> list[str | int]:
         """Take what became of a part; returns those that can run now."""

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from trajopt.problem.catalogue import problem_modules
 from trajopt.solving.time_limits import GRACE
-from trajopt.study.runner import DONE, LOST, NOT_RUN, REFUSED, Ended, NotRunError, Task, run_tasks
+from trajopt.study.runner import DONE, LOST, NOT_RUN, REFUSED, Ended, NotRunError, TimedCall, run_tasks
 from trajopt.study.sweep.figures import figures
 from trajopt.study.sweep.plan import SweepPlan
 from trajopt.study.sweep.records import SweepRecords, SweepRequest
@@ -85,7 +85,7 @@ class Sweep:
     def _tasks(self, jobs: int, cores: Sequence[int] = ()) -> ProcessPerTaskExecutor:
         return ProcessPerTaskExecutor(jobs, cores=cores, preload=(*problem_modules(), *MODULES))
 
-    def _each(self, waiting: deque[Key], make: Callable[[Key], Task]) -> Iterator[Ended[Key]]:
+    def _each(self, waiting: deque[Key], make: Callable[[Key], TimedCall]) -> Iterator[Ended[Key]]:
         """Run tasks, as many at a time as there are cores."""
         self._display.more(len(waiting))
         return run_tasks(
@@ -99,7 +99,7 @@ class Sweep:
 
     def _values(self, name: str, limit: float, function: Callable[..., Any], *args: Any) -> dict[str, Any]:
         """The result of one task while nothing else runs."""
-        task = Task(name=name, limit=limit, function=function, args=args)
+        task = TimedCall(name=name, limit=limit, function=function, args=args)
         (ended,) = self._each(deque([name]), lambda name: task)
         return _values(ended)
 
@@ -153,7 +153,7 @@ class Sweep:
                 waiting.append(replace(job, attempt=job.attempt + 1))
                 self._display.more()
 
-    def _task(self, job: Job) -> Task:
+    def _task(self, job: Job) -> TimedCall:
         """The task of a run. Raises `NotRunError` where its setting is given up."""
         request, setting = self._request, self._settings[job.setting]
         if job.setting in self._given_up:
@@ -161,7 +161,7 @@ class Sweep:
         solves = 2 if setting.start == "warm" else 1
         limit = solves * request.max_time + request.build_time
         args = (request, setting, job, self._records.solution_file(setting, job))
-        return Task(name=self._name(job), limit=limit, function=run_job, args=args)
+        return TimedCall(name=self._name(job), limit=limit, function=run_job, args=args)
 
     def _name(self, job: Job) -> str:
         return f"{self._labels[job.setting]}, {_start_text(job)}"
@@ -227,10 +227,10 @@ class Sweep:
         """The accuracy of each setting's median run."""
         reference = self._records.reference_file if self._records.reference_file.exists() else None
 
-        def make(run: TimedRun) -> Task:
+        def make(run: TimedRun) -> TimedCall:
             file = self._records.solution_file(self._settings[run.setting], run.job)
             name = f"{self._labels[run.setting]}: accuracy"
-            return Task(name=name, limit=ACCURACY_TIME, function=figures, args=(file, reference))
+            return TimedCall(name=name, limit=ACCURACY_TIME, function=figures, args=(file, reference))
 
         for ended in self._each(deque(self._unmeasured()), make):
             text, run, values = "", ended.key, _values(ended)

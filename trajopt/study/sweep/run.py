@@ -1,9 +1,12 @@
 """The tasks of a sweep: compile, run, solve the reference, time the fixed load."""
 
+import statistics
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import base_rows_problem, recover_torques
@@ -13,7 +16,6 @@ from trajopt.solving.reference import converged_reference
 from trajopt.solving.solving import prepare, solve
 from trajopt.solving.warm_start import warm_start
 from trajopt.study.suite.failure import failure_text
-from trajopt.study.sweep.calibration import Load
 from trajopt.study.sweep.records import SweepRequest
 from trajopt.study.sweep.result import Job, TimedRun
 from trajopt.study.sweep.setting import Setting
@@ -169,3 +171,34 @@ def objective_of(problem: Problem, setting: Setting, solution: Solution) -> floa
     """The problem's objective at a solution of another one with the same variables."""
     prepared = prepare(problem, transcription=setting.transcription, intervals=setting.intervals)
     return float(prepared.nlp.engine.f(warm_start(prepared.transcription, solution).x))
+
+
+# Order of a matrix within the second-level cache, and doubles well beyond it (8 MB).
+ORDER = 200
+DOUBLES = 1_000_000
+COUNTS = 20_000
+# Loads of about 1 ms whose median is one calibration: short against a run, long enough to meet disturbances.
+LOADS = 25
+
+
+class Load:
+    """The load; its arrays are allocated once."""
+
+    def __init__(self) -> None:
+        generator = np.random.default_rng(0)
+        square = generator.standard_normal((ORDER, ORDER))
+        self._matrix = square @ square.T + ORDER * np.eye(ORDER)
+        self._long = generator.standard_normal(DOUBLES)
+
+    def seconds(self, loads: int = LOADS) -> float:
+        """Median time of ``loads`` loads, s."""
+        return statistics.median(self._once() for _ in range(loads))
+
+    def _once(self) -> float:
+        begin = time.perf_counter()
+        np.linalg.cholesky(self._matrix)
+        self._long.sum()
+        total = 0
+        for count in range(COUNTS):
+            total += count
+        return time.perf_counter() - begin

@@ -16,7 +16,17 @@ from multiprocessing import forkserver, resource_tracker
 from multiprocessing.context import ForkServerProcess
 from typing import IO, Any, TypeVar
 
-from trajopt.study.workers.task import BEGUN, DONE, LIMIT, LostTaskError, TaskTimeoutError, serve_tasks
+from trajopt.study.workers.task import (
+    BEGUN,
+    DONE,
+    LIMIT,
+    UNGUARDED,
+    LostTaskError,
+    TaskTimeoutError,
+    UnguardedScriptError,
+    end_unguarded_import,
+    serve_tasks,
+)
 
 _Result = TypeVar("_Result")
 # Environment of the server, and so of all tasks: one thread each, because there is a task per processor, and
@@ -111,7 +121,7 @@ class ProcessPerTaskExecutor(Executor):
     `RefusedTaskError` for a TrajoptError, `TaskTimeoutError` beyond its own time limit
     (`trajopt.study.workers.task`), `LostTaskError` otherwise. As with other executors functions and arguments
     are pickled. Leaving the ``with`` block by an exception ends all processes and their children; so does the
-    end of this process.
+    end of this process. A script whose workers would start workers gets an `UnguardedScriptError`.
 
     Args:
         max_workers: tasks at a time.
@@ -128,6 +138,7 @@ class ProcessPerTaskExecutor(Executor):
         preload: Sequence[str] = (),
         most_tasks: int = 1,
     ) -> None:
+        end_unguarded_import()
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload([serve_tasks.__module__, *preload])
         self._threads = ThreadPoolExecutor(max_workers)
@@ -241,11 +252,13 @@ def _kill(process: ForkServerProcess) -> None:
             os.killpg(process.pid, signal.SIGKILL)
 
 
-def _lost(process: ForkServerProcess, limit: str, said: IO[bytes]) -> LostTaskError:
+def _lost(process: ForkServerProcess, limit: str, said: IO[bytes]) -> LostTaskError | UnguardedScriptError:
     """The error of a process that ended without a result."""
     with _processes:
         process.join(PATIENCE)
     code = process.exitcode or 0
+    if code == UNGUARDED:
+        return UnguardedScriptError()
     if code == -signal.SIGALRM:
         return TaskTimeoutError(limit)
     if code < 0:

@@ -11,10 +11,12 @@ import select
 import signal
 from multiprocessing.connection import Connection
 
-from trajopt.errors import TrajoptError
+from trajopt.errors import InputError, TrajoptError
 
 # Kinds of message from a task's process: that it has begun, the start of a time limit, the result, an error.
 BEGUN, LIMIT, DONE, FAILED = "begun", "limit", "done", "failed"
+# Exit status of a worker whose script starts workers when it is imported; no other program ends with it.
+UNGUARDED = 213
 
 _answers: Connection | None = None
 
@@ -33,6 +35,25 @@ class LostTaskError(TaskError):
 
 class TaskTimeoutError(LostTaskError):
     """The task was ended because of its time limit."""
+
+
+class UnguardedScriptError(InputError):
+    """The script of this program starts workers whenever it is imported, and workers import it."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the script starts workers again where a worker imports it",
+            'allowed: start them below `if __name__ == "__main__":`',
+        )
+
+
+def end_unguarded_import() -> None:
+    """End this process where it is a worker that imports the script it was started by.
+
+    A script without a main guard would have each of its workers start workers.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        os._exit(UNGUARDED)
 
 
 def limit_time(seconds: float) -> None:

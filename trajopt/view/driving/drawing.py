@@ -13,7 +13,7 @@ import pinocchio as pin
 from trajopt.mpc.motion import HorizonMotion
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.solution.solution import Solution
-from trajopt.view.driving.drivers import ArmDriver, Driver, LegsDriver
+from trajopt.view.driving.drivers import ArmDriver, LegsDriver, PageController
 from trajopt.view.driving.session import DriveSession
 from trajopt.view.replay.commands import ViewerCommand
 from trajopt.view.replay.ground import BOLD_EVERY, grid_cell
@@ -34,7 +34,7 @@ SOURCE = PageSource(
 )
 
 
-def scene_of(stand: Solution, driver: Driver) -> tuple[list[ViewerCommand], dict[str, Any]]:
+def scene_of(stand: Solution, driver: PageController) -> tuple[list[ViewerCommand], dict[str, Any]]:
     """Commands that draw robot and ground, and the page's facts: sliders, gaits, joints, sizes in m."""
     commands, facts = still_scene(stand)
     model, moves = stand.model, driver.robot.base != "fixed"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -14,7 +15,7 @@ from typing_extensions import override
 
 from trajopt.collision import Obstacle
 from trajopt.errors import InputError, not_among, shown
-from trajopt.mpc.arm import ArmController, ArmSettings, Target
+from trajopt.mpc.arm import ArmController, ArmSettings, ToolTarget
 from trajopt.mpc.commands import STAND, Command
 from trajopt.mpc.controller import Controller
 from trajopt.mpc.follow import Follower
@@ -24,7 +25,6 @@ from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
-from trajopt.view.driving.targets import TargetPath
 
 # Gaits that are prepared unless others are asked for: each takes seconds.
 USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
@@ -62,7 +62,7 @@ class Slider:
     keys: tuple[str, str] = ("", "")
 
 
-class Driver(ABC):
+class PageController(ABC):
     """A robot that follows what a page sets; a simulation asks it for torques.
 
     obstacles: that it keeps clear of. sliders, gaits: what a page may set. values, gait: what is set. offset:
@@ -127,7 +127,7 @@ class Driver(ABC):
         self.plans.close()
 
 
-class LegsDriver(Driver):
+class LegsDriver(PageController):
     """A robot on legs, which follows gait, speeds and height.
 
     Args:
@@ -207,7 +207,7 @@ class LegsDriver(Driver):
         return self.controller.plans
 
 
-class ArmDriver(Driver):
+class ArmDriver(PageController):
     """An arm whose tool follows a target that moves at a bounded speed to where a page sets it.
 
     Args:
@@ -259,7 +259,7 @@ class ArmDriver(Driver):
         time = t + self.offset
         self.path.send(time, np.array([self.values[axis] for axis in "xyz"]))
         self._place, velocity = self.path.at(time)
-        target = Target(position=self._place, rotation=self._start.rotation, velocity=velocity)
+        target = ToolTarget(position=self._place, rotation=self._start.rotation, velocity=velocity)
         return self.controller.step(time, q, v, target)
 
     @property
@@ -308,3 +308,36 @@ def _rounded(value: float) -> float:
     """To two digits."""
     digits = 1 - math.floor(math.log10(value))
     return round(value, digits)
+
+
+class TargetPath:
+    """A target that goes in straight lines, at one speed, to where it was last sent.
+
+    Args:
+        start: where it is until then (3,), m.
+        speed: m/s.
+
+    goals: times, s, and places (3,), m, to which it was sent.
+    """
+
+    def __init__(self, start: np.ndarray, speed: float) -> None:
+        self._speed = speed
+        self.goals = [(0.0, start)]
+        self._from = [start]
+
+    def send(self, time: float, goal: np.ndarray) -> None:
+        """Send it to another place (3,), m, at ``time`` s, which is not before the last one."""
+        if not np.array_equal(goal, self.goals[-1][1]):
+            start, _ = self.at(time)
+            self.goals.append((time, goal))
+            self._from.append(start)
+
+    def at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Its place (3,) m and velocity (3,) m/s at ``time`` s."""
+        last = max(bisect_right(self.goals, time, key=lambda sent: sent[0]) - 1, 0)
+        (begun, goal), start = self.goals[last], self._from[last]
+        way = goal - start
+        far, gone = float(np.linalg.norm(way)), self._speed * (time - begun)
+        if gone >= far:
+            return goal, np.zeros(3)
+        return start + gone / far * way, self._speed / far * way

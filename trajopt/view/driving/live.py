@@ -14,7 +14,7 @@ from trajopt.mpc.receding import ControllerSettings
 from trajopt.robot.robot import Robot
 from trajopt.solution.output import check_solution_output
 from trajopt.view.driving.drawing import SOURCE, Painter, scene_of
-from trajopt.view.driving.drivers import ArmDriver, Driver, LegsDriver
+from trajopt.view.driving.drivers import ArmDriver, LegsDriver, PageController
 from trajopt.view.driving.server import DriveServer
 from trajopt.view.driving.session import DriveSession
 from trajopt.view.replay.page import live_page
@@ -33,7 +33,7 @@ def driver_of(
     gaits: Sequence[str] | None = None,
     settings: ControllerSettings | ArmSettings | None = None,
     obstacles: Sequence[Obstacle] = (),
-) -> Driver:
+) -> PageController:
     """What steers a robot: its legs by a command, or with ``target`` the tool of an arm.
 
     Raises:

@@ -28,7 +28,7 @@ from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.simulate import require_fitting, require_within
 from trajopt.simulation.world import build_world
 from trajopt.view.driving.arm_drive import ArmDrive, arm_drive
-from trajopt.view.driving.drivers import DIRECTION, PUSH, ArmDriver, Driver, LegsDriver, since
+from trajopt.view.driving.drivers import DIRECTION, PUSH, ArmDriver, LegsDriver, PageController, since
 
 # s of physics in a turn of the loop; rate of the controller, Hz; s that are kept for a file, at most.
 STRETCH, RATE, KEPT = 0.02, 500.0, 60.0
@@ -84,7 +84,7 @@ class DriveSession:
 
     def __init__(
         self,
-        driver: Driver,
+        driver: PageController,
         *,
         clock: Clock | None = None,
         keep: float = KEPT,
@@ -231,7 +231,7 @@ class DriveSession:
         self.row -= half
         self.driver.offset += half * self.reference.period
 
-    def as_drive(self) -> lockstep.Drive | ArmDrive:
+    def as_drive(self) -> lockstep.DrivenMotion | ArmDrive:
         """What was kept since the last begin, as a drive; pushes on legs are not in its settings.
 
         Raises:
@@ -254,7 +254,7 @@ class DriveSession:
         steering = lockstep.Steering(driver.controller, script)
         steering.slack = driver.slack
         velocity = lockstep.base_velocity(self.world, self.stand, record)
-        return lockstep.Drive(
+        return lockstep.DrivenMotion(
             robot=driver.robot,
             script=script,
             controller=driver.controller,

@@ -64,7 +64,7 @@ class SupportArea:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Balance:
+class BalanceTrack:
     """At n frames: com (n, 3), below it on the ground (n, 3), zero-moment point (n, 3), m; NaN where none."""
 
     com: np.ndarray
@@ -73,7 +73,7 @@ class Balance:
     supports: list[SupportArea]
 
 
-def balance_of(solution: Solution, motion: ReplayMotion) -> Balance:
+def balance_of(solution: Solution, motion: ReplayMotion) -> BalanceTrack:
     """Return the balance of a motion. Raises `SolutionFileError`."""
     com = np.empty((motion.n_frames, 3))  # of the robot with its payload
     for phase in np.unique(motion.phase):
@@ -91,7 +91,7 @@ def balance_of(solution: Solution, motion: ReplayMotion) -> Balance:
         pressed = force[rows] @ plane.normal > LEAST_PRESSURE * motion.weight
         place = plane.point + centre_of_pressure(force[rows], about, plane.normal)
         zmp[rows] = np.where(pressed[:, None], place, np.nan)
-    return Balance(com=com, below=on_ground(solution, com), zmp=zmp, supports=supports)
+    return BalanceTrack(com=com, below=on_ground(solution, com), zmp=zmp, supports=supports)
 
 
 def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
@@ -187,7 +187,9 @@ def on_ground(solution: Solution, places: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(below), below, np.nan)
 
 
-def draw_balance(run: DrawnSolution, tracks: Animation, balance: Balance, drop: float, size: float) -> None:
+def draw_balance(
+    run: DrawnSolution, tracks: Animation, balance: BalanceTrack, drop: float, size: float
+) -> None:
     """Animate the marks; ``drop`` m is how far below the contacts the drawn ground lies."""
     _draw_com(run, tracks, balance, drop, size)
     if not balance.supports or not BASE_JOINT[base_of(run.solution.model)]:  # a fixed base
@@ -199,7 +201,7 @@ def draw_balance(run: DrawnSolution, tracks: Animation, balance: Balance, drop: 
         tracks.add(place, "visible", support.rows)
 
 
-def _draw_com(run: DrawnSolution, tracks: Animation, balance: Balance, drop: float, size: float) -> None:
+def _draw_com(run: DrawnSolution, tracks: Animation, balance: BalanceTrack, drop: float, size: float) -> None:
     node, up = run.node["com"], _upward(run.solution.model)
     dark = parts.colour_array(run.colour) if run.tinted else parts.DARK
     ball = parts.two_tone_ball(BALL * size, dark)
@@ -225,7 +227,7 @@ def _draw_com(run: DrawnSolution, tracks: Animation, balance: Balance, drop: flo
     tracks.add(rod, "scale", np.column_stack([np.ones((len(height), 2)), height]))
 
 
-def _draw_zmp(run: DrawnSolution, tracks: Animation, balance: Balance, drop: float, size: float) -> None:
+def _draw_zmp(run: DrawnSolution, tracks: Animation, balance: BalanceTrack, drop: float, size: float) -> None:
     shown = np.isfinite(balance.zmp).all(axis=1)
     if not shown.any():
         return

@@ -20,12 +20,12 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from trajopt.classical import lagrange
 from trajopt.dynamics import rigid_body
 from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS, base_of
 from trajopt.dynamics.model_content import joint_kind, once_per_content
 from trajopt.dynamics.model_quantities import mass_matrix_at, require_shapes
 from trajopt.errors import InputError
+from trajopt_library.lessons import lagrange
 
 # Relative tolerance on the part of gravity a base cannot follow, and on a base Jacobian's singular values.
 UNREACHABLE = 1e-9

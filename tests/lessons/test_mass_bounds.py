@@ -7,10 +7,10 @@ from numpy.testing import assert_allclose
 
 from tests.support.lecture_models import named, three_joint_arm
 from tests.support.models import robot
-from trajopt.classical.mass_bounds import a_priori_bounds, eigenvalue_range, random_postures
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.dynamics.model_quantities import mass_matrix_at
 from trajopt.errors import InputError
+from trajopt_library.lessons.mass_bounds import a_priori_bounds, eigenvalue_range, random_postures
 
 ROUNDING = 1e-12
 POSTURES = 200

@@ -2,7 +2,7 @@
 
 Lagrange's equations from the energies of the links, the recursive Newton-Euler method link by link, the
 Newton-Euler equations of the whole robot, and the structure of the mass matrix. No solver, check or command
-uses this room: problems are built on `trajopt.dynamics`. Lagrange's equations and the recursion are derived
+uses them: problems are built on `trajopt.dynamics`. Lagrange's equations and the recursion are derived
 without Pinocchio's algorithms, and agree with them for every kind of joint. docs/modelling/structure.md says
 which function is which equation of the lectures.
 

@@ -8,12 +8,12 @@ from numpy.testing import assert_allclose
 
 from tests.support.lecture_models import HALF_TORSO, THIGH, named, planar_hopper, three_joint_arm
 from tests.support.models import JOINT_KINDS, random_state, robot
-from trajopt.classical import lagrange
-from trajopt.classical.newton_euler import joint_forces
-from trajopt.classical.structure import mass_matrix_rate
 from trajopt.dynamics import rigid_body
 from trajopt.dynamics.model_quantities import mass_matrix_at
 from trajopt.errors import UnsupportedJointError
+from trajopt_library.lessons import lagrange
+from trajopt_library.lessons.newton_euler import joint_forces
+from trajopt_library.lessons.structure import mass_matrix_rate
 
 # Sums of products of order 1 to 1e3, differentiated exactly: rounding only.
 SAME = {"rtol": 1e-9, "atol": 1e-10}

@@ -19,9 +19,9 @@ from tests.support.lecture_models import (
     three_joint_arm,
 )
 from tests.support.models import JOINT_KINDS, random_state
-from trajopt.classical import structure
 from trajopt.dynamics.model_quantities import mass_matrix_at, mass_of
 from trajopt.errors import InputError, UnsupportedJointError
+from trajopt_library.lessons import structure
 
 # Two ways of summing the same numbers of order 1 to 1e3.
 SAME = {"rtol": 1e-9, "atol": 1e-10}

@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 
 from tests.support.lecture_models import BASE_JOINTS, BASE_SIZES, FIXED, FLOATING, link_momentum_matrix, named
 from tests.support.models import random_state
-from trajopt.classical import structure
-from trajopt.classical.newton_euler import joint_forces
-from trajopt.classical.whole_body import whole_body_balance
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
+from trajopt_library.lessons import structure
+from trajopt_library.lessons.newton_euler import joint_forces
+from trajopt_library.lessons.whole_body import whole_body_balance
 
 # Two ways of summing the same numbers of order 1 to 1e3.
 SAME = {"rtol": 1e-9, "atol": 1e-10}

@@ -11,10 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from trajopt.classical.newton_euler import outer_wrenches
-from trajopt.classical.structure import MomentumMaps, base_joint_and_rows, composite_inertia, momentum_maps
 from trajopt.dynamics.model_content import frame_content
 from trajopt.dynamics.model_quantities import generalized_force, require_shapes
+from trajopt_library.lessons.newton_euler import outer_wrenches
+from trajopt_library.lessons.structure import (
+    MomentumMaps,
+    base_joint_and_rows,
+    composite_inertia,
+    momentum_maps,
+)
 
 
 @dataclass(frozen=True, kw_only=True)

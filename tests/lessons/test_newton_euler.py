@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 
 from tests.support.lecture_models import named, three_joint_arm
 from tests.support.models import JOINT_KINDS, random_state, robot
-from trajopt.classical.newton_euler import joint_forces, recursive_newton_euler
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.errors import InputError, UnsupportedJointError
+from trajopt_library.lessons.newton_euler import joint_forces, recursive_newton_euler
 
 # Both sides sum the same numbers of order 1 to 1e3 in another order.
 SAME = {"rtol": 1e-10, "atol": 1e-10}
