@@ -1,4 +1,4 @@
-"""IPOPT, with defaults chosen by measurement (docs/measurements.md)."""
+"""IPOPT, with defaults chosen by measurement (docs/solvers.md)."""
 
 from collections.abc import Mapping
 
