@@ -80,8 +80,9 @@ def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator
         contacts = layout.touching[index]
         samples = [k for k in solution.phases[index] if finite[k]]
         levers = [transcription.problem.levers[index].get(contact.name) for contact in contacts]
-        found = (_rank(model, contacts, solution.q[k], levers) for k in samples)
-        ranks = [rank for rank in found if rank is not None]
+        found = ((k, _rank(model, contacts, solution.q[k], levers)) for k in samples)
+        known = [(k, rank) for k, rank in found if rank is not None]
+        ranks = [rank for _, rank in known]
         if not contacts or not ranks:
             continue
         absent = _absent_rows(contacts)
@@ -93,7 +94,7 @@ def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator
             least=least.delassus,
             most=max(rank.delassus for rank in ranks),
             condition=ranks[worst].condition,
-            at=float(solution.t[samples[worst]]),
+            at=float(solution.t[known[worst][0]]),
             dependencies=tuple(
                 ContactDependency(rows=group.rows, excess=group.excess)
                 for group in least.dependencies
