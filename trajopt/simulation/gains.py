@@ -69,7 +69,7 @@ def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, pick
     for qpos, phase, matrix in zip(
         world.coordinates.to_mujoco(reference.q[picked]), phases, matrices, strict=True
     ):
-        if phase != carried and plan.description.payloads:
+        if phase != carried:  # the masses of the plan: the feedback does not know others
             write_inertias(model, carrying_model(plan, int(phase)))
             carried = phase
         data.qpos[:] = qpos
