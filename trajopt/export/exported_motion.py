@@ -25,13 +25,21 @@ class ExportedMotion:
     """A motion at n times, ``rate`` per second; SI units, world axes unless stated; arrays are read-only.
 
     Args:
-        plan, cycles, t: the solution; number of repetitions of a periodic one; (n,) s, from 0.
-        q, v, a: (n, nq), (n, nv), (n, nv) of Pinocchio: quaternions xyzw, twist of the base along its axes.
-        tau, drive_torque: (n, nu) as in `SampledMotion`.
-        f, active: (n, nc, 6) and (n, nc) of the plan's contacts.
+        plan: the solution.
+        cycles: number of repetitions of a periodic plan.
+        t: (n,) s, from 0.
+        q: (n, nq) of Pinocchio, quaternions xyzw.
+        v: (n, nv), the twist of the base along its axes.
+        a: (n, nv).
+        tau: (n, nu), as in `SampledMotion`.
+        drive_torque: (n, nu), as in `SampledMotion`.
+        f: (n, nc, 6), wrenches of the plan's contacts.
+        active: (n, nc), whether contacts are active.
         phase: (n,) index into ``phase_names``, which holds the phases of all cycles one after the other.
         joint_names: the d joints other than a moving base, in Pinocchio's order.
-        joint_position, joint_velocity, joint_acceleration: (n, d); positions count whole turns.
+        joint_position: (n, d), with whole turns.
+        joint_velocity: (n, d).
+        joint_acceleration: (n, d).
         joint_torque: (n, d) of the drives; 0 for passive joints.
         links: poses and velocities of all links.
     """

@@ -49,7 +49,8 @@ class PushReport:
     """Largest impulses that a plan survives.
 
     Args:
-        time, duration: of the push: s from the start of the plan, and s.
+        time: start of the push, s from the start of the plan.
+        duration: of the push, s.
         after: time simulated from the start of the push, s.
         cycles: of a periodic plan.
         unit: weight * sqrt(l / g), N s.

@@ -55,14 +55,18 @@ class SimulationSettings:
     Args:
         timestep: longest physics step, s.
         control_rate: of the controller, Hz.
-        kp, kd: factors on the gains of the controller "joints".
-        friction_scale, mass_scale: factors on all friction coefficients, and on all masses and inertias.
+        kp: factor on the stiffnesses of the controller "joints".
+        kd: factor on its dampings.
+        friction_scale: factor on all friction coefficients.
+        mass_scale: factor on all masses and inertias.
         noise: standard deviation of the initial error: in reaches (m), rad, and these over the natural time.
-        seed, cycles: of all noise; of a periodic plan.
+        seed: of all noise.
+        cycles: repetitions of a periodic plan.
         push: horizontal force on the base, N, to its left (planar: front) in the motion's middle tenth.
         rolling: whether contacts with a radius roll as balls or turn about their centres; None: as planned.
         controller: see `Controller`; or an object with the method of `TorqueController`, such as a `Tracker`.
-        gains, qp_solver: gains (None: the default ones) and solver of the controller "whole-body".
+        gains: of the controller "whole-body"; None: the default ones.
+        qp_solver: of the controller "whole-body".
         impulse: another push, of any direction and time, see `Impulse`; or several.
         sensor_noise: standard deviation of the measured state at every tick, in the units of ``noise``.
         delay: whole ticks by which measured states and contacts are late.

@@ -32,7 +32,9 @@ class BatchSettings:
     """How every case of a batch is solved. Raises `InputError` for invalid values.
 
     Args:
-        solver, tolerance, max_iterations: as in `trajopt.solve`.
+        solver: as in `trajopt.solve`.
+        tolerance: as in `trajopt.solve`.
+        max_iterations: as in `trajopt.solve`.
         max_time: for all solves from one start, s.
         neighbours: start from a neighbour's solution, and from the default guess only where that fails.
     """
