@@ -1,10 +1,10 @@
-"""Classical forms of the dynamics, as lectures teach them, to learn from and to compare with.
+"""Classical forms of the dynamics as taught in lectures, for learning and for comparison.
 
-Lagrange's equations from the energies of the links, the recursive Newton-Euler method link by link, the
-Newton-Euler equations of the whole robot, and the structure of the mass matrix. No solver, check or command
-uses them: problems are built on `trajopt.dynamics`. Lagrange's equations and the recursion are derived
-without Pinocchio's algorithms, and agree with them for every kind of joint. docs/modelling/structure.md says
-which function is which equation of the lectures.
+These are Lagrange's equations from the energies of the links, the recursive Newton-Euler method link by link,
+the Newton-Euler equations of the whole robot, and the structure of the mass matrix. No solver, check or
+command uses them: problems are built on `trajopt.dynamics`. Lagrange's equations and the recursion are
+derived without Pinocchio's algorithms, and agree with them for every kind of joint.
+docs/modelling/structure.md maps the functions to the equations of the lectures.
 
 Lagrange: `kinetic_energies`, `potential_energies`, `inertia_matrix`, `coriolis_matrix`, `gravity_forces`,
     `equations_of_motion`; CasADi functions.

@@ -1,12 +1,12 @@
 """Lagrange's equations derived from the energies of the links, as CasADi functions of a numeric model.
 
 The only input is the placements of the links' centres of mass at a configuration. Velocities
-are time derivatives of these (by algorithmic differentiation), energies are sums over the links,
+are their time derivatives (by algorithmic differentiation), energies are sums over the links,
 
     K = sum 1/2 m |c'|^2 + 1/2 omega^T I omega  (+ 1/2 sum armature_j v_j^2),     P = - sum m g^T c,
 
-and the equations are ``d/dt dL/dx' - dL/dx = tau`` with ``L = K - P``. No inertia matrix, no RNEA: what
-`rigid_body` and `newton_euler` compute is independent of it.
+and the equations are ``d/dt dL/dx' - dL/dx = tau`` with ``L = K - P``. This uses no inertia matrix and no
+RNEA, so it is independent of what `rigid_body` and `newton_euler` compute.
 
 **Coordinates.** ``x`` (nv,) are exponential coordinates around the configuration of evaluation,
 ``q(x) = integrate(q, x)``. Where q' = v (revolute, continuous, prismatic, translation, spherical ZYX: fixed
@@ -15,8 +15,8 @@ spherical joint ``v = Jr(x) x'`` with the right Jacobian of its group, and at ``
 ``v' = x''`` hold because ``d/dt Jr x' = - 1/2 [x', x'] = 0``; so the generalised forces are Pinocchio's for
 every joint. Armature multiplies ``x'`` there: rotors do not turn with the body, as in Pinocchio.
 
-Every function is built once per model content, takes q (nq,), v and a (nv,) in Pinocchio's
-conventions and SI units, and raises `UnsupportedJointError` for a joint that `rigid_body` does not support.
+Every function is built once per model content and takes q (nq,), v and a (nv,) in Pinocchio's
+conventions and SI units. It raises `UnsupportedJointError` for joints that `rigid_body` does not support.
 """
 
 from dataclasses import dataclass
@@ -49,13 +49,13 @@ def _motion(model: pin.Model) -> _Motion:
     q, x, rate = ca.SX.sym("q", model.nq), ca.SX.sym("x", model.nv), ca.SX.sym("rate", model.nv)
     rest = ca.SX.zeros(model.nv)
     at = rigid_body.integrate(model)(q, x)
-    placements = rigid_body.fused(tagged, names, [0] * len(names))  # its forces are dropped
+    placements = rigid_body.fused(tagged, names, [0] * len(names))  # only its placements are used
     _, rotation, position, _, _ = placements.call([at, rest, rest, ca.SX(0, 1)])
     return _Motion(q=q, x=x, rate=rate, position=position, rotation=rotation)
 
 
 def _link_energies(model: pin.Model, motion: _Motion) -> ca.SX:
-    """Kinetic energy (n) of the links, from the time derivatives of their placements."""
+    """Return the kinetic energies (n) of the links from the time derivatives of their placements."""
     velocity = ca.jtimes(ca.vec(motion.position), motion.x, motion.rate)
     turning = ca.jtimes(ca.vec(motion.rotation), motion.x, motion.rate)
     energies = []
@@ -85,7 +85,7 @@ def _at_configuration(name: str, motion: _Motion, inputs: list[ca.SX], outputs: 
 
 @once_per_content
 def kinetic_energies(model: pin.Model) -> ca.Function:
-    """``(q, v) -> (links (n), armature)`` in J: each joint's link, and that of all rotors."""
+    """Return ``(q, v) -> (links (n), armature)`` in J: energy of each joint's link, and of all rotors."""
     motion = _motion(model)
     energies = [_link_energies(model, motion), _armature_energy(model, motion)]
     return _at_configuration("kinetic_energies", motion, [motion.q, motion.rate], energies)
@@ -93,14 +93,14 @@ def kinetic_energies(model: pin.Model) -> ca.Function:
 
 @once_per_content
 def potential_energies(model: pin.Model) -> ca.Function:
-    """``q -> energies (n)`` of gravity in J, of each joint's link, zero at the world's origin."""
+    """Return ``q -> energies (n)``, J: each joint's link's energy in gravity, zero at the world's origin."""
     motion = _motion(model)
     return _at_configuration("potential_energies", motion, [motion.q], [_potentials(model, motion)])
 
 
 @once_per_content
 def equations_of_motion(model: pin.Model) -> ca.Function:
-    """``(q, v, a) -> tau`` (nv; N, N m): ``d/dt dL/dx' - dL/dx``."""
+    """Return ``(q, v, a) -> tau`` (nv; N, N m): ``d/dt dL/dx' - dL/dx``."""
     motion = _motion(model)
     q, x, rate, a = motion.q, motion.x, motion.rate, ca.SX.sym("a", model.nv)
     kinetic = ca.sum1(_link_energies(model, motion)) + _armature_energy(model, motion)
@@ -112,13 +112,13 @@ def equations_of_motion(model: pin.Model) -> ca.Function:
 
 
 def _link_inertia(model: pin.Model, motion: _Motion) -> ca.SX:
-    """Inertia matrix in x' of the links alone, from the Jacobians of their placements."""
+    """Return the inertia matrix in x' of the links alone, from the Jacobians of their placements."""
     along, turning = ca.jacobian(motion.position, motion.x), ca.jacobian(motion.rotation, motion.x)
     total = ca.SX.zeros(model.nv, model.nv)
     for column, inertia in enumerate(list(model.inertias)[1:]):
         rotation = ca.reshape(motion.rotation[:, column], 3, 3)
         axes = turning[9 * column : 9 * column + 9, :]  # columns of dR/dx, stacked
-        # entry (2, 1) of R^T dR is the third axis times the derivative of the second, and so on
+        # Entry (2, 1) of R^T dR is the third axis times the derivative of the second, and so on.
         spin = [ca.mtimes(rotation[:, i].T, axes[3 * j : 3 * j + 3, :]) for i, j in ((2, 1), (0, 2), (1, 0))]
         angular, linear = ca.vertcat(*spin), along[3 * column : 3 * column + 3, :]
         total += inertia.mass * ca.mtimes(linear.T, linear)
@@ -128,7 +128,7 @@ def _link_inertia(model: pin.Model, motion: _Motion) -> ca.SX:
 
 @once_per_content
 def inertia_matrix(model: pin.Model) -> ca.Function:
-    """``q -> D`` (nv, nv): ``sum m Jv^T Jv + Jw^T R I R^T Jw + diag(armature)``."""
+    """Return ``q -> D`` (nv, nv): ``sum m Jv^T Jv + Jw^T R I R^T Jw + diag(armature)``."""
     motion = _motion(model)
     inertia = _link_inertia(model, motion) + ca.diag(ca.DM(model.armature))
     return _at_configuration("inertia_matrix", motion, [motion.q], [inertia])
@@ -136,10 +136,10 @@ def inertia_matrix(model: pin.Model) -> ca.Function:
 
 @once_per_content
 def coriolis_matrix(model: pin.Model) -> ca.Function:
-    """``(q, v) -> C`` (nv, nv) of the Christoffel symbols: C v are the Coriolis and centrifugal forces.
+    """Return ``(q, v) -> C`` (nv, nv) by Christoffel symbols: C v are the Coriolis and centrifugal forces.
 
-    With q' = v it is ``C_kj = 1/2 sum_i (dD_kj/dq_i + dD_ki/dq_j - dD_ij/dq_k) v_i``, and D' - 2 C is skew
-    symmetric. Where v = Jr x', the same in x, minus ``D Jr'``: this keeps both properties, with D' the rate
+    With q' = v, ``C_kj = 1/2 sum_i (dD_kj/dq_i + dD_ki/dq_j - dD_ij/dq_k) v_i``, and D' - 2 C is skew
+    symmetric. If v = Jr x', it is the same in x minus ``D Jr'``. This keeps both properties, with D' the rate
     of the matrix in v, and leaves C v unchanged.
     """
     motion = _motion(model)
@@ -153,7 +153,7 @@ def coriolis_matrix(model: pin.Model) -> ca.Function:
 
 
 def _right_jacobian_rate(model: pin.Model, motion: _Motion) -> ca.SX:
-    """Rate (nv, nv) of the map Jr(x) from x' to v: zero where q' = v, else ``- 1/2 ad`` at x = 0."""
+    """Return the rate (nv, nv) of Jr(x), from x' to v: zero where q' = v, else ``- 1/2 ad`` at x = 0."""
     step = ca.SX.sym("step", model.nv)
     integrate, difference = rigid_body.integrate(model), rigid_body.difference(model)
     reached = difference(integrate(motion.q, motion.x), integrate(motion.q, motion.x + step))
@@ -163,7 +163,7 @@ def _right_jacobian_rate(model: pin.Model, motion: _Motion) -> ca.SX:
 
 @once_per_content
 def gravity_forces(model: pin.Model) -> ca.Function:
-    """``q -> G`` (nv; N, N m): ``dP/dx``."""
+    """Return ``q -> G`` (nv; N, N m): ``dP/dx``."""
     motion = _motion(model)
     forces = ca.gradient(ca.sum1(_potentials(model, motion)), motion.x)
     return _at_configuration("gravity_forces", motion, [motion.q], [forces])

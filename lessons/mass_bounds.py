@@ -1,7 +1,7 @@
-"""Bounds of the mass matrix, lowest I <= M(q) <= highest I: over given postures, and over all postures.
+"""Bounds of the mass matrix, lowest I <= M(q) <= highest I, over given postures and over all postures.
 
-Eigenvalues of M mix kg, kg m and kg m^2 where joints translate and rotate, or with a floating base; they are
-the bounds of ``v^T M v`` for a v measured in SI units.
+Eigenvalues of M mix kg, kg m and kg m^2 if joints both translate and rotate, or with a floating base. They
+are the bounds of ``v^T M v`` for unit v in SI units.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from trajopt.dynamics.model_content import joint_kind
 from trajopt.dynamics.model_quantities import mass_matrix_at
 from trajopt.errors import InputError
 
-# Number of translational and rotational directions of each kind of joint, by the beginning of its name.
+# Numbers of translational and rotational directions by kind of joint, by the beginning of its name.
 _DIRECTIONS = {
     "FreeFlyer": (3, 3),
     "Planar": (2, 1),
@@ -27,7 +27,7 @@ _DIRECTIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class EigenvalueRange:
-    """Extreme eigenvalues of M over postures, and the postures (nq,) that attain them."""
+    """Extreme eigenvalues of M over postures, and the postures (nq,) at which they occur."""
 
     lowest: float
     highest: float
@@ -37,14 +37,14 @@ class EigenvalueRange:
 
 @dataclass(frozen=True, kw_only=True)
 class MassBounds:
-    """``lower <= every eigenvalue of M(q) <= upper`` for every posture."""
+    """Bounds ``lower <= every eigenvalue of M(q) <= upper`` for every posture."""
 
     lower: float
     upper: float
 
 
 def eigenvalue_range(model: pin.Model, postures: np.ndarray) -> EigenvalueRange:
-    """Extreme eigenvalues of M over ``postures`` (n, nq), n > 0. Raises `InputError` for another shape."""
+    """Return extreme eigenvalues of M over ``postures`` (n, nq), n > 0; else raises `InputError`."""
     postures = np.asarray(postures, dtype=float)
     if postures.ndim != 2 or postures.shape[1] != model.nq or not len(postures):
         raise InputError(f"postures have shape {postures.shape}", f"shape (n, {model.nq}), n > 0")
@@ -59,21 +59,21 @@ def eigenvalue_range(model: pin.Model, postures: np.ndarray) -> EigenvalueRange:
 
 
 def random_postures(model: pin.Model, count: int, seed: int) -> np.ndarray:
-    """Postures within the position limits, uniform in coordinates.
+    """Return postures within the position limits, uniform in coordinates.
 
     Rotations without limits are drawn within half a turn of neutral. A base that translates without limits
-    stays at neutral, since M does not depend on it.
+    stays at neutral, since M does not depend on its pose.
 
     Args:
-        model: of any robot.
-        count: number of postures.
-        seed: of the random numbers.
+        model: Model of any robot.
+        count: Number of postures.
+        seed: Seed of the random numbers.
 
     Returns:
         (count, nq).
 
     Raises:
-        InputError: for an unlimited prismatic joint behind a rotating one, since no interval is natural.
+        InputError: If an unlimited prismatic joint is behind a rotating one, since no interval is natural.
     """
     generator = np.random.default_rng(seed)
     lowest, highest = np.full(model.nv, -np.pi), np.full(model.nv, np.pi)
@@ -86,27 +86,27 @@ def random_postures(model: pin.Model, count: int, seed: int) -> np.ndarray:
             lowest[rows], highest[rows] = lower[entries] - neutral[entries], upper[entries] - neutral[entries]
         elif sliding and _is_turned(model, index):
             raise _unlimited(model, index)
-        elif sliding:  # its angles too: M does not depend on the base's pose
+        elif sliding:  # including its angles: M does not depend on the base's pose
             lowest[rows], highest[rows] = 0.0, 0.0
     steps = generator.uniform(lowest, highest, (count, model.nv))
     return np.array([pin.integrate(model, neutral, step) for step in steps]).reshape(count, model.nq)
 
 
 def a_priori_bounds(model: pin.Model) -> MassBounds:
-    """Bounds of M's eigenvalues for all postures, from masses, lever arms and inertias alone.
+    """Return bounds of M's eigenvalues for all postures, from masses, lever arms and inertias alone.
 
-    With ``r_jL`` the longest possible distance from joint j to the centre of mass of link L (the sum of the
-    lengths and of the travel of prismatic joints between them),
+    Let ``r_jL`` be the longest possible distance from joint j to the centre of mass of link L (the sum of the
+    lengths and of the travel of prismatic joints between them). Since the largest eigenvalue is at most the
+    trace, the upper bound is
 
         lambda_max <= sum_L [ m_L sum_j (sliding_j + turning_j r_jL^2) + lambda_max(I_L) sum_j turning_j ]
                       + max armature
 
-    over the joints j that carry L, because the largest eigenvalue is at most the trace. From below, the
-    pivots of M are at least each link's own inertia in its joint (articulated inertias only add), so that
-    ``lambda_min >= det M ((n - 1) / tr M)^(n - 1)``; and it is at least the smallest armature. A link without
-    inertia about its own joint, and without armature, gives 0. Constant bounds exist for revolute joints; a
-    prismatic joint behind a rotating one needs position limits. Raises `InputError` without these, and for a
-    model without joints.
+    over the joints j that carry L. The pivots of M are at least each link's own inertia in its joint, since
+    articulated inertias only add, so that ``lambda_min >= det M ((n - 1) / tr M)^(n - 1)``. The smallest
+    armature is another lower bound. A link without armature and without inertia about its own joint gives 0.
+    Constant bounds exist for revolute joints; a prismatic joint behind a rotating one needs position limits.
+    Raises `InputError` without these, and for a model without joints.
     """
     if not model.nv:
         raise InputError(f"the model '{model.name}' has no joints", "at least one")
@@ -122,7 +122,7 @@ def a_priori_bounds(model: pin.Model) -> MassBounds:
 
 
 def _largest_trace(model: pin.Model) -> float:
-    """Upper bound of the trace of M without armature."""
+    """Return an upper bound of the trace of M without armature."""
     total = 0.0
     for link in range(1, model.njoints):
         inertia = model.inertias[link]
@@ -137,7 +137,7 @@ def _largest_trace(model: pin.Model) -> float:
 
 
 def _own_inertia(model: pin.Model, index: int) -> np.ndarray:
-    """Inertia of the joint's own link in its directions, with armature: at most the pivot of M."""
+    """Return the inertia of a joint's own link in its directions, with armature: at most the pivot of M."""
     joint = model.joints[index]
     armature = np.diag(model.armature[joint.idx_v : joint.idx_v + joint.nv])
     if joint_kind(model, index) == "SphericalZYX":  # its axes depend on the posture and may align
@@ -154,12 +154,12 @@ def _directions(model: pin.Model, index: int) -> tuple[int, int]:
 
 
 def _is_turned(model: pin.Model, index: int) -> bool:
-    """Whether a joint before this one rotates, so that M depends on this one's displacement."""
+    """Return whether a joint before this one rotates, so that M depends on this one's displacement."""
     return any(_directions(model, before)[1] for before in list(model.supports[index])[1:-1])
 
 
 def _travel(model: pin.Model, index: int) -> float:
-    """Largest distance from zero that a prismatic joint's limits allow, m."""
+    """Return the largest distance from zero within a prismatic joint's limits, m."""
     joint, (lower, upper) = model.joints[index], position_limits(model)
     entries = slice(joint.idx_q, joint.idx_q + joint.nq)
     farthest = np.maximum(np.abs(lower[entries]), np.abs(upper[entries]))

@@ -1,21 +1,21 @@
 """The recursive Newton-Euler method link by link: joint forces and the constraint forces in the bearings.
 
-Forward from the root, in the axes of each link ``i`` (its parent is ``p``, its origin at joint ``i``),
+The forward pass from the root, in the axes of each link ``i`` (parent ``p``, origin at joint ``i``), is
 
     omega_i = R^T (omega_p + omega_J)
     alpha_i = R^T (alpha_p + omega_p x omega_J + alpha_J)
     a_i     = R^T (a_p + alpha_p x r + omega_p x (omega_p x r) + 2 omega_p x r' + r'')
     a_c,i   = a_i + alpha_i x c_i + omega_i x (omega_i x c_i)
 
-with the joint's own motion ``R(q), r(q), omega_J, alpha_J, r', r''`` in the parent's axes, and backward the
-balance of each link about its centre of mass,
+with the joint's own motion ``R(q), r(q), omega_J, alpha_J, r', r''`` in the parent's axes. The backward pass
+is the balance of each link about its centre of mass,
 
     f_i = sum R f_child + m_i a_c,i - m_i g_i - f_ext
     n_i = sum R n_child - f_i x c_i + sum (R f_child) x (c_i - r_child) + I_i alpha_i + omega_i x I_i omega_i
 
-(Spong, Hutchinson, Vidyasagar, "Robot Modeling and Control", 2006, section 7.6; there for revolute joints,
-where ``r' = r'' = 0``). Classical accelerations and forces, no spatial algebra: `pin.rnea` computes the same
-independently.
+(Spong, Hutchinson, Vidyasagar, "Robot Modeling and Control", 2006, section 7.6; there for revolute joints
+with ``r' = r'' = 0``). It uses classical accelerations and forces instead of spatial algebra; `pin.rnea`
+computes the same independently.
 """
 
 from collections.abc import Sequence
@@ -35,13 +35,13 @@ _LINK = "link"
 
 @dataclass(frozen=True, kw_only=True)
 class JointForces:
-    """Forces at every joint. Row k belongs to joint k + 1 of the model, named ``joints[k]``.
+    """Forces at every joint; row k is of joint k + 1 of the model, named ``joints[k]``.
 
-    tau: (nv,) generalised force of the actuators, N m or N, with the part that accelerates rotors (armature).
-    force, moment: (n, 3) what the parent link exerts on the link through the joint, N and N m, at the joint's
-        origin, in the axes of the link.
-    constraint_force, constraint_moment: (n, 3) the part of it that the bearing carries: its component outside
-        the joint's motion subspace. It does no work.
+    tau: (nv,) generalised force of the actuators, N m or N, including what accelerates rotors (armature).
+    force, moment: (n, 3) of the parent link on the link through the joint, N and N m, at the joint's origin,
+        in the link's axes.
+    constraint_force, constraint_moment: (n, 3) the part of these that the bearing carries: the component
+        outside the joint's motion subspace, which does no work.
     """
 
     joints: tuple[str, ...]
@@ -61,19 +61,19 @@ def joint_forces(
     frames: Sequence[str] = (),
     wrenches: np.ndarray | None = None,
 ) -> JointForces:
-    """Actuator, joint and constraint forces of a motion.
+    """Return actuator, joint and constraint forces of a motion.
 
     Args:
-        model: of any robot.
-        q: configuration (nq,).
-        v: velocity (nv,).
-        a: acceleration (nv,).
-        frames: at whose origins wrenches act on the robot.
+        model: Model of any robot.
+        q: Configuration (nq,).
+        v: Velocity (nv,).
+        a: Acceleration (nv,).
+        frames: Frames at whose origins wrenches act on the robot.
         wrenches: (n, 6: force N, moment N m), world axes.
 
     Raises:
-        InputError: for wrong shapes or names.
-        UnsupportedJointError: for an unknown kind of joint.
+        InputError: If a shape or name is wrong.
+        UnsupportedJointError: If a kind of joint is unknown.
     """
     require_shapes(model, q=q, v=v, a=a)
     outer = outer_wrenches(frames, wrenches)
@@ -91,7 +91,7 @@ def joint_forces(
 
 
 def outer_wrenches(frames: Sequence[str], wrenches: np.ndarray | None) -> np.ndarray:
-    """The wrenches (n, 6) on n frames, zero by default. Raises `InputError` for another shape."""
+    """Return the wrenches (n, 6) on n frames, by default zero; raises `InputError` for another shape."""
     outer = np.zeros((len(frames), 6)) if wrenches is None else np.asarray(wrenches, dtype=float)
     if outer.shape != (len(frames), 6):
         raise InputError(f"wrenches have shape {outer.shape}", f"shape {(len(frames), 6)}")
@@ -101,10 +101,10 @@ def outer_wrenches(frames: Sequence[str], wrenches: np.ndarray | None) -> np.nda
 def recursive_newton_euler(
     model: pin.Model, frames: Sequence[str] = (), wrench_kinds: Sequence[int] = ()
 ) -> ca.Function:
-    """``(q, v, a, w) -> (tau, force, moment, constraint_force, constraint_moment)`` on SX.
+    """Return ``(q, v, a, w) -> (tau, force, moment, constraint_force, constraint_moment)`` on SX.
 
-    ``w`` stacks the wrenches on ``frames`` as `rigid_body.fused` takes them: 0, 3 or 6 entries each, world
-    axes. Outputs as in `JointForces`, one column per joint. Built once per model content. Raises `InputError`
+    ``w`` stacks the wrenches on ``frames`` as in `rigid_body.fused`: 0, 3 or 6 entries each, world axes.
+    Outputs are as in `JointForces`, one column per joint. Built once per model content. Raises `InputError`
     for an unknown frame or wrench size, `UnsupportedJointError` for an unsupported joint.
     """
     return _function(model, rigid_body.loaded_frames(model, frames, wrench_kinds))
@@ -112,7 +112,7 @@ def recursive_newton_euler(
 
 @dataclass(frozen=True, kw_only=True)
 class _Link:
-    """Motion of a link, in its own axes, except ``position``: that of its origin, in the parent's axes."""
+    """Motion of a link in its own axes, except ``position``, its origin in the parent's axes."""
 
     rotation: ca.SX  # to the parent's axes
     position: ca.SX
@@ -144,7 +144,7 @@ def _function(model: pin.Model, outer: tuple) -> ca.Function:
 
 
 def _forward(model: pin.Model, q: ca.SX, v: ca.SX, a: ca.SX) -> list[_Link]:
-    """Motion of every link from the root outwards; the root itself is at rest."""
+    """Return the motion of every link from the root outwards; the root is at rest."""
     rest, axes = ca.SX.zeros(3), ca.SX.eye(3)
     root = _Link(
         rotation=axes, position=rest, world_rotation=axes, omega=rest, alpha=rest, acceleration=rest,
@@ -177,7 +177,7 @@ def _moved(model: pin.Model, index: int, parent: _Link, q: ca.SX, v: ca.SX, a: c
 
 
 def _single_joint(model: pin.Model, index: int) -> pin.Model:
-    """A model of that joint alone: its motion in world axes is the relative motion in the parent's axes."""
+    """Return a model of one joint, whose motion in world axes is the relative motion in the parent's axes."""
     single = pin.Model()
     joint = single.addJoint(0, model.joints[index], model.jointPlacements[index], model.names[index])
     single.addFrame(pin.Frame(_LINK, joint, 0, pin.SE3.Identity(), pin.OP_FRAME))
@@ -187,7 +187,7 @@ def _single_joint(model: pin.Model, index: int) -> pin.Model:
 def _outer_wrenches(
     model: pin.Model, links: list[_Link], outer: tuple, w: ca.SX
 ) -> list[tuple[ca.SX, ca.SX]]:
-    """Force and moment on every link at its origin, in its axes, of the wrenches ``w`` in world axes."""
+    """Return force and moment on every link, at its origin in its axes, from wrenches ``w`` in world axes."""
     sums = [(ca.SX.zeros(3), ca.SX.zeros(3)) for _ in range(model.njoints)]
     start = 0
     for joint, _, place, size in outer:
@@ -203,7 +203,7 @@ def _outer_wrenches(
 def _backward(
     model: pin.Model, links: list[_Link], outer: list[tuple[ca.SX, ca.SX]]
 ) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Force and moment through every joint, from the balance of each link about its centre of mass."""
+    """Return force and moment through every joint, from each link's balance about its centre of mass."""
     gravity = ca.SX(ca.DM(model.gravity.linear))
     children: list[list[int]] = [[] for _ in range(model.njoints)]
     force, moment = [ca.SX.zeros(3)] * model.njoints, [ca.SX.zeros(3)] * model.njoints

@@ -1,17 +1,17 @@
 """Structure of the rigid-body dynamics: blocks of M, momentum, Coriolis matrix, energy, gravity.
 
-Notation is Pinocchio's. The **base** is a joint: the root if it is a free-flyer or planar, else none (fixed
-base, no rows); for virtual joints (a chain of prismatic and revolute ones) give the name of the last as
-``base_joint``. Its frame B has the axes and origin of that joint, G is the world's axes at the centre of mass
-c, and ``J_b`` (6, nb) maps the base's rates to the twist of B in B (linear first): the identity for a
-free-flyer. The transport of wrenches and momenta from G to B is
+Notation is Pinocchio's. The **base** is a joint: the root if it is a free-flyer or planar, else none (a fixed
+base has no rows). For virtual joints (a chain of prismatic and revolute ones), pass the name of the last as
+``base_joint``. Frame B has the axes and origin of that joint; G has the world's axes at the centre of mass c.
+``J_b`` (6, nb) maps the base's rates to the twist of B in B (linear first), the identity for a free-flyer.
+The transport of wrenches and momenta from G to B is
 
     X = [ R^T                  0   ]
         [ -R^T [p - c]x       R^T  ]        R, p: orientation and origin of B in the world
 
-and with the momentum h_G = A_G v, the base rows of M are ``J_b^T X A_G``: momentum in the base's coordinates
-(Orin, Goswami, Lee, "Centroidal dynamics of a humanoid robot", 2013). Armature is not momentum: rotors add
-only to the diagonal of M.
+and with the momentum h_G = A_G v, the base rows of M are ``J_b^T X A_G``, momentum in the base's coordinates
+(Orin, Goswami, Lee, "Centroidal dynamics of a humanoid robot", 2013). Armature is not part of the momentum:
+rotors only add to the diagonal of M.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from trajopt.dynamics.model_quantities import mass_matrix_at, require_shapes
 from trajopt.errors import InputError
 from trajopt_library.lessons import lagrange
 
-# Relative tolerance on the part of gravity a base cannot follow, and on a base Jacobian's singular values.
+# Relative tolerance on gravity that a base cannot follow, and on the singular values of a base Jacobian.
 UNREACHABLE = 1e-9
 SINGULAR = 1e-9
 
@@ -43,9 +43,9 @@ class MassBlocks:
 
 @dataclass(frozen=True, kw_only=True)
 class CompositeInertia:
-    """All links as one rigid body: mass in kg, centre (3,) in m, rotational (3, 3) in kg m^2.
+    """All links as one rigid body: mass kg, centre (3,) m in the world, rotational (3, 3) kg m^2.
 
-    ``centre`` is in the world, ``rotational`` about it in world axes.
+    ``rotational`` is the inertia about the centre in world axes.
     """
 
     mass: float
@@ -53,7 +53,7 @@ class CompositeInertia:
     rotational: np.ndarray
 
     def matrix(self, placement: pin.SE3) -> np.ndarray:
-        """Spatial inertia (6, 6), linear first, in the axes and at the origin of ``placement``."""
+        """Return the spatial inertia (6, 6), linear first, at the origin and in the axes of ``placement``."""
         return placement.actInv(pin.Inertia(self.mass, self.centre, self.rotational)).matrix()
 
 
@@ -62,7 +62,7 @@ class MomentumMaps:
     """Momentum matrices at a configuration, and the maps between their frames.
 
     centroidal: (6, nv), A_G: linear and angular momentum in world axes about the centre of mass.
-    base_from_centroidal: (6, 6), X of the module: a wrench or momentum at G, expressed in B.
+    base_from_centroidal: (6, 6), X of the module: maps a wrench or momentum from G to B.
     base_jacobian: (6, nb), J_b of the module.
     placement: B in the world.
     """
@@ -74,22 +74,22 @@ class MomentumMaps:
 
     @property
     def base(self) -> np.ndarray:
-        """(6, nv): momentum in the base's axes about the base's origin."""
+        """Momentum in the base's axes about the base's origin, (6, nv)."""
         return self.base_from_centroidal @ self.centroidal
 
     @property
     def rows_of_mass_matrix(self) -> np.ndarray:
-        """(nb, nv): the base rows of M without armature, ``J_b^T X A_G``."""
+        """Base rows of M without armature, ``J_b^T X A_G``, (nb, nv)."""
         return self.base_rows(self.centroidal)
 
     def base_rows(self, wrench: np.ndarray) -> np.ndarray:
-        """Base rows (nb, ...) of a wrench or momentum (6, ...) at G."""
+        """Return the base rows (nb, ...) of a wrench or momentum (6, ...) at G."""
         return self.base_jacobian.T @ self.base_from_centroidal @ wrench
 
     def at_centre_of_mass(self, base_rows: np.ndarray) -> np.ndarray:
-        """The wrench (6, ...) at G that has these base rows (6, ...).
+        """Return the wrench (6, ...) at G with the given base rows.
 
-        Raises `InputError` unless the base has six rates that move it in six directions (a gimbal lock).
+        Raises `InputError` unless six base rates move the base in six directions (no gimbal lock).
         """
         singular = np.linalg.svd(self.base_jacobian, compute_uv=False)
         if len(singular) < 6 or singular[-1] < SINGULAR * singular[0]:
@@ -105,8 +105,8 @@ class KineticEnergy:
     """Kinetic energy in J, computed in two ways.
 
     translation, rotation: (n,), ``1/2 m |v_c|^2`` and ``1/2 omega^T I omega`` of the link of joint k + 1.
-    armature: ``1/2 sum armature_j v_j^2``, rotors turning with their joints.
-    quadratic_form: ``1/2 v^T M v``; equal to the sum of the others.
+    armature: ``1/2 sum armature_j v_j^2`` of the rotors, which turn with their joints.
+    quadratic_form: ``1/2 v^T M v``, equal to the sum of the others.
     """
 
     translation: np.ndarray
@@ -116,13 +116,13 @@ class KineticEnergy:
 
 
 def mass_blocks(model: pin.Model, q: np.ndarray, base_joint: str | None = None) -> MassBlocks:
-    """Blocks of M at q (nq,), split into base and joints. Raises `InputError` for a wrong base or shape."""
+    """Return the blocks of M at q (nq,) by base and joints; raises `InputError` for a wrong base or shape."""
     matrix, rows = mass_matrix_at(model, q), base_joint_and_rows(model, base_joint)[1]
     return MassBlocks(base=matrix[:rows, :rows], coupling=matrix[:rows, rows:], joints=matrix[rows:, rows:])
 
 
 def composite_inertia(model: pin.Model, q: np.ndarray) -> CompositeInertia:
-    """Inertia of all moving links at q (nq,), as if the joints were welded: ``sum X_L^* I_L X_L``."""
+    """Return the inertia of all links at q (nq,) with welded joints: ``sum X_L^* I_L X_L``."""
     require_shapes(model, q=q)
     data = model.createData()
     pin.forwardKinematics(model, data, q)
@@ -133,7 +133,7 @@ def composite_inertia(model: pin.Model, q: np.ndarray) -> CompositeInertia:
 
 
 def momentum_maps(model: pin.Model, q: np.ndarray, base_joint: str | None = None) -> MomentumMaps:
-    """Momentum matrices at q (nq,). Raises `InputError` for a wrong base or shape."""
+    """Return the momentum matrices at q (nq,); raises `InputError` for a wrong base or shape."""
     require_shapes(model, q=q)
     joint, rows = base_joint_and_rows(model, base_joint)
     data = model.createData()
@@ -148,11 +148,11 @@ def momentum_maps(model: pin.Model, q: np.ndarray, base_joint: str | None = None
 
 
 def coriolis_matrix_at(model: pin.Model, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """C (nv, nv) with ``C v`` the Coriolis and centrifugal forces and ``M' - 2 C`` skew symmetric.
+    """Return C (nv, nv), with Coriolis and centrifugal forces ``C v`` and ``M' - 2 C`` skew symmetric.
 
-    Pinocchio's, which is the Christoffel form. It leaves out the rate of the axes of a spherical ZYX joint,
-    so models with such a joint get `lagrange.coriolis_matrix`. Raises `UnsupportedJointError` as
-    `rigid_body`.
+    It is Pinocchio's, in Christoffel form. Pinocchio leaves out the rate of the axes of spherical ZYX joints,
+    so models with such joints use `lagrange.coriolis_matrix`. Raises `UnsupportedJointError` as
+    `rigid_body` does.
     """
     require_shapes(model, q=q, v=v)
     if any(joint_kind(model, index) == "SphericalZYX" for index in range(1, model.njoints)):
@@ -161,7 +161,7 @@ def coriolis_matrix_at(model: pin.Model, q: np.ndarray, v: np.ndarray) -> np.nda
 
 
 def kinetic_energy_parts(model: pin.Model, q: np.ndarray, v: np.ndarray) -> KineticEnergy:
-    """Kinetic energy at q (nq,), v (nv,), link by link and from M."""
+    """Return the kinetic energy at q (nq,), v (nv,), link by link and from M."""
     require_shapes(model, q=q, v=v)
     data = model.createData()
     pin.forwardKinematics(model, data, q, v)
@@ -179,11 +179,11 @@ def kinetic_energy_parts(model: pin.Model, q: np.ndarray, v: np.ndarray) -> Kine
 
 
 def gravity_from_base_columns(model: pin.Model, q: np.ndarray, base_joint: str | None = None) -> np.ndarray:
-    """Generalised gravity (nv,) as ``G = - M [a_b; 0]``: falling freely needs no force.
+    """Return generalised gravity (nv,) as ``G = - M [a_b; 0]``, M without armature: free fall needs no force.
 
-    ``a_b`` (nb,) are the base rates' derivatives of a base that falls from rest, ``J_b a_b = [R^T g; 0]``:
-    for a free-flyer gravity in the base's axes, not the world's. Raises `InputError` if the base cannot fall
-    (fixed; a plane not along gravity), and for a wrong base or shape.
+    ``a_b`` (nb,) are the rate derivatives of a base that falls from rest, ``J_b a_b = [R^T g; 0]``. For a
+    free-flyer this is gravity in the base's axes, not the world's. Raises `InputError` if the base cannot
+    fall (a fixed base, or a plane that is not along gravity), and for a wrong base or shape.
     """
     maps = momentum_maps(model, q, base_joint)
     rows = maps.base_jacobian.shape[1]
@@ -196,13 +196,13 @@ def gravity_from_base_columns(model: pin.Model, q: np.ndarray, base_joint: str |
 
 
 def gravity_vector(model: pin.Model, q: np.ndarray) -> np.ndarray:
-    """Generalised gravity (nv,) of any base: ``G = - m Jcom^T g``, the linear rows of A_G."""
+    """Return generalised gravity (nv,) for any base: ``G = - m Jcom^T g``, from the linear rows of A_G."""
     return -momentum_maps(model, q).centroidal[:3].T @ model.gravity.linear
 
 
 @once_per_content
 def momentum_matrix(model: pin.Model) -> ca.Function:
-    """A_G on SX, ``q -> (6, nv)``: world axes, about the centre of mass."""
+    """Return A_G on SX, ``q -> (6, nv)``, in world axes about the centre of mass."""
     q, v = ca.SX.sym("q", model.nq), ca.SX.sym("v", model.nv)
     matrix = ca.jacobian(rigid_body.centroidal_momentum(model)(q, v), v)
     return ca.Function("momentum_matrix", [q], [matrix], ["q"], ["A"])
@@ -210,7 +210,7 @@ def momentum_matrix(model: pin.Model) -> ca.Function:
 
 @once_per_content
 def mass_matrix_rate(model: pin.Model) -> ca.Function:
-    """Rate of M along a motion on SX, ``(q, v) -> M'`` (nv, nv): the exact directional derivative."""
+    """Return the rate of M along a motion on SX, ``(q, v) -> M'`` (nv, nv), an exact derivative."""
     q, v, t = ca.SX.sym("q", model.nq), ca.SX.sym("v", model.nv), ca.SX.sym("t")
     along = rigid_body.mass_matrix(model)(rigid_body.integrate(model)(q, t * v))
     rate = ca.Function("rate", [t, q, v], [ca.reshape(ca.jacobian(ca.vec(along), t), along.shape)])
@@ -218,9 +218,9 @@ def mass_matrix_rate(model: pin.Model) -> ca.Function:
 
 
 def base_joint_and_rows(model: pin.Model, base_joint: str | None) -> tuple[int, int]:
-    """Index of the base's joint (0: the world) and number of base rows.
+    """Return the index of the base's joint (0: the world) and the number of base rows.
 
-    Raises `InputError` for a ``base_joint`` that is not a base: unknown, not at the root of everything, or
+    Raises `InputError` if ``base_joint`` is not a base: it is unknown, does not carry all other links, or is
     behind joints with mass.
     """
     if base_joint is None:

@@ -1,8 +1,8 @@
 """Newton's and Euler's equations of the whole robot, and their relation to the base rows of the dynamics.
 
 The rate of momentum about the centre of mass is the wrench of gravity and contacts (Featherstone, "Rigid Body
-Dynamics Algorithms", 2008, section 2.12): joint torques do not appear. Frames and the transport to the base
-are those of `structure`.
+Dynamics Algorithms", 2008, section 2.12); joint torques do not appear. `structure` defines the frames and the
+transport to the base.
 """
 
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ from trajopt_library.lessons.structure import (
 
 @dataclass(frozen=True, kw_only=True)
 class WholeBodyBalance:
-    """Newton and Euler for the robot as a whole, (6,) force N and moment N m each, at G.
+    """Newton's and Euler's equations of the whole robot, (6,) force N and moment N m each, at G.
 
     momentum_rate: rate of linear and angular momentum.
-    gravity, contacts: wrench of the weight, and of the contacts together.
+    gravity, contacts: wrench of the weight, and total wrench of the contacts.
     base_rows: (nb,), base rows of ``RNEA(q, v, a) - sum J^T f``.
     momentum: the maps between these rows and wrenches.
     """
@@ -40,10 +40,10 @@ class WholeBodyBalance:
 
     @property
     def missing(self) -> np.ndarray:
-        """(6,): the wrench that the motion needs beyond gravity and contacts.
+        """Wrench (6,) that the motion needs beyond gravity and contacts.
 
-        Zero in a consistent motion of a floating base; the reaction in the bearings of a fixed or planar
-        base. Its base rows, ``momentum.base_rows(missing)``, are ``base_rows`` for every motion.
+        It is zero in a consistent motion of a floating base, and the bearing reaction of a fixed or planar
+        base. Its base rows, ``momentum.base_rows(missing)``, equal ``base_rows`` for every motion.
         """
         return self.momentum_rate - self.gravity - self.contacts
 
@@ -55,17 +55,17 @@ def whole_body_balance(
     wrenches: np.ndarray | None = None,
     base_joint: str | None = None,
 ) -> WholeBodyBalance:
-    """Balance of the robot as a whole in a motion.
+    """Return the balance of the robot as a whole in a motion.
 
     Args:
-        model: of any robot.
+        model: Model of any robot.
         motion: q (nq,), v (nv,), a (nv,).
-        frames: at whose origins wrenches act on the robot.
+        frames: Frames at whose origins wrenches act on the robot.
         wrenches: (n, 6: force N, moment N m), world axes.
-        base_joint: last of the joints of a virtual base; default the root's.
+        base_joint: Last joint of a virtual base; default: the root.
 
     Raises:
-        InputError: for a wrong frame, base or shape.
+        InputError: If a frame, base or shape is wrong.
     """
     q, v, a = motion
     require_shapes(model, q=q, v=v, a=a)

@@ -35,7 +35,7 @@ MANUTEC_VOLT, MANUTEC_GEAR, MANUTEC_ROTOR = np.array([-126.0, 252.0, 72.0]), (-1
 
 
 def _block(force: float = math.inf, most: float = math.inf) -> Robot:
-    """1 kg on a slide along x without friction: a double integrator; N, and m ahead."""
+    """Return 1 kg on a frictionless slide along x, a double integrator; limits in N and m."""
     model = pin.Model()
     model.name = "block"
     limits = (np.array([force]), np.array([math.inf]), np.array([-math.inf]), np.array([most]))
@@ -45,7 +45,7 @@ def _block(force: float = math.inf, most: float = math.inf) -> Robot:
 
 
 def _chain(name: str, links: list[tuple[pin.JointModel, float, pin.Inertia]], gravity: float) -> Robot:
-    """Joints, each at a distance along z (x without gravity) from the last, with the inertia of its link."""
+    """Return a chain of joints, each at a distance along z (x without gravity) from the previous one."""
     model = pin.Model()
     model.name = name
     model.gravity.linear = np.array([0.0, 0.0, -gravity])
@@ -67,7 +67,7 @@ def _problem(
     v: np.ndarray | None = None,
     free: tuple[float, float] | None = None,
 ) -> Problem:
-    """A motion with a straight guess; ``free`` are bounds of a duration that is free, s."""
+    """Return a problem with a straight guess; ``free`` are the bounds of a free duration, s."""
     phase = (
         Phase(name="move", duration=duration)
         if free is None
@@ -123,7 +123,7 @@ def _bryson_denham() -> Problem:
 
 def _time_and_speed() -> Problem:
     robot, start, end = _block(force=1.0), np.array([2.0]), np.array([5.0])
-    # Over sqrt(g l): a weight of g l (l is 1 m here) makes the cost on rates the integral of v^2.
+    # Rates are over sqrt(g l): with a weight of g l (l is 1 m here) the cost is the integral of v^2.
     speed = VelocityCost(weight=9.81 * robot.length)
     terms = (TimeCost(weight=1.0), speed, TorqueLimits(), TerminalState(q=end), TerminalRest(q=end))
     return _problem("time-and-speed", robot, 5.0, terms, start, end, free=(1.0, 20.0))
@@ -159,7 +159,7 @@ def _cart_pole() -> Problem:
 
 
 def _manutec() -> Problem:
-    """The three joints of DFVLR model 2, without load; rotors turn with their gears alone."""
+    """Return the three joints of DFVLR model 2 without load; rotors only turn with their gears."""
 
     def about_joint(mass: float, centre: list[float], moments: list[list[float]]) -> pin.Inertia:
         c = np.array(centre)
@@ -184,7 +184,7 @@ def _manutec() -> Problem:
     robot = replace(
         robot, position_lower=-limits, position_upper=limits, velocity_limit=np.array([3.0, 1.5, 5.2])
     )
-    # 1.2 N m/V at every motor, and 7.5 V.
+    # 1.2 N m/V at every motor, limited to 7.5 V.
     robot = robot.with_drives(
         [Drive(gear_ratio=gear, rotor_inertia=MANUTEC_ROTOR, torque_limit=1.2 * 7.5) for gear in MANUTEC_GEAR]
     )
@@ -195,7 +195,7 @@ def _manutec() -> Problem:
 
 
 def _betts_pendulum() -> Problem:
-    """A unit mass at a unit distance, from level at rest to hanging at rest."""
+    """Return the swing of a unit mass at unit distance, from level at rest to hanging at rest."""
     mass = pin.Inertia(1.0, np.array([1.0, 0.0, 0.0]), np.zeros((3, 3)))
     robot = _chain("pendulum", [(pin.JointModelRY(), 0.0, mass)], 9.81)
     end = np.array([math.pi / 2])

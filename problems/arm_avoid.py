@@ -26,24 +26,23 @@ from . import arms, common
 if TYPE_CHECKING:
     from trajopt.collision import CollisionScene
 
-# Tool at start and goal, over the robot's reach: its distance from the base's axis and its height.
+# Position of the tool at start and goal, over the robot's reach: distance from the base's axis, and height.
 RADIUS, HEIGHT = 0.4, 0.25
-# The box's sides along the tool's path, across it, and up from the ground to the tool, without its rise above
-# it; the post's radius; how far inwards box and post begin, so that the arm cannot pass behind them.
+# Sides of the box along the tool's path and across it, and radius of the post, all over the reach.
 BOX_ALONG, BOX_ACROSS, POST_RADIUS = 0.08, 0.2, 0.025
 # Positions of box and post between start (-1) and goal (1), as a fraction of the turn.
 BOX_AT, POST_AT = -0.3, 0.35
-# Steps in which inverse kinematics follows the tool around the base, to keep the branch of the reference.
+# Steps in which inverse kinematics follow the tool around the base, to stay on the reference's branch.
 STEPS = 8
-# The waypoint is raised and drawn in by these steps, over the reach, up to the largest.
+# Steps by which the waypoint is raised, and its largest rise; how far it is drawn in; all over the reach.
 RAISE_STEP, MOST_RAISED, DRAWN_IN = 0.02, 0.5, (0.0, 0.05, 0.1)
-# Configurations at which the clearance of a guess is measured.
+# Number of configurations at which the clearance of a guess is measured.
 LOOKS = 40
-# Peak rate of 10 s^3 - 15 s^4 + 6 s^5 over its mean. The default duration allows a path over the obstacles
-# that is longer than the turn, and has a lower bound in sqrt(reach / g), for the weight of the arm.
+# Peak rate of 10 s^3 - 15 s^4 + 6 s^5 over its mean. The default duration allows for a path over the
+# obstacles, longer than the turn. Its lower bound, due to the arm's weight, is in units of sqrt(reach / g).
 PEAK_RATE, LONGER_WAY, LEAST_TIME = 1.875, 1.5, 5.0
-# Weight of accelerations next to torques. A redundant arm has motions that cost hardly any torque: with a
-# tenth of this, a seven-joint arm takes three times the iterations.
+# Weight of accelerations relative to torques. Some motions of a redundant arm need hardly any torque: with a
+# tenth of this weight, a seven-joint arm takes three times the iterations.
 SMOOTHNESS = 0.1
 
 
@@ -133,7 +132,7 @@ def clearance_along(scene: CollisionScene, path: RaisedPath) -> float:
 
 
 def _duration(robot: Robot, start: np.ndarray, goal: np.ndarray) -> float:
-    """Duration that the velocity limits allow for the turn, with time for the detour, s."""
+    """Return the duration in s that the velocity limits allow for the turn, with time for the detour."""
     travel = np.abs(pin.difference(robot.model, start, goal))
     by_rate = LONGER_WAY * PEAK_RATE * float((travel / robot.velocity_limit).max())
     return max(by_rate, LEAST_TIME * math.sqrt(robot.length / 9.81))
@@ -150,7 +149,7 @@ def build(
     duration: float | None,
 ) -> Problem:
     """Build the motion past the obstacles; see ``FAMILY`` for the parameters. Raises InputError."""
-    from trajopt.collision import CollisionScene, inertia_capsules  # not for a list of problems
+    from trajopt.collision import CollisionScene, inertia_capsules  # slow; not needed to list problems
 
     arm = arms.load(robot)
     body, reach = arm.robot, arm.robot.length

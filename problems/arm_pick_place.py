@@ -20,16 +20,16 @@ from . import arms, common
 TOOL = "tool"
 PHASES = ("approach", "descend", "lift", "carry", "lower", "retreat")
 CARRIED = ("lift", "carry", "lower")
-# Height of the waypoints over the places, over the reach.
+# Height of the waypoints above the places, over the reach.
 OVER = 0.1
-# The default object takes this share of the torque that gravity leaves at the weakest joint of all waypoints,
-# and has at most this share of the arm's mass. It is a cube as dense as water, held at the middle of its top.
+# Share of the torque left by gravity at the weakest joint of all waypoints that the default object takes, and
+# its largest share of the arm's mass. It is a cube with the density of water, held at the middle of its top.
 SHARE, OF_ARM = 0.4, 0.1
 DENSITY = 1000.0
-# Multiples of the shortest durations by the limits: the default for least effort, and bounds of free
+# Multiples of the shortest durations within the limits: the default for least effort, and the bounds of free
 # durations.
 UNHURRIED, FREE = 2.5, (0.1, 4.0)
-# Weights of accelerations, as in `arm-transfer`.
+# Weights of accelerations; see `arm-transfer`.
 SMOOTH = {"effort": 1e-2, "time": 1e-3}
 INTERVALS = 36
 
@@ -57,7 +57,7 @@ def default_mass(robot: Robot, tool: str, postures: list[np.ndarray]) -> float:
 
 
 def _way(arm: arms.Arm, poses: list[pin.SE3], end: np.ndarray) -> tuple[Term, ...]:
-    """Above each place before and after, at rest on it, and above the second at the end."""
+    """Return the goals: above each place before and after, at rest on it, above the second at the end."""
     over_pick, pick, over_place, place = poses
 
     def pose(at: Moment, goal: pin.SE3, *, turned: bool) -> FramePose:
@@ -112,7 +112,7 @@ def build(
         terrain=FlatGround(height=_below(arm)),
         parameters={"payload": mass, "duration": float(np.sum(durations))},
         default_intervals=2 * INTERVALS if goal == "time" else INTERVALS,
-        # Torques of least time jump between limits: polynomials of a higher degree overshoot between points.
+        # Least-time torques jump between limits; polynomials of higher degree overshoot between points.
         default_transcription="legendre:1" if goal == "time" else "legendre:2",
         payloads=dict.fromkeys(CARRIED, cube(arm, mass)) if mass > 0 else {},
     )
@@ -121,7 +121,7 @@ def build(
 def _durations(
     robot: Robot, postures: tuple[np.ndarray, ...], goal: str, duration: float | None
 ) -> list[float]:
-    """Duration of every phase, s: the total, shared in proportion to the least durations."""
+    """Return the duration of every phase, s: the total, in proportion to the least durations."""
     least = [arms.least_duration(robot, pair) for pair in pairwise(postures)]
     if not min(least) > 0:
         raise InputError("two waypoints of arm-pick-place are the same", "allowed: turn and over not zero")
@@ -130,7 +130,7 @@ def _durations(
 
 
 def _below(arm: arms.Arm) -> float:
-    """Height in m of a floor that is out of the way: the object stands on a table that is not modelled."""
+    """Return the height in m of a floor out of the way; the table below the object is not modelled."""
     return float(min(arm.axis[2], 0.0) - arm.robot.length)
 
 

@@ -12,11 +12,11 @@ from trajopt.terms import AccelerationCost, TorqueCost
 
 from . import arms, common
 
-# The default goal: the tool of the reference posture turned about the base and raised.
+# The default goal is the tool of the reference posture turned about the base and raised.
 TURN = math.radians(60)
 UP = 0.15  # of the reach
 PLACE = "goal of the tool, world (default: the start turned by 60 degrees and raised by 0.15 reach)"
-# The default duration over the least duration estimated from the limits.
+# Default duration over the least duration estimated from the limits.
 UNHURRIED = 2.0
 
 
@@ -66,7 +66,7 @@ def build(
 def _goal(
     arm: arms.Arm, given: tuple[float | None, ...], turn: np.ndarray, turned: bool
 ) -> tuple[pin.SE3, Posture]:
-    """Pose of the tool and a posture there, or as near as inverse kinematics can get."""
+    """Return the pose of the tool and a posture there, or as near as inverse kinematics get."""
     default = arm.pose(TURN, 0.0, UP).translation
     position = np.where([coordinate is None for coordinate in given], default, np.array(given, dtype=float))
     distance = float(np.linalg.norm(position - arm.axis))

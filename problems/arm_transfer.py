@@ -12,16 +12,16 @@ from trajopt.terms import AccelerationCost, Term, TimeCost, TorqueCost
 
 from . import arms, common
 
-# Weights of accelerations, which give every direction of the motion a cost: small compared with torques (mean
-# squares of about 1e-2 of weight times reach), and with a transfer of about one sqrt(l / g).
+# Weights of accelerations, which give every direction of the motion a cost. They are small compared with
+# torques (mean squares of about 1e-2 of weight times reach) and with a transfer of about one sqrt(l / g).
 SMOOTH_EFFORT, SMOOTH_TIME = 1e-2, 1e-4
-# Least-time torques jump between limits. A scheme of one point has constant torques in an interval, within
-# limits if they are at the point; a polynomial through two points overshoots at the nodes. So least time uses
-# one point, and twice the intervals.
+# Least-time torques jump between limits. A one-point scheme has constant torques in an interval, which are
+# within limits if they are at the point; a polynomial through two points overshoots at the nodes. Least time
+# therefore uses one point and twice the intervals.
 INTERVALS = 30
-# A free duration lies within these multiples of the guessed one.
+# Bounds of a free duration, as multiples of the guessed one.
 SHORTEST, LONGEST = 0.1, 4.0
-# The default duration for least effort over the least duration estimated from the limits.
+# Default duration for least effort over the least duration estimated from the limits.
 UNHURRIED = 2.0
 
 

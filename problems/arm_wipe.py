@@ -30,17 +30,17 @@ from trajopt.terrain import Surface, smooth_step
 from . import arms, common
 
 TOOL = "tool"
-# Default length of a line and diameter of a circle, over the reach.
+# Default length of the line and diameter of the circle, over the reach.
 SIZES = {"line": 0.25, "circle": 0.15}
-# The default force takes this share of the torque that gravity leaves at the weakest joint along the path.
+# Share of the torque left by gravity at the weakest joint along the path that the default force takes.
 FORCE_SHARE = 0.25
-# The default duration over the least duration estimated from the limits.
+# Default duration over the least duration estimated from the limits.
 UNHURRIED = 2.0
-# Slip speed at which friction reverses smoothly, over the mean speed.
+# Slip speed over which friction reverses smoothly, over the mean speed.
 SLIP = 0.1
-# Sine of the angle between a plane's normal and the sideways of the arm, below which none runs in it.
+# Least sine of the angle between the plane's normal and the arm's sideways direction for a sideways line.
 LEAST_ACROSS = 1e-6
-# Postures along the path, by inverse kinematics, for the guess.
+# Number of postures along the path, from inverse kinematics, for the guess.
 KNOTS = 41
 
 
@@ -74,7 +74,7 @@ class Stroke:
         return np.asarray(self.size / 2 * circling)
 
     def _direction(self, turn: float) -> np.ndarray:
-        """Unit vector (3,) from the centre of a circle to the point at ``turn`` rad."""
+        """Return the unit vector (3,) from a circle's centre to the point at ``turn`` rad."""
         return math.sin(turn) * self.across - math.cos(turn) * self.along
 
     @property
@@ -185,8 +185,8 @@ def build(
 
 
 def _along(model: pin.Model, postures: Sequence[np.ndarray], duration: float) -> Motion:
-    """Guess: smoothly through postures (nq,) that are evenly spread over the stroke, in ``duration`` s."""
-    from scipy.interpolate import CubicSpline  # takes longer to load than all other problems
+    """Return a smooth guess through postures (nq,) evenly spaced on the stroke, in ``duration`` s."""
+    from scipy.interpolate import CubicSpline  # slower to import than all other problems
 
     start = postures[0]
     spline = CubicSpline(np.linspace(0.0, 1.0, KNOTS), [pin.difference(model, start, q) for q in postures])
@@ -198,7 +198,7 @@ def _moved(model: pin.Model, start: np.ndarray, way: Motion, duration: float, t:
 
 
 def _normal(arm: arms.Arm, tilt: float | None, out: float) -> np.ndarray:
-    """Normal (3,) of the plane: against the tool of the reference, or tilted from upright towards the arm."""
+    """Return the plane's normal (3,): against the reference's tool, or tilted from upright to the arm."""
     if tilt is None:
         return -np.asarray(arm.at_reference.rotation @ arm.outward)
     away = arm.pose(0.0, out, 0.0).translation - arm.axis
@@ -209,7 +209,7 @@ def _normal(arm: arms.Arm, tilt: float | None, out: float) -> np.ndarray:
 
 
 def _stroke(arm: arms.Arm, shape: str, size: float | None, centre: np.ndarray, normal: np.ndarray) -> Stroke:
-    """Stroke about ``centre`` (3,) m in the plane; a line runs sideways as the arm sees it."""
+    """Return the stroke about ``centre`` (3,) m in the plane; a line runs sideways as the arm sees it."""
     away = centre - arm.axis
     sideways = np.array([-away[1], away[0], 0.0])
     across = sideways - (sideways @ normal) * normal
@@ -224,7 +224,7 @@ def _stroke(arm: arms.Arm, shape: str, size: float | None, centre: np.ndarray, n
 
 
 def _postures(arm: arms.Arm, stroke: Stroke, normal: np.ndarray) -> list[np.ndarray]:
-    """Postures (nq,) at `KNOTS` points of the stroke, the tool against the plane, each from the last."""
+    """Return postures (nq,) at `KNOTS` points of the stroke, tool against the plane, in sequence."""
     reference = arm.at_reference.rotation
     turn = pin.Quaternion.FromTwoVectors(reference @ arm.outward, -normal).toRotationMatrix()
     facing, first = turn @ reference, stroke(0.0)

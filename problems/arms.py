@@ -18,19 +18,19 @@ from trajopt_library import robots
 
 from . import common
 
-# Arms on which families are tested; any other works by its name or file.
+# Arms on which families are tested; others work by name or file.
 ARMS = ("ur5", "panda", "kinova", "irb1600", "z1", "xarm7")
-# Steps in which inverse kinematics follows the tool, to keep the branch of the reference.
+# Steps in which inverse kinematics follow the tool, to stay on the reference's branch.
 STEPS = 12
-# Error below which a pose counts as reached, m and rad.
+# Largest error of a pose that is reached, m and rad.
 REACHED = 1e-6
-# Rows of a pose. An arm with fewer joints reaches few poses; of arm-reach the place alone may be asked for.
+# Rows of a pose. An arm with fewer joints reaches few poses; arm-reach may ask for the position alone.
 POSE_ROWS, ORIENTATION, GIVEN, FREE = 6, "orientation", "given", "free"
-# Least fraction of a motor's torque that is assumed to be left for the motion.
+# Least fraction of a motor's torque assumed to be left for the motion.
 LEAST_SPARE = 0.1
-# Least assumed lever arm of a joint to a force at the tool, over the reach.
+# Least assumed lever arm between a joint and a force at the tool, over the reach.
 LEAST_LEVER = 1e-3
-# Least distance behind the tool, m, of the joint that defines the direction of the arm.
+# Least distance behind the tool, m, of the joint that defines the arm's direction.
 BEHIND = 1e-3
 # Peak rate and acceleration of the guess, 10 s^3 - 15 s^4 + 6 s^5, over a unit of time.
 PEAK_RATE, PEAK_ACCELERATION = 1.875, 10 / math.sqrt(3)
@@ -156,11 +156,11 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool
     travel = np.abs(steps).sum(axis=0)
     by_rate = PEAK_RATE * travel / robot.velocity_limit
     if robot.torque_limit is None:
-        if np.isinf(robot.velocity_limit).all():  # accelerations of one in natural units
+        if np.isinf(robot.velocity_limit).all():  # accelerate by one natural unit
             return float(np.sqrt(PEAK_ACCELERATION * travel.max()) * common.natural_time(robot))
         return float(by_rate.max())
     held = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
-    # If the motors cannot hold a posture, the problem is infeasible whatever the guess.
+    # If the motors cannot hold a posture, the problem is infeasible for any guess.
     spare = np.maximum(robot.torque_limit - weight * held, LEAST_SPARE * robot.torque_limit)
     inertia = np.diag(pin.crba(model, data, postures[0]))
     by_torque = np.sqrt(PEAK_ACCELERATION * travel * inertia / spare)

@@ -17,10 +17,10 @@ from trajopt.terrain import FlatGround
 
 from . import bipeds, common
 
-# Push over mass times sqrt(g l): the pendulum's capture point then moves by this fraction of the robot's
+# Push over mass times sqrt(g l), which moves the pendulum's capture point by this fraction of the robot's
 # length.
 PUSH = 0.05
-# Feet step this much further than the capture point of the pendulum.
+# Distance of the step over that of the pendulum's capture point.
 BEYOND = 1.5
 # Durations in units of sqrt(l / g).
 STAND = 6.0
@@ -47,10 +47,10 @@ def pushed(robot: Robot, impulse: np.ndarray) -> np.ndarray:
 
 
 def _capture(robot: Robot, velocity: np.ndarray) -> np.ndarray:
-    """Vector (2,) in m from the centre of mass to the pendulum's capture point."""
+    """Return the vector (2,) in m from the centre of mass to the pendulum's capture point."""
     data = robot.model.createData()
     com = pin.centerOfMass(robot.model, data, robot.reference, velocity)
-    height = com[2] - common.foot_radius(robot)  # forces pass through the centres
+    height = com[2] - common.foot_radius(robot)  # forces act at the centres of the feet
     return np.asarray(data.vcom[0][:2] * math.sqrt(height / gravity_of(robot.model)))
 
 

@@ -10,10 +10,10 @@ from trajopt.schedule import BIPED, gait_of
 from . import bipeds, common, gait_common
 from .gait_common import Style
 
-# Least height of a foot in mid-swing, and that of the guess, over the robot's length.
+# Height of a foot in mid-swing, over the robot's length: the least, and that of the guess.
 CLEARANCE = 0.05
 GUESS_CLEARANCE = 0.08
-# Froude numbers of a slow walk and of a jog; they determine stride lengths as for other animals.
+# Froude numbers of a slow walk and of a jog, which determine the stride lengths as for animals.
 STYLES = {
     "walk": Style(froude=0.04, clearance=CLEARANCE, summary="one or two feet on the ground"),
     "run": Style(froude=0.25, clearance=CLEARANCE, summary="one foot or none on the ground"),

@@ -16,12 +16,12 @@ from trajopt.problem import Family, Problem
 from . import bipeds, common, quadruped_jump
 from .gait_common import near
 
-# Limit of the default jump forward: in flight feet move from rest to rest with at most this acceleration over
-# gravity, because legs are a third of a humanoid's mass.
+# Limit on the default jump forward: in flight, feet move from rest to rest with at most this acceleration
+# over gravity, because a humanoid's legs are a third of its mass.
 SWING_ACCELERATION = 2.0
 # Default duration of the push in units of sqrt(l / g): half of a quadruped's, too short to swing.
 STANCE = 1.4
-# Bodies pitch fast over two feet.
+# Many intervals, because bodies pitch fast above two feet.
 INTERVALS = 64
 
 
@@ -35,7 +35,7 @@ def _upright(build: Callable[..., Problem], *, goal: str, **values: Any) -> Prob
 
 
 def _forward(build: Callable[..., Problem], **values: Any) -> Problem:
-    """With the default distance limited to what heavy legs can swing through in flight."""
+    """Limit the default distance to what heavy legs can swing through in flight."""
     problem = build(**values)
     if values["distance"] is not None:
         return problem

@@ -7,7 +7,7 @@ from trajopt.terms import FrameHeight
 
 from . import bipeds, common, pushing
 
-# Depth over the robot's length; duration in units of sqrt(l / g): two seconds for a human's leg.
+# Depth over the robot's length; duration in units of sqrt(l / g), two seconds for a human leg.
 DEPTH, DURATION = 0.2, 6.0
 INTERVALS = 30
 

@@ -11,22 +11,22 @@ from trajopt.terrain import PiecewiseTerrain, swing_path
 from . import bipeds, common
 
 PHASES = ("shift", "step_1", "double", "step_2", "settle")
-# Height of the box and displacement forward, over the robot's length; least displacement, over a sole's.
+# Height of the box and forward displacement over the robot's length; least displacement over the sole length.
 HEIGHT, FORWARD, SOLES = 0.15, 0.4, 1.6
 # Durations in units of sqrt(l / g).
 SHIFT, STEP, DOUBLE = 3.5, 3.2, 2.0
-# In the guess the base shifts this fraction of the distance to the standing foot, and has covered these
-# fractions of its displacement forward and of its rise at the ends of the phases.
+# In the guess the base moves sideways by this fraction of the distance to the standing foot. At the ends of
+# the phases it has covered these fractions of its forward displacement and of its rise.
 SWAY = 0.7
 DONE_FORWARD, DONE_UP = (0.1, 0.35, 0.65, 0.95), (0.0, 0.2, 0.6, 1.0)
 CLEARANCE = 0.05
-# The box begins this fraction of the displacement before the heels that land on it: room to lift a foot.
+# The box begins this fraction of the displacement before the landing heels: room to lift a foot.
 BEFORE_HEEL = 0.1
 INTERVALS = 50
 
 
 def _path(robot: Robot, times: np.ndarray, forward: float, height: float) -> list[BaseWaypoint]:
-    """The base at the start and at the end of every phase: over the foot that stands alone."""
+    """Return the base at the start and the end of every phase: over the foot that stands alone."""
     feet, base = contact_positions(robot, robot.reference), robot.reference[1]
     left, right = (SWAY * float(feet[name][1] - base) for name in biped_legs(robot))
     sides = (left, left, right, right)

@@ -20,18 +20,18 @@ from trajopt.terrain import FlatGround
 
 from . import bipeds, common
 
-# Part of the soles that the pendulum's ZMP keeps away from: the robot is not a pendulum.
+# Fraction of the soles kept as a margin for the pendulum's ZMP: the robot is not a pendulum.
 MARGIN = 0.5
-# Swings of the guess are higher than required by this factor.
+# Swing height of the guess over the required one.
 GUESS_SWING = 1.5
-# Defaults are those of Talos, whose length this is in m; others walk the same at the same Froude number, with
-# lengths in proportion to theirs and times to the root of it.
+# Length in m of Talos, for which the defaults are given. Other robots walk at the same Froude number: lengths
+# are in proportion to theirs, times to its square root.
 LENGTH_OF_DEFAULTS = 1.0193317172808651
 LENGTHS = {"length": 0.2, "clearance": 0.04}
 TIMES = {"step_time": 0.6, "double_support": 0.15, "shift": 0.5, "settle": 0.6}
-# Intervals per second for Talos.
+# Intervals per second, for Talos.
 INTERVALS_PER_SECOND = 10
-# Range of the duration of every part of the walk, s.
+# Range of the duration of each part of the walk, s.
 DURATIONS = (0.05, 5.0)
 
 
@@ -49,7 +49,7 @@ def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
         com_start=com[:2],
         shrink=MARGIN,
     )
-    from trajopt.guesses import guess_from_lip  # not for a list of problems
+    from trajopt.guesses import guess_from_lip  # slow; not needed to list problems
 
     return guess_from_lip(robot, plan, program.solve(), clearance=GUESS_SWING * clearance)
 
@@ -57,7 +57,7 @@ def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
 def _rolling(
     robot: Robot, flat: Schedule, guess: Motion, rolls: tuple[float, float], clearance: float
 ) -> tuple[Robot, Schedule, tuple[Term, ...]]:
-    """Robot, schedule and swing terms with soles that roll; corners land where the guess has them."""
+    """Return robot, schedule and swing terms for rolling soles; corners land as in the guess."""
     free = Schedule(tuple(replace(phase, footholds={}) for phase in flat.phases))
     soles = [contact.name for contact in robot.contacts]
     robot, free = with_edges(robot), rolled(free, soles, heel=rolls[0], toe=rolls[1])

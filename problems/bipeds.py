@@ -15,7 +15,7 @@ from . import common
 
 ROBOTS = ("talos", "g1", "bolt")
 HUMANOIDS = ("g1_arms", "talos_arms")  # with hands
-# Parts of a stance on heel and toe.
+# Fractions of a stance on heel and toe.
 ROLLS = {"heel": 1 / 6, "toe": 1 / 4}
 ROLLING = (
     common.choice("feet", "soles stay flat, or roll from heel to toe", "flat", "heel-toe"),

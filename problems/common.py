@@ -30,11 +30,11 @@ from trajopt.terms import (
 from trajopt.terrain import FlatGround, Terrain, smooth_step
 from trajopt_library import robots
 
-# Least height of a foot over the ground in mid-flight, m.
+# Least height of a foot above the ground in mid-flight, m.
 CLEARANCE = 0.03
-# Weight of impulses: without it an impact brakes for free, since torque costs do not include it.
+# Weight of impulses: without it, impacts brake at no cost, since torque costs do not include them.
 IMPULSE_WEIGHT = 0.1
-# Rounding of a number of intervals.
+# Rounding error of a number of intervals.
 WHOLE = 1e-9
 
 Range = tuple[float, float]
@@ -97,10 +97,10 @@ def goal(*choices: str, meaning: str = "objective") -> Choice:
     return choice("goal", meaning, *choices)
 
 
-# One torque limit for all joints, or a fraction of the robot's own torque limits.
+# One torque limit for all joints; default: the robot's own limits.
 TORQUE_LIMIT = number("torque_limit", None, "N m", "torque limit (default: the URDF's)", (0.0, 1e4))
 TORQUE_SHARE = number("torque_share", 1.0, "", "usable fraction of the torque limits", (1e-3, 1.0))
-# How contacts land: `hop_schedule` takes ``impact``, which needs a cost on impulses.
+# Kind of touchdown: `hop_schedule` takes ``impact``, which needs a cost on impulses.
 TOUCHDOWN = choice("touchdown", "land at zero foot velocity or by a rigid impact", "soft", "impact")
 
 

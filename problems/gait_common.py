@@ -16,15 +16,15 @@ from trajopt.terrain import FlatGround
 from . import common
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
-# Swings of the guess are higher than required by this factor.
+# Swing height of the guess over the required one.
 HIGHER = 1.5
-# Free durations are between these multiples of the nominal ones; their sum, the period, is fixed.
+# Bounds of free durations as multiples of the nominal ones; their sum, the period, is fixed.
 FREE = (0.6, 1.5)
-# Parts of a stance on heel and toe.
+# Fractions of a stance on heel and toe.
 Rolls = tuple[float, float]
-# Intervals of a whole cycle.
+# Intervals of a full cycle.
 INTERVALS = 32
-# Weight of the base's distance from the commanded motion: a tenth of that of torques.
+# Weight of the base's deviation from the commanded motion: a tenth of the weight of torques.
 TRACKING = 0.1
 
 
@@ -68,7 +68,7 @@ STYLES = {
     "gallop": Style(froude=0.49, stride=1.9, growth=0.40, summary="transverse footfalls, two flights"),
     "rotary-gallop": Style(froude=0.49, stride=1.9, growth=0.40, summary="rotary footfalls, two flights"),
 }
-# Gaits that the suite runs on one robot only, although all robots can.
+# Gaits that the test suite runs on one robot only, although all robots can.
 RARE = ("amble", "flying-trot", "canter", "rotary-gallop")
 
 

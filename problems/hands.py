@@ -17,24 +17,24 @@ from trajopt.terrain import FlatGround, PiecewiseTerrain, Surface, Terrain, smoo
 
 from . import bipeds, common, pushing
 
-# Steps of inverse kinematics from one posture to another: joints stay on their branch.
+# Steps of inverse kinematics from one posture to another, so that joints stay on their branch.
 STEPS = 12
 REACH_ERROR = 1e-3
 UP = np.array([0.0, 0.0, 1.0])
-# The base of a robot that leans is raised by this part of its height: straighter knees leave room to ankles.
+# A leaning robot's base is raised by this fraction of its height: straighter knees leave room for the ankles.
 RAISED = 0.05
-# Hands on the wall are this part of the way from the shoulders to the farthest place that they reach.
+# Distance of the hands on the wall from the shoulders, over the farthest that they reach.
 ARM_SHARE = 0.8
 # Durations in units of sqrt(l / g).
 PUSH, RECOVER, APPROACH, REACH, MOVE = 2.0, 5.0, 5.0, 5.0, 3.5
-# Height of the table over that of the base; distance of the goal over that of the shoulders that lean, its
-# height over that of the base. The table is solid beneath a layer for hands, of which the contact is a ball.
+# Table height over base height; goal distance over that of the leaning shoulders; goal height over base
+# height. The table is solid below a layer for the hands, m, since their contact is a ball.
 TABLE, GOAL_AHEAD, GOAL_UP, LAYER = 1.0, 2.5, 1.2, 0.05
-TABLE_SIDES, EDGE = (0.6, 1.2, 0.04), 0.1  # m; the hand is EDGE from the edge
-# Steps and rails over the height of the base, a run over a sole; where steps begin; rails: ahead, apart.
+TABLE_SIDES, EDGE = (0.6, 1.2, 0.04), 0.1  # m; the hand is at distance EDGE from the edge
+# Rise, run and rail height over base height; least run over sole length; start of steps; place of rails.
 RISE, RUN, RAIL, SOLES, BEFORE_HEEL, AHEAD, APART = 0.35, 0.45, 0.75, 1.25, 0.1, 0.15, 1.3
-# In the guess the base shifts this part of the way to the foot that stands, and has covered these fractions
-# forward and upward at the ends of a step's phases.
+# In the guess the base moves sideways by this fraction of the way to the standing foot. At the ends of a
+# step's phases it has covered these fractions of the way forward and upward.
 SWAY, FORWARD, UPWARD = 0.4, (0.0, 0.1, 0.35, 0.65, 0.95), (0.0, 0.0, 0.2, 0.35, 1.0)
 CLEARANCE = 0.05
 INTERVALS, OF_PHASE = 30, 20
@@ -303,7 +303,7 @@ def build_climb(*, robot: str, steps: float, friction: float, **given: float | N
     moved("rest", feet, count * way, {})
     schedule, end = Schedule(tuple(phases)), common.displaced(body, count * way)
     guess = KeyPostures(robot=body, schedule=schedule, postures=(*postures[:-1], end), terrain=terrain)
-    legs = replace(body, contacts=tuple(body.contact(name) for name in feet))  # hands swing in the air
+    legs = replace(body, contacts=tuple(body.contact(name) for name in feet))  # without the swinging hands
     return common.problem(
         "humanoid-climb",
         body,

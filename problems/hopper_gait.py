@@ -13,17 +13,17 @@ from trajopt.terrain import smooth_step
 from . import common, hoppers
 from .gait_common import Style, forward
 
-# Strides as those of animals in asymmetrical gaits, hops of kangaroos included.
+# Stride lengths as in asymmetrical gaits of animals, including hops of kangaroos.
 STYLE = Style(froude=0.25, stride=1.9, growth=0.40, clearance=0.05)
-# Free durations are between these multiples of the nominal ones.
+# Bounds of free durations as multiples of the nominal ones.
 FREE = (0.5, 2.0)
 INTERVALS = 24
 
 
 def _guess(robot: Robot, speed: float, durations: tuple[float, float], lift: float, t: float) -> np.ndarray:
-    """The base at constant speed, ballistic in flight; the foot under it in mid-stance, the neutral point.
+    """Return the guess: base at constant speed, ballistic in flight, foot under it at mid-stance.
 
-    durations: of stance and flight, s. lift: height of the foot in mid-flight over its position with a leg of
+    durations: of stance and flight, s. lift: height of the foot in mid-flight above its position on a leg of
     constant length, m.
     """
     stance, flight = durations

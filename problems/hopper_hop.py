@@ -17,19 +17,19 @@ from trajopt.terms import ImpulseCost, TerminalPosture, TerminalRest, TerminalSt
 
 from . import common, hoppers
 
-# Rise of the base over the robot's length while the leg extends, in the guess.
+# Rise of the base while the leg extends in the guess, over the robot's length.
 RISE = 0.17
-# Free durations, for every goal but effort, are between these multiples of the nominal ones: time on the
-# ground is for one push, a flight may be long.
+# Bounds of free durations, for every goal but effort, as multiples of the nominal ones: time on the ground is
+# for one push, but a flight may be long.
 FREE, FREE_FLIGHT = (0.5, 1.5), (0.5, 3.0)
-# Hops at their limits are violent: on coarser grids the foot drifts by more than a millimetre.
+# Hops at the limits are violent: on coarser grids the foot drifts by more than a millimetre.
 INTERVALS = {"effort": 50, "time": 160, "height": 80, "distance": 160}
-# Costs that are the same in every choice of coordinates: torques, joint angles, contact forces.
+# Costs that do not depend on the choice of coordinates: torques, joint angles, contact forces.
 COSTS = effort_costs(joints_only=True)
 
 
 def _guess(robot: Robot, distance: float, durations: tuple[float, float, float], t: float) -> np.ndarray:
-    """Crouch, stretch, a parabola, and back to the standing posture, the foot on its foothold."""
+    """Crouch, stretch, fly on a parabola, and return to standing, with the foot on its foothold."""
     stance, flight, landing = durations
     rise, arc = RISE * robot.length, gravity_of(robot.model) * flight**2 / 2
     start = hoppers.standing_foot(robot)
@@ -47,7 +47,7 @@ def _guess(robot: Robot, distance: float, durations: tuple[float, float, float],
 def _schedule(
     foot: str, target: np.ndarray, durations: tuple[float, float, float], goal: str, *, impact: bool
 ) -> Schedule:
-    """Stance, flight, landing on ``target``, or anywhere for distance; durations free except for effort."""
+    """Return stance, flight and landing on ``target`` (anywhere for distance), with free durations."""
     schedule = common.hop_schedule({foot: target}, durations, impact=impact)
     if goal != "effort":
         schedule = common.freed(schedule, FREE, FREE_FLIGHT, FREE)
@@ -58,7 +58,7 @@ def _schedule(
 
 
 def _modes(robot: Robot, place: np.ndarray, target: np.ndarray, goal: str) -> dict[str, StanceMode]:
-    """Models for the stance phases on ``place`` and on ``target`` (3,) m. Raises InputError."""
+    """Return the models of the stance phases on ``place`` and ``target`` (3,) m. Raises InputError."""
     if goal == "distance" or robot.base != "planar":
         what = f"goal={goal}" if goal == "distance" else f"robot={robot.name}"
         raise InputError(

@@ -7,7 +7,7 @@ from trajopt.robot import Robot, contact_positions, inverse_kinematics
 from trajopt_library import robots
 
 ROBOTS = ("hopper", "hopper_space")
-# Coordinates of the base along the world's x and z, by kind of base.
+# Coordinates of the base along the world's x and z axes, by kind of base.
 FORWARD_UP = {"planar": [0, 1], "freeflyer": [0, 2]}
 
 

@@ -14,7 +14,7 @@ from trajopt_library.robots import irb1600
 from . import arms, common
 from .arm_transfer import transfer
 
-# Motor torques, and a small weight on accelerations: motor torques have mean squares of about 0.1.
+# Motor torques, with mean squares of about 0.1, and a small weight on accelerations.
 EFFORT = (MotorTorqueCost(weight=1.0), AccelerationCost(weight=1e-3))
 INTERVALS = 40
 

@@ -21,22 +21,21 @@ from trajopt.terrain import Terrain
 from . import common
 from .pushing import Takeoff, sink_of
 
-# In the guess the base moves and turns by at most these while the feet stand: over the length, and rad.
+# Largest motion and turn of the base in the guess while the feet stand: over the robot's length, and rad.
 GROUND_PART = 0.2
 GROUND_TURN = 0.35
-# The guess pushes for at most this fraction of the stance, and brakes for at most this fraction of the
-# landing.
+# Largest fraction of the stance in which the guess pushes, and of the landing in which it brakes.
 PUSH_PART = 0.7
-# The way over which the guess pushes or brakes, at least, over how far the robot sinks.
+# Least distance over which the guess pushes or brakes, over the distance by which the robot sinks.
 LEAST_WAY = 0.5
-# Least height of a foot above the ground in mid flight: the lesser of a fraction of the robot's length and a
+# Least foot height above the ground in mid-flight: the lesser of a fraction of the robot's length and a
 # fraction of the base's ballistic rise, so that slow legs need not be drawn up.
 CLEARANCE_PART, FREE_PART = 0.1, 0.5
-# Height of hips and knees above the ground, at least, over the robot's length.
+# Least height of hips and knees above the ground, over the robot's length.
 JOINT_CLEARANCE = 0.15
-# Costs of leaps, with accelerations for smooth motions.
+# Costs of leaps, with accelerations for smoothness.
 COSTS = effort_costs(acceleration=2e-2)
-# For least time, durations are free within these multiples of the nominal ones.
+# Bounds of free durations, for least time, as multiples of the nominal ones.
 FREE = (0.5, 2.0)
 
 
@@ -84,7 +83,7 @@ def base_path(
 
 
 def _push(robot: Robot, rise: float, speed: float, duration: float) -> tuple[float, float]:
-    """Time s and depth m of a push of constant acceleration up to ``speed`` m/s at the ``rise``, m."""
+    """Return time s and depth m of a push at constant acceleration up to ``speed`` m/s at the ``rise``, m."""
     if not speed > 0:
         return PUSH_PART * duration, 0.0
     way = max(sink_of(robot) + rise, LEAST_WAY * sink_of(robot))

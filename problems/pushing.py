@@ -15,19 +15,19 @@ from .common import displaced
 
 # Fraction of the legs' remaining extension that the guess uses at take-off and at touchdown.
 EXTENSION_PART = 0.6
-# The work of a push is summed over this many heights; tolerance of the extension, over the length.
+# Number of heights over which the work of a push is summed; tolerance of the extension over the length.
 PUSH_SAMPLES, EXTENSION_ERROR = 24, 1e-3
-# Least free rise of a flight: this fraction of the robot's length, or the rise with this share of the
-# take-off speed, whichever is less.
+# Least ballistic rise: this fraction of the robot's length, or the rise at this share of the take-off speed,
+# whichever is less.
 LEAST_FREE_RISE, LEAST_SHARE = 0.02, 0.75
-# A take-off is fast enough if its ballistic rise is this fraction of the length: more is no advantage.
+# Ballistic rise, over the length, above which a faster take-off has no advantage.
 ENOUGH_FREE = 0.05
-# A torque or rate this small compared with the others is rounding.
+# Torques or rates below this fraction of the others are rounding.
 ROUNDING = 1e-9
-# Error below which inverse kinematics has reached the feet, m.
+# Largest error of inverse kinematics at feet that are reached, m.
 REACHED = 1e-6
-# In the guess the base sinks by at most this fraction of the robot's length under its height at the ends, and
-# of the depth that joints allow with the feet flat (humanoid ankles reach their limits early).
+# In the guess the base sinks by at most this fraction of the robot's length below its height at the ends, and
+# of the depth that joints allow with flat feet (humanoid ankles reach their limits early).
 SINK_PART, OF_REACHABLE = 0.25, 0.7
 
 
@@ -100,7 +100,7 @@ def takeoff(robot: Robot, torque_limit: float | None = None) -> Takeoff:
         for height, q, done in zip(heights, postures, work, strict=True)
         if height >= 0
     ]
-    return max(reversed(candidates), key=lambda one: one.merit)  # of equally good ones the highest
+    return max(reversed(candidates), key=lambda one: one.merit)  # the highest of equally good ones
 
 
 def raised(robot: Robot, height: float) -> Posture:
@@ -126,7 +126,7 @@ def sink_of(robot: Robot) -> float:
 
 
 def _way_left(robot: Robot, sign: int) -> float:
-    """Way of the level base up or down until inverse kinematics fails, m."""
+    """Return how far the level base moves up or down until inverse kinematics fail, m."""
     error = EXTENSION_ERROR * robot.length
     return largest(lambda way: raised(robot, sign * way).error < REACHED, robot.length, error)
 
@@ -155,7 +155,7 @@ def strongest(robot: Robot, q: np.ndarray, limit: np.ndarray | None) -> float:
 
 
 def _fastest(robot: Robot, q: np.ndarray, row: int) -> float:
-    """Largest velocity of the base along one row of its own, feet in place: J_joints qd = -J_base v."""
+    """Return the base's largest velocity along one row of its own, feet fixed: J_joints qd = -J_base v."""
     jacobian, joints = _feet_jacobian(robot, q), robot.actuated_rows
     rates = np.abs(np.linalg.lstsq(jacobian[:, joints], -jacobian[:, row], rcond=None)[0])
     unit = np.max(rates)

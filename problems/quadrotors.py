@@ -18,22 +18,22 @@ from trajopt_library import robots
 
 from . import common
 
-# Rates and accelerations cost little beside thrusts: there is no posture to keep.
+# Rates and accelerations cost little compared with thrusts: there is no posture to keep.
 EFFORT = effort_costs(acceleration=1e-3, velocity=1e-3, posture=0.0)
-# The window's frame: sides of its bars, m, and the robot's distance from them.
+# Frame of the window: sides of its bars, m, and the distance that the robot keeps from them.
 BAR, MARGIN = 0.1, 0.02
-# Default duration of a way of d m: this many times sqrt(d / g), with mean accelerations of half of g.
+# Default duration over sqrt(d / g) for a distance d: mean accelerations are then g / 4.
 UNHURRIED = 4.0
-# A flip's default duration, and the rise in its guess, for a free fall over this part of the duration.
+# Default duration of a flip, s, and fraction of it for which the rise in the guess is a free fall.
 FLIP, FALL = 0.9, 0.5
-# Largest force and moment left of the weight in hovering, of the weight (times 1 m).
+# Largest residual force and moment in hovering, over the weight (times 1 m).
 HOVERING = 1e-6
-# The body is upside down in the middle within this angle, on its side a quarter before and after.
+# Largest angle to upside down at the middle of a flip, and to lying on a side shortly before and after.
 WITHIN = math.pi / 3
 
 
 def _quadrotor(name: str) -> Robot:
-    from scipy.optimize import lsq_linear  # not for a list of problems
+    from scipy.optimize import lsq_linear  # slow; not needed to list problems
 
     robot = robots.load(name)
     if robot.base != "freeflyer" or not robot.thrusters:
@@ -47,7 +47,7 @@ def _quadrotor(name: str) -> Robot:
 
 
 def _at(robot: Robot, position: np.ndarray, turn: np.ndarray | None = None) -> np.ndarray:
-    """The reference (nq,) with its base at a position (3,), m, turned by a rotation vector."""
+    """Return the reference (nq,) with its base at a position (3,), m, rotated by a rotation vector."""
     q = robot.reference.copy()
     q[:3] = position
     rotation = pin.exp3(np.zeros(3) if turn is None else turn) @ pin.Quaternion(q[3:7]).toRotationMatrix()
@@ -115,7 +115,7 @@ def _there_and_back(body: Robot, start: np.ndarray, way: np.ndarray, once: float
 def _turning(
     body: Robot, start: np.ndarray, moved: tuple[np.ndarray, np.ndarray], duration: float, t: float
 ) -> np.ndarray:
-    """A whole turn about an axis, on a rise and fall; ``moved``: the rise (3,) m, and the axis (3,)."""
+    """Make a full turn about an axis while rising and falling; ``moved``: rise (3,) m and axis (3,)."""
     s, (rise, about) = t / duration, moved
     return _at(body, start + 16 * (s * (1 - s)) ** 2 * rise, 2 * math.pi * smooth_step(s) * about)
 

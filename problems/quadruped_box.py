@@ -14,22 +14,22 @@ from trajopt.terrain import FlatGround, PiecewiseTerrain
 
 from . import common, leaping, pushing
 
-# Robots whose joints are fast enough to carry all feet over an edge in one flight: anymal_c's 7.5 rad/s
-# allow a flight of 0.13 s (docs/problems/jumps.md).
+# Robots whose joints are fast enough to carry all feet over an edge in one flight; anymal_c's 7.5 rad/s allow
+# a flight of 0.13 s (docs/problems/jumps.md).
 ROBOTS = ("solo12", "go2", "a1", "hyq")
 # Default durations in units of sqrt(l / g).
 STANCE, LANDING = 2.7, 3.4
-# Share of the largest speed at take-off, and the largest rise of the base over the robot's length; the share
-# where legs have to be drawn up onto a box.
+# Share of the largest take-off speed, and largest rise of the base over the robot's length; then the share
+# for a box, onto which legs have to be drawn up.
 SHARE, HEIGHT, SHARE_UP = 0.75, 0.75, 0.9
-# Fall of the base onto a box, over the robot's length: time to bring all feet over its edge.
+# Fall of the base onto a box, over the robot's length, which gives time to bring all feet over its edge.
 FALL = 0.12
-# Height of a box over the rise, and at most over the robot's length; width of a gap over the robot's length.
+# Height of a box over the rise; its largest value, and the width of a gap, over the robot's length.
 OF_RISE, MOST_BOX, GAP = 0.5, 0.5, 0.3
 # Distance of feet from an edge at take-off and landing, over the robot's length.
 FROM_EDGE = 0.15
-# Distance of other links from a box at landing, at least; where the knees need it, the landing moves in
-# steps, up to so many, all over the robot's length. Distances agree to rounding, m.
+# Least distance of other links from a box at landing, over the robot's length. If the knees need it, the
+# landing moves away in steps over the length, up to this number. Rounding error of distances, m.
 LEAST_GAP, STEP, MOST_STEPS, ROUNDING = 0.03, 0.05, 20, 1e-6
 
 Kind = Literal["box-up", "box-down", "gap"]
@@ -38,9 +38,9 @@ Kind = Literal["box-up", "box-down", "gap"]
 def _site(
     robot: Robot, kind: Kind, size: float, friction: float
 ) -> tuple[PiecewiseTerrain, np.ndarray, np.ndarray]:
-    """Obstacle of a height or width ``size`` m ahead of the front feet; all feet land beyond its edge.
+    """Return an obstacle of height or width ``size`` m ahead of the front feet, and start and end (3,) m.
 
-    And where a robot that stands at the origin starts and ends (3,) m.
+    All feet land beyond its edge. Start and end are displacements of a robot that stands at the origin.
     """
     feet = np.array(list(contact_positions(robot, robot.reference).values()))
     keep = FROM_EDGE * robot.length
@@ -58,10 +58,10 @@ def _site(
 
 
 def _clear_of_box(robot: Robot, terrain: PiecewiseTerrain, near: np.ndarray, away: float) -> np.ndarray:
-    """The place (3,) m ``near`` a box or ``away`` (1 or -1) from it where the robot's links are clear of it.
+    """Return a place (3,) m, from ``near`` in direction ``away`` (1 or -1), where links are clear of the box.
 
-    In the reference posture and with the base sunk: knees lean back and heads reach forward, farther than
-    feet are from the edge.
+    They are clear in the reference posture and with the base sunk. Knees that lean back and heads that reach
+    forward extend farther than the feet are from the edge.
     """
     shapes = robot_shapes(robot)
     level, box = (shapes.scene(robot.model, ground) for ground in (FlatGround(), terrain))
@@ -77,10 +77,10 @@ def _clear_of_box(robot: Robot, terrain: PiecewiseTerrain, near: np.ndarray, awa
 
 
 def _leap(takeoff: pushing.Takeoff, climb: float, rise: float | None) -> tuple[float, float]:
-    """Rise of the base over its start, and its height over its end at touchdown, m.
+    """Return the base's rise over its start, and its height over its end at touchdown, m.
 
-    Legs are as far extended at touchdown as at take-off, unless that leaves no time to bring the feet over
-    the edge of a box: then the robot leaps higher, and lands on bent legs.
+    Legs extend as far at touchdown as at take-off, unless that leaves no time to bring the feet over the edge
+    of a box. Then the robot leaps higher and lands on bent legs.
     """
     length, extended = takeoff.robot.length, takeoff.rise
     fall = FALL * length if climb > 0 else 0.0

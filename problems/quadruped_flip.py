@@ -22,20 +22,20 @@ from trajopt.terms import FrameDirection, Term
 from . import common, leaping, pushing
 
 ROBOTS = ("solo12", "go2", "a1", "hyq")
-# A backflip takes hyq to its torque limits throughout (docs/problems/jumps.md).
+# Robots for the backflip, which takes hyq to its torque limits throughout (docs/problems/jumps.md).
 BACKFLIP_ROBOTS = ("solo12", "go2", "a1")
 # Default durations of the phases in units of sqrt(l / g).
 DURATIONS = {"stance": 2.0, "tip": 1.0, "flight": 3.0, "catch": 1.0, "landing": 3.0}
 PHASES = tuple(DURATIONS)
 INTERVALS = 70
-# The flight is at most that from this multiple of the largest take-off speed of the legs alone (see
-# `pushing.takeoff`): the turn about two feet adds to it.
+# The flight is at most that at this multiple of the largest take-off speed of the legs alone (see
+# `pushing.takeoff`), to which the turn about two feet adds.
 SPEED_PART = 1.1
-# Rotation of the body at take-off in the guess, rad, and before upright at landing.
+# Rotation of the body at take-off in the guess, and remaining rotation at touchdown, rad.
 TILT = math.pi / 4
-# How far legs are drawn up in the guess, over the robot's length.
+# Height by which legs are drawn up in the guess, over the robot's length.
 TUCK = 0.3
-# The body is upside down in mid flight within this angle, and on its side a quarter before and after.
+# Largest angle to upside down in mid-flight, and to lying on a side a quarter of the flight before and after.
 WITHIN = math.pi / 3
 
 Kind = Literal["backflip", "barrel-roll"]
@@ -94,7 +94,7 @@ class Flip:
         )
 
     def _tipped(self, angle: float) -> np.ndarray:
-        """Base (3,) of the standing robot turned about the last feet; by a negative angle the first ones."""
+        """Return the base (3,) of the standing robot turned about the last feet, or back about the first."""
         start = self.robot.reference[:3]
         pivot = self._middle(self.last if angle > 0 else self.first)
         moved = np.zeros(3) if angle > 0 else self.way

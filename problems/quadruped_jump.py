@@ -14,22 +14,22 @@ from trajopt.terrain import FlatGround
 from . import common, leaping, pushing
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
-# Default durations in units of sqrt(l / g): solo12 pushes for 0.4 s and comes to rest in 0.5 s.
+# Default durations in units of sqrt(l / g); solo12 pushes for 0.4 s and comes to rest in 0.5 s.
 STANCE, LANDING = 2.7, 3.4
-# Default limits on the rise of the base and on displacements forward and to the left, over the robot's
-# length, and on turns, rad; less if joints are too slow.
+# Limits of the default rise of the base and displacements forward and to the left, over the robot's length,
+# and of the turn, rad; less if joints are too slow.
 HEIGHT, LEAST_HEIGHT, FORWARD, SIDEWAYS, TURN = 0.75, 0.4, 1.0, 0.5, math.pi / 2
-# Shares of the largest speeds at take-off: upwards in a jump up, upwards in others, across and turning.
+# Shares of the largest take-off speeds: upwards in a jump up, upwards in other jumps, across and turning.
 SHARE_UP, SHARE_LOW, SHARE_ACROSS = 0.75, 0.6, 0.25
-# Motions with free durations are faster and need more intervals to limit the drift of feet.
+# Motions with free durations are faster and need more intervals to limit the drift of the feet.
 INTERVALS = {"effort": 50, "time": 80}
 
-# Default direction of a jump.
+# Directions of a jump.
 Direction = Literal["up", "forward", "sideways", "turn"]
 
 
 def _defaults(takeoff: pushing.Takeoff, direction: Direction, height: float | None) -> dict[str, float]:
-    """Defaults of a jump, from its robot's length, within the speeds possible at take-off."""
+    """Return the defaults of a jump from the robot's length, within its possible take-off speeds."""
     length = takeoff.robot.length
     high = direction in ("up", "turn")
     share, most = (SHARE_UP, HEIGHT) if direction == "up" else (SHARE_LOW, HEIGHT if high else LEAST_HEIGHT)

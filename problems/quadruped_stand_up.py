@@ -12,13 +12,13 @@ from trajopt.terms import TimeCost
 from . import common, leaping, pushing
 
 ROBOTS = ("solo12", "go2", "anymal_c", "a1", "hyq")
-# Default duration in units of sqrt(l / g); a free one is within these multiples of it.
+# Default duration in units of sqrt(l / g), and bounds of a free one as multiples of it.
 DURATION, FREE = 5.0, (0.2, 2.0)
-# Weight of time where it is the goal: sqrt(l / g) costs as much as torques of weight times length in it.
+# Weight of time as a goal: sqrt(l / g) then costs as much as torques of weight times length during that time.
 TIME_WEIGHT = 1.0
-# Height of the base of a lying robot over its length: half the thickness of a trunk.
+# Base height of a lying robot over its length: half the thickness of the trunk.
 LYING = 0.3
-# Static torques at the start use at most this fraction of the limits.
+# Largest fraction of the limits that static torques use at the start.
 STATIC_SHARE = 0.7
 # Tolerance of depths over the robot's length.
 DEPTH_ERROR = 1e-3
@@ -29,7 +29,7 @@ def deepest(robot: Robot, torque_limit: float | None) -> float:
 
     As far as legs fold within their limits, hips and knees stay above the ground, and torques hold the robot.
     """
-    standing = float(robot.reference[2]) - common.foot_radius(robot)  # over the feet's centres
+    standing = float(robot.reference[2]) - common.foot_radius(robot)  # above the centres of the feet
     most = max(standing - LYING * robot.length, 0.0)
     if _lies(robot, most, torque_limit):
         return most
@@ -37,7 +37,7 @@ def deepest(robot: Robot, torque_limit: float | None) -> float:
 
 
 def _lies(robot: Robot, depth: float, torque_limit: float | None) -> bool:
-    """Whether a robot can be at rest with its base ``depth`` m under its standing height."""
+    """Return whether a robot can rest with its base ``depth`` m below its standing height."""
     posture = pushing.raised(robot, -depth)
     if posture.error > pushing.REACHED:
         return False

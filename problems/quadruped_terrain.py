@@ -15,9 +15,9 @@ from . import common
 from .gait_common import ROBOTS
 from .terrain_walks import Walker, parameters, problem_over, walker
 
-# Defaults of lengths over the robot's. Rise and depth of a stair have the ratio of those in houses; of
-# uneven steps the heights over the ground before them; of a slope its length, seen from above; of stones
-# sides, distances of their centres, and how much their heights differ.
+# Default lengths over the robot's. Rise and run of stairs have the ratio of those in houses. For uneven steps
+# the values are heights above the ground before them; for a slope, its length seen from above; for stones,
+# their sides, the distances of their centres, and their differences in height.
 LENGTHS = {
     "rise": 0.2,
     "run": 0.6,
@@ -34,10 +34,10 @@ LENGTHS = {
 }
 STAIRS, STONES = 3, 4
 SLOPE = math.radians(15)
-# Distance over waves in strides of the gait.
+# Distance walked over waves, in strides of the gait.
 STRIDES = 2.0
 
-# Terrain, and the distance over it in m.
+# The terrain, and the distance across it in m.
 Built = tuple[Terrain, float]
 
 
@@ -59,7 +59,7 @@ def _slope(walker: Walker, *, ground: str, slope: float, length: float) -> Built
 
 
 def _stones(walker: Walker, *, stones: float, size: float, spacing: float, uneven: float) -> Built:
-    """Two rows of stones under the feet of both sides, between two banks."""
+    """Return two rows of stones, under the feet of each side, between two banks."""
     count, gap = common.whole("stones", stones), spacing - size
     if not gap > 0:
         raise InputError(f"stones of {size:g} m are {spacing:g} m apart", "allowed: spacing above their size")
@@ -85,7 +85,7 @@ def _waves(walker: Walker, *, amplitude: float, wavelength: float, yaw: float, w
 
 
 def _halton(index: int, base: int) -> float:
-    """Van der Corput's sequence: evenly spread, deterministic numbers in (0, 1)."""
+    """Return Van der Corput's sequence: evenly spread, deterministic numbers in (0, 1)."""
     number, part = 0.0, 1.0
     while index:
         index, digit = divmod(index, base)
@@ -106,9 +106,9 @@ def _count(name: str, default: int, meaning: str) -> Parameter:
 def _family(
     name: str, summary: str, made: Callable[..., Built], *first: Parameter | Choice, kept: bool = True
 ) -> Family:
-    """The family whose terrain and distance ``made`` computes from the ``first`` parameters.
+    """Return the family whose terrain and distance ``made`` computes from the ``first`` parameters.
 
-    kept: the terrain has edges, from which feet keep a margin.
+    kept: whether the terrain has edges, from which feet keep a margin.
     """
 
     def build(*, footholds: str, torque_share: float, **given: Any) -> Problem:

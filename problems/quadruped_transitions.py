@@ -29,9 +29,9 @@ STOPS = {"start": False, "stop": True, "go": True}
 
 
 def _pace(steady: Pace, kind: str, phases: tuple[Phase, ...], period: float) -> Pace:
-    """The pace grows until a period before the end of a start; in a stop it falls after a period.
+    """Return a pace that is full in the last period of a start, or in the first period of a stop.
 
-    So where they meet, the gait moves as in its periodic cycle, and their states are the same.
+    Where a start and a stop meet, the gait then moves as in its periodic cycle, with the same state.
     """
     duration = sum(phase.duration for phase in phases)
     grown, falling = duration - period, period
@@ -76,7 +76,7 @@ def build(
     pace = _pace(asked.pace, kind, part, asked.period)
     first = len(whole) - len(part) if kind == "stop" else 0
     plan = plan_of_part(body, Schedule(part), Schedule(whole), first, pace, clearance=HIGHER * asked.lift)
-    held = replace(plan.schedule.phases[0], footholds={})  # these contacts are where the start has them
+    held = replace(plan.schedule.phases[0], footholds={})  # these contacts stay where they are at the start
     schedule = Schedule((held, *plan.schedule.phases[1:]))
     begin, end = _ends(body, kind, plan, whole)
     ending = TerminalRest(q=end[0]) if STOPS[kind] else TerminalVelocity(q=end[0], v=end[1])
@@ -102,7 +102,7 @@ def build(
 def _ends(
     robot: Robot, kind: str, plan: GaitPlan, whole: tuple[Phase, ...]
 ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """States (nq,), (nv,) at the beginning and at the end: at rest, or those of the commanded gait."""
+    """Return the states (nq,), (nv,) at both ends: at rest, or those of the commanded gait."""
     part = plan.schedule.phases
     begin = robot.reference, np.zeros(robot.nv)
     if not STARTS[kind]:
@@ -120,7 +120,7 @@ _SUMMARIES = {
     "stop": "from a gait's commanded state to a stance",
     "go": "from a stance through some cycles of a gait to a stance",
 }
-# One period to gain or lose speed and one at full speed, or one to gain and one to lose it.
+# One period to change speed and one at full speed; or one period to speed up and one to slow down.
 LEAST_CYCLES = 2
 
 

@@ -17,10 +17,10 @@ from trajopt_library.robots.solo12 import BASE
 
 from . import common, leaping
 
-# Rise, m, and fraction of the whole turn of the base in the guess while the feet stand.
+# Rise of the base, m, and fraction of the whole turn, in the guess while the feet stand.
 RISE = 0.04
 GROUND_SHARE = 0.1
-# Height of the base over standing at the end of the flight, m: room for a landing on the back.
+# Height of the base above standing at the end of the flight, m: room for a landing on the back.
 END_RISE = 0.1
 
 
@@ -31,11 +31,11 @@ def orientation(pitch: float, yaw: float) -> np.ndarray:
 
 
 def _guess(robot: Robot, turn: np.ndarray, stance: float, flight: float) -> Motion:
-    """A smooth push with the feet held, then a parabola on which the base turns at a constant rate.
+    """Return the guess: a smooth push with fixed feet, then a parabola with a constant rate of turning.
 
-    turn: pitch and yaw (2,) in rad at the end.
+    turn: final pitch and yaw (2,), rad.
     """
-    # Height (m), pitch and yaw (rad): at take-off, and their rates there.
+    # Height (m), pitch and yaw (rad) at take-off, and their rates there.
     takeoff = np.array([RISE, *(GROUND_SHARE * turn)])
     upward = (END_RISE - RISE) / flight + STANDARD_GRAVITY * flight / 2
     rates = np.array([upward, *((1 - GROUND_SHARE) * turn / flight)])
@@ -46,7 +46,7 @@ def _guess(robot: Robot, turn: np.ndarray, stance: float, flight: float) -> Moti
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Flip:
-    """The guess: ``takeoff`` and ``rates`` (3,) of height m, pitch, yaw rad; ``joints`` (12,) in flight."""
+    """Guess: ``takeoff`` and ``rates`` (3,) of height m, pitch and yaw rad; ``joints`` (12,) in flight."""
 
     robot: Robot
     stance: float

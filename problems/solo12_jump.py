@@ -18,16 +18,16 @@ from trajopt_library.robots import solo12
 
 from . import common, leaping
 
-# Shortest flight with enough time to move the feet to their new footholds, s.
+# Shortest flight in which feet can move to their new footholds, s.
 SHORTEST_FLIGHT = 0.3
-# Rise of the base over its standing height at take-off in the guess, m: legs not yet straight.
+# Rise of the base above its standing height at take-off in the guess, m: legs are not yet straight.
 TAKEOFF_RISE = 0.04
-# Distance of the base while the feet are on the ground, over take-off speed times duration.
+# Displacement of the base while the feet stand, over take-off speed times duration.
 GROUND_SHARE = 0.15
 
 
 def _path(robot: Robot, schedule: Schedule, distance: float, yaw: float) -> WaypointPath:
-    """The base on a smooth push, a parabola and a smooth landing."""
+    """Return the base path: a smooth push, a parabola and a smooth landing."""
     stance, flight, landing = (phase.duration for phase in schedule.phases)
     parts = np.array([0.0, GROUND_SHARE * stance, flight, GROUND_SHARE * landing])
     parts /= parts.sum()
@@ -44,7 +44,7 @@ def _path(robot: Robot, schedule: Schedule, distance: float, yaw: float) -> Wayp
 
 
 def _guess(robot: Robot, schedule: Schedule, end: np.ndarray, base: WaypointPath) -> Motion:
-    """Feet on their footholds; in flight they move with the base from one stance to the other."""
+    """Return a guess with feet on footholds that move with the base from stance to stance in flight."""
     stance, flight, _ = (phase.duration for phase in schedule.phases)
     starts, ends = (contact_positions(robot, q) for q in (robot.reference, end))
     before, after = base(stance), base(stance + flight)
@@ -60,10 +60,10 @@ def _posture(
     ways: dict[str, tuple[np.ndarray, np.ndarray]],
     t: float,
 ) -> np.ndarray:
-    """Configuration at ``t`` s.
+    """Return the configuration at ``t`` s.
 
-    durations: of stance and flight. feet: their positions before and after it. ways: of each foot where it is
-    in the base's axes at both ends of the flight.
+    durations: of stance and flight, s. feet: positions before and after the flight. ways: for each foot, its
+    positions in the base's axes at both ends of the flight.
     """
     (stance, flight), (starts, ends) = durations, feet
     placement, s = base(t), (t - stance) / flight
@@ -78,7 +78,7 @@ def _posture(
 
 
 def _actuated(torque_limit: float | None, voltage: float | None) -> tuple[Robot, Term]:
-    """The robot with its motors at a supply voltage, or without, and the term that limits torques."""
+    """Return the robot, with motors at a supply voltage if given, and the term that limits its torques."""
     robot = robots.load("solo12")
     if voltage is None:
         return robot, common.torque_limits(robot, torque_limit)
@@ -105,7 +105,7 @@ def build(
 ) -> Problem:
     """Build the jump; see ``FAMILY`` for the parameters. Raises InputError."""
     robot, torque_limits = _actuated(torque_limit, voltage)
-    # Apex of a parabola from and to the standing height, plus the rise from extending the legs.
+    # Apex of a parabola between standing heights, plus the rise from extending the legs.
     needed = 2 * math.sqrt(2 * max(height - TAKEOFF_RISE, 0.0) / STANDARD_GRAVITY)
     flight = max(SHORTEST_FLIGHT, needed) if flight is None else flight
     end = common.displaced(robot, (distance, 0.0, 0.0), yaw)

@@ -17,12 +17,12 @@ from trajopt_library.robots.solo12 import BASE
 
 from . import common, leaping
 
-# Shortest flight with enough time to move the feet, s.
+# Shortest flight in which feet can move, s.
 SHORTEST_FLIGHT = 0.2
 
 
 def _standing(robot: Robot, ground: FlatGround, uphill: float) -> np.ndarray:
-    """Reference posture laid onto the slope, trunk parallel to it, ``uphill`` m along it."""
+    """Return the reference posture placed on the slope, trunk parallel to it, ``uphill`` m along it."""
     turn = ground.surface.frame
     q = common.displaced(robot, (uphill, 0.0, 0.0))
     q[:3] = turn @ q[:3] + ground.surface.point
@@ -31,7 +31,7 @@ def _standing(robot: Robot, ground: FlatGround, uphill: float) -> np.ndarray:
 
 
 def _guess(start: np.ndarray, end: np.ndarray, stance: float, flight: float, t: float) -> np.ndarray:
-    """Standing still; in flight on a parabola from one stance to the other, legs as in standing."""
+    """Stand still; in flight follow a parabola from one stance to the other with the legs of standing."""
     s = min(max((t - stance) / flight, 0.0), 1.0)
     q = start.copy()
     q[:3] += s * (end - start)[:3]

@@ -18,13 +18,13 @@ from trajopt_library import robots
 
 from . import common
 
-# Default duration in periods of the hanging links: time for some swings, or the guess for least time.
+# Default duration in periods of the hanging links: time for several swings; for least time, the guess.
 PERIODS = {"effort": 2.5, "time": 1.5}
-# A swing-up has no posture to keep and no contacts, and must be fast to rise: rates cost less than on legs.
+# A swing-up has no posture to keep and no contacts, and must be fast, so rates cost less than on legs.
 EFFORT = effort_costs(acceleration=1e-3, velocity=3e-3, posture=0.0)
-# Share of the torque that would just hold the links stretched and level.
+# Fraction of the torque that would just hold the links stretched out and level.
 WEAK = 0.5
-# Range of a free duration, over the nominal one.
+# Bounds of a free duration over the nominal one.
 FREE = (0.2, 2.0)
 # Moments below this fraction of the largest count as zero: real links do not balance exactly.
 BALANCED = 1e-2
@@ -34,9 +34,9 @@ LEAST_INTERVALS = 50
 
 
 def _pendulum(robot: Robot) -> tuple[np.ndarray, float]:
-    """Half a turn (nv,) of the first joint that can from hanging to upright, and a period, s.
+    """Return half a turn (nv,) of the first joint that swings the robot upright, and its period, s.
 
-    The robot hangs at its reference; the period is of small swings with all other joints locked. Raises
+    The robot hangs at its reference. The period is that of small swings with all other joints locked. Raises
     InputError if the robot is not such a pendulum.
     """
     model, data, hanging = robot.model, robot.model.createData(), robot.reference
@@ -58,7 +58,7 @@ def _pendulum(robot: Robot) -> tuple[np.ndarray, float]:
 
 
 def _turning(pendulum: Robot, turn: np.ndarray, duration: float, t: float) -> np.ndarray:
-    """Guess: the joints at ``t`` s of their smooth turn."""
+    """Return the guess: the joints at ``t`` s of their smooth turn."""
     turned = smooth_step(t / duration) * turn
     return np.asarray(pin.integrate(pendulum.model, pendulum.reference, turned))
 

@@ -18,14 +18,14 @@ from . import common
 
 # Lateral position of the hand, m: in front of the left shoulder.
 ACROSS = 0.3
-# Time in which the force may grow from touch to its full value, over the reach's duration.
+# Time in which the force may grow from zero to its full value, over the duration of the reach.
 LOADING_SHARE = 0.5
 
 
 def _leaning(robot: Robot, hand: np.ndarray, push: np.ndarray) -> np.ndarray:
-    """Posture with both soles in place and the hand at its goal, leaning into the push.
+    """Return a posture with both soles in place and the hand at its goal, leaning into the push.
 
-    The centre of mass moves to balance the moment of ``push`` (3,) N on the hand about the ground.
+    The centre of mass moves to balance the moment of ``push`` (3,) N at the hand about the ground.
     """
     leaning = robot.reference.copy()
     leaning[0] -= push[0] * hand[2] / robot.weight
@@ -37,7 +37,7 @@ def _soles(robot: Robot) -> dict[str, pin.SE3]:
 
 
 def _guess(robot: Robot, end: np.ndarray, duration: float) -> Motion:
-    """From standing to leaning in ``duration`` s, soles kept in place by the legs, then standing still."""
+    """Return a guess from standing to leaning in ``duration`` s, then still; legs keep the soles fixed."""
     soles = _soles(robot)
     leaning = common.PosturePath(model=robot.model, postures=(robot.reference, end), durations=(duration,))
     return partial(_held, robot, leaning, soles)

@@ -16,12 +16,12 @@ from trajopt.terrain import PiecewiseTerrain, Terrain
 from . import common
 from .gait_common import STYLES, Command, command, near
 
-# Gaits without flights.
+# Gaits without flight phases.
 GAITS = ("trot", "walk")
 INTERVALS_PER_PERIOD = 20
 # Time standing before the first and after the last swing, in periods of the gait.
 STAND = 0.5
-# Distance of feet from edges at the start and at the end, and margin from edges, over the robot's length.
+# Distance of feet from edges at start and end, and margin that landings keep from edges, over the length.
 ROOM, MARGIN = 0.25, 0.05
 MOST_CYCLES = 20
 
@@ -134,7 +134,7 @@ def problem_over(
     robot, lift = walker.robot, walker.asked.lift
     schedule, pace, cycles = schedule_for(walker, way)
     plan = plan_over_terrain(robot, schedule, pace, terrain, clearance=lift, free=footholds == "free")
-    arcs: tuple[Term, ...] = ()  # over whole swings; terrain with edges has `SwingOver` instead
+    arcs: tuple[Term, ...] = ()  # terrain with edges has `SwingOver` instead of arcs over whole swings
     if not isinstance(terrain, PiecewiseTerrain):
         arcs = swing_arcs(plan.schedule, walker.asked.gait.feet, height=lift, terrain=terrain)
     return common.problem(

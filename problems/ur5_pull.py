@@ -18,12 +18,12 @@ from trajopt_library.robots.ur5 import TOOL
 from . import common
 
 GRIP = "grip"
-# Half sizes of the gripped handle, m; a grasp transmits any wrench, so only the drawing uses them.
+# Half sizes of the gripped handle, m, only for drawing: a grasp transmits any wrench.
 HALF_LENGTH, HALF_WIDTH = 0.04, 0.02
 
 
 def _gripping() -> Robot:
-    """The UR5 with a gripper: a frame at the tool whose z axis points back into the arm."""
+    """Return the UR5 with a gripper: a frame at the tool whose z axis points back into the arm."""
     robot = robots.load("ur5")
     model = robot.model.copy()
     tool = model.frames[model.getFrameId(TOOL)]
@@ -34,7 +34,7 @@ def _gripping() -> Robot:
 
 
 def _grasping(robot: Robot, board: Surface) -> np.ndarray:
-    """Posture with the gripper on the handle, turned from its start as little as the board allows."""
+    """Return a posture with the gripper on the handle, turned as little as the board allows."""
     start = frame_pose(robot, robot.reference, GRIP).rotation
     turn = pin.Quaternion.FromTwoVectors(start[:, 2], board.normal).toRotationMatrix()
     return inverse_kinematics(robot, robot.reference, {GRIP: pin.SE3(turn @ start, board.point)}).q

@@ -40,7 +40,7 @@ def build(
         phase="reach",
         costs=COSTS[actuation],
         torque_share=given["torque_share"],
-        # With velocity input the arm can stop at any time.
+        # With velocity inputs the arm can stop at any time.
         end=(pose,) if actuation == "velocity" else (rest, pose),
         actuation=actuation,
         default_intervals=30,

@@ -11,9 +11,9 @@ from trajopt.errors import InputError, TrajoptError, failure, line_in, placed, s
 from trajopt.robot import Robot, feet_in_base
 
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum", "multirotor")
-# Robots with a free base by the number of feet that they stand on.
+# Kind of a robot with a free base by the number of its feet.
 KIND_OF_FEET = {1: "hopper", 2: "biped", 4: "quadruped"}
-# After a name or a file: the same robot with balls that roll.
+# Suffix of a name or file for the same robot on rolling balls.
 ROLLING = ":rolling"
 
 
@@ -84,7 +84,7 @@ def tool_frame(name: str | Robot, loaded: Robot | None = None) -> str:
         raise InputError(
             f"robot '{called}' has no tool: it is not an arm", "arms: " + ", ".join(names("arm"))
         )
-    from trajopt.inspection.limbs import tool_joint  # takes a while to load
+    from trajopt.inspection.limbs import tool_joint  # slow to import
 
     given = _stated(name, "TOOL")
     model = (loaded or load(name)).model
@@ -101,7 +101,7 @@ def feet(robot: Robot) -> tuple[str, ...]:
 
 
 def _stated(name: str | Robot, what: str) -> object:
-    """A name that a robot's module states, or None."""
+    """Return a name that a robot's module defines, or None."""
     return None if isinstance(name, Robot) else getattr(_module(name), what, None)
 
 
@@ -124,7 +124,7 @@ def _module(name: str) -> ModuleType:
 
 @lru_cache(maxsize=16)
 def _from_file(path: Path, _changed: int) -> ModuleType:
-    """Run a file as a module, once for each version of it."""
+    """Run a file as a module, once for each version of the file."""
     specification = importlib.util.spec_from_file_location(f"robot_file_{path.stem}", path)
     if specification is None or specification.loader is None:
         raise InputError(f"robot file {path} cannot be imported", "a file that ends in .py")

@@ -59,7 +59,7 @@ def _on_balls(
     centre: tuple[float, float, float] | None,
     reference: dict[str, float],
 ) -> Robot:
-    """The robot on point contacts at foot frames, by their names, or at centres (3,) m in them."""
+    """Return the robot on point contacts at foot frames, by name, or at centres (3,) m in them."""
     described = Robot.from_urdf(robot_file(path), name=name, base="freeflyer")
     model = pin.Model(described.model)
     if centre is not None:
@@ -76,5 +76,5 @@ def _on_balls(
 
 
 def _ball(foot: str) -> str:
-    """Name of the frame at the centre of a foot's ball."""
+    """Return the name of the frame at the centre of a foot's ball."""
     return foot.replace("FOOT", "BALL").replace("foot", "ball")

@@ -5,7 +5,7 @@ from trajopt.robot import Robot
 from ._quadrupeds import anymal
 
 KIND = "quadruped"
-# Of the collision sphere of a foot: its radius, and its centre above the foot frame; m.
+# Collision sphere of a foot: radius, and height of its centre above the foot frame, m.
 RADIUS, RISE = 0.03, 0.0225
 
 

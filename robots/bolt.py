@@ -12,13 +12,13 @@ KIND = "biped"
 SIDES = {"left": "FL", "right": "FR"}
 RADIUS = solo12.RADIUS  # its feet are Solo12's
 
-# Legs of the SRDF's "standing", turned at the hip (there 0.785) until the centre of mass, the torso level,
-# lies over the line between the feet.
+# Legs of the SRDF's "standing", turned at the hip (there 0.785) until the centre of mass is above the line
+# between the feet, with a level torso.
 HIP, KNEE = 0.86076393, -1.57079633  # rad
 INWARDS = 0.3  # rad
 
-# Bolt uses Solo12's actuators; its URDF's 1000 N m and 1000 rad/s are placeholders. Torque at the
-# largest current, no-load rate at the 24 V of the robot's supply.
+# Bolt uses Solo12's actuators; the 1000 N m and 1000 rad/s of its URDF are placeholders. Torque at the
+# largest current, and no-load speed at the 24 V of the robot's supply.
 TORQUE = solo12.GEAR_RATIO * solo12.TORQUE_CONSTANT * solo12.CURRENT_LIMIT
 SUPPLY = 24.0  # V
 

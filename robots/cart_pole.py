@@ -13,7 +13,7 @@ KIND = "pendulum"
 
 CART_MASS, POLE_MASS = 1.0, 0.3  # kg
 POLE_LENGTH = 0.5  # m, to the pole's point mass
-CART_SIDES = (0.3, 0.1, 0.1)  # m, which no motion depends on
+CART_SIDES = (0.3, 0.1, 0.1)  # m, irrelevant for any motion
 FORCE, TRACK = 20.0, 2.0  # N, and m to either side
 
 
@@ -32,7 +32,7 @@ def build() -> Robot:
     model.addJointFrame(cart)
     model.appendBodyToJoint(cart, pin.Inertia.FromBox(CART_MASS, *CART_SIDES), pin.SE3.Identity())
     model.addBodyFrame("cart", cart, pin.SE3.Identity(), -1)
-    # A turn about -y moves what hangs towards positive x.
+    # A positive turn about -y moves a hanging body towards positive x.
     axis = pin.JointModelRevoluteUnaligned(0.0, -1.0, 0.0)
     pole = model.addJoint(cart, axis, pin.SE3.Identity(), "swing")
     model.addJointFrame(pole)

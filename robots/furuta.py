@@ -13,7 +13,7 @@ KIND = "pendulum"
 
 ARM_MASS, ARM_LENGTH = 0.095, 0.085  # kg and m
 POLE_MASS, POLE_LENGTH = 0.024, 0.129
-THICKNESS = 0.0095  # m, of both
+THICKNESS = 0.0095  # m, of both rods
 TORQUE = 0.05  # N m
 
 
@@ -41,7 +41,7 @@ def _at(x: float, z: float) -> pin.SE3:
 
 
 def _rod(mass: float, length: float, axis: int) -> pin.Inertia:
-    """A cylinder about its centre, along an axis."""
+    """Return the inertia of a cylinder about its centre, along an axis."""
     moments = np.full(3, mass * (3 * (THICKNESS / 2) ** 2 + length**2) / 12)
     moments[axis] = mass * (THICKNESS / 2) ** 2 / 2
     return pin.Inertia(mass, np.zeros(3), np.diag(moments))

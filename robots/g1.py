@@ -10,21 +10,21 @@ from ._frames import add_frame
 KIND = "biped"
 SIDES = ("left", "right")
 
-# The foot touches with four balls of 5 mm radius, which the URDF puts at x = -50 and 120 mm of the ankle,
-# 30 mm below it, and at y = -25 and 25 mm (in front 30): this is the rectangle between their centres.
+# The foot touches with four balls of 5 mm radius. In the URDF they are at x = -50 and 120 mm from the ankle,
+# 30 mm below it, and at y = -25 and 25 mm (in front 30 mm). This is the rectangle between their centres.
 SOLE_CENTRE = (0.035, 0.0, -0.035)  # m, in the frame of the ankle
 HALF_LENGTH, HALF_WIDTH = 0.085, 0.025  # m
 
-# Knees bent so that legs can lengthen by a seventh; feet level, and the hips such that the centre of mass
-# lies over the middle of the soles.
+# Knees are bent so that legs can lengthen by a seventh. Feet are level, and the hips place the centre of mass
+# above the middle of the soles.
 HIP_PITCH, KNEE, ANKLE_PITCH = -0.5253, 1.1, -0.5747  # rad
 # Arms hang beside the body with bent elbows.
 SHOULDER_PITCH, SHOULDER_ROLL, ELBOW = 0.2, 0.2, 0.9  # rad
 ARMS = ("shoulder", "elbow", "wrist")
-# A ball around this point of the left rubber hand's frame touches, at the fingertips; the right one mirrored.
+# Centre of the contact ball at the fingertips, in the left rubber hand's frame; mirrored for the right hand.
 HAND_CENTRE, HAND_RADIUS = (0.1, -0.02, 0.01), 0.03  # m
 
-# Inertia of rotors on the joint side, kg m^2, as in MuJoCo Menagerie's unitree_g1/g1.xml; the URDF has none.
+# Rotor inertia on the joint side, kg m^2, as in MuJoCo Menagerie's unitree_g1/g1.xml; the URDF has none.
 ARMATURE = 0.01
 
 

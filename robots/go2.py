@@ -5,9 +5,9 @@ from trajopt.robot import Robot
 from ._quadrupeds import unitree
 
 KIND = "quadruped"
-# The foot's collision mesh is no ball. Of this one, by its centre in the foot frame and its radius in m, the
-# mesh stands out by at most 0.7 mm where the shank leans by up to 80 degrees forward or backward and 40
-# degrees sideways, and it stands out of the mesh by at most 2.0 mm up to 50 and 30 degrees.
+# The collision mesh of the foot is not a ball. With this centre in the foot frame and radius, m, the mesh
+# protrudes by at most 0.7 mm while the shank leans by up to 80 degrees forward or backward and 40 degrees
+# sideways; the ball protrudes from the mesh by at most 2.0 mm up to 50 and 30 degrees.
 CENTRE, RADIUS = (-0.0012, 0.0, 0.0012), 0.0248
 
 

@@ -10,22 +10,22 @@ from trajopt.robot import Robot, sagittal
 KIND = "hopper"
 FOOT = "foot"
 
-# Masses in kg and lengths in m of a small one-legged machine: 10 kg in all, most of it in the torso.
+# Masses in kg and lengths in m of a small one-legged machine of 10 kg, most of it in the torso.
 TORSO_MASS, TORSO_LENGTH = 7.0, 0.4
 THIGH_MASS, THIGH_LENGTH = 2.0, 0.35
 SHANK_MASS, SHANK_LENGTH = 1.0, 0.35
-# Links are slender boxes: their thickness as a fraction of their length.
+# Links are slender boxes of this thickness over their length.
 SLENDERNESS = 0.2
-# The torso's centre of mass lies above the hip by this part of its length.
+# Height of the torso's centre of mass above the hip, over the torso's length.
 TORSO_CENTRE = 0.25
 
-# Joint side, N m and rad/s: three times the weight's moment at a thigh's length; hips and knees of
-# electric legs of this size turn at 20 rad/s.
+# Joint side, N m and rad/s: three times the moment of the weight at a thigh's length; hips and knees of
+# electric legs of this size reach 20 rad/s.
 TORQUE = 100.0
 SPEED = 20.0
-HIP_RANGE = (-1.6, 1.6)  # rad, thigh forward is negative
-KNEE_RANGE = (0.05, 2.6)  # rad, bent is positive: the shank swings back
-# Rotor inertia seen at the joint, kg m^2: a rotor of 5e-5 kg m^2 behind a gear of 12.
+HIP_RANGE = (-1.6, 1.6)  # rad; thigh forward is negative
+KNEE_RANGE = (0.05, 2.6)  # rad; bent, with the shank back, is positive
+# Rotor inertia at the joint, kg m^2: a rotor of 5e-5 kg m^2 behind a gear ratio of 12.
 ARMATURE = 7.2e-3
 STANDING_KNEE = 1.2  # rad
 
@@ -81,7 +81,7 @@ def _at(x: float, z: float) -> pin.SE3:
 
 
 def _box(mass: float, length: float) -> pin.Inertia:
-    """A solid box standing upright, its sides `SLENDERNESS` of its length, about its centre."""
+    """Return the inertia of an upright solid box about its centre, its sides `SLENDERNESS` of its length."""
     side = SLENDERNESS * length
     return pin.Inertia.FromBox(mass, side, side, length)
 

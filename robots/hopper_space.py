@@ -7,7 +7,7 @@ from trajopt.robot import Robot
 from .hopper import FOOT, add_joint, add_leg, add_torso, standing
 
 KIND = "hopper"
-ROLL_RANGE = (-0.8, 0.8)  # rad, leg to the left is negative
+ROLL_RANGE = (-0.8, 0.8)  # rad; leg to the left is negative
 
 
 def build() -> Robot:

@@ -4,7 +4,7 @@ from trajopt.robot import Contact, Robot, robot_file
 
 KIND = "quadruped"
 LEGS = ("lf", "rf", "lh", "rh")
-RADIUS = 0.02175  # of the collision sphere at a foot frame, m
+RADIUS = 0.02175  # m, of the collision sphere at a foot frame
 
 
 def build() -> Robot:

@@ -10,14 +10,14 @@ from trajopt.errors import InputError
 from trajopt.robot import Beam, Drive, Robot
 
 KIND = "arm"
-# Flange frame in the convention of ABB: z out of the flange, x down when the arm is at zero.
+# Flange frame in ABB's convention: z points out of the flange, and x down at zero angles.
 TOOL = "tool0"
 AXES = {"x": pin.JointModelRX, "y": pin.JointModelRY, "z": pin.JointModelRZ}
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Joint:
-    """Axis and place in the frame before it at zero (m), range and largest speed (degrees, degrees/s)."""
+    """Axis and place in the previous frame at zero (m); range and largest speed (degrees, degrees/s)."""
 
     axis: str
     place: tuple[float, float, float]
@@ -25,9 +25,9 @@ class _Joint:
     speed: float
 
 
-# abb_irb1600_support of ros-industrial/abb (urdf/irb1600_8_145_macro.xacro and its parameters for
-# closed-form kinematics), after ABB's product specification 3HAC023604-001 Rev AQ. The upper arm
-# stands upright and the forearm points forward at zero; there is no offset at elbow or shoulder.
+# From abb_irb1600_support of ros-industrial/abb (urdf/irb1600_8_145_macro.xacro and its parameters for
+# closed-form kinematics), which follows ABB's product specification 3HAC023604-001 Rev AQ. At zero the upper
+# arm is upright and the forearm points forward; there is no offset at elbow or shoulder.
 JOINTS = (
     _Joint(axis="z", place=(0.0, 0.0, 0.0), range=(-180.0, 180.0), speed=180.0),
     _Joint(axis="y", place=(0.150, 0.0, 0.4865), range=(-90.0, 120.0), speed=180.0),
@@ -40,7 +40,7 @@ JOINTS = (
 
 @dataclass(frozen=True, kw_only=True)
 class _Link:
-    """A beam from ``start`` to ``end`` in its joint's frame; outer width and height, wall thickness, m."""
+    """A beam from ``start`` to ``end`` in its joint's frame; outer width and height, wall thickness; m."""
 
     start: tuple[float, float, float]
     end: tuple[float, float, float]
@@ -54,8 +54,8 @@ class _Link:
         return beam.between(self.start, self.end)
 
 
-# The drawing gives outlines, not castings: sections are about those of the drawing, walls those of a
-# welded arm. The fourth axis turns within the forearm, so links 3 and 4 share its length.
+# The drawing shows outlines, not castings: sections are roughly those of the drawing, walls those of a welded
+# arm. The fourth axis turns within the forearm, so links 3 and 4 share its length.
 LINKS = (
     _Link(start=(0.0, 0.0, 0.20), end=(0.150, 0.0, 0.4865), section=(0.26, 0.26), wall=0.010),
     _Link(start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 0.700), section=(0.16, 0.20), wall=0.006),
@@ -66,12 +66,12 @@ LINKS = (
 )
 
 GEAR_RATIOS = (-100.0, 100.0, 100.0, -60.0, -60.0, 40.0)
-# The lecture's table reads "[6 1050.60 .6 0.5]": four numbers where six are meant. "1050.60" parts into
-# 10, 5 and 0.60 (1000 and 500 N m at the joints) or 10, 50 and .60 (5000 N m at the elbow, ten times
-# what holds the stretched forearm with its load, behind a weaker shoulder). The first is taken.
+# The lecture's table reads "[6 1050.60 .6 0.5]": four numbers instead of six. "1050.60" may be read as 10, 5
+# and 0.60 (1000 and 500 N m at the joints) or as 10, 50 and .60 (5000 N m at the elbow, ten times what holds
+# the stretched forearm with its load, behind a weaker shoulder). The first reading is used.
 MOTOR_TORQUE_LIMITS = (6.0, 10.0, 5.0, 0.60, 0.6, 0.5)  # N m, motor side
 
-# Wrist bent by 30 degrees: the arm at zero has its fourth and sixth axes in line.
+# The wrist is bent by 30 degrees, because the fourth and sixth axes are aligned at zero.
 REFERENCE = (0.0, 0.0, 0.0, 0.0, math.radians(30.0), 0.0)
 
 
@@ -120,7 +120,7 @@ def _model(material: str) -> pin.Model:
 
 
 def _cube(mass: float) -> pin.Inertia:
-    """A solid steel cube with one face on the flange, in the frame of the last joint."""
+    """Return the inertia of a solid steel cube with one face on the flange, in the last joint's frame."""
     side = (mass / Beam(length=1.0, width=1.0, height=1.0).mass) ** (1 / 3)
     cube = Beam(length=side, width=side, height=side)
     return cube.spatial_inertia(pin.SE3(np.eye(3), np.array([side / 2, 0.0, 0.0])))

@@ -10,7 +10,7 @@ KIND = "multirotor"
 
 MOST = 5.84e-6 * 1100.0**2  # N
 DRAG = 0.06  # N m/N
-# The first two turn counter-clockwise: their drag on the body is clockwise.
+# The first two rotors turn counter-clockwise, so their drag on the body is clockwise.
 TURNS = (-1, -1, 1, 1)
 
 

@@ -5,11 +5,11 @@ import math
 from trajopt.robot import Robot, robot_file
 
 KIND = "arm"
-# Between the fingers, x out of the hand.
+# Frame between the fingers, x pointing out of the hand.
 TOOL = "j2s6s200_end_effector"
 
-# Elbow up, the hand pointing down in front of the base, far from singular. The SRDF's "arm_up" is outside
-# the limits of the third joint.
+# Elbow up, hand pointing down in front of the base, far from singularities. The SRDF's "arm_up" violates the
+# limits of the third joint.
 ELBOW_UP = {
     "j2s6s200_joint_1": -math.pi / 2,
     "j2s6s200_joint_2": 3.34,

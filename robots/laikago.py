@@ -5,7 +5,7 @@ from trajopt.robot import Robot
 from ._quadrupeds import unitree
 
 KIND = "quadruped"
-RADIUS = 0.0265  # of the collision sphere at a foot frame, m
+RADIUS = 0.0265  # m, of the collision sphere at a foot frame
 
 
 def build() -> Robot:

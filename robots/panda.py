@@ -3,11 +3,11 @@
 from trajopt.robot import Robot, robot_file
 
 KIND = "arm"
-# Between the finger tips, z out of the hand.
+# Frame between the finger tips, z pointing out of the hand.
 TOOL = "panda_hand_tcp"
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 
-# The posture "default" of the SRDF, fingers closed: elbow up, the hand pointing down in front of the base.
+# Posture "default" of the SRDF with closed fingers: elbow up, hand pointing down in front of the base.
 READY = {
     "panda_joint1": 0.0,
     "panda_joint2": -0.785398,

@@ -7,11 +7,11 @@ from trajopt.robot import Contact, Drive, Robot, robot_file
 KIND = "quadruped"
 BASE = "base_link"
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
-# Of a foot's rounded tip, m: its collision mesh reaches 15.6 to 16.1 mm below the foot frame while the shank
-# leans by up to 60 degrees, and by 20 degrees to the side.
+# Radius of a foot's rounded tip, m: its collision mesh reaches 15.6 to 16.1 mm below the foot frame while the
+# shank leans by up to 60 degrees, and by 20 degrees to the side.
 RADIUS = 0.016
 
-# The posture "standing" of the robot's SRDF: knees inwards, legs slightly spread.
+# Posture "standing" of the robot's SRDF: knees inwards, legs slightly spread.
 STANDING = {
     "FL_HAA": 0.1,
     "FL_HFE": 0.8,
@@ -27,10 +27,10 @@ STANDING = {
     "HR_KFE": 1.6,
 }
 
-# The actuator of the Open Dynamic Robot Initiative, a T-Motor Antigravity 4004 300 kV behind two belts
-# of 3:1: 12 pole pairs, and by its identification (mechanics/actuator_module_v1/README.md of
-# open_robot_actuator_hardware) 0.23255 ohm a phase and a rated flux of 0.00954 V/Hz. The torque
-# constant, rotor inertia and largest current are those of robot_properties_solo and its controllers.
+# Actuator of the Open Dynamic Robot Initiative: a T-Motor Antigravity 4004 300 kV with 12 pole pairs behind
+# two 3:1 belts. Its identification (mechanics/actuator_module_v1/README.md of open_robot_actuator_hardware)
+# gives 0.23255 ohm per phase and a rated flux of 0.00954 V/Hz. Torque constant, rotor inertia and largest
+# current are those of robot_properties_solo and its controllers.
 GEAR_RATIO = 9.0
 PHASE_RESISTANCE = 0.23255  # ohm
 BACK_EMF_CONSTANT = 12 * 0.00954 / (2 * math.pi)  # V s/rad, amplitude of a phase, motor side

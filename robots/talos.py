@@ -10,13 +10,13 @@ KIND = "biped"
 SIDES = ("left", "right")
 SOLES = {side: f"{side}_sole_link" for side in SIDES}
 HAND = "wrist_left_ft_tool_link"
-# Rectangle of flat rubber within the foot's outline, m.
+# Rectangle of flat rubber within the outline of the foot, m.
 HALF_LENGTH, HALF_WIDTH = 0.1, 0.06
-# Legs of the SRDF's posture "half_sitting"; the left arm in front of the body, elbow bent.
+# Legs of the SRDF posture "half_sitting"; the left arm is in front of the body with a bent elbow.
 HALF_SITTING = {"3": -0.411, "4": 0.859, "5": -0.448}
 ARM = {"1": 0.25, "2": 0.25, "3": 0.0, "4": -1.6, "5": 0.0, "6": 0.0, "7": 0.0}
 LOCKED = ("gripper", "head", "torso")
-# A ball around this point of the wrist's flange touches, between the tips of the gripper's fingers.
+# Centre of the contact ball between the gripper's finger tips, in the frame of the wrist's flange.
 GRIP_CENTRE, GRIP_RADIUS = (0.0, 0.0, -0.15), 0.03  # m
 PATH = "talos_data/robots/talos_reduced.urdf"
 
@@ -65,6 +65,6 @@ def _legs() -> dict[str, float]:
 
 
 def _arm(side: str) -> dict[str, float]:
-    """The posture of an arm: of the right one mirrored, all its axes but the elbow's."""
+    """Return the posture of an arm; for the right one all axes but the elbow are mirrored."""
     signs = {joint: 1.0 if side == "left" or joint == "4" else -1.0 for joint in ARM}
     return {f"arm_{side}_{joint}_joint": signs[joint] * q for joint, q in ARM.items()}

@@ -5,7 +5,7 @@ from trajopt.robot import Robot, robot_file
 KIND = "arm"
 TOOL = "tool0"
 
-# Elbow up, tool pointing down in front of the base, far from the singular straight elbow and wrist.
+# Elbow up, tool pointing down in front of the base, far from the singularities of straight elbow and wrist.
 ELBOW_UP = {
     "shoulder_pan_joint": 0.0,
     "shoulder_lift_joint": -1.2,

@@ -3,10 +3,10 @@
 from trajopt.robot import Robot, robot_file
 
 KIND = "arm"
-# Flange, z out of it.
+# Flange frame, z pointing out of it.
 TOOL = "link_eef"
 
-# Elbow up, the flange pointing down in front of the base, far from singular: the SRDF's postures are not.
+# Elbow up, flange pointing down in front of the base, far from singularities, unlike the SRDF's postures.
 ELBOW_UP = {"joint2": -0.3, "joint4": 0.9, "joint6": 1.2}
 
 

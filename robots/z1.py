@@ -3,11 +3,11 @@
 from trajopt.robot import Robot, robot_file
 
 KIND = "arm"
-# Where the gripper is mounted, x out of it.
+# Mounting frame of the gripper, x pointing out of it.
 TOOL = "link06"
 
-# Elbow up, the gripper pointing forward and down by 46 degrees (straight down the wrist nears its limit);
-# the SRDF's "home" lies on its limits, folded.
+# Elbow up, gripper pointing forward and 46 degrees down (straight down, the wrist would be near its limit).
+# The SRDF's "home" is folded, at the limits.
 ELBOW_UP = {"joint2": 1.9, "joint3": -1.4, "joint4": 0.3}
 
 

@@ -1,11 +1,11 @@
 """Trajectory optimisation for robots with contacts.
 
     problem = trajopt.load("solo12-jump", distance=0.3)     a problem of the catalogue
-    solution = trajopt.solve(problem)                       its solution, which says whether it is one
+    solution = trajopt.solve(problem)                       its solution, which states whether it succeeded
     report = trajopt.check(solution)                        recomputed with numeric Pinocchio alone
     trajopt.replay(solution)                                in the browser
 
-Names are loaded when they are first used: `import trajopt` alone loads neither CasADi nor Pinocchio. The
+Names are loaded on first use: `import trajopt` alone imports neither CasADi nor Pinocchio. The
 rooms of the library, in the order in which they build on each other, are in docs/architecture.md.
 """
 

@@ -1,14 +1,14 @@
-"""Arguments of public classes and functions, checked against their annotations in one line each.
+"""Checks of arguments of public classes and functions against their annotations, with one-line errors.
 
-`checked` is the one mechanism: it reads the annotations of a dataclass's fields or of a function at the first
-call. Besides Python's own types it knows the ranges and shapes below, which stand in a field's own line.
+`checked` is the only mechanism. It reads the annotations of a dataclass's fields or of a function at the
+first call. Besides Python's own types it supports the ranges and shapes below, as parts of an annotation.
 
-It is not built on a library. Measured with `trajopt.load("quadruped-trot")`, 0.86 s of processor time: the
-kinds of its 161 parameters take 1 ms, checking its 3,635 values 5 ms. pydantic 2.14 checks them in 3 ms, but
-takes 140 ms to import and 23 ms to build its validators, a fifth of the whole. It would validate dataclasses
-anew, so every annotation would be translated first, and its texts on unions name its own functions. beartype
-0.23 takes 170 ms to import, takes True for a number, converts nothing, and looks at one item of a sequence at
-random: of 200 checks of 50 numbers and a string it accepted 195 (`BeartypeStrategy.On`: 193).
+It does not use a library. Measured with `trajopt.load("quadruped-trot")`, 0.86 s of processor time: building
+the kinds of its 161 parameters takes 1 ms, checking its 3,635 values 5 ms. pydantic 2.14 checks them in 3 ms,
+but takes 140 ms to import and 23 ms to build its validators, a fifth of the total. It would validate
+dataclasses anew, so every annotation would have to be translated, and its messages on unions name its own
+functions. beartype 0.23 takes 170 ms to import, accepts True as a number, converts nothing, and checks a
+random item of a sequence: 195 of 200 checks of 50 numbers and a string passed (`BeartypeStrategy.On`: 193).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from trajopt.pickling import picklable
 
 _Target = TypeVar("_Target", bound=Callable[..., Any])
 
-# Numbers are finite, and neither True nor False; these have a range, or may be infinite.
+# Numbers exclude True and False and are finite unless stated otherwise; these have a range.
 Positive = Annotated[float, Range(0.0, above=True)]
 NonNegative = Annotated[float, Range(0.0)]
 Fraction = Annotated[float, Range(0.0, 1.0)]
@@ -36,7 +36,7 @@ PositiveCount = Annotated[int, Range(1)]
 
 
 class _Arguments:
-    """The arguments of one class or function: their names and kinds, and what is said of wrong ones."""
+    """Arguments of one class or function: names, kinds, and errors for wrong ones."""
 
     def __init__(self, called: Callable[..., Any], target: Any) -> None:
         self.owner, self.keeps = target.__qualname__.removesuffix(".__init__"), isinstance(target, type)
@@ -51,7 +51,7 @@ class _Arguments:
         self.named = [name for name in self.kinds if name not in ("self", "cls")]
 
     def of(self, given: tuple[Any, ...], named: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
-        """The arguments of a call as they are handed on. Raises `InputError`."""
+        """Return checked and converted arguments of a call. Raises `InputError`."""
         self.require_known(named)
         placed = dict(zip(self.placed, given, strict=False))
         if placed.keys() & named.keys() or (len(given) > len(placed) and not self.takes_more):
@@ -67,31 +67,31 @@ class _Arguments:
         return [*(values.pop(name) for name in placed), *given[len(placed) :]], values
 
     def check(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Arguments by name as they are handed on. Raises `InputError`."""
+        """Return checked and converted arguments by name. Raises `InputError`."""
         kinds = self.kinds
         try:
             return {name: kinds.get(name, ANY).accept(value, name) for name, value in values.items()}
         except (ValueError, RefusedError):
-            pass  # found again below, with what is said of it
+            pass  # checked again below, with a message
         called = values.get("name") if self.keeps else None
         owner = f"{self.owner} '{called}'" if isinstance(called, str) else self.owner
         return {name: kinds.get(name, ANY).checked(name, owner, value) for name, value in values.items()}
 
     def require_known(self, names: Mapping[str, Any]) -> None:
-        """Raise `InputError` for a name that is no argument's."""
+        """Raise `InputError` for a name that is not an argument."""
         for name in names:
             if name not in self.kinds and not self.takes_any_name:
                 raise not_among(self.named, name, f"{self.owner} has no argument '{name}'")
 
 
 def checked(target: _Target) -> _Target:
-    """Check the arguments of a dataclass, or of a function, against their annotations.
+    """Check the arguments of a dataclass or a function against their annotations.
 
-    Sequences become tuples, and arrays in dataclasses read-only, also where they are pickled; a single name
-    stands for a sequence of one.
+    Sequences become tuples, and arrays in dataclasses become read-only, also after pickling. A single name
+    counts as a sequence of one.
 
     Raises:
-        InputError: where it is called with an argument that is wrong, missing or not known.
+        InputError: If it is called with an argument that is wrong, missing or unknown.
     """
     original: Any = getattr(target, "__init__") if isinstance(target, type) else target  # noqa: B009
     arguments = functools.cache(lambda: _Arguments(original, target))
@@ -108,14 +108,14 @@ def checked(target: _Target) -> _Target:
 
 
 def check_settings(function: Callable[..., Any], settings: Mapping[str, Any]) -> None:
-    """Check arguments that are handed on to a function, which needs more. Raises `InputError`."""
+    """Check some of the arguments of a function before it is called. Raises `InputError`."""
     arguments = _Arguments(inspect.unwrap(function), inspect.unwrap(function))
     arguments.require_known(settings)
     arguments.check(settings)
 
 
 def check_fields(thing: Any) -> None:
-    """Check the fields of a dataclass that is made already, such as a term of the user's own."""
+    """Check the fields of an existing dataclass, such as a user-defined term. Raises `InputError`."""
     target: Any = type(thing)
     for name, kind in _kinds_of_fields(target).items():
         kind.checked(name, target.__name__, getattr(thing, name))
@@ -128,7 +128,7 @@ def _kinds_of_fields(target: Any) -> dict[str, Kind]:
 
 
 def annotations_of(target: Any) -> dict[str, Any]:
-    """Annotations of a class's fields or a function's arguments; names for type checkers alone become Any."""
+    """Return annotations of a class's fields or a function's arguments; unresolved names become Any."""
     hints = {}
     for owner in reversed(target.__mro__) if isinstance(target, type) else [inspect.unwrap(target)]:
         names = _Names(_globals_of(owner))
@@ -138,7 +138,7 @@ def annotations_of(target: Any) -> dict[str, Any]:
 
 
 def _globals_of(owner: Any) -> dict[str, Any]:
-    """Names where a class or function was defined, which may be a file that is no known module."""
+    """Return the global names at the definition of a class or function, also in a file that is no module."""
     if not isinstance(owner, type):
         return owner.__globals__
     if owner.__module__ in sys.modules:
@@ -150,12 +150,12 @@ def _globals_of(owner: Any) -> dict[str, Any]:
 def _evaluated(hint: str, names: _Names) -> Any:
     try:
         return eval(hint, {}, names)
-    except Exception:  # of names that are known to a type checker alone
+    except Exception:  # names that only a type checker resolves
         return Any
 
 
 class _Names(dict[str, Any]):
-    """Names of a module, or Any."""
+    """Names of a module; unknown names resolve to builtins or Any."""
 
     def __missing__(self, name: str) -> Any:
         return getattr(builtins, name, Any)

@@ -1,7 +1,7 @@
-"""Entries of the cache: files that appear whole, each with a digest of its content.
+"""Cache entries: files that appear atomically, each with a digest of its content.
 
-An entry is written to a temporary file and renamed, so that processes may share the cache. One whose content
-is not what was written (a full disk, a crash) does not count as an entry.
+An entry is written to a temporary file and renamed, so processes can share the cache. An entry whose content
+differs from what was written (a full disk, a crash) counts as missing.
 """
 
 import contextlib
@@ -19,12 +19,12 @@ _DIGEST = hashlib.sha256().digest_size
 
 
 def cache_directory() -> Path:
-    """The cache's folder: $TRAJOPT_CACHE_DIR, or the user's cache folder of this platform."""
+    """Return the cache folder: $TRAJOPT_CACHE_DIR, or else the user's cache folder on this platform."""
     return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("trajopt", appauthor=False))
 
 
 def read_entry(name: str) -> bytes | None:
-    """An entry's content; None where there is no entry, or a damaged one."""
+    """Return the content of an entry, or None if it is missing or damaged."""
     try:
         text = (cache_directory() / name).read_bytes()
     except OSError:
@@ -34,7 +34,7 @@ def read_entry(name: str) -> bytes | None:
 
 
 def write_entry(name: str, content: bytes) -> None:
-    """Write an entry; where that is not possible all works without it, and a warning says so once."""
+    """Write an entry; on failure, warn once and continue without it."""
     folder = cache_directory()
     unfinished = folder / f".{name}.{uuid.uuid4().hex}"
     try:

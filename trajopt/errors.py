@@ -1,4 +1,4 @@
-"""Errors of the toolkit, one line each that says what, where and what is allowed; checks that raise them."""
+"""Errors of the toolkit, which say in one line what is wrong, where, and what is allowed; checks for them."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 if TYPE_CHECKING:
     import numpy as np
 
-# A message lists all allowed names up to this many, and of more this many.
+# A message lists all allowed names up to the first number, otherwise the second number of them.
 MANY, LISTED = 60, 8
 SHOWN = 60  # characters of a value in a message
 COAL_MESSAGE = "\nmessage: "
 
 
 class TrajoptError(Exception):
-    """Base of every error the toolkit raises for its user's input or environment."""
+    """Base class of the errors that the toolkit raises for user input or the environment."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled as it is, whatever its class takes: a pool raises the errors of its processes."""
+        """Pickle without calling the class's constructor, so that pools can raise their processes' errors."""
         return _as_raised, (type(self), self.args), vars(self)
 
 
@@ -40,12 +40,12 @@ class InputError(TrajoptError):
 
 
 def not_among(known: Iterable[str], name: str, what: str) -> InputError:
-    """The error of a name that is none of those known, with the one that may have been meant.
+    """Return the error for an unknown name, with suggestions.
 
     Args:
-        known: names that are allowed; of many, such as a robot's frames, only the closest are listed.
-        name: the one given.
-        what: beginning of the message.
+        known: Allowed names; if there are many, such as a robot's frames, only the closest are listed.
+        name: The given name.
+        what: Beginning of the message.
     """
     names = list(known)
     folded = {str(each).casefold(): each for each in names}
@@ -73,17 +73,17 @@ class SolutionFileError(InputError):
 
 
 class VersionMismatchError(TrajoptError):
-    """The installed wheels are not the ones the extension was built against."""
+    """The installed wheels differ from those the extension was built against."""
 
 
 def shown(value: Any) -> str:
-    """A value of a message in one line, cut where it is long; an object by its kind, never by its repr."""
+    """Return a value for a message in one shortened line; objects appear by their kind, not their repr."""
     text = " ".join(_Shown().repr(value).split())
     return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
 
 
 class _Shown(reprlib.Repr):
-    """Python's shortened repr, for plain values and collections of them."""
+    """Python's shortened repr for plain values and collections of them."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -101,28 +101,28 @@ class _Shown(reprlib.Repr):
 
 
 def require_fields(kind: Any, described: Any, what: str) -> None:
-    """Raise `InputError` unless ``described`` has exactly the fields of a dataclass, ``what`` in words."""
+    """Raise `InputError` unless ``described``, called ``what``, has exactly the fields of a dataclass."""
     names = set(kind.__dataclass_fields__)
     if not isinstance(described, Mapping) or set(described) != names:
         raise InputError(f"{what} in meta is not an object of its fields", ", ".join(sorted(names)))
 
 
 def with_article(kind: type) -> str:
-    """The name of a class in a sentence."""
+    """Return the name of a class with its article."""
     return f"{'an' if kind.__name__[0] in 'aeiouAEIOU' else 'a'} {kind.__name__}"
 
 
 def first_line(error: Exception) -> str:
-    """The first line of a library's exception, or its type if it has no text; of Coal's its message."""
+    """Return the first line of an exception's message, or its type if empty; for Coal, its message proper."""
     text = str(error).strip()
-    if COAL_MESSAGE in text:  # after lines on Coal's own source, before a hint
+    if COAL_MESSAGE in text:  # it follows lines about Coal's own source and precedes a hint
         said = text.partition(COAL_MESSAGE)[2].splitlines()
         return ": ".join(line for line in said if not line.startswith("Hint: "))
     return next(iter(text.splitlines()), type(error).__name__)
 
 
 def line_in(path: Path, error: BaseException) -> int | None:
-    """The line of a file in which an exception arose, the innermost of it; None if it is not of the file."""
+    """Return the innermost line of a file at which an exception arose, or None if it is not from the file."""
     if isinstance(error, SyntaxError) and error.filename is not None and Path(error.filename) == path:
         return error.lineno
     entries = traceback.extract_tb(error.__traceback__)
@@ -130,14 +130,14 @@ def line_in(path: Path, error: BaseException) -> int | None:
 
 
 def placed(error: TrajoptError, where: str) -> InputError:
-    """The error with where it arose before it, and still with what is allowed."""
+    """Return the error with its origin in front, keeping what is allowed."""
     if isinstance(error, InputError):
         return InputError(f"{where}: {error.what}", error.allowed)
     return InputError(f"{where}: {error}")
 
 
 def in_file(error: Exception, function: Callable[..., Any] | None = None) -> str:
-    """An exception in one line, with the line of the function's file, else the one in which it arose."""
+    """Return an exception in one line, with the line of the function's file, or else its origin."""
     code = getattr(function, "__code__", None)
     given = getattr(error, "filename", None) if code is None else code.co_filename
     path = Path(given or traceback.extract_tb(error.__traceback__)[-1].filename)
@@ -145,7 +145,7 @@ def in_file(error: Exception, function: Callable[..., Any] | None = None) -> str
 
 
 def failure(error: Exception, path: Path) -> str:
-    """An exception from a file in one line: its type, its first line, and the line of the file."""
+    """Return an exception from a file in one line: its type, its first line, and the line of the file."""
     line = line_in(path, error)
     text = next(iter(str(error).strip().splitlines()), "")
     said = f"{type(error).__name__}: {text}" if text else type(error).__name__
@@ -153,7 +153,7 @@ def failure(error: Exception, path: Path) -> str:
 
 
 def expanded(path: str | Path) -> Path:
-    """The path with the home folder for a first ``~``; raises `InputError` for a user that does not exist."""
+    """Return the path with a leading ``~`` expanded; raises `InputError` for an unknown user."""
     try:
         return Path(path).expanduser()
     except RuntimeError:
@@ -161,17 +161,17 @@ def expanded(path: str | Path) -> Path:
 
 
 def is_number(value: Any) -> TypeGuard[float]:
-    """Whether a value is a finite number, Python's or NumPy's; True and False are not."""
+    """Return whether a value is a finite number, Python's or NumPy's, but not True or False."""
     return _is_real(value) and math.isfinite(value)
 
 
 def require_positive(what: str, value: Any, unit: str = "") -> None:
-    """Raise `InputError` unless ``value`` is a finite number above zero."""
+    """Raise `InputError` unless ``value`` is a finite positive number."""
     _require(is_number(value) and value > 0, what, value, unit, "finite and > 0")
 
 
 def require_not_negative(what: str, value: Any, unit: str = "") -> None:
-    """Raise `InputError` unless ``value`` is a finite number of zero or above."""
+    """Raise `InputError` unless ``value`` is a finite non-negative number."""
     _require(is_number(value) and value >= 0, what, value, unit, "finite and >= 0")
 
 
@@ -191,8 +191,8 @@ def _require(right: bool, what: str, value: Any, unit: str, allowed: str) -> Non
 
 
 def numbers_of(value: Any) -> np.ndarray:
-    """A copy of ``value`` as an array of numbers, empty if it is not one."""
-    import numpy as np  # here as below: errors are loaded with the command line, before arrays are needed
+    """Return a copy of ``value`` as an array of numbers, empty if it is not one."""
+    import numpy as np  # deferred, also below: the command line loads errors before it needs arrays
 
     try:
         return np.array(value, dtype=float)
@@ -201,7 +201,7 @@ def numbers_of(value: Any) -> np.ndarray:
 
 
 def finite_array(what: str, value: Any, shape: tuple[int, ...] = (3,), unit: str = "") -> np.ndarray:
-    """A read-only copy of ``value`` as finite numbers of a shape. Raises `InputError` for anything else."""
+    """Return a read-only copy of ``value`` as finite numbers of a shape; else raise `InputError`."""
     import numpy as np
 
     array = numbers_of(value)
@@ -214,7 +214,7 @@ def finite_array(what: str, value: Any, shape: tuple[int, ...] = (3,), unit: str
 
 
 def unit_vector(what: str, value: Any) -> np.ndarray:
-    """The direction (3,) of ``value`` with length one. Raises `InputError` for anything without direction."""
+    """Return the unit vector (3,) along ``value``; raises `InputError` if it has no direction."""
     import numpy as np
 
     vector = numbers_of(value)

@@ -1,4 +1,4 @@
-"""Kinds of values that annotations stand for: what is accepted, how it is kept, how it is put in words."""
+"""Kinds of values, one for each annotation: what is accepted, how it is converted, how it is described."""
 
 import collections.abc
 import math
@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from trajopt.errors import InputError, not_among, shown, with_article
 
-# How values of a class are made, where a name or a path is a likely mistake for one.
+# How to make values of a class for which users often pass a name or a path.
 MADE_BY = {
     "Problem": "trajopt.load({name!r})",
     "Robot": "trajopt.robot({name!r})",
@@ -27,10 +27,10 @@ class Range:
     """Range of a number.
 
     Args:
-        least: lower bound.
-        most: upper bound.
-        above: whether the lower bound is excluded.
-        infinite: whether inf is allowed.
+        least: Lower bound.
+        most: Upper bound.
+        above: Whether the lower bound is excluded.
+        infinite: Whether inf is allowed.
     """
 
     least: float = -math.inf
@@ -39,14 +39,14 @@ class Range:
     infinite: bool = False
 
     def holds(self, value: float) -> bool:
-        """Whether a number is within the range; NaN never is."""
+        """Return whether a number is within the range; NaN never is."""
         if math.isinf(value) and not self.infinite:
             return False
         return self.least <= value <= self.most and not (self.above and value == self.least)
 
     @property
     def text(self) -> str:
-        """The range in words, empty where it has no bounds."""
+        """The range in words, empty if unbounded."""
         if math.isfinite(self.most):
             return f" from {self.least:g} to {self.most:g}"
         return f" {'>' if self.above else '>='} {self.least:g}" if math.isfinite(self.least) else ""
@@ -54,14 +54,14 @@ class Range:
 
 @dataclass(frozen=True)
 class ArrayShape:
-    """Shape of an array, None for any size along an axis; NaN is refused, and inf unless ``infinite``."""
+    """Shape of an array, with None for any size along an axis; no NaN, and no inf unless ``infinite``."""
 
     sizes: tuple[int | None, ...] | None = None
     infinite: bool = False
 
     def holds(self, array: Any) -> bool:
-        """Whether an array has the shape, and numbers that are allowed."""
-        import numpy as np  # here as below: what has no arrays loads no NumPy
+        """Return whether an array has the shape and only allowed numbers."""
+        import numpy as np  # deferred, also below: it is only needed for arrays
 
         sizes = self.sizes
         if sizes is not None and (
@@ -73,7 +73,7 @@ class ArrayShape:
 
     @property
     def text(self) -> str:
-        """The array in words."""
+        """The shape in words."""
         word = "numbers" if self.infinite else "finite numbers"
         match self.sizes:
             case None:
@@ -84,7 +84,7 @@ class ArrayShape:
 
 
 class RefusedError(Exception):
-    """A value, or a part of one: its place in the argument, the value, and what is allowed."""
+    """A refused value or part of one: its place in the argument, the value, and what is allowed."""
 
     def __init__(self, place: str, value: Any, allowed: str) -> None:
         self.place, self.value, self.allowed = place, value, allowed
@@ -96,10 +96,10 @@ class Kind:
     """Values of one annotation.
 
     Args:
-        text: what is allowed, in words.
-        accept: value and its place -> the value as it is handed on; raises `ValueError` for a wrong one, or
-            `RefusedError` where a part of it is wrong.
-        hint: value -> what may have been meant, or nothing.
+        text: What is allowed, in words.
+        accept: Maps a value and its place to the converted value; raises `ValueError` if it is wrong, or
+            `RefusedError` if a part of it is.
+        hint: Maps a value to a suggestion, or an empty string.
     """
 
     text: str
@@ -107,14 +107,14 @@ class Kind:
     hint: Callable[[Any], str] = lambda value: ""
 
     def __call__(self, value: Any, place: str) -> Any:
-        """The value as it is handed on. Raises `RefusedError`."""
+        """Return the converted value. Raises `RefusedError`."""
         try:
             return self.accept(value, place)
         except ValueError:
             raise RefusedError(place, value, f"allowed: {self.text}{self.hint(value)}") from None
 
     def checked(self, name: str, owner: str, value: Any) -> Any:
-        """The value as it is handed on. Raises `InputError` that begins with the name of the argument."""
+        """Return the converted value. Raises `InputError` that begins with the argument's name."""
         try:
             return self(value, name)
         except RefusedError as wrong:
@@ -125,7 +125,7 @@ ANY = Kind("any value", lambda value, place: value)
 
 
 def kind_of(hint: Any, keeps: bool) -> Kind:
-    """The kind of an annotation; ``keeps`` is whether arrays are kept, and so become read-only copies."""
+    """Return the kind of an annotation; with ``keeps``, arrays are kept and become read-only copies."""
     origin, parts = get_origin(hint), get_args(hint)
     general = origin or hint
     if origin is Annotated:
@@ -163,7 +163,7 @@ def kind_of(hint: Any, keeps: bool) -> Kind:
 
 
 def _numpy(module: str, name: str) -> Any:
-    """A name of NumPy's; None where that is not loaded, so that no annotation has it."""
+    """Return an object of NumPy, or None if NumPy is not imported and no annotation can refer to it."""
     return getattr(sys.modules.get(module), name, None)
 
 
@@ -173,7 +173,7 @@ def _require(right: bool) -> None:
 
 
 def _that(text: str, holds: Callable[[Any], bool], hint: Callable[[Any], str] = lambda value: "") -> Kind:
-    """Values for which something holds, handed on as they are."""
+    """Return the kind of values for which ``holds`` is true; they are not converted."""
 
     def accept(value: Any, place: str) -> Any:
         if holds(value):
@@ -226,7 +226,7 @@ def _instance(kind: Any) -> Kind:
 
 
 def _union(hints: tuple[Any, ...], keeps: bool) -> Kind:
-    parts = frozenset(get_args(_numpy("numpy.typing", "ArrayLike")))  # a union, too
+    parts = frozenset(get_args(_numpy("numpy.typing", "ArrayLike")))  # itself a union
     arrays = parts if set(hints) >= parts else frozenset()
     kinds = [kind_of(each, keeps) for each in hints if each not in arrays]
     kinds += [_array(ArrayShape(), keeps)] if arrays else []
@@ -253,13 +253,13 @@ def _union(hints: tuple[Any, ...], keeps: bool) -> Kind:
 
 
 def _require_series(value: Any) -> None:
-    """Raise `ValueError` unless a value has parts in an order, and is no string."""
+    """Raise `ValueError` unless a value is an ordered collection and not a string."""
     _require(not isinstance(value, str | bytes | Mapping) and hasattr(value, "__iter__"))
     _require(getattr(value, "ndim", 1) == 1)
 
 
 def _several(hint: Any, build: Callable[[list[Any]], Any], keeps: bool) -> Kind:
-    """Any number of one kind; a single name stands for a sequence of one."""
+    """Return the kind of sequences of one kind; a single name counts as a sequence of one."""
     kind, names = kind_of(hint, keeps), hint is str
 
     def accept(value: Any, place: str) -> Any:
@@ -282,7 +282,7 @@ def _tuple(hints: tuple[Any, ...], keeps: bool) -> Kind:
         try:
             return tuple(kind(values[index], f"{place}[{index}]") for index, kind in enumerate(kinds))
         except RefusedError:
-            _require(not numbers)  # which are shown together
+            _require(not numbers)  # numbers are refused as a whole
             raise
 
     texts = [kind.text for kind in kinds]
@@ -299,7 +299,7 @@ def _mapping(keys: Kind, values: Kind) -> Kind:
             for key in value:
                 keys.accept(key, place)
             parts = {key: values.accept(part, place) for key, part in value.items()}
-        except (ValueError, RefusedError):  # again, with the places of the parts
+        except (ValueError, RefusedError):  # repeated to name the wrong part
             for key in value:
                 keys(key, f"a key of {place}")
             parts = {key: values(part, f"{place}[{key!r}]") for key, part in value.items()}
@@ -309,7 +309,7 @@ def _mapping(keys: Kind, values: Kind) -> Kind:
 
 
 def _array(shape: ArrayShape, keeps: bool) -> Kind:
-    """Arrays of numbers: kept ones become read-only copies, lists arrays of floats."""
+    """Return the kind of arrays: kept arrays become read-only copies, lists become float arrays."""
 
     def accept(value: Any, place: str) -> Any:
         import numpy as np
@@ -319,7 +319,7 @@ def _array(shape: ArrayShape, keeps: bool) -> Kind:
             array = value if isinstance(value, np.ndarray) else np.array(value)
             _require(array.dtype.kind in "fiub")
             array = array if array is value else array.astype(float)
-        except Exception:  # a conversion of the user's own
+        except Exception:  # from a user-defined conversion
             raise ValueError from None
         _require(shape.holds(array))
         if keeps and array.flags.writeable:

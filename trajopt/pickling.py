@@ -1,7 +1,7 @@
-"""Problems, robots and solutions in other processes: what pickle and copy need beyond the fields.
+"""Pickling and copying of problems, robots and solutions, beyond what works for plain fields.
 
-Mappings that cannot be changed are pickled as dictionaries, values that a `cached_property` keeps are left
-out and found again when they are asked for, and arrays are read-only again afterwards.
+Read-only mappings are pickled as dictionaries. Values of a `cached_property` are left out and recomputed on
+demand. Arrays become read-only again afterwards.
 """
 
 import copyreg
@@ -13,7 +13,7 @@ _Class = TypeVar("_Class", bound=type)
 
 
 def picklable(target: _Class) -> _Class:
-    """Make instances of a frozen dataclass pickle and copy, unless the class says how itself."""
+    """Make instances of a frozen dataclass pickle and copy, unless the class defines how."""
     if not hasattr(target, "__setstate__"):
         given: Any = target
         given.__getstate__, given.__setstate__ = _state, _restore
@@ -32,7 +32,7 @@ def _restore(thing: Any, state: dict[str, Any]) -> None:
 
 
 def _protect(value: Any) -> None:
-    """Make arrays read-only, also those in tuples and mappings that cannot be changed."""
+    """Make arrays read-only, also those in tuples and read-only mappings."""
     if type(value).__module__ == "numpy" and hasattr(value, "setflags"):
         value.setflags(write=False)
     elif isinstance(value, tuple | MappingProxyType):

@@ -1,4 +1,4 @@
-"""Installed packages: the wheels that the extension was compiled against, and those that may be missing."""
+"""Versions of installed packages: wheels that the extension was compiled against, and optional packages."""
 
 import importlib
 from collections.abc import Mapping
@@ -8,13 +8,13 @@ from types import ModuleType
 
 from trajopt.errors import InputError, VersionMismatchError
 
-# The distribution that holds this package.
+# Name of the distribution of this package.
 DISTRIBUTION = "trajopt-contacts"
 
 
 @lru_cache
 def installed_version(name: str) -> str:
-    """Version of an installed distribution, or ``"none"``; of this package by its own name, ``trajopt``."""
+    """Return the version of a distribution, or ``"none"``; this package is ``trajopt``."""
     try:
         return version(DISTRIBUTION if name == "trajopt" else name)
     except PackageNotFoundError:
@@ -22,9 +22,9 @@ def installed_version(name: str) -> str:
 
 
 def optional_package(name: str, *, what: str = "this", extra: str = "") -> ModuleType:
-    """The module ``name`` of a package that is not always installed; raises `InputError` without it.
+    """Return the module ``name`` of an optional package; raises `InputError` if it is not installed.
 
-    what: needs it, in the message. extra: of this project, which installs it too.
+    ``what`` names what needs it, in the message; ``extra`` is an extra of this project that installs it.
     """
     try:
         return importlib.import_module(name)
@@ -35,9 +35,9 @@ def optional_package(name: str, *, what: str = "this", extra: str = "") -> Modul
 
 
 def check_versions(needed: Mapping[str, str]) -> None:
-    """Raise `VersionMismatchError` unless the wheels are those needed, by name the only version accepted.
+    """Raise `VersionMismatchError` unless the installed wheels have the ``needed`` versions by name.
 
-    Its one line says what is installed, what is needed and the command that installs it.
+    The one-line message states the installed and needed versions and the command to install them.
     """
     wrong = {name: wanted for name, wanted in needed.items() if installed_version(name) != wanted}
     if not wrong:
@@ -53,7 +53,7 @@ def check_versions(needed: Mapping[str, str]) -> None:
 def check_installation() -> None:
     """Check the wheels against those recorded when the extension was compiled.
 
-    ``pin`` and ``coal`` are the Python halves of ``libpinocchio`` and ``libcoal``, of the same versions.
+    ``pin`` and ``coal`` are the Python parts of ``libpinocchio`` and ``libcoal``, with the same versions.
     """
     from trajopt._built_against import BUILT_AGAINST
 

@@ -149,6 +149,15 @@ def centre_of_mass(run: SimulationRun) -> np.ndarray:
     return np.asarray(run.data.subtree_com[0].copy())
 
 
+def test_gains_are_those_of_the_masses_that_the_plan_knows(stand: Solution) -> None:
+    nominal, heavier = run_of(stand), run_of(stand, mass_scale=1.2)
+    for run in (nominal, heavier):
+        run._enter(0)
+    assert heavier.model.body_mass.sum() == pytest.approx(1.2 * nominal.model.body_mass.sum())
+    np.testing.assert_allclose(heavier.gains.kp, nominal.gains.kp, rtol=1e-9)
+    np.testing.assert_allclose(heavier.gains.kd, nominal.gains.kd, rtol=1e-9)
+
+
 @pytest.mark.parametrize("mass_scale", [1.0, 1.2])
 def test_the_centre_of_mass_of_the_whole_robot_is_off_by_its_offset(
     mass_scale: float, stand: Solution

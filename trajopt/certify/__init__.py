@@ -1,4 +1,4 @@
-"""Independent judgement of a solution, with numeric Pinocchio alone."""
+"""Independent check of a solution, with numeric Pinocchio alone."""
 
 import lazy_loader
 

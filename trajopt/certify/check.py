@@ -1,4 +1,4 @@
-"""The check of a solution: everything it claims, recomputed with numeric Pinocchio alone."""
+"""Check a solution: recompute everything that it claims with numeric Pinocchio alone."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -32,10 +32,10 @@ from trajopt.motion.traces import Occurrence, Trace, Traces
 from trajopt.solution.input import SolutionOrFile, consistent_solution
 from trajopt.solution.solution import Solution
 
-# Worst of all phases in the report.
+# Figures of phases, of which the report has the worst.
 PHASE_FIGURES = (*FLIGHT, *OPEN_LOOP, "local_position", "local_joints")
-# Rows of the NLP hold at the collocation points, or at all samples of the file; the same figures at any time
-# have the suffix.
+# Rows of the NLP hold at the collocation points, or at all samples of the file; the same figures at all times
+# have the suffix BETWEEN.
 AT_POINTS = (
     "friction_margin",
     "unilateral_margin",
@@ -47,9 +47,9 @@ AT_POINTS = (
 )
 AT_SAMPLES = ("velocity_excess", "position_excess")
 BETWEEN = "_between"
-# Figures that grow along a phase: a finer mesh there mends them, wherever they are largest.
+# Figures that grow along a phase: a finer mesh in the whole phase reduces them.
 DRIFTS = ("foot_drift", "stance_drift", "foot_turn")
-# Figures that a finer mesh does not mend.
+# Figures that a finer mesh does not reduce.
 BODIES = ("link_depth", "obstacle_distance", "self_distance", "clearance_margin")
 
 
@@ -57,26 +57,30 @@ BODIES = ("link_depth", "obstacle_distance", "self_distance", "clearance_margin"
 def check(solution: SolutionOrFile, *, integrate: bool = True) -> CheckReport:
     """Recompute every figure of a solution from its arrays and its model with numeric Pinocchio.
 
-    Nothing of the transcription is used.
+    No code of the transcription is used.
 
     Args:
-        solution: the solution, or the path of its file.
-        integrate: the open loop of every phase; False leaves out phases that are within its tolerances by
-            their local errors, integrates others as a verdict needs it, and saves most of the time.
+        solution: The solution, or the path of its file.
+        integrate: Integrate the open loop of every phase. If False, phases whose local errors are small
+            enough are skipped and the others are integrated roughly; this saves most of the time.
 
     Raises:
-        SolutionFileError: for a file that is inconsistent or not finite.
-        InputError: for such a solution.
+        SolutionFileError: For a file that is inconsistent or not finite.
+        InputError: For a solution that is inconsistent or not finite.
     """
     return examine(consistent_solution(solution), integrate=integrate).report
 
 
 @dataclass(frozen=True, kw_only=True)
 class Examination:
-    """A check with what a finer mesh follows from.
+    """A check, with the errors by interval and phase that guide mesh refinement.
 
-    local: errors of the intervals. broken: (I,) the largest figure at any time in each interval, over its
-    tolerance. drift: (n_phases,) the same of contacts that must stay where they are. motion: what is checked.
+    Args:
+        report: Figures of the check.
+        local: Local errors of the intervals.
+        broken: Largest ratio (I,) of a figure to its tolerance at all times in each interval.
+        drift: Largest ratio (n_phases,) of contact drift or turn to its tolerance in each phase.
+        motion: The motion that is checked.
     """
 
     report: CheckReport
@@ -86,15 +90,15 @@ class Examination:
     motion: MotionQuantities = field(repr=False)
 
     def integrated(self) -> CheckReport:
-        """The report with the open loop of every phase, see `check`."""
+        """Return the report with the open loop of every phase, see `check`."""
         phases = tuple(_phases(self.motion, self.local, True))
         places = {**self.report.places, **_places_of_phases(phases)}
         return replace(self.report, phases=phases, places=places, **_worst_of(phases))
 
 
 def examine(given: Solution, tolerances: Tolerances = GRADE, *, integrate: bool = False) -> Examination:
-    """Check a consistent solution, and compare intervals and phases with ``tolerances``; see `check`."""
-    # The norm error of rotations has its own figure and must not affect others.
+    """Check a consistent solution, and compare its intervals and phases with ``tolerances``; see `check`."""
+    # The norm error of rotations has its own figure and must not affect the others.
     motion = MotionQuantities.normalized(given)
     dynamics, starts = motion.dynamics_traces, ContactStarts.of(motion)
     samples = figures_at(motion, starts)
@@ -128,7 +132,7 @@ def examine(given: Solution, tolerances: Tolerances = GRADE, *, integrate: bool 
 
 
 def _worst(plan: Solution, trace: Trace) -> tuple[float, Occurrence] | None:
-    """The worst value of a figure along the samples of a plan, and its place; None where none applies."""
+    """Return the worst value of a figure over the samples of a plan, and its place; None if it has none."""
     worst = trace.worst()
     if worst is None:
         return None
@@ -138,7 +142,7 @@ def _worst(plan: Solution, trace: Trace) -> tuple[float, Occurrence] | None:
 
 
 def _largest_ratio(traces: Traces, tolerances: Tolerances, group: np.ndarray, count: int) -> np.ndarray:
-    """Largest ratio of judged figures to their tolerances in each of ``count`` groups of samples."""
+    """Return the largest ratio of judged figures to their tolerances in each of ``count`` sample groups."""
     largest = np.zeros(count)
     for name, trace in traces.items():
         key = FIGURES[name].tolerance
@@ -177,7 +181,7 @@ def _worst_of(phases: tuple[PhaseReport, ...]) -> dict[str, Any]:
 
 
 def _places_of_phases(phases: tuple[PhaseReport, ...]) -> dict[str, Occurrence]:
-    """The phase in which its figures are worst, and its start."""
+    """Return, for each figure of phases, the phase in which it is worst, and that phase's start."""
     places = {}
     for name in PHASE_FIGURES:
         known = [phase for phase in phases if getattr(phase, name) is not None]
@@ -188,7 +192,7 @@ def _places_of_phases(phases: tuple[PhaseReport, ...]) -> dict[str, Occurrence]:
 
 
 def _quaternion_error(plan: Solution) -> float | None:
-    """Largest | |x| - 1 | over unit quaternions and (cos, sin) pairs."""
+    """Return the largest | |x| - 1 | over unit quaternions and (cos, sin) pairs."""
     errors = []
     for joint in list(plan.model.joints)[1:]:
         units = {"JointModelFreeFlyer": 4, "JointModelSpherical": 4, "JointModelPlanar": 2}
@@ -226,12 +230,12 @@ def _phases(motion: MotionQuantities, local: LocalErrors, integrate: bool) -> It
 
 
 def _may_miss(local: tuple[float, float]) -> bool:
-    """Whether a stable phase with these sums of local errors, m and rad, may be beyond a tolerance."""
+    """Return whether a stable phase with these summed local errors, m and rad, may exceed a tolerance."""
     turn = min(OPEN_LOOP_ORIENTATION, OPEN_LOOP_JOINTS)
     return STABLE_GROWTH * local[0] > OPEN_LOOP_POSITION or STABLE_GROWTH * local[1] > turn
 
 
 def _is_stable(error: OpenLoopError, local: tuple[float, float]) -> bool:
-    """Whether the open loop of a phase amplifies the sums of its local errors, m and rad, little."""
+    """Return whether the open loop amplifies summed local errors, m and rad, by up to `STABLE_GROWTH`."""
     turn = max(error.joints, error.orientation or 0.0)
     return (error.position or 0.0) <= STABLE_GROWTH * local[0] and turn <= STABLE_GROWTH * local[1]

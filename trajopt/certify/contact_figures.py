@@ -1,4 +1,4 @@
-"""Figures of a check about contacts: friction, pressure, soles, positions and motion on their surfaces."""
+"""Figures of the check for contacts: friction, pressure, soles, positions and motion on their surfaces."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trajopt.motion.traces import Trace, Traces
 
 
 def force_traces(motion: MotionQuantities) -> Traces:
-    """Margins of contact forces over the weight; none on bilateral surfaces."""
+    """Return the margins of contact forces over the weight; bilateral contacts have none."""
     plan, surfaces = motion.solution, motion.surfaces
     force, frames = plan.f[..., :3] / motion.weight, plan.contact_frames
     normal = surfaces.along_normal(force)
@@ -28,9 +28,9 @@ def force_traces(motion: MotionQuantities) -> Traces:
 
 
 def inactive_force(motion: MotionQuantities) -> Trace:
-    """Largest component over the weight of a wrench that a contact cannot transmit.
+    """Return the largest wrench component, over the weight (times 1 m), that a contact cannot transmit.
 
-    All of it while it is inactive; the moment about the touched point of a ball that rolls, times 1 m.
+    For an inactive contact this is the whole wrench, for a rolling ball the moment about its contact point.
     """
     plan, wrench, rolling = motion.solution, motion.solution.f.copy(), motion.solution.description.rolling
     held = plan.active & rolling
@@ -41,10 +41,10 @@ def inactive_force(motion: MotionQuantities) -> Trace:
 
 
 def _sole_margin(motion: MotionQuantities) -> Trace:
-    """Least distance from the limits of pressure and yaw moment in the sole's axes, weight times metre.
+    """Return the least distance from the limits of pressure and yaw moment of a sole, weight times metre.
 
-    The yaw moment is held against what friction with the whole coefficient along the sole's
-    axes leaves of it: beyond that no distribution of forces in Coulomb's cones exists.
+    The limit of the yaw moment is that of friction with the whole coefficient along each of the sole's axes:
+    beyond it no distribution of forces in Coulomb's cones exists.
     """
     plan, surfaces = motion.solution, motion.surfaces
     sizes = [contact.half_size for contact in plan.description.contacts]
@@ -66,10 +66,10 @@ def _sole_margin(motion: MotionQuantities) -> Trace:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactStarts:
-    """Where contacts begin, by phase: positions (n_phases, nc, 3), rotations (n_phases, nc, 3, 3).
+    """Poses at which contacts begin.
 
-    phase: at the phase's start. stance: at the touchdown, in whatever phase that was. rows: (n_phases,) the
-    first sample of each phase.
+    ``phase`` and ``stance`` (n_phases, nc, 3) m are positions at the start of each phase and at the touchdown
+    before it, ``rotation`` (n_phases, nc, 3, 3) is at the start, and ``rows`` (n_phases,) are its samples.
     """
 
     phase: np.ndarray
@@ -79,7 +79,7 @@ class ContactStarts:
 
     @classmethod
     def of(cls, motion: MotionQuantities) -> ContactStarts:
-        """Read them from a motion at the samples of its file."""
+        """Return the starts in a motion at the samples of its file."""
         active = motion.solution.active
         rows = np.array([phase.start for phase in motion.solution.phases])
         held = motion.held_position[rows]
@@ -91,10 +91,10 @@ class ContactStarts:
 
 
 def place_traces(motion: MotionQuantities, starts: ContactStarts) -> Traces:
-    """Where contacts are, and whether they stay where they began.
+    """Return the figures of contact positions and of their motion since the contact began.
 
-    ``stance_drift`` is from a touchdown to the lift-off, whatever phases that spans. Of sliding contacts,
-    only motion along the normal counts.
+    ``stance_drift`` is from touchdown to lift-off, across phases. For sliding contacts only motion along the
+    normal counts.
     """
     plan, surfaces, rotation = motion.solution, motion.surfaces, motion.places.rotation
     frames, active, phase, held = plan.contact_frames, plan.active, plan.phase, motion.held_position
@@ -113,7 +113,7 @@ def place_traces(motion: MotionQuantities, starts: ContactStarts) -> Traces:
 
 
 def landing_height(motion: MotionQuantities, starts: ContactStarts) -> Trace:
-    """Distance (K, nc) of active contacts from their surface, unsigned, at the start of their phase."""
+    """Return the unsigned distance (K, nc) of active contacts from their surface at their phase's start."""
     plan, begins = motion.solution, np.zeros((motion.solution.n_samples, 1), dtype=bool)
     begins[starts.rows] = True
     counts = begins & plan.active & motion.surfaces.known
@@ -121,7 +121,7 @@ def landing_height(motion: MotionQuantities, starts: ContactStarts) -> Trace:
 
 
 def _patch_margin(motion: MotionQuantities) -> Trace:
-    """Least distance (m) of active contacts (of a sole: its corners) inside the edges of their patches."""
+    """Return the least distance (m) of active contacts (soles: corners) inside the edges of their patches."""
     plan, places = motion.solution, motion.places
     frames, sizes = list(plan.contact_frames), [contact.half_size for contact in plan.description.contacts]
     margin, counts = np.zeros(plan.active.shape), np.zeros(plan.active.shape, dtype=bool)
@@ -141,6 +141,6 @@ def _patch_margin(motion: MotionQuantities) -> Trace:
 
 
 def _angle(apart: np.ndarray, scale: float) -> np.ndarray:
-    """Angles (K, nc) in rad of rotations or unit vectors with these differences, exact for small angles."""
+    """Return angles (K, nc), rad, from differences of rotations or unit vectors; exact for small angles."""
     chord = np.sqrt(np.sum(apart**2, axis=tuple(range(2, apart.ndim)))) / scale
     return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))

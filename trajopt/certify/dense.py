@@ -1,6 +1,6 @@
-"""The worst of a motion at any time: figures between its samples, with more samples around the worst.
+"""Worst figures of a motion at all times: sample between its samples, and more densely around the worst.
 
-Between two neighbouring samples of the file lies one more; then every figure is sampled again where the
+First one sample is added between each two neighbours of the file. Then each figure is sampled where the
 parabola through its worst value and the neighbours has its vertex. All figures share all samples.
 """
 
@@ -14,11 +14,11 @@ from trajopt.motion.traces import Trace, Traces
 from trajopt.solution.arrays import REQUESTS, SAMPLED
 from trajopt.solution.solution import Solution
 
-# Samples nearer than this fraction of an interval are one.
+# Samples nearer than this fraction of an interval are the same.
 SAME = 1e-6
-# Rounds of sampling around the worst: the second parabola lies a tenth of the first's width off at most.
+# Rounds of sampling around the worst: the second parabola is off by at most a tenth of the first's width.
 ROUNDS = 2
-# Local maxima of a figure that are looked at in a round: its highest samples may not lie by its highest peak.
+# Local maxima of a figure sampled in each round: its highest sample may not be next to its highest peak.
 PEAKS = 3
 
 
@@ -26,7 +26,7 @@ PEAKS = 3
 class DenseMotion:
     """A motion at samples of the file and between, in no order, with its figures there.
 
-    plan: one row per sample. fractions: (K,) of its intervals.
+    ``plan`` has one row per sample; ``fractions`` (K,) locate the samples in their intervals.
     """
 
     plan: Solution
@@ -35,7 +35,7 @@ class DenseMotion:
 
 
 def figures_at(motion: MotionQuantities, starts: ContactStarts) -> Traces:
-    """All figures that are judged at any time, at the samples of a motion."""
+    """Return all figures that are judged at all times, at the samples of a motion."""
     return {
         **force_traces(motion),
         **motion.limit_traces,
@@ -45,7 +45,7 @@ def figures_at(motion: MotionQuantities, starts: ContactStarts) -> Traces:
 
 
 def dense_motion(motion: MotionQuantities, traces: Traces, starts: ContactStarts) -> DenseMotion:
-    """Look between the samples of a motion, whose ``traces`` are known at them."""
+    """Sample a motion between its samples, at which its ``traces`` are known."""
 
     def look(numbers: np.ndarray, fractions: np.ndarray) -> DenseMotion:
         between = motion.between(numbers, fractions)
@@ -83,13 +83,13 @@ def _joined(one: DenseMotion, other: DenseMotion) -> DenseMotion:
 
 
 def _gaps(numbers: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Intervals and fractions of the middle between neighbouring samples."""
+    """Return interval numbers and fractions of the midpoints between neighbouring samples."""
     wide = (np.diff(numbers) == 0) & (np.diff(fractions) > SAME)
     return numbers[:-1][wide], ((fractions[:-1] + fractions[1:]) / 2)[wide]
 
 
 def _vertices(dense: DenseMotion) -> tuple[np.ndarray, np.ndarray]:
-    """Intervals and fractions where parabolas through the worst samples of every figure have their vertex."""
+    """Return intervals and fractions of the vertices of parabolas through the worst samples of figures."""
     numbers, fractions = dense.plan.interval, dense.fractions
     order = np.lexsort((fractions, numbers))
     inner = (numbers[order[:-2]] == numbers[order[2:]]) & (np.diff(fractions[order], n=1)[:-1] > SAME)
@@ -111,7 +111,7 @@ def _vertices(dense: DenseMotion) -> tuple[np.ndarray, np.ndarray]:
 def _peaks(
     trace: Trace, fractions: np.ndarray, rows: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> list[tuple[int, float]]:
-    """Row and fraction of the vertices at the worst local maxima of a figure."""
+    """Return row and fraction of the vertices at the worst local maxima of a figure."""
     if not trace.counts.any():
         return []
     bad = trace.badness
@@ -130,7 +130,7 @@ def _peaks(
 
 
 def _vertex(x: np.ndarray, y: np.ndarray) -> float:
-    """Where the parabola through three points, the middle one highest, is highest; between the outer two."""
+    """Return the vertex of the parabola through three points with a peak, clipped to the outer two."""
     left, right = (x[1] - x[0]) * (y[1] - y[2]), (x[1] - x[2]) * (y[1] - y[0])
     if not left - right > 0:
         return float(x[1])

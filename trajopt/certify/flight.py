@@ -1,4 +1,4 @@
-"""Free motion in phases without contact: the centre of mass follows a parabola, momentum is constant."""
+"""Free motion in flight: the centre of mass follows a parabola, and angular momentum is constant."""
 
 import numpy as np
 import pinocchio as pin
@@ -6,10 +6,9 @@ import pinocchio as pin
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.solution.solution import Solution
 
-# The scale for a body that hardly turns: this fraction of m l sqrt(g l), the momentum of the robot's mass at
-# its reach l falling over l.
+# Smallest scale of angular momentum, as a fraction of m l sqrt(g l) for a robot of mass m and reach l.
 QUIET_MOMENTUM = 1e-2
-# Flights in which the centre of mass travels less than this (m) are too short to measure against.
+# Smallest travel of the centre of mass (m) that ballistic errors are relative to.
 LEAST_TRAVEL = 1e-6
 
 
@@ -20,9 +19,9 @@ def flight_errors(motion: MotionQuantities, phase: range) -> dict[str, float | N
     """Return the ``FIGURES`` of free motion in ``phase``; None with contacts, thrusters or a fixed base.
 
     Ballistic: max |c - c_0 - c'_0 t - g t^2 / 2| over the phase's max |c - c_0|.
-    Momentum: max |h - h_0| over max(|h|, ``QUIET_MOMENTUM`` m l sqrt(g l)), with h the angular
-    momentum about the centre of mass, l the reach. For a planar base only the components that its plane
-    leaves free. At nodes, where a scheme has its full order, and at the collocation points between them.
+    Momentum: max |h - h_0| over max(|h|, ``QUIET_MOMENTUM`` m l sqrt(g l)), with h the angular momentum about
+    the centre of mass and l the reach. For a planar base only the free components count. Both are given at
+    nodes, where a scheme has its full order, and at the collocation points between them.
     """
     solution, base = motion.solution, motion.base
     samples = slice(phase.start, phase.stop)
@@ -47,7 +46,7 @@ def flight_errors(motion: MotionQuantities, phase: range) -> dict[str, float | N
 
 
 def _centroidal(solution: Solution, phase: range) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Centre of mass (n, 3), its velocity (n, 3), angular momentum about it (n, 3), mass (kg)."""
+    """Return the centre of mass (n, 3), its velocity (n, 3), angular momentum about it (n, 3), mass (kg)."""
     model = solution.model
     data = model.createData()
     com, velocity, momentum = [], [], []

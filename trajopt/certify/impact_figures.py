@@ -1,4 +1,4 @@
-"""Figures of a check about impacts: their law, momentum, energy, and jumps where there is no impact."""
+"""Figures of the check for impacts: impact law, momentum, energy, and state jumps without an impact."""
 
 import math
 
@@ -15,11 +15,10 @@ _Figures = dict[str, float | None]
 
 
 def impact_figures(motion: MotionQuantities) -> _Figures:
-    """Worst figures over all impacts of a motion, None without any, and of jumps elsewhere.
+    """Return the worst figures over all impacts of a motion, None without impacts, and the state jump.
 
-    The contacts of an impact are those that are active just after it. Speeds are over sqrt(g 1 m),
-    momenta over the mass times that, angular ones over one metre more, energies over the weight times one
-    metre.
+    The contacts of an impact are those that are active just after it. Speeds are over sqrt(g 1 m), momenta
+    over the mass times that, angular momenta over 1 m more, energies over the weight times 1 m.
     """
     index = motion.solution.impact_index
     rows = [] if index is None else [int(row) for row in index]
@@ -68,9 +67,9 @@ def _impact(motion: MotionQuantities, number: int, row: int) -> _Figures:
 def _momentum_error(
     motion: MotionQuantities, row: int, contacts: ContactSet, impulses: np.ndarray, unit: float
 ) -> float | None:
-    """Change of linear and angular momentum about the centre of mass against the impulses'.
+    """Return the change of linear and angular momentum about the centre of mass minus the impulses.
 
-    None for a fixed base, whose root transmits an impulse; for a planar base only its free components.
+    None for a fixed base, whose root transmits an impulse. For a planar base only the free components count.
     """
     plan, base = motion.solution, motion.base
     q, model = plan.q[row], motion.models[int(plan.phase[row])]
@@ -86,9 +85,9 @@ def _momentum_error(
 
 
 def _state_jump(motion: MotionQuantities, impacts: list[int]) -> float | None:
-    """Largest jump of q (m, rad) and, over sqrt(g 1 m), of v where intervals meet without an impact.
+    """Return the largest jump of q (m, rad) between intervals, and of v over sqrt(g 1 m) without an impact.
 
-    The velocity of a velocity source may jump.
+    With velocity sources v may jump.
     """
     plan = motion.solution
     starts = [rows.start for rows in plan.intervals[1:]]

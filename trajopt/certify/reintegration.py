@@ -5,7 +5,7 @@ active contacts of the interval the acceleration solves
 
     M a + h = S^T tau + J^T f,      J a + Jdot v = 0                                    (KKT)
 
-(Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8) without any stabilisation, so that a plan that
+(Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8). There is no stabilisation, so a plan that
 is inconsistent between its points drifts away here. States are integrated on the manifold, q = q_k (+) delta,
 with the eighth-order method of Dormand and Prince. Impacts follow the law of
 `contact.impact`, M (v+ - v-) = J^T Lambda, J v+ = 0.
@@ -28,14 +28,14 @@ from trajopt.motion.quantities import MotionQuantities
 
 RobotState = tuple[np.ndarray, np.ndarray]
 
-# Far below what is measured (1e-6 at best), far above rounding.
+# Far below the errors that are measured (1e-6 at best), far above rounding.
 RELATIVE_ERROR = 1e-10
-# Far below what a verdict allows (1e-3) of a phase that amplifies errors as much as a stable one may.
+# Far below what a verdict allows (1e-3), even for a phase that amplifies errors as much as a stable one may.
 ROUGH_ERROR = 1e-7
-# Absolute errors over relative ones.
+# Ratio of absolute to relative error tolerance.
 ABSOLUTE_SHARE = 1e-2
 # An interval of a sane plan takes about five steps of a dozen evaluations. One that needs this many has
-# diverged, or its accelerations are rounding noise: those of joints that move no mass.
+# diverged, or has accelerations that are rounding noise, as of joints that move no mass.
 MAX_EVALUATIONS = 3600
 
 
@@ -58,11 +58,11 @@ def open_loop(
     relative_error: float = RELATIVE_ERROR,
     most: tuple[float, float] | None = None,
 ) -> OpenLoopError | None:
-    """Integrate a phase from its first sample with the planned torques; errors at its nodes.
+    """Integrate a phase from its first sample with the planned torques; return the errors at its nodes.
 
-    With velocity sources the planned rates are integrated instead. An error is inf where the integration
-    diverged before the phase's end. relative_error: of each step of the integration. most: errors of
-    position, m, and of rotations, rad, beyond which it ends without a result.
+    With velocity sources the planned rates are integrated instead. Errors are inf if the integration diverges
+    before the phase ends. ``relative_error`` is the tolerance of each integration step. If the errors of
+    position (m) or rotations (rad) exceed ``most``, the integration stops and the result is None.
     """
     plan = motion.solution
     numbers, worst = plan.intervals_of(phase), np.zeros(3)
@@ -83,8 +83,7 @@ def integrated_states(
 ) -> Iterator[RobotState | None]:
     """Yield the states (q, v) at the ends of intervals, integrated from the planned start of the first.
 
-    Impacts follow their law at the state that is reached. The last state is None where the integration
-    diverges.
+    The impact law is applied to the integrated state. If the integration diverges, the last state is None.
     """
     plan = motion.solution
     first = plan.intervals[numbers.start].start
@@ -124,9 +123,9 @@ def integrate_interval(
     v: np.ndarray,
     relative_error: float = RELATIVE_ERROR,
 ) -> RobotState | None:
-    """Integrate one interval from ``q``, ``v`` with its torques and contacts; None where it diverges.
+    """Integrate one interval from ``q``, ``v`` with its torques and contacts; None if it diverges.
 
-    With velocity sources the planned rates are integrated, polynomials through the points, whatever ``v``.
+    With velocity sources the polynomials of the planned rates are integrated and ``v`` is ignored.
     """
     plan, model, nv = motion.solution, motion.solution.model, motion.solution.model.nv
     start, end = (float(time) for time in plan.interval_t[number])
@@ -163,9 +162,9 @@ def integrate_interval(
 def integrated_interval_error(
     motion: MotionQuantities, dynamics: ContactDynamics, number: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (nv,) of position and velocity at an interval's end, integrated from its planned start.
+    """Return the errors (nv,) of position and velocity at an interval's end, from its planned start.
 
-    NaN where it diverges. With velocity sources the velocity has no error.
+    They are NaN if the integration diverges. With velocity sources the velocity has no error.
     """
     plan = motion.solution
     rows = plan.intervals[number]
@@ -179,11 +178,11 @@ def integrated_interval_error(
 def _run(
     rate: Callable[[float, np.ndarray], np.ndarray], state: np.ndarray, relative_error: float
 ) -> np.ndarray | None:
-    """Integrate from 0 to 1, or return None if that takes too many evaluations or is not finite."""
+    """Integrate from 0 to 1; return None if it takes too many evaluations or is not finite."""
     left = itertools.count(MAX_EVALUATIONS, -1)
 
     def counted(fraction: float, state: np.ndarray) -> np.ndarray:
-        if not next(left):  # counted by evaluation: a step that is always rejected never ends
+        if not next(left):  # evaluations are counted, since steps may be rejected for ever
             raise _RunAwayError
         return rate(fraction, state)
 
@@ -196,7 +195,7 @@ def _run(
 
 
 def phase_dynamics(motion: MotionQuantities, row: int) -> ContactDynamics:
-    """Dynamics of the phase of a sample: the contacts that are active in it, and what is carried."""
+    """Return the dynamics of a sample's phase, with its active contacts and payload."""
     phase = int(motion.solution.phase[row])
     model, held = motion.models[phase], active_contacts(motion, row)
     described = motion.solution.description.surfaces
@@ -211,7 +210,7 @@ def phase_dynamics(motion: MotionQuantities, row: int) -> ContactDynamics:
 
 
 def active_contacts(motion: MotionQuantities, row: int) -> ContactSet:
-    """The contacts that are active at a sample, in the model that carries what its phase carries."""
+    """Return the active contacts at a sample, on the model with the payload of its phase."""
     solution = motion.solution
     kinds = zip(solution.description.contacts, solution.active[row], strict=True)
     contacts = [(contact.frame, 6 if contact.is_sole else 3) for contact, on in kinds if on]

@@ -1,4 +1,4 @@
-"""The report of a check: figures with units, tolerances with reasons, a readable table."""
+"""The report of a check: figures with units, tolerances with reasons, and a readable table."""
 
 import math
 from dataclasses import asdict, dataclass, field, fields
@@ -9,28 +9,28 @@ from trajopt.motion.samples import largest_known
 from trajopt.motion.traces import Occurrence
 from trajopt.solution.meta import jsonable
 
-# Residuals, contact accelerations and forces of inactive contacts over the weight (over gravity): what a
-# solver with tolerance 1e-6 leaves, in units of weight and length.
+# Residuals and forces of inactive contacts over the weight, contact accelerations over g: what a solver with
+# tolerance 1e-6 leaves, in units of weight and length.
 RESIDUAL = 1e-6
 # Friction, unilateral and sole margins may be negative by this fraction of the weight, for the same reason.
 FRICTION = 1e-6
 # Limits may be exceeded by this fraction, for the same reason.
 LIMIT = 1e-6
-# Between points friction, unilateral and sole margins may be negative by this fraction of the weight, and
-# limits be exceeded by this fraction of them: below what friction coefficients and motors are known to.
+# Between points, margins may be negative by this fraction of the weight, and limits may be exceeded by this
+# fraction: below the uncertainty of friction coefficients and motors.
 BETWEEN = 1e-2
-# Local errors of the intervals of a phase add up to this part of the robot's reach, and to this many rad:
-# what feedback has to correct is below the positioning accuracy of legs.
+# The local errors of a phase's intervals may sum to this fraction of the robot's reach, and to this many rad:
+# what feedback has to correct is then below the positioning accuracy of legs.
 LOCAL_POSITION = 1e-3
 LOCAL_JOINTS = 5e-3
-# Open loop is judged where it amplifies local errors less than this; beyond, a motion is unstable without
+# The open loop is judged if it amplifies local errors by less than this. Beyond, a motion is unstable without
 # feedback, and its open loop says nothing about the plan.
 STABLE_GROWTH = 30.0
-# Open loop of a stable phase, m and rad: the positioning accuracy of legs, and of their joints.
+# Open-loop error of a stable phase, m and rad: the positioning accuracy of legs and of their joints.
 OPEN_LOOP_POSITION = 1e-3
 OPEN_LOOP_ORIENTATION = 2e-3
 OPEN_LOOP_JOINTS = 5e-3
-# A foot that creeps or hovers by a millimetre within a phase is within the positioning accuracy of legs.
+# A foot that drifts or hovers by a millimetre within a phase is within the positioning accuracy of legs.
 FOOT_DRIFT = 1e-3
 # A sole of 10 cm half length that is tilted by this lifts its edge by a millimetre.
 SOLE_TILT = 1e-2
@@ -38,7 +38,7 @@ SOLE_TILT = 1e-2
 PENETRATION = 1e-3
 # Norm error of quaternions and (cos, sin) pairs: rounding over thousands of steps is 1e-12.
 QUATERNION = 1e-8
-# A virtual base must keep this margin to gimbal lock: below it the angles' rates are over twenty times the
+# Smallest margin of a virtual base to gimbal lock: below it the rates of the angles are over twenty times the
 # angular velocity, and the plan is unreliable between its samples.
 GIMBAL = LEAST_MARGIN
 OPEN_LOOP = ("open_loop_position", "open_loop_orientation", "open_loop_joints")
@@ -46,7 +46,7 @@ OPEN_LOOP = ("open_loop_position", "open_loop_orientation", "open_loop_joints")
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """Largest values of a trustworthy plan; None reports a figure without judging it."""
+    """Largest allowed figures of a plan; None reports a figure without judging it."""
 
     residual: float | None = RESIDUAL
     friction: float | None = FRICTION
@@ -68,7 +68,7 @@ class Tolerances:
     open_loop_joints: float | None = OPEN_LOOP_JOINTS
 
 
-# The grade of a motion that holds at any time, and that of one on a fixed mesh, which holds at its points.
+# Tolerances of a motion that holds at all times, and of one on a fixed mesh, which holds at its points.
 GRADE = Tolerances()
 AT_POINTS = Tolerances(
     between=None,
@@ -87,9 +87,9 @@ AT_POINTS = Tolerances(
 class PhaseReport:
     """Figures of one phase: open-loop errors (m, rad, rad), and in flight the errors of free motion.
 
-    local_position (reach), local_joints (rad): sums of the local errors of its intervals. stable: whether the
-    open loop amplifies them less than `STABLE_GROWTH`; None where it was not integrated. A verdict ends the
-    integration where it is found not to be, without errors.
+    ``local_position`` (reach) and ``local_joints`` (rad) are sums of the local errors of its intervals.
+    ``stable`` says whether the open loop amplifies them by at most `STABLE_GROWTH`; None if not integrated.
+    Unless all phases are integrated, that of an unstable phase ends early and gives no open-loop errors.
     """
 
     index: int
@@ -111,14 +111,14 @@ class PhaseReport:
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """How one number of the report reads: what, unit, which tolerance judges it, or why none does."""
+    """Presentation of a figure: text, unit, the tolerance that judges it, or why none does."""
 
     text: str
     unit: str
     tolerance: str | None = None
     margin: bool = False  # a margin must not be less than minus the tolerance
     least: bool = False  # the tolerance is the smallest value allowed
-    why: str = ""  # it is information only
+    why: str = ""  # shown instead of a tolerance
 
 
 def _figure(
@@ -130,54 +130,58 @@ def _figure(
     least: bool = False,
     why: str = "",
 ) -> Any:
-    """A field of the report with how it reads."""
+    """Return a field of the report with its presentation."""
     figure = Figure(text=text, unit=unit, tolerance=tolerance, margin=margin, least=least, why=why)
     return field(metadata={"figure": figure})
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckReport:
-    """Worst figures of a solution, see ``FIGURES`` for their units; None where the figure does not apply.
+    """Worst figures of a solution, see ``FIGURES`` for their units; None if a figure does not apply.
 
-    base_residual, actuated_residual: RNEA(q, v, a) - sum J^T f (minus tau) at collocation points;
-        force rows over the weight m g, moment rows over the weight times one metre. With velocity sources the
-        base rows are statics, RNEA(q, 0, 0) - sum J^T f.
-    contact_acceleration: classical acceleration of active contacts at collocation points over g
-        (angular rows of soles in rad/s^2 over g per metre); with velocity sources, their velocity at points
-        over sqrt(g 1 m).
-    friction_margin: least mu f_n - |f_t| at collocation points, ``..._between`` at other samples.
-    unilateral_margin: least f_n. sole_margin: least distance of moments from the sole's limits. Each on
-        the contact's own surface; none of them on a bilateral one. sliding_friction: largest difference
-        between the force of a sliding contact and the law of `trajopt.terms.dynamics` at its points. Of
-        such contacts contact_acceleration, contact_velocity and foot_drift are those along the normal.
-    effort_excess, velocity_excess: largest |x| / limit - 1; negative is reserve.
-    drive_torque_excess: largest |tau_m| / torque_limit - 1 of the drives, with joint friction.
-    drive_voltage_excess: largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
-    position_excess: largest excess over a limit, over the joint's range; negative is reserve. ``..._between``
-        of all of these: at any time, see `dense`; so are penetration, drift, turn, tilt and patch_margin.
-    following_error: largest distance of a joint from where it follows another, m or rad, at any time.
-    local_position: largest sum over a phase's intervals of what the planned torques, integrated from each
-        interval's own planned start, miss at its end, |dp| + T |dp'| of the farthest-off named point over the
-        reach; local_joints: the same of rotations, rad. See `accuracy.local_errors`.
-    places: where each figure is worst, by its name.
-    impact_residual: M (v+ - v-) - J^T Lambda over mass times sqrt(g 1 m) (moments: times 1 m),
-        impact_velocity: J v+ over sqrt(g 1 m), impact_friction_margin: least mu Lambda_n - |Lambda_t|,
-        impact_momentum_error: change of linear and angular momentum minus the impulses (floating bases),
-        impact_energy_gain: largest change of kinetic energy, negative where all impacts lose; see
-        `impact_figures`. state_jump: largest jump of q or v where intervals meet without an impact.
-    penetration, quaternion_error, contact_velocity, foot_drift, foot_turn, sole_tilt: at all samples.
-        penetration is below the surface of an active contact, below the terrain otherwise.
-        On ground that is no plane it is below the tangent plane of the highest ground under the contact.
-    link_depth, obstacle_distance, self_distance: of the file's shapes of links (and of capsules of a problem
-        with obstacles), by Coal, at samples and between; a negative depth is a distance. Files without shapes
-        have only what their capsules show, and ``notes`` say so. clearance_margin: least distance of links
-        from obstacles and each other minus what the problem's `Clearance` asks of the pair; None without a
-        margin.
-    landing_height: distance of active contacts from their surface at their phase's start, unsigned.
-    patch_margin: least distance of active contacts (of soles: their corners) inside their patches' edges.
-    position_gap, velocity_gap: see `integration_gaps.interval_gaps`. ballistic_error, momentum_error: at
-        nodes, ``..._between`` at collocation points, see
-        `flight.flight_errors`. open_loop_...: see `reintegration.open_loop`; inf where it diverged.
+    Figures are taken at collocation points; ``..._between`` is the same figure at all times, see `dense`.
+    ``places`` has the place where each figure is worst, by name.
+
+    Attributes:
+        base_residual, actuated_residual: RNEA(q, v, a) - sum J^T f (minus tau); force rows over the weight
+            m g, moment rows over the weight times 1 m. With velocity sources the base rows are static,
+            RNEA(q, 0, 0) - sum J^T f.
+        contact_acceleration: Classical acceleration of active contacts over g (angular rows of soles in
+            rad/s^2 over g per metre); with velocity sources, their velocity over sqrt(g 1 m).
+        friction_margin, unilateral_margin: Least mu f_n - |f_t| and least f_n on the contact's surface; not
+            for bilateral contacts, like sole_margin.
+        sole_margin: Least distance of moments from the sole's limits.
+        sliding_friction: Largest difference between the force of a sliding contact and the law of
+            `trajopt.terms.dynamics`. Acceleration, velocity and drift of such contacts are along the normal.
+        effort_excess, velocity_excess: Largest |x| / limit - 1; negative is reserve.
+        drive_torque_excess: Largest |tau_m| / torque_limit - 1 of the drives, with joint friction.
+        drive_voltage_excess: Largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
+        position_excess: Largest excess over a limit, over the joint's range; negative is reserve. This and
+            velocity_excess are at all samples.
+        following_error: Largest deviation of a mimic joint, m or rad, at all times.
+        local_position, local_joints: Largest sum over a phase of the local errors of its intervals, position
+            over the reach and rotations in rad, see `accuracy.local_errors`.
+        impact_residual: M (v+ - v-) - J^T Lambda over mass times sqrt(g 1 m) (moments: times 1 m).
+        impact_velocity: J v+ over sqrt(g 1 m).
+        impact_friction_margin: Least mu Lambda_n - |Lambda_t|.
+        impact_momentum_error: Change of linear and angular momentum minus the impulses (floating bases).
+        impact_energy_gain: Largest change of kinetic energy; negative if all impacts lose energy.
+        state_jump: Largest jump of q between intervals, and of v without an impact, see `impact_figures`.
+        quaternion_error, contact_velocity: At all samples.
+        penetration, foot_drift, stance_drift, foot_turn, sole_tilt: At all times. Penetration is below the
+            surface of an active contact, below the terrain otherwise; on curved ground, below the tangent
+            plane of the highest ground under the contact.
+        link_depth, obstacle_distance, self_distance: Of the file's link shapes (and capsules of a problem
+            with obstacles), by Coal, at all times; a negative depth is a distance. Files without shapes only
+            have the figures of their capsules, and ``notes`` say so.
+        clearance_margin: Least distance of links from obstacles and each other minus that required by the
+            problem's `Clearance`; None without a margin.
+        landing_height: Unsigned distance of active contacts from their surface at their phase's start.
+        patch_margin: Least distance of active contacts (soles: corners) inside their patches, at all times.
+        position_gap, velocity_gap: See `integration_gaps.interval_gaps`.
+        ballistic_error, momentum_error: At nodes, ``..._between`` at collocation points, see
+            `flight.flight_errors`.
+        open_loop_...: See `reintegration.open_loop`; inf if it diverges.
     """
 
     base_residual: float | None = _figure("base rows of the dynamics", "weight", "residual")
@@ -273,31 +277,31 @@ class CheckReport:
 
     @property
     def ok(self) -> bool:
-        """Within the default tolerances."""
+        """Whether all judged figures are within the default tolerances."""
         return self.within()
 
     def within(self, tolerances: Tolerances | None = None) -> bool:
-        """Whether every judged figure is within ``tolerances`` (default: those of `Tolerances`)."""
+        """Return whether every judged figure is within ``tolerances`` (default: `Tolerances`)."""
         return not self.failures(tolerances)
 
     def failures(self, tolerances: Tolerances | None = None) -> tuple[str, ...]:
-        """Names of the figures beyond their tolerance."""
+        """Return the names of the figures that exceed their tolerance."""
         limits = tolerances or Tolerances()
         return tuple(name for name in FIGURES if self._fails(name, limits))
 
     def worst(self, tolerances: Tolerances | None = None) -> tuple[str, float]:
-        """The judged figure with the largest ratio to its tolerance: name and ratio (above 1: beyond)."""
+        """Return name and ratio of the figure with the largest ratio to its tolerance (above 1: exceeded)."""
         used = self.used(tolerances)
         name = max(used, key=lambda name: math.inf if math.isnan(used[name]) else used[name])
         return name, used[name]
 
     def used(self, tolerances: Tolerances | None = None) -> dict[str, float]:
-        """Ratio of every judged figure to its tolerance."""
+        """Return the ratio of every judged figure to its tolerance."""
         limits = tolerances or Tolerances()
         return {name: ratio for name in FIGURES if (ratio := self._ratio(name, limits)) is not None}
 
     def said(self, name: str) -> str:
-        """A figure in words: what, value, unit and place."""
+        """Return a figure in words: text, value, unit and place."""
         figure, place = FIGURES[name], self.places.get(name)
         where = "" if place is None else f" at {place}"
         return f"{figure.text} {getattr(self, name):.2g} {figure.unit}{where}"
@@ -307,7 +311,7 @@ class CheckReport:
         return ratio is not None and not ratio <= 1
 
     def _ratio(self, name: str, tolerances: Tolerances) -> float | None:
-        """A figure over its tolerance; None where it is not judged."""
+        """Return the ratio of a figure to its tolerance; None if it is not judged."""
         figure, value = FIGURES[name], getattr(self, name)
         limit = None if figure.tolerance is None else getattr(tolerances, figure.tolerance)
         if name in OPEN_LOOP:
@@ -319,7 +323,7 @@ class CheckReport:
         return float((-value if figure.margin else value) / limit)
 
     def to_dict(self, tolerances: Tolerances | None = None) -> dict[str, Any]:
-        """JSON-able figures by name, ``ok``, ``failures``, ``phases``, ``notes``; inf and NaN become null."""
+        """Return JSON-able figures by name, with verdict, phases and notes; inf and NaN become null."""
         failures = self.failures(tolerances)
         figures = {name: getattr(self, name) for name in FIGURES}
         phases = [asdict(phase) for phase in self.phases]
@@ -328,7 +332,7 @@ class CheckReport:
         return jsonable({**verdict, **figures, "phases": phases, "places": places, "notes": self.notes})
 
     def table(self, tolerances: Tolerances | None = None) -> str:
-        """Figures one a line with unit, tolerance and verdict, then the phases and notes."""
+        """Return one figure a line with unit, tolerance and verdict, then the phases and notes."""
         limits = tolerances or Tolerances()
         lines = [f"{'':42}{'value':>12}  {'unit':14}{'tolerance':>10}          worst at"]
         for name, figure in FIGURES.items():

@@ -1,8 +1,8 @@
 """DOP853: Dormand and Prince's explicit Runge-Kutta method of order 8 with error estimates of order 5 and 3.
 
-Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", 2nd edition, section II.5; coefficients
-of their code, steps chosen as in section II.4 and as by `scipy.integrate.DOP853`, which takes longer to load
-than everything that a solve needs.
+Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", 2nd edition, section II.5. The
+coefficients are those of their code. Steps are chosen as in section II.4 and in `scipy.integrate.DOP853`,
+which takes longer to import than everything that a solve needs.
 """
 
 from collections.abc import Callable
@@ -151,7 +151,7 @@ _ERROR_3 = np.array(
     ]
 )
 
-# The same for compiled dynamics.
+# The same method for compiled dynamics.
 METHOD = _numeric.Method(
     _NODES,
     np.array([np.pad(row, (0, len(_NODES) - len(row))) for row in (np.zeros(0), *_MATRIX)]),
@@ -160,7 +160,7 @@ METHOD = _numeric.Method(
     _ERROR_3,
 )
 
-# Of steps: how much smaller than the one that would be just accurate enough, and bounds on their change.
+# Step control: safety factor, and smallest and largest ratio of successive steps.
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 10.0
 _EXPONENT = 1 / 8
 
@@ -168,15 +168,15 @@ _EXPONENT = 1 / 8
 def integrate(
     rate: Rate, state: np.ndarray, *, relative: float, absolute: float, length: float = 1.0
 ) -> np.ndarray | None:
-    """State at t = ``length`` from ``state`` at 0, by ``rate(t, state)``.
+    """Integrate ``rate(t, state)`` from ``state`` at t = 0 to t = ``length``.
 
-    relative, absolute: bounds on the local error of each entry. None where a step has to become smaller than
-    rounding, or the state is not finite.
+    ``relative`` and ``absolute`` bound the local error of each entry. Returns None if the step size falls
+    below rounding, or the state is not finite.
     """
     t, slope = 0.0, rate(0.0, state)
     step = _first_step(rate, state, slope, relative, absolute, length)
     while t < length:
-        if not step >= 10 * np.spacing(t):  # also where it is no number
+        if not step >= 10 * np.spacing(t):  # also if it is NaN
             return None
         rejected = False
         while True:
@@ -201,7 +201,7 @@ def integrate(
 def _step(
     rate: Rate, t: float, state: np.ndarray, slope: np.ndarray, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The state one step on, and the slopes of all stages."""
+    """Take one step; return the state at its end and the slopes of all stages."""
     stages = np.empty((len(_NODES), len(state)))
     stages[0] = slope
     for number, (node, row) in enumerate(zip(_NODES[1:], _MATRIX, strict=True), start=1):
@@ -210,7 +210,7 @@ def _step(
 
 
 def _error(stages: np.ndarray, step: float, scale: np.ndarray) -> float:
-    """The estimate of the local error over what is allowed, of two estimates the one that does not vanish."""
+    """Return the local error over the allowed error, from the estimates of order 5 and 3 combined."""
     fifth, third = _ERROR_5 @ stages / scale, _ERROR_3 @ stages / scale
     large, small = float(fifth @ fifth), float(third @ third)
     if large == 0 and small == 0:
@@ -221,7 +221,7 @@ def _error(stages: np.ndarray, step: float, scale: np.ndarray) -> float:
 def _first_step(
     rate: Rate, state: np.ndarray, slope: np.ndarray, relative: float, absolute: float, length: float
 ) -> float:
-    """A step at whose end the method's error is about what is allowed, by the second derivative."""
+    """Return a first step with about the allowed error, estimated from the second derivative."""
     scale = absolute + np.abs(state) * relative
     size, first = _norm(state / scale), _norm(slope / scale)
     trial = 1e-6 if size < 1e-5 or first < 1e-5 else min(0.01 * size / first, length)

@@ -1,4 +1,4 @@
-"""Sliding contacts in the check: their constrained motion, friction law and open-loop dynamics."""
+"""Sliding contacts in the check: friction law and open-loop dynamics."""
 
 from functools import cached_property
 
@@ -15,10 +15,10 @@ from trajopt.terrain.surface import Surface
 
 
 def sliding_error(motion: MotionQuantities) -> Trace:
-    """Largest difference between forces of sliding contacts and Coulomb's law, over the weight.
+    """Return the largest difference between forces of sliding contacts and Coulomb's law, over the weight.
 
-    The law is that of `trajopt.terms.dynamics`: mu f_n against the velocity within the surface,
-    over the root of its square and the square of the slip speed.
+    The law is that of `trajopt.terms.dynamics`: f_t = -mu f_n u / sqrt(|u|^2 + s^2), with u the velocity
+    within the surface and s the slip speed.
     """
     plan, surfaces = motion.solution, motion.surfaces
     rows = plan.active & surfaces.slides
@@ -33,12 +33,12 @@ def sliding_error(motion: MotionQuantities) -> Trace:
 
 
 class SlidingDynamics(ContactDynamics):
-    """Forward dynamics with contacts of which some slide: only the acceleration.
+    """Forward dynamics if some contacts slide; computes only the acceleration.
 
         M a + h = tau + J_h^T f_h + D^T f_n        J_h a + .. = 0        n^T (J_s a + ..) = 0
 
-    with held contacts h, and sliding ones s whose force per unit of normal force, D = (n - mu t)^T J_s with t
-    the regularised direction of sliding, is not the multiplier of their row: the matrix is not symmetric.
+    with held contacts h and sliding contacts s. D = (n - mu t)^T J_s is the generalised force per unit normal
+    force, t the regularised direction of sliding. As D differs from n^T J_s, the matrix is not symmetric.
     """
 
     def __init__(self, model: pin.Model, contacts: ContactSet, surfaces: dict[int, Surface]) -> None:

@@ -1,4 +1,4 @@
-"""Shapes of links, obstacles, the distances between them, and planes that keep them apart."""
+"""Collision geometry: shapes of links, obstacles, distances between them, and separating planes."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Shapes as Coal has them, and where two of them are nearest."""
+"""Convert shapes to Coal geometry; the nearest points of two bodies."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,14 +11,14 @@ import pinocchio as pin
 from trajopt.collision.shapes import BoxObstacle, LinkShape, Obstacle
 from trajopt.terrain.surface import frame_of_normal
 
-# Thickness to either side, m, of hulls that have no volume: Coal's depths need one.
+# Thickness to either side, m, of hulls without volume, since Coal's penetration depths need one.
 THICKNESS = 1e-6
-# Hulls that are kept: scenes of one robot are made again and again.
+# Size of the cache of hulls, since scenes of one robot are created repeatedly.
 MOST_HULLS = 1024
 
 
 def segment_placement(start: np.ndarray, end: np.ndarray) -> pin.SE3:
-    """Placement of a Coal capsule (along z, about its middle) on a segment."""
+    """Return the placement of a Coal capsule (along z, centred) on a segment."""
     along = end - start
     length = float(np.linalg.norm(along))
     turn = frame_of_normal(along / length) if length > 0 else np.eye(3)
@@ -26,21 +26,21 @@ def segment_placement(start: np.ndarray, end: np.ndarray) -> pin.SE3:
 
 
 def coal_capsule(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[Any, pin.SE3]:
-    """Coal's capsule and its placement; a sphere where the segment has no length."""
+    """Return a Coal capsule and its placement; a sphere if the segment has no length."""
     length = float(np.linalg.norm(end - start))
     shape = coal.Capsule(radius, length) if length > 0 else coal.Sphere(radius)
     return shape, segment_placement(start, end)
 
 
 def coal_obstacle(obstacle: Obstacle) -> tuple[Any, pin.SE3]:
-    """Coal's shape of an obstacle and its placement in the world."""
+    """Return the Coal shape of an obstacle and its placement in the world."""
     if isinstance(obstacle, BoxObstacle):
         return coal.Box(*obstacle.sides.tolist()), pin.SE3(obstacle.turn, obstacle.position)
     return coal_capsule(*obstacle.axis, obstacle.radius)
 
 
 def coal_link(shape: LinkShape) -> tuple[Any, pin.SE3]:
-    """Coal's shape of a link and its placement in the link's frame."""
+    """Return the Coal shape of a link and its placement in the link's frame."""
     if len(shape.points) <= 2:
         return coal_capsule(*shape.axis, shape.radius)
     edges = shape.box_axes
@@ -54,9 +54,9 @@ def coal_link(shape: LinkShape) -> tuple[Any, pin.SE3]:
 
 
 def coal_hull(points: np.ndarray, radius: float = 0.0) -> Any:
-    """Coal's convex hull of points (n, 3) m with a ball of ``radius`` m about each of its points.
+    """Return the Coal convex hull of points (n, 3) m, swept with a sphere of ``radius`` m.
 
-    Points in a plane or on a line get the thickness `THICKNESS`. Equal hulls are one object.
+    Points in a plane or on a line get the thickness `THICKNESS`. Equal hulls are the same object.
     """
     return _hull_once(np.asarray(points, dtype=float).tobytes(), float(radius))
 
@@ -73,7 +73,7 @@ def _hull_once(numbers: bytes, radius: float) -> Any:
 
 
 def thick(points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) m of a hull, moved apart by `THICKNESS` where it has no volume."""
+    """Return points (n, 3) m of a hull, moved apart by `THICKNESS` along axes without extent."""
     away = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(away.T @ away)
     for axis in axes.T:
@@ -84,12 +84,13 @@ def thick(points: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Witness:
-    """Where two bodies are nearest, or the shortest way out of each other.
+    """The nearest points of two bodies, or the shortest way out of a penetration.
 
-    normal: (3,) world, unit, from the second body to the first. distance: signed, m: the least height of the
-    first body along the normal minus the greatest of the second, exactly: where faces touch, Coal's normal is
-    exact to 1e-5 and so is this. first_point, second_point: (3,) m, world, on the surfaces, first_point =
-    second_point + distance normal to the same accuracy.
+    Attributes:
+        distance: Signed distance, m: the least height of the first body along the normal minus the greatest
+            of the second. It is exact for this normal, which Coal gives to 1e-5 where faces touch.
+        normal: Unit normal (3,), world, from the second body to the first.
+        first_point, second_point: Nearest points (3,) m, world; first_point = second_point + distance normal.
     """
 
     distance: float

@@ -1,4 +1,4 @@
-"""A robot's shapes, and which pairs of them must not touch: all but those that touch by construction."""
+"""Shapes of a robot's links and the pairs that must not touch: all but those that touch by design."""
 
 from __future__ import annotations
 
@@ -26,34 +26,38 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import MOST_SHAPES
 from trajopt.terrain.terrain import Terrain
 
-# Postures within the limits in which pairs are tested, and the part of them in which a pair that always
-# touches overlaps.
+# Number of postures within the limits in which pairs are tested, and the fraction of overlaps above which a
+# pair is taken to touch always.
 POSTURES = 100
 ALWAYS = 0.95
 SEED = 0
-# A disabled pair of an SRDF with one of these reasons is still judged: it says that it was not seen to touch,
-# not that it may.
+# Pairs that an SRDF disables for one of these reasons are still judged: the reason says that they were not
+# seen to touch, not that they may.
 JUDGED_REASONS = ("never",)
-# Joints this near each other, m, are one cluster: hips and wrists with crossing axes.
+# Joints this near each other, m, form one cluster, as in hips and wrists with crossing axes.
 NO_LENGTH = 1e-3
-# Folders above a URDF whose folder ``srdf`` may hold its SRDF.
+# Number of parent folders of a URDF in which a folder ``srdf`` is searched.
 SRDF_LEVELS = 2
 MOST_ROBOTS = 64
 OVERLAP = "in the reference posture"
-# Shapes of real robots are up to 1.2 times as large as the robot's reach, and up to 4 % of the pairs of which
-# neither is the other's neighbour overlap in the reference posture. Beyond these a description is doubtful.
+# Shapes of real robots are at most 1.2 times as large as the robot's reach, and at most 4 % of the pairs that
+# are not neighbours overlap in the reference posture. Beyond these limits a description is doubtful.
 OUTSIZED, MOST_OVERLAPPING = 5.0, 0.1
-# Shapes that a line of doubt names.
+# Largest number of shapes named in a warning.
 NAMED = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotShapes:
-    """Shapes of a robot's links, by `robot_shapes`.
+    """Shapes of a robot's links, see `robot_shapes`.
 
-    pairs: of shapes, by name, that must not touch. left_out: the other pairs, each with its reason. missing:
-    geometry of the description that could not be read. above_ground: whether terrain is solid to the robot:
-    not for a fixed base whose links reach below the world's origin in the reference posture, as a pendulum's.
+    Args:
+        shapes: The shapes.
+        pairs: Pairs of shapes, by name, that must not touch.
+        left_out: The other pairs, each with its reason.
+        missing: Geometry of the description that could not be read.
+        above_ground: Whether the ground is an obstacle to the robot; False for a fixed base whose links reach
+            below the world's origin in the reference posture, such as a pendulum.
     """
 
     shapes: tuple[LinkShape, ...] = ()
@@ -65,7 +69,7 @@ class RobotShapes:
     def scene(
         self, model: pin.Model, terrain: Terrain | None = None, obstacles: Sequence[Obstacle] = ()
     ) -> CollisionScene:
-        """Return the scene of these shapes on ``model``, with the ground where it is solid to the robot."""
+        """Return the scene of these shapes on ``model``, with the ground if it is an obstacle."""
         return CollisionScene(
             model=model,
             shapes=self.shapes,
@@ -75,7 +79,7 @@ class RobotShapes:
         )
 
     def doubts(self, model: pin.Model) -> tuple[str, ...]:
-        """What is unlikely about these shapes, on ``model``, one line each: their size, many that overlap."""
+        """Return warnings about these shapes on ``model``, one line each: their size, many overlaps."""
         length, lines = reach(model), []
         sizes = {shape.name: shape.extent / length for shape in self.shapes if length > 0}
         outsized = sorted((name for name in sizes if sizes[name] > OUTSIZED), key=lambda name: -sizes[name])
@@ -93,7 +97,7 @@ class RobotShapes:
         return tuple(lines)
 
     def describe(self) -> dict[str, Any]:
-        """JSON-able description for a solution file."""
+        """Return a JSON-able description for a solution file."""
         return {
             "shapes": [shape.describe() for shape in self.shapes],
             "pairs": [list(pair) for pair in self.pairs],
@@ -104,7 +108,7 @@ class RobotShapes:
 
     @classmethod
     def from_description(cls, described: Any) -> RobotShapes:
-        """The shapes that ``describe`` wrote. Raises InputError."""
+        """Return the shapes from a result of ``describe``. Raises InputError."""
         keys = ("shapes", "pairs", "left_out", "missing")
         if not isinstance(described, dict) or not all(isinstance(described.get(k), list) for k in keys):
             raise InputError("bodies are not an object of lists", f"keys: {', '.join(keys)}")
@@ -128,17 +132,17 @@ class RobotShapes:
 def robot_shapes(robot: Robot) -> RobotShapes:
     """Return the shapes of a robot's description, and the pairs of them that must not touch.
 
-    Shapes are those of `read_shapes`. Left out are pairs on one joint or on joints that are neighbours, those
-    that an SRDF beside the URDF disables because they touch, and those that overlap in the reference posture
-    or in almost all of a sample of postures within the limits. Nothing is random beyond a fixed seed, and a
-    robot of the same content is not read again.
+    Shapes are those of `read_shapes`. Pairs are left out if they are on the same joint or on neighbouring
+    joints, if an SRDF near the URDF or the MJCF file disables them, or if they overlap in the reference
+    posture or in almost all sampled postures within the limits. The samples have a fixed seed. Results are
+    cached by the robot's content.
     """
     return _robot_shapes(_KeyedRobot(_content(robot), robot))
 
 
 @dataclass(frozen=True)
 class _KeyedRobot:
-    """A robot that is equal to another of the same content."""
+    """A robot that compares equal to another with the same content."""
 
     content: tuple[object, ...]
     robot: Robot = field(compare=False)
@@ -177,7 +181,7 @@ def _robot_shapes(keyed: _KeyedRobot) -> RobotShapes:
 
 
 def above_ground(robot: Robot, shapes: tuple[LinkShape, ...]) -> bool:
-    """Whether terrain is solid to a robot with these shapes, see `RobotShapes`."""
+    """Return whether the ground is an obstacle to a robot with these shapes, see `RobotShapes`."""
     if robot.base != "fixed":
         return True
     scene = CollisionScene(model=robot.model, shapes=shapes, terrain=FlatGround())
@@ -187,7 +191,7 @@ def above_ground(robot: Robot, shapes: tuple[LinkShape, ...]) -> bool:
 def _touching_by_construction(
     robot: Robot, shapes: tuple[LinkShape, ...], links: Mapping[str, str]
 ) -> Iterator[tuple[ShapePair, str]]:
-    """Pairs whose joints are the same or neighbours, and those that a description disables."""
+    """Yield pairs on the same or neighbouring joints, and those that a description disables."""
     model, disabled = robot.model, _disabled(robot)
     joints = {s.name: int(model.frames[model.getFrameId(s.frame)].parentJoint) for s in shapes}
     for first, second in itertools.combinations(shapes, 2):
@@ -203,12 +207,12 @@ def _touching_by_construction(
 
 
 def _disabled(robot: Robot) -> dict[frozenset[str], str]:
-    """Pairs of links that the SRDF of a URDF disables because they touch, or an MJCF file, with reasons."""
+    """Return link pairs that an SRDF or MJCF file disables because they touch, with reasons."""
     source = robot.visual
     if source is not None and source.is_mjcf:
         try:
             return dict.fromkeys(excluded_bodies(source.urdf), "excluded by the MJCF file")
-        except InputError:  # the shapes are missing too, which is said
+        except InputError:  # the shapes are missing too, which is reported
             return {}
     file = None if source is None else _srdf_of(source.urdf)
     if file is None:
@@ -222,7 +226,7 @@ def _disabled(robot: Robot) -> dict[frozenset[str], str]:
 
 
 def _srdf_of(urdf: Path) -> Path | None:
-    """The SRDF named like the file or its robot, or the only one, in a folder ``srdf`` beside or above."""
+    """Return the SRDF named like the file or its robot, or the only one, in a nearby folder ``srdf``."""
     for folder in urdf.parents[:SRDF_LEVELS]:
         files = sorted((folder / "srdf").glob("*.srdf"))
         if not files:
@@ -236,7 +240,7 @@ def _srdf_of(urdf: Path) -> Path | None:
 def _overlapping(
     robot: Robot, shapes: tuple[LinkShape, ...], pairs: tuple[ShapePair, ...]
 ) -> Iterator[tuple[ShapePair, str]]:
-    """Pairs that overlap in the reference posture, or in almost all postures of a sample."""
+    """Yield pairs that overlap in the reference posture, or in almost all sampled postures."""
     if not pairs:
         return
     scene = CollisionScene(model=robot.model, shapes=shapes, self_pairs=pairs)
@@ -250,9 +254,9 @@ def _overlapping(
 
 
 def sampled_postures(robot: Robot, count: int) -> np.ndarray:
-    """Postures (count, nq) within the limits, the base as in the reference; the same ones every time.
+    """Return postures (count, nq) within the limits, with the reference base and a fixed seed.
 
-    A joint without limits turns by half a turn, or moves by the robot's length, either way.
+    A joint without limits is sampled within half a turn, or the robot's length, to either side.
     """
     model, random = robot.model, np.random.default_rng(SEED)
     lower, upper = np.zeros(robot.nv), np.zeros(robot.nv)
@@ -272,9 +276,10 @@ def sampled_postures(robot: Robot, count: int) -> np.ndarray:
 
 
 def inertia_capsules(model: pin.Model) -> tuple[LinkShape, ...]:
-    """Capsules around the solid boxes with the masses and inertias of the links: for a robot without shapes.
+    """Return capsules around the solid boxes that have the links' masses and inertias.
 
-    I_1 = m (b^2 + c^2) / 12, and so on. A hollow link's box is larger than the link.
+    They serve robots without shapes. I_1 = m (b^2 + c^2) / 12, and so on. The box of a hollow link is larger
+    than the link.
     """
     capsules = []
     for joint in range(1, model.njoints):

@@ -1,4 +1,4 @@
-"""Signed distances of a link's shape from smooth ground, at many placements at once."""
+"""Signed distances of a link's shape from smooth ground, for many placements at once."""
 
 import math
 from functools import cached_property
@@ -10,12 +10,12 @@ from trajopt.collision.shapes import LinkShape
 from trajopt.terrain.bodies import convex_hull
 from trajopt.terrain.smooth import SmoothTerrain
 
-# Smooth ground is taken to rise by no more than 45 degrees where links high above it are passed over.
+# Links high above smooth ground are skipped, assuming slopes of at most 45 degrees.
 STEEPEST = math.sqrt(2.0)
-# Points of a shape within a cube of this side, m, are looked at together.
+# Points of a shape within a cube of this side, m, form a cluster.
 CLUSTER = 0.08
-# Distance between neighbours, m: over ground with a radius of curvature R the hull between them comes nearer
-# by at most SPACING^2 / (6 R), 0.7 mm at R = 0.1 m.
+# Distance between neighbouring points, m: over ground with a radius of curvature R the hull between them is
+# nearer by at most SPACING^2 / (6 R), 0.7 mm at R = 0.1 m.
 SPACING = 0.02
 
 
@@ -24,16 +24,16 @@ Placements = tuple[np.ndarray, np.ndarray]
 
 
 class SmoothDistance:
-    """Distances of one shape from ground z = h(x, y), the least over `surface_points`.
+    """Distance of one shape from ground z = h(x, y): the least over its `surface_points`.
 
-    That of a point is from the tangent plane under it, (z - h) / sqrt(1 + |grad h|^2).
+    The distance of a point is from the tangent plane under it, (z - h) / sqrt(1 + |grad h|^2).
     """
 
     def __init__(self, shape: LinkShape, terrain: SmoothTerrain) -> None:
         self._shape, self._terrain = shape, terrain
 
     def distances(self, places: Placements, within: float) -> np.ndarray:
-        """Distances (K,) m at placements (K, 3, 3), (K, 3); lower bounds of those > ``within``."""
+        """Return distances (K,) m at placements (K, 3, 3), (K, 3); only lower bounds beyond ``within``."""
         rotation, origin = places
         centre, reach = self._shape.ball
         centres = origin + rotation @ centre
@@ -46,9 +46,9 @@ class SmoothDistance:
         return distances
 
     def _nearest(self, rotation: np.ndarray, origin: np.ndarray, within: float) -> np.ndarray:
-        """Least distances (K,) of the points; lower bounds of those > ``within``.
+        """Return the least distances (K,) of the points; only lower bounds beyond ``within``.
 
-        Clusters that cannot hold the nearest point are passed over.
+        Clusters that cannot contain the nearest point are skipped.
         """
         points, starts, sizes, radii = self._clusters
         middles = points[starts] @ np.swapaxes(rotation, 1, 2) + origin[:, None]
@@ -69,9 +69,9 @@ class SmoothDistance:
 
     @cached_property
     def _clusters(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The points (n, 3) by cubes of `CLUSTER`, the one nearest to its middle first.
+        """The points (n, 3) grouped by cubes of side `CLUSTER`, in each the one nearest to its centre first.
 
-        Beside them where each cube begins, its number of points, and its radius about the first, all (C,).
+        Also the start, number of points, and radius about the first point of each cube, all (C,).
         """
         points = surface_points(self._shape.points)
         cubes = np.floor(points / CLUSTER)
@@ -84,7 +84,7 @@ class SmoothDistance:
         return points, starts, sizes, np.maximum.reduceat(radii, starts)
 
     def witness(self, place: Placements) -> Witness:
-        """Nearest points at one placement (1, 3, 3), (1, 3), on the tangent plane under the shape's."""
+        """Return the nearest points at one placement (1, 3, 3), (1, 3), with the tangent plane under them."""
         points = place[1] + self._clusters[0] @ place[0][0].T
         surface = self._terrain.surface
         nearest = points[int(np.argmin(surface.distance(points)))]
@@ -93,7 +93,7 @@ class SmoothDistance:
 
 
 def _over(point: np.ndarray, radius: float, normal: np.ndarray, offset: float) -> Witness:
-    """Of a ball around a ``point`` (3,) and a plane."""
+    """Return the witness of a ball around a ``point`` (3,) and a plane."""
     distance = float(normal @ point) - offset - radius
     first = point - radius * normal
     return Witness(
@@ -102,7 +102,7 @@ def _over(point: np.ndarray, radius: float, normal: np.ndarray, offset: float) -
 
 
 def surface_points(points: np.ndarray) -> np.ndarray:
-    """The ``points`` (n, 3) m of a hull and others on its edges and faces, at most `SPACING` apart."""
+    """Return ``points`` (n, 3) m of a hull and others on its edges and faces, at most `SPACING` apart."""
     if len(points) == 1:
         return points
     if len(points) == 2:

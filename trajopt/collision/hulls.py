@@ -1,4 +1,4 @@
-"""Shapes of a robot's links from its description, of few points: hulls of meshes, prisms of cylinders."""
+"""Simple shapes of a robot's links from its description: convex hulls of meshes, prisms of cylinders."""
 
 import hashlib
 import importlib.metadata
@@ -20,25 +20,25 @@ from trajopt.errors import InputError
 from trajopt.robot.data import VisualSource
 from trajopt.robot.geometry import Purpose, described_geometry, mesh_vertices
 
-# A simplified hull is larger than the mesh's by at most this, over the mesh's extent and in m.
+# Allowed excess of a simplified hull over the mesh's hull: over the mesh's extent, and its bounds in m.
 EXCESS = 0.005
 LEAST_EXCESS, MOST_EXCESS = 5e-4, 2e-3
-# With fewer corners than this a hull is made this exact, m.
+# Hulls with fewer than FEW corners are refined to this excess, m.
 FEW, EXACT = 48, 1e-4
-# Corners that are outside by this part of the farthest join together, one for each face.
+# Corners outside by more than this fraction of the farthest are added together, one per face.
 FAR = 0.9
-# A cylinder's prism is larger by at most this part of the radius, or this in m, whichever is more.
+# Allowed excess of a prism over its cylinder: a fraction of the radius, or in m if that is larger.
 ROUND_EXCESS, LEAST_ROUND_EXCESS = 0.01, 3e-4
-# Coal's distance of a point from a hull is exact to this, m; points of shapes are rounded to it.
+# Accuracy of Coal's distance of a point from a hull, m; points of shapes are rounded to it.
 ROUNDING = 1e-6
 # Directions of the first corners: along the axes and the diagonals.
 DIRECTIONS = np.array(
     [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)]
 )
 PURPOSES: tuple[Purpose, ...] = ("collision", "visual")
-# Shapes' numbers are rounded to this many decimals of a metre: files stay small.
+# Coordinates of shapes are rounded to this many decimals of a metre, to keep files small.
 DECIMALS = 6
-# Meshes whose simplified hulls are kept.
+# Number of meshes whose simplified hulls are cached.
 MOST_HULLS = 256
 
 # A body in the axes of its geometry: points (n, 3) and radius, m.
@@ -46,12 +46,12 @@ _Body = tuple[np.ndarray, float]
 
 
 def simplified(points: np.ndarray, fine: bool = False) -> tuple[np.ndarray, float]:
-    """Few of the corners (k, 3) m of the convex hull of ``points`` (n, 3), and a radius, that enclose it all.
+    """Return few corners (k, 3) m and a radius whose swept hull contains the hull of ``points`` (n, 3) m.
 
-    Every corner of the hull is within the radius of the hull of those kept, so by convexity all of it is. The
-    corner farthest outside joins until the farthest is within the excess that is allowed: `EXCESS` of the
-    mesh's extent, or `LEAST_EXCESS` if it is to be ``fine``. The mesh of a ball is that ball, one point.
-    Nothing is random. Found in the cache by the points, where they were simplified before.
+    Every corner of the full hull is within the radius of the hull of the corners kept, so by convexity all of
+    it is. The farthest corners are added until all are within the allowed excess: `EXCESS` of the mesh's
+    extent, or `LEAST_EXCESS` if ``fine``. The mesh of a ball becomes one point. The result is deterministic
+    and cached by the points.
     """
     given = np.ascontiguousarray(points, dtype=float)
     name = f"hull.{hashlib.sha256(f'{_maker()}|{fine}|'.encode() + given.tobytes()).hexdigest()[:32]}"
@@ -66,13 +66,13 @@ def simplified(points: np.ndarray, fine: bool = False) -> tuple[np.ndarray, floa
 
 @lru_cache(maxsize=1)
 def _maker() -> str:
-    """What an entry depends on besides the points: versions, and this code."""
+    """Return what an entry depends on besides the points: versions, and this code."""
     versions = [importlib.metadata.version(name) for name in ("scipy", "coal")]
     return "|".join([*versions, Path(__file__).read_text("utf-8")])
 
 
 def _simplified(points: np.ndarray, fine: bool) -> tuple[np.ndarray, float]:
-    from scipy.spatial import ConvexHull  # takes a while to load
+    from scipy.spatial import ConvexHull  # slow to import
 
     solid = thick(points)
     whole = ConvexHull(solid)
@@ -106,7 +106,7 @@ def _simplified(points: np.ndarray, fine: bool) -> tuple[np.ndarray, float]:
 
 
 def _ball(corners: np.ndarray, planes: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Centre (3,) of the ball that fits corners (n, 3); radii of balls that hold and fill their hull, m."""
+    """Fit a ball to corners (n, 3); return its centre (3,), and outer and inner radius of their hull, m."""
     rows = np.column_stack([2 * corners, np.ones(len(corners))])
     centre = np.linalg.lstsq(rows, np.sum(corners**2, axis=1), rcond=None)[0][:3]
     outer = float(np.linalg.norm(corners - centre, axis=1).max())
@@ -114,7 +114,7 @@ def _ball(corners: np.ndarray, planes: np.ndarray) -> tuple[np.ndarray, float, f
 
 
 def _distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Distances (n,) m of points (n, 3) from the hull of ``corners`` (k, 3), zero inside."""
+    """Return distances (n,) m of points (n, 3) from the hull of ``corners`` (k, 3), zero inside."""
     hull, ball = coal_hull(corners), coal.Sphere(ROUNDING)
     measure = coal.ComputeDistance(hull, ball)
     request, result = coal.DistanceRequest(), coal.DistanceResult()
@@ -127,13 +127,13 @@ def _distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def prism(radius: float, height: float) -> np.ndarray:
-    """Corners (2 k, 3) m of the prism around a cylinder about z, its faces tangent to the cylinder."""
+    """Return corners (2 k, 3) m of a prism around a cylinder about z, with faces tangent to the cylinder."""
     excess = max(ROUND_EXCESS, LEAST_ROUND_EXCESS / radius)
     return prism_corners(radius, height, max(math.ceil(math.pi / math.acos(1 / (1 + excess))), 6))
 
 
 def prism_corners(radius: float, height: float, count: int) -> np.ndarray:
-    """Corners (2 count, 3) m of a prism around a cylinder about z."""
+    """Return corners (2 count, 3) m of a prism around a cylinder about z."""
     angle = 2 * np.pi * np.arange(count) / count
     ring = radius / math.cos(math.pi / count) * np.column_stack([np.cos(angle), np.sin(angle)])
     half = np.full(count, height / 2)
@@ -143,11 +143,11 @@ def prism_corners(radius: float, height: float, count: int) -> np.ndarray:
 def read_shapes(
     source: VisualSource, model: pin.Model
 ) -> tuple[tuple[LinkShape, ...], dict[str, str], tuple[str, ...]]:
-    """Shapes of all links, also of those fixed to the world; the link of each shape; what could not be read.
+    """Return the shapes of all links, also fixed ones, the link of each shape, and what could not be read.
 
-    Spheres, capsules and boxes are themselves; a cylinder is a `prism` around it, a mesh its `simplified`
-    convex hull, a finer one behind the last joints, since feet and hands touch. Each shape is on the frame
-    of the joint that moves it, and has the name of its link, with a number where the link has several.
+    Spheres, capsules and boxes are kept; a cylinder becomes a `prism` around it, a mesh its `simplified`
+    convex hull, which is finer for the last links, since feet and hands touch. Each shape is on the frame of
+    the joint that moves it, and has the name of its link, with a number if the link has several shapes.
     """
     missing: list[str] = []
     for purpose in PURPOSES:
@@ -165,7 +165,7 @@ def read_shapes(
 def _bodies(
     source: VisualSource, model: pin.Model, purpose: Purpose, missing: list[str]
 ) -> Iterator[tuple[str, int, _Body]]:
-    """Link, joint and body, in the joint's axes, of every element; adds to ``missing``."""
+    """Yield link, joint and body (in the joint's frame) of every element; append errors to ``missing``."""
     described = described_geometry(source, model, purpose)
     missing += [f"{name}: no file {file}" for name, file in described.missing.items()]
     carrying = set(model.parents)
@@ -228,9 +228,9 @@ def _named(
 
 
 def joint_frame(model: pin.Model, joint: int) -> str:
-    """Name of a frame that moves with a joint and shares its name with no other frame. Raises InputError.
+    """Return the name of a frame that moves with a joint and has a unique name. Raises InputError.
 
-    The joint's own, if it can be.
+    The joint's own frame is preferred.
     """
     counts = Counter(str(frame.name) for frame in model.frames)
     names = [str(frame.name) for frame in model.frames if frame.parentJoint == joint]

@@ -1,12 +1,12 @@
-"""Distances of two links that few joints lie between, as polynomials of these joints' angles.
+"""Distances between two links with few joints between them, as polynomials of these joints' angles.
 
-Links next to each other in a chain turn about axes that pass through both: their distance changes by
-millimetres over a radian, and the normal along which they are nearest turns with the joints. A plane that one
-of them carries bounds such a distance from far below: it cuts off most of what the joints may do. But the
-distance is a function of two or three angles alone. Around the motion it is fitted by a cubic, by least
-squares to Coal's distances, and moved to the exact value on the motion. So rows have the distance's value
-where they are laid and its slope over some tenths of a radian; they are no bound of it, and a motion that
-satisfies them is looked at again.
+Links close together in a chain turn about axes that pass through both. Their distance changes by millimetres
+over a radian, and the normal between their nearest points turns with the joints. A plane carried by one link
+is a very loose lower bound of such a distance: it excludes most of the joints' range. But the distance is a
+function of only a few angles. Around the motion it is fitted by a cubic polynomial, by least squares to
+Coal's distances, and shifted to the exact value on the motion. So rows have the distance's exact value where
+they are laid, and its slope over some tenths of a radian. They are not bounds of the distance, so a motion
+that satisfies them is checked again.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ import numpy as np
 
 from trajopt.collision.near import CollisionScene, ShapePair, joints_between
 
-# Most joints between two links whose distance is fitted, and the polynomial's total degree.
+# Largest number of joints between two links whose distance is fitted, and the polynomial's total degree.
 MOST_JOINTS, DEGREE = 3, 3
-# Fits are made around the points of a lattice, rad, over so much to both sides: that of the nearest one is
-# good beyond the motion by more than half of the lattice's step.
+# Spacing of the lattice around whose points distances are fitted, and range of a fit to either side, rad: the
+# fit around the nearest point is valid beyond the motion by more than half the spacing.
 STEP, REACH = 0.2, 0.35
-# Samples along each axis, by the number of joints.
+# Number of samples along each axis, by the number of joints.
 SAMPLES = {1: 17, 2: 9, 3: 7}
 
 
 @dataclass(frozen=True, eq=False)
 class JointDistances:
-    """Fits of the distances of a scene's pairs, made once for each cell of the lattice."""
+    """Fits of the distances of a scene's pairs, computed once for each cell of the lattice."""
 
     scene: CollisionScene
     _fits: dict[tuple[ShapePair, tuple[int, ...]], np.ndarray] = field(default_factory=dict, init=False)
@@ -39,15 +39,15 @@ class JointDistances:
     _joints: dict[ShapePair, tuple[int, ...]] = field(default_factory=dict, init=False)
 
     def joints(self, pair: ShapePair) -> tuple[int, ...]:
-        """Joints between two links, by index; empty if these are too many, or others than revolute ones."""
+        """Return indices of the joints between two links; empty if too many, or if not all are revolute."""
         if pair not in self._joints:
             self._joints[pair] = self._between(pair)
         return self._joints[pair]
 
     def rows(self, pair: ShapePair, configurations: np.ndarray, margin: float) -> np.ndarray:
-        """Parameters (K, n + m) of rows at configurations (K, nq): centre (n,) rad, coefficients (m,) m.
+        """Return parameters (K, n + m) of rows at configurations (K, nq): centre (n,) rad, coefficients (m,).
 
-        The polynomial of the angles less the centre is the distance less ``margin``, see `monomials`.
+        The polynomial in the angles minus the centre is the distance minus ``margin`` in m, see `monomials`.
         """
         q = np.atleast_2d(configurations)
         angles = q[:, self._columns(pair)]
@@ -59,13 +59,13 @@ class JointDistances:
         return rows
 
     def values(self, pair: ShapePair, configurations: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Values (K,) m of rows (K, n + m) at configurations (K, nq)."""
+        """Return values (K,) m of rows (K, n + m) at configurations (K, nq)."""
         columns = self._columns(pair)
         angles = configurations[:, columns] - rows[:, : len(columns)]
         return np.asarray(np.sum(powers(angles) * rows[:, len(columns) :], axis=1))
 
     def _fit(self, pair: ShapePair, q: np.ndarray, cells: Sequence[np.ndarray]) -> None:
-        """Fit what is new of ``cells``; ``q`` (nq,) is a configuration for all other joints."""
+        """Fit the ``cells`` that are new; ``q`` (nq,) sets all other joints."""
         new = [cell for cell in cells if (pair, tuple(cell.tolist())) not in self._fits]
         if not new:
             return
@@ -79,7 +79,7 @@ class JointDistances:
         self._fits.update({(pair, tuple(c.tolist())): fit for c, fit in zip(new, fitted, strict=True)})
 
     def distances(self, pair: ShapePair, configurations: np.ndarray) -> np.ndarray:
-        """Signed distances (K,) m of a pair at configurations (K, nq)."""
+        """Return signed distances (K,) m of a pair at configurations (K, nq)."""
         if pair not in self._pairs:
             shapes = tuple(shape for shape in self.scene.shapes if shape.name in pair)
             self._pairs[pair] = CollisionScene(model=self.scene.model, shapes=shapes, self_pairs=(pair,))
@@ -100,10 +100,10 @@ class JointDistances:
 
 @cache
 def monomials(count: int) -> tuple[tuple[int, ...], ...]:
-    """Exponents of the monomials in ``count`` variables, up to `DEGREE`; the constant first."""
+    """Return the exponents of all monomials in ``count`` variables up to `DEGREE`, the constant first."""
     return tuple(e for e in itertools.product(range(DEGREE + 1), repeat=count) if sum(e) <= DEGREE)
 
 
 def powers(points: np.ndarray) -> np.ndarray:
-    """Monomials (K, m) at points (K, n)."""
+    """Return the monomials (K, m) at points (K, n)."""
     return np.prod(points[:, None, :] ** np.array(monomials(points.shape[1])), axis=2)

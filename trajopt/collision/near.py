@@ -1,4 +1,4 @@
-"""Distances of links from the ground, from obstacles and from each other, and which pairs are near."""
+"""Distances of links from the ground, from obstacles and from each other, and the pairs that are near."""
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
@@ -20,13 +20,13 @@ from trajopt.terrain.bodies import GroundBody, HalfSpace, ground_bodies
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.terrain import Terrain
 
-# Two shapes by their names; the second may be an obstacle's, or `GROUND`.
+# Names of two shapes; the second may be an obstacle or `GROUND`.
 ShapePair = tuple[str, str]
 GROUND = "ground"
-# Displacements below this part of the largest are none.
+# Displacements below this fraction of the largest count as zero.
 FIXED = 1e-6
-# Where bodies overlap a normal with less than this of it along the ways in which they pass each other is none
-# along which their joints can part them.
+# If bodies overlap, their joints can separate them along a normal only if its component in the directions of
+# their relative motion is at least this.
 STEEP = 0.1
 
 
@@ -35,8 +35,8 @@ STEEP = 0.1
 class CollisionScene:
     """Shapes on a model's links, obstacles and the ground, and pairs of shapes that must not touch.
 
-    ``pairs`` are every shape that moves with the ground (if there is a ``terrain``) and with every obstacle,
-    then ``self_pairs``, by name. Raises InputError for an unknown frame or name, or a name used twice.
+    ``pairs`` combine every moving shape with the ground (if there is a ``terrain``) and with every obstacle;
+    then follow ``self_pairs``, by name. Raises InputError for an unknown frame or name, or a duplicate name.
     """
 
     model: pin.Model
@@ -60,7 +60,7 @@ class CollisionScene:
 
     @cached_property
     def pairs(self) -> tuple[ShapePair, ...]:
-        """All pairs, in the order of ``distances``: with the ground, with obstacles, of links."""
+        """All pairs in the order of ``distances``: with the ground, with obstacles, between links."""
         ground = [] if self.terrain is None else [(shape.name, GROUND) for shape in self.moving]
         outer = [(shape.name, o.name) for shape in self.moving for o in self.obstacles]
         return (*ground, *outer, *self.self_pairs)
@@ -73,19 +73,19 @@ class CollisionScene:
 
     @property
     def n_ground(self) -> int:
-        """Number of leading pairs that are of a shape with the ground."""
+        """Number of pairs with the ground, which come first."""
         return 0 if self.terrain is None else len(self.moving)
 
     @property
     def n_outer(self) -> int:
-        """Number of leading pairs that are of a shape with the ground or an obstacle."""
+        """Number of pairs with the ground or an obstacle, which come first."""
         return self.n_ground + len(self.moving) * len(self.obstacles)
 
     def distances(self, configurations: np.ndarray, within: float | np.ndarray = np.inf) -> np.ndarray:
-        """Signed distances (K, n_pairs) in m at configurations (K, nq); negative: how deep they penetrate.
+        """Return signed distances (K, n_pairs) in m at configurations (K, nq); negative in penetration.
 
-        Of a pair farther apart than ``within`` m, of all pairs or of each (n_pairs,), it may be a lower bound
-        instead, which is > ``within``.
+        For pairs farther apart than ``within`` m, a number or (n_pairs,), the result may be a lower bound
+        that is > ``within``.
         """
         q = np.atleast_2d(np.asarray(configurations, dtype=float))
         limits = np.broadcast_to(np.asarray(within, dtype=float), len(self.pairs))
@@ -103,7 +103,7 @@ class CollisionScene:
         return distances
 
     def distances_at(self, q: np.ndarray) -> np.ndarray:
-        """Signed distances (n_pairs,) in m at one configuration (nq,), kept for the next time."""
+        """Return signed distances (n_pairs,) in m at one configuration (nq,); results are cached."""
         return self._distances_of(np.asarray(q, dtype=float).tobytes())
 
     @cached_property
@@ -111,7 +111,7 @@ class CollisionScene:
         return cache(lambda numbers: self.distances(np.frombuffer(numbers))[0])
 
     def witness(self, q: np.ndarray, pair: ShapePair) -> Witness:
-        """Distance, normal and nearest points of a pair at ``q`` (nq,), also where they touch or penetrate.
+        """Return distance, normal and nearest points of a pair at ``q`` (nq,), also in penetration.
 
         Raises InputError for a pair that is not in the scene.
         """
@@ -127,10 +127,10 @@ class CollisionScene:
     def approaches(
         self, configurations: np.ndarray, wanted: Sequence[tuple[int, ShapePair]], within: float
     ) -> list[list[Approach]]:
-        """How bodies approach each other, for each wanted (row of the configurations (K, nq), pair).
+        """Return the approaches of bodies for each wanted (row of the configurations (K, nq), pair).
 
-        Of two bodies one approach; with ground of several faces one for each within ``within`` m, or for the
-        nearest one.
+        Two bodies have one approach. With piecewise ground there is one for each of its bodies within
+        ``within`` m, or for the nearest one.
         """
         q = np.atleast_2d(np.asarray(configurations, dtype=float))
         places, numbers = self._placements(q), {pair: number for number, pair in enumerate(self.pairs)}
@@ -152,7 +152,7 @@ class CollisionScene:
         return by_pair
 
     def _approach(self, first: int, second: int, witness: Witness, places: Placements) -> Approach:
-        """Of two bodies whose frames are at placements (n, 3, 3), (n, 3)."""
+        """Return the approach of two bodies, given placements (n, 3, 3), (n, 3) of all frames."""
         one, other = self._placed(first, places), self._placed(second, places)
         if witness.distance < 0 and second < len(self.shapes) + len(self.obstacles):
             ways = places[0][first] @ self._ways(first, second)
@@ -173,9 +173,9 @@ class CollisionScene:
         )
 
     def _ways(self, first: int, second: int) -> np.ndarray:
-        """Directions (3, r), orthonormal, in which two bodies pass each other, in the axes of the first one.
+        """Return orthonormal directions (3, r) of the relative motion of two bodies, in the first one's axes.
 
-        They move in a plane, r = 2, where all joints between them turn about parallel axes.
+        If all joints between them turn about parallel axes, they move in a plane and r = 2.
         """
         model, data = self.model, self.model.createData()
         frames = [shape.frame for shape in self.shapes] + ["universe"] * len(self.obstacles)
@@ -186,24 +186,24 @@ class CollisionScene:
         return np.asarray(data.oMf[model.getFrameId(frames[first])].rotation.T @ _passing(np.vstack(moved)))
 
     def least_distances(self, configurations: Iterable[np.ndarray], within: float = np.inf) -> np.ndarray:
-        """Least signed distance in m of each pair (n,) over configurations (nq,); inf without any."""
+        """Return the least signed distance (n,) m of each pair over configurations (nq,); inf if none."""
         listed = np.array(list(configurations), dtype=float)
         if not len(listed) or not self.pairs:
             return np.full(len(self.pairs), np.inf)
         return np.asarray(self.distances(listed, within).min(axis=0))
 
     def near(self, configurations: Iterable[np.ndarray], within: float) -> tuple[ShapePair, ...]:
-        """Pairs that come closer than ``within`` m at one of the configurations (nq,)."""
+        """Return the pairs that come closer than ``within`` m at any of the configurations (nq,)."""
         least = self.least_distances(configurations, within)
         return tuple(pair for pair, distance in zip(self.pairs, least, strict=True) if distance < within)
 
     def _placements(self, q: np.ndarray) -> Placements:
-        """Rotations (n, K, 3, 3) and origins (n, K, 3) of the frames of all bodies; zero in the world."""
+        """Return rotations (n, K, 3, 3) and origins (n, K, 3) m of the frames of all bodies."""
         rows = self._bodies.placements(q).reshape(len(q), -1, 12).swapaxes(0, 1)
         return rows[..., :9].reshape(*rows.shape[:2], 3, 3), rows[..., 9:]
 
     def _witnesses(self, q: np.ndarray, members: Sequence[tuple[int, tuple[int, int]]]) -> list[Witness]:
-        """Of bodies, each with the row of the configurations (K, nq)."""
+        """Return the witnesses of pairs of bodies, each given with a row of the configurations (K, nq)."""
         rows, pairs = [row for row, _ in members], [pair for _, pair in members]
         return [
             Witness(distance=float(each[0]), normal=each[1:4], first_point=each[4:7], second_point=each[7:])
@@ -212,7 +212,7 @@ class CollisionScene:
 
     @cached_property
     def _bodies(self) -> _numeric.Bodies:
-        """All bodies: shapes, obstacles, those of the ground."""
+        """All bodies: shapes, obstacles, and bodies of the ground."""
         bodies, none, still = _numeric.Bodies(self.model), np.zeros((0, 4)), np.eye(3, 4)
         for body in (*self.shapes, *self.obstacles):
             solid, place = coal_link(body) if isinstance(body, LinkShape) else coal_obstacle(body)
@@ -226,7 +226,7 @@ class CollisionScene:
 
     @cached_property
     def _members(self) -> list[list[tuple[int, int]]]:
-        """Numbers of both bodies of a pair, with the ground of each of its bodies: none if it is smooth."""
+        """Indices of the bodies of each pair, with the ground one entry per ground body: none if smooth."""
         names = [*(shape.name for shape in self.shapes), *(obstacle.name for obstacle in self.obstacles)]
         place = {name: index for index, name in enumerate(names)}
         under = range(len(names), len(names) + len(self._grounds))
@@ -241,7 +241,7 @@ class CollisionScene:
 
     @cached_property
     def _smooth(self) -> list[tuple[int, SmoothDistance]]:
-        """Of each pair with smooth ground, the shape's index and its distances."""
+        """The shape's index and its distances for each pair with smooth ground."""
         if not isinstance(self.terrain, SmoothTerrain):
             return []
         return [(self.shapes.index(shape), SmoothDistance(shape, self.terrain)) for shape in self.moving]
@@ -256,10 +256,10 @@ def _of_ground(body: GroundBody) -> PlacedBody:
 def separable_pairs(
     model: pin.Model, shapes: Sequence[LinkShape], q: np.ndarray, margin: float
 ) -> tuple[ShapePair, ...]:
-    """Pairs of shapes that can be kept apart by ``margin`` m: those that are that far apart at ``q`` (nq,).
+    """Return the pairs of shapes that can be kept apart by ``margin`` m: those farther apart at ``q`` (nq,).
 
-    Left out are two shapes of one link, of links connected by a joint, and those that overlap at ``q``,
-    because capsules are wider than what they enclose.
+    Pairs on one link or on links connected by a joint are left out, and so are those that are nearer at
+    ``q``, because capsules are wider than what they enclose.
     """
 
     def joined(first: LinkShape, second: LinkShape) -> bool:
@@ -277,10 +277,9 @@ def separable_pairs(
 
 
 def _passing(axes: np.ndarray) -> np.ndarray:
-    """Orthonormal directions (3, r) of all displacements that joints with these axes (n, 6) make.
+    """Return orthonormal directions (3, r) of all displacements by joints with these axes (n, 6).
 
-    A direction is left out if every axis is parallel to it and no axis moves along it: a rotation about it
-    keeps both so.
+    A direction is left out if every rotation axis is parallel to it and no joint translates along it.
     """
     rows = np.vstack([axes[:, :3], *(pin.skew(axis) for axis in axes[:, 3:])])
     _, sizes, directions = np.linalg.svd(rows)
@@ -288,7 +287,7 @@ def _passing(axes: np.ndarray) -> np.ndarray:
 
 
 def joints_between(model: pin.Model, first: str, second: str) -> tuple[int, ...]:
-    """Joints between the links of two frames, by index."""
+    """Return the indices of the joints between the links of two frames."""
     carriers = (model.frames[model.getFrameId(frame)].parentJoint for frame in (first, second))
     one, other = (set(model.supports[joint].tolist()) for joint in carriers)
     return tuple(sorted(one ^ other))

@@ -1,17 +1,16 @@
-"""Planes that keep two convex bodies apart: the supporting planes where they come near each other.
+"""Planes that keep two convex bodies apart: the supporting planes at their nearest points.
 
-Two convex bodies are apart if a plane separates them. With the unit normal n from the second body to the
-first along which they are nearest (or, where they overlap, along which the way out is shortest), the plane
-that supports one of them is carried along by that body, and the nearest corners of the other must stay on its
-far side:
+Two convex bodies are apart if a plane separates them. Let n be the unit normal from the second body to the
+first at their nearest points (or, if they overlap, along the shortest way out). The supporting plane of one
+body moves with that body, and the nearest corners of the other must stay on its far side:
 
     n . x_i >= max_j n . y_j + r + s + margin        corners x_i of one, y_j of the other, radii r and s
 
 At the configuration where a plane is laid, the least of these rows is the signed distance minus the margin.
-It has the distance's gradient where one corner is nearest; where an edge or a face is, the rows of its
+If one corner is nearest, its row has the distance's gradient; if an edge or a face is, the rows of its
 corners are equal, and a convex combination of them has it. Elsewhere the least row is a lower bound of the
-distance, as far as the corners left out are not nearer. So what satisfies it is apart. The rows are smooth,
-at touching and for parallel faces too.
+distance, unless a corner that was left out is nearer. So rows that hold keep the bodies apart. They are
+smooth, also in contact and for parallel faces.
 """
 
 from __future__ import annotations
@@ -23,20 +22,20 @@ import numpy as np
 
 from trajopt.terrain.surface import UP
 
-# Corners at most this much farther than the nearest one, m, get a row: with a turn of 0.1 rad a corner that
-# is 0.1 m away from the nearest one comes nearer by as much.
+# Corners at most this much farther than the nearest one, m, get a row: a turn of 0.1 rad brings a corner that
+# is 0.1 m away from the nearest one nearer by as much.
 DEPTH = 0.01
-# Most corners with a row, and their least distance from each other, m.
+# Largest number of corners with a row, and their least distance from each other, m.
 MOST_CORNERS, APART = 3, 5e-3
-# Corners within this of the supporting plane, m, count to the face that lies in it.
+# Corners within this distance of the supporting plane, m, belong to the face that lies in it.
 FACE = 1e-3
-# A direction's length differs from one by less than this: rounding of a search.
+# Tolerance on the length of a unit direction: rounding of a search.
 UNIT = 1e-6
-# A foot may be this far on the wrong side of a plane, m: what solvers leave of its contact.
+# A foot may be this far on the wrong side of a plane, m: the error that solvers leave in its contact.
 NEARER = 1e-5
-# Halvings in the search for a direction between two: to 1e-6 of their angle.
+# Bisections in the search for a direction between two: to 1e-6 of their angle.
 HALVINGS = 20
-# Directions around a circle among which one is sought, and searches: each is around the best one so far.
+# Number of directions sampled on a circle, and of searches, each around the best direction so far.
 DIRECTIONS, TURNS = 64, 4
 
 
@@ -44,10 +43,9 @@ DIRECTIONS, TURNS = 64, 4
 class PlacedBody:
     """A convex body at one configuration: all points within ``radius`` m of the hull of ``points`` (n, 3) m.
 
-    ``points`` are in the axes of ``frame`` (None: the world), which lie at ``rotation`` (3, 3) and
-    ``position`` (3,) m in the world. With a ``normal`` (3,) it is the half-space below that plane instead,
-    at ``height`` m along it, in the world. ``sides`` (m, 3) are outward normals of faces of the hull, world,
-    where they are known.
+    ``points`` are in ``frame`` (None: the world), which is at ``rotation`` (3, 3) and ``position`` (3,) m in
+    the world. With a ``normal`` (3,), world, the body is the half-space below the plane at ``height`` m along
+    it instead. ``sides`` (m, 3) are the known outward normals of the hull's faces, world.
     """
 
     frame: str | None = None
@@ -67,7 +65,7 @@ class PlacedBody:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Approach:
-    """Two bodies near each other: ``normal`` (3,) from the second to the first, ``distance`` m, signed."""
+    """Two bodies near each other: ``normal`` (3,) from the second to the first, signed ``distance`` m."""
 
     first: PlacedBody
     second: PlacedBody
@@ -79,8 +77,8 @@ class Approach:
 class SeparatingPlane:
     """A plane that one body carries, and the corners of another that stay on its positive side.
 
-    ``normal`` (3,), unit, and ``offset`` m are in the axes of ``body``, ``corners`` (n, 3) m in those of
-    ``frame`` (None: the world).
+    Unit ``normal`` (3,) and ``offset`` m are in the frame ``body``, ``corners`` (n, 3) m in ``frame`` (None:
+    the world).
     """
 
     frame: str | None
@@ -90,7 +88,7 @@ class SeparatingPlane:
     corners: np.ndarray
 
     def with_corners(self, others: np.ndarray) -> SeparatingPlane:
-        """The plane with further corners (n, 3) m of the same body."""
+        """Return the plane with further corners (n, 3) m of the same body."""
         if np.array_equal(self.corners, others):
             return self
         every = np.unique(np.concatenate([self.corners, others]), axis=0)
@@ -98,17 +96,17 @@ class SeparatingPlane:
 
     @property
     def parameters(self) -> np.ndarray:
-        """Corner, normal and offset (n, 7) of each row, as of `trajopt.terms.moments.PlaneSide`."""
+        """Corner, normal and offset (n, 7) of each row, as in `trajopt.terms.moments.PlaneSide`."""
         plane = np.concatenate([self.normal, [self.offset]])
         return np.column_stack([self.corners, np.tile(plane, (len(self.corners), 1))])
 
 
 def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approach:
-    """The approach of two bodies, from what a search for their nearest points found as their ``normal``.
+    """Return the approach of two bodies, given the ``normal`` found by a search for their nearest points.
 
-    Iterative searches fail now and then for bodies of very different sizes. Any direction gives a lower bound
-    of the signed distance, so the best one is taken of the direction found, its opposite, the way from centre
-    to centre, and the known faces of the second body. What was found may be no direction at all: zero, NaN.
+    Iterative searches sometimes fail for bodies of very different sizes. Any direction gives a lower bound of
+    the signed distance, so the best is chosen among the given normal, its opposite, the direction from centre
+    to centre, and the known face normals of the second body. The given normal may be invalid: zero or NaN.
     """
     if second.normal is not None:
         return Approach(
@@ -124,10 +122,10 @@ def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approa
 
 
 def nearest_along(first: PlacedBody, second: PlacedBody, ways: np.ndarray) -> Approach:
-    """The approach of two bodies of which one passes the other along ``ways`` (3, r), orthonormal, r <= 2.
+    """Return the approach of two bodies whose relative motion is along orthonormal ``ways`` (3, r), r <= 2.
 
-    Where they overlap across these, the shortest way out may be one that no motion takes: the normal is the
-    best direction along them, by a search around the circle.
+    If they overlap, the shortest way out may be one that no motion can take. The normal is therefore the best
+    direction within ``ways``, found by a search on the circle.
     """
 
     def apart(normal: np.ndarray) -> float:
@@ -145,10 +143,10 @@ def nearest_along(first: PlacedBody, second: PlacedBody, ways: np.ndarray) -> Ap
 
 
 def beyond_foot(approach: Approach, foot: PlacedBody, margin: float) -> Approach:
-    """The approach along the direction nearest to its own with a foot beyond its plane by ``margin`` m.
+    """Return the approach turned as little as needed to have a foot beyond its plane by ``margin`` m.
 
-    A shank may be deep in an edge in front of which its foot stands, or will stand: no motion would satisfy a
-    plane that the foot is not beyond. Where the foot itself is nearer than that, the approach stays as it is.
+    A shank may be deep in an edge in front of which its foot stands, or will stand: no motion could satisfy a
+    plane that the foot is not beyond. If the foot itself is nearer than that, the approach is unchanged.
     """
 
     def beyond(normal: np.ndarray) -> bool:
@@ -168,23 +166,23 @@ def beyond_foot(approach: Approach, foot: PlacedBody, margin: float) -> Approach
 
 
 def _between(one: np.ndarray, other: np.ndarray, part: float) -> np.ndarray:
-    """The direction (3,) at a part of the way from one to another; the other where they cancel."""
+    """Return the direction (3,) at a fraction between two directions; the second one if they cancel."""
     sum_ = (1 - part) * one + part * other
     length = float(np.linalg.norm(sum_))
     return sum_ / length if length > UNIT else other
 
 
 def _apart(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> float:
-    """Least height of the first body along a normal minus the greatest of the second, m."""
+    """Return the least height of the first body along a normal minus the greatest of the second, m."""
     solid = second.normal is None
     top = float((second.placed @ normal).max()) + second.radius if solid else second.height
     return float((first.placed @ normal).min()) - first.radius - top
 
 
 def separating_plane(approach: Approach, margin: float) -> SeparatingPlane:
-    """A plane that keeps two bodies ``margin`` m apart: it supports one, corners of the other are beyond it.
+    """Return the plane that keeps two bodies ``margin`` m apart: it supports one, the other is beyond it.
 
-    Of two bodies the one with the larger face there carries it.
+    The body with the larger face there carries it.
     """
     first, second, normal = approach.first, approach.second, approach.normal
     reach = first.radius + second.radius + margin
@@ -198,7 +196,7 @@ def separating_plane(approach: Approach, margin: float) -> SeparatingPlane:
 
 
 def _support(body: PlacedBody, normal: np.ndarray) -> float:
-    """Largest of n . x over a body's points in its own axes, m."""
+    """Return the largest n . x over a body's points in its own frame, m; ``normal`` is in the world."""
     return float((body.points @ (body.rotation.T @ normal)).max())
 
 
@@ -214,7 +212,7 @@ def _plane(corners: PlacedBody, carrier: PlacedBody, normal: np.ndarray, offset:
 
 
 def _nearest(points: np.ndarray, heights: np.ndarray) -> list[int]:
-    """The lowest point, then of those little higher the ones farthest from those chosen."""
+    """Choose the lowest point, then among those slightly higher the farthest from the ones chosen."""
     order = np.argsort(heights, kind="stable")
     near = order[heights[order] <= heights[order[0]] + DEPTH]
     chosen = [int(near[0])]
@@ -226,5 +224,5 @@ def _nearest(points: np.ndarray, heights: np.ndarray) -> list[int]:
 
 
 def _extent(points: np.ndarray) -> float:
-    """Extent of a face: the largest distance of its corners from one of them, m."""
+    """Return the extent of a face: the largest distance of its corners from the first, m."""
     return float(np.linalg.norm(points - points[0], axis=1).max())

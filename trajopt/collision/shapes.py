@@ -1,4 +1,4 @@
-"""Shapes that stay apart: convex bodies on links; boxes, capsules and spheres in the world."""
+"""Collision shapes: convex bodies on links; boxes, capsules and spheres in the world."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from trajopt.kinds import ArrayShape
 from trajopt.pickling import picklable
 from trajopt.terrain.surface import FARTHEST, MOST_CORNERS
 
-# Tolerance of a rotation matrix: rounding of numbers written as decimals.
+# Tolerance of a rotation matrix: rounding of decimal numbers.
 ROTATION_ERROR = 1e-6
-# Eight points are the corners of a box where its edges agree and are orthogonal within this, m: rounding of a
-# file's numbers.
+# Eight points are a box if its edges agree and are orthogonal within this, m: rounding of a file's numbers.
 BOX_ERROR = 3e-6
 ShapeKind = Literal["sphere", "capsule", "box", "hull"]
 KINDS: tuple[ShapeKind, ...] = ("sphere", "capsule", "box", "hull")
@@ -30,9 +29,9 @@ KINDS: tuple[ShapeKind, ...] = ("sphere", "capsule", "box", "hull")
 class LinkShape:
     """All points within ``radius`` m of the convex hull of ``points``, moving with a frame of the robot.
 
-    ``points`` (n, 3) in m, n >= 1, are in the axes of the frame ``frame`` and read-only; ``radius`` in m is
-    >= 0. One point is a sphere, two are a capsule; the corners of a box without a radius, in the order of
-    `box_corners`, are a box. ``name`` appears in messages. Raises InputError.
+    ``points`` (n, 3) m, n >= 1, are in ``frame`` and read-only; ``radius`` m is >= 0. One point is a sphere,
+    two are a capsule, and the corners of a box in the order of `box_corners`, without a radius, are a box.
+    ``name`` appears in messages. Raises InputError.
     """
 
     name: str
@@ -57,18 +56,18 @@ class LinkShape:
 
     @property
     def extent(self) -> float:
-        """Diagonal of the box around it, m."""
+        """Diagonal of the points' bounding box plus twice the radius, m."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0)) + 2 * self.radius)
 
     @classmethod
     def sphere(cls, name: str, frame: str, centre: Any, radius: float) -> LinkShape:
-        """A ball around ``centre`` (3,) m."""
+        """Return a ball around ``centre`` (3,) m."""
         points = finite_array(f"centre of shape '{name}'", centre, unit="m")
         return cls(name=name, frame=frame, points=points[None], radius=radius)
 
     @classmethod
     def capsule(cls, name: str, frame: str, start: Any, end: Any, radius: float) -> LinkShape:
-        """All points within ``radius`` m of a segment, ``start`` to ``end`` (3,) m; a sphere if equal."""
+        """Return a capsule of ``radius`` m from ``start`` to ``end`` (3,) m; a sphere if they are equal."""
         first, last = (
             finite_array(f"{what} of shape '{name}'", value, unit="m")
             for what, value in (("start", start), ("end", end))
@@ -78,13 +77,13 @@ class LinkShape:
 
     @classmethod
     def box(cls, name: str, frame: str, sides: Any, position: Any, rotation: Any = None) -> LinkShape:
-        """A box with full ``sides`` (3,) m around ``position`` (3,) m, turned by ``rotation`` (3, 3)."""
+        """Return a box with full ``sides`` (3,) m, centre ``position`` (3,) m and ``rotation`` (3, 3)."""
         placed = BoxObstacle(name=name, sides=sides, position=position, rotation=rotation)
         return cls(name=name, frame=frame, points=placed.points)
 
     @property
     def kind(self) -> ShapeKind:
-        """Sphere (one point), capsule (two), box (corners of a box, no radius) or hull."""
+        """Kind of shape: sphere (one point), capsule (two), box (its corners, no radius) or hull."""
         if len(self.points) <= 2:
             return "sphere" if len(self.points) == 1 else "capsule"
         return "hull" if self.box_axes is None else "box"
@@ -98,7 +97,7 @@ class LinkShape:
 
     @cached_property
     def ball(self) -> tuple[np.ndarray, float]:
-        """Centre (3,) and radius, m, of a ball around the shape, in its frame."""
+        """Centre (3,) and radius, m, of a bounding ball in the shape's frame."""
         centre, reach = ball_around(self.points)
         return centre, reach + self.radius
 
@@ -122,7 +121,7 @@ class LinkShape:
 
     @classmethod
     def from_description(cls, described: Any) -> LinkShape:
-        """The shape that ``describe`` wrote, or a capsule of an older file. Raises InputError."""
+        """Return the shape from a result of ``describe``, or an older file's capsule. Raises InputError."""
         if isinstance(described, dict) and "start" in described:
             _require_keys(described, ("name", "frame", "start", "end", "radius"), "capsule")
             return cls.capsule(**described)
@@ -134,13 +133,13 @@ _BITS = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
 
 
 def box_corners(low: Any, high: Any) -> np.ndarray:
-    """Corners (8, 3) of a box from ``low`` (3,) to ``high`` (3,), the last axis changing fastest."""
+    """Return the corners (8, 3) of a box from ``low`` to ``high`` (3,), the last axis varying fastest."""
     low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     return np.asarray(low + _BITS * (high - low))
 
 
 def ball_around(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius, m, of a ball around points (n, 3) m: about the middle of their bounds."""
+    """Return centre (3,) and radius, m, of a ball around points (n, 3) m, centred in their bounding box."""
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
@@ -159,12 +158,12 @@ class SphereObstacle:
 
     @property
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ends (3,) m of the segment within ``radius`` of which the obstacle lies: one point."""
+        """Ends (3,) m of the obstacle's segment: twice the centre."""
         return self.centre, self.centre
 
     @property
     def points(self) -> np.ndarray:
-        """The centre (1, 3), world, m: the obstacle is all within ``radius`` of it."""
+        """The centre (1, 3), world, m: the obstacle is all points within ``radius`` of it."""
         return self.centre[None]
 
     def describe(self) -> dict[str, Any]:
@@ -187,12 +186,12 @@ class CapsuleObstacle:
 
     @property
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ends (3,) m of the segment within ``radius`` of which the obstacle lies."""
+        """Ends (3,) m of the obstacle's segment."""
         return self.start, self.end
 
     @property
     def points(self) -> np.ndarray:
-        """Ends (2, 3), world, m: the obstacle is all within ``radius`` of their hull."""
+        """Ends (2, 3), world, m: the obstacle is all points within ``radius`` of their hull."""
         return np.array(self.axis)
 
     def describe(self) -> dict[str, Any]:
@@ -203,9 +202,9 @@ class CapsuleObstacle:
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoxObstacle:
-    """A box with full ``sides`` (3,) m, its centre at ``position`` (3,) m, world.
+    """A box with full ``sides`` (3,) m and its centre at ``position`` (3,) m, world.
 
-    ``rotation`` (3, 3) turns the box's axes into the world's; default: aligned. Raises InputError.
+    ``rotation`` (3, 3) is from the box's axes to the world's; default: aligned. Raises InputError.
     """
 
     name: str
@@ -237,7 +236,7 @@ class BoxObstacle:
 
     @property
     def radius(self) -> float:
-        """Distance around the hull of ``points``: none, m."""
+        """Distance around the hull of ``points``, m: zero."""
         return 0.0
 
     def describe(self) -> dict[str, Any]:
@@ -254,7 +253,7 @@ _KINDS: Mapping[str, type[Obstacle]] = {
 
 
 def obstacle_from_description(described: Any) -> Obstacle:
-    """The obstacle that ``describe`` wrote. Raises InputError."""
+    """Return the obstacle from a result of ``describe``. Raises InputError."""
     kind = str(described.get("kind")) if isinstance(described, dict) else ""
     if kind not in _KINDS:
         raise InputError(f"an obstacle is described by {shown(described)}", f"kinds: {', '.join(_KINDS)}")
@@ -265,7 +264,7 @@ def obstacle_from_description(described: Any) -> Obstacle:
 
 
 def require_different_names(what: str, names: Sequence[str]) -> None:
-    """Raises InputError where two of them are the same."""
+    """Raise InputError if two names are the same."""
     double = sorted({name for name in names if names.count(name) > 1})
     if double:
         raise InputError(f"two {what} are named {', '.join(double)}", "allowed: different names")
@@ -278,7 +277,7 @@ def _require_near(label: str, *lengths: Any) -> None:
 
 
 def _described(shape: Any, names: Sequence[str] | None = None) -> dict[str, Any]:
-    """Fields of a shape as JSON has them."""
+    """Return the fields of a shape, JSON-able."""
     return {name: np.asarray(getattr(shape, name)).tolist() for name in names or vars(shape)}
 
 

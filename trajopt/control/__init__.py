@@ -1,4 +1,4 @@
-"""Controllers that track a plan: task-space inverse dynamics by quadratic programs, knowing no simulator."""
+"""Controllers that track a plan by task-space inverse dynamics with quadratic programs."""
 
 import lazy_loader
 

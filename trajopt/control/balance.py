@@ -1,4 +1,4 @@
-"""Balance: what a robot stands on at a tick, and how its centre of mass follows the plan there."""
+"""Balance: the support of a robot at a tick, and the task by which its centre of mass follows the plan."""
 
 import numpy as np
 
@@ -12,23 +12,25 @@ from trajopt.control.tasks import CenterOfMassTask
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
-# Feedback of the centre of mass is at most so many g: more would only leave the friction cones.
+# Largest feedback acceleration of the centre of mass, over g: more would only leave the friction cones.
 MOST_FEEDBACK = 1.0
-# The robot balances on lines and points that are its support for at least so many sqrt(l / g).
+# Shortest stance on a line or a point in which the robot actively balances, over sqrt(l / g).
 LASTING = 1.0
-# Supports narrower than this part of l balance by motion alone.
+# Width, over l, below which a support is a line or a point, on which only motion can balance.
 THIN = 1e-2
 
 
 class Balance:
-    """Supports of a plan's ticks and the centre of mass over them.
-
-    wide: whether (n,) the planned contacts hold the body in all directions: a sole, or no line. lasts:
-    whether (n,) they do not, and the robot balances on them.
+    """Supports at the ticks of a plan, and the centre of mass over them.
 
     Args:
-        plan: what is tracked; reference, targets: at its ticks.
-        gains: of the feedback.
+        plan: the tracked plan.
+        reference: the plan at the ticks.
+        targets: targets of the plan at the ticks.
+        gains: gains of the feedback.
+
+    ``wide`` (n,) tells whether the planned contacts hold the body in all directions: by a sole, a held
+    contact, or points that are not on a line. ``lasts`` (n,): whether the robot balances on narrow ones.
     """
 
     def __init__(
@@ -43,7 +45,7 @@ class Balance:
         self._next = next_narrow(reference.active, self.wide) & (not self._walks)
 
     def support(self, k: int, standing: np.ndarray, state: RobotState) -> Support:
-        """What the robot stands on; narrow only where the plan is too, not where a foot is late."""
+        """The support at tick k; it is narrow only if the planned one is, not because a foot is late."""
         picked = np.flatnonzero(standing)
         places = np.array([state.frame(self._frames[i]).placement.translation for i in picked])
         return support_of(
@@ -56,16 +58,16 @@ class Balance:
         )
 
     def task(self, k: int, support: Support, state: RobotState) -> CenterOfMassTask:
-        """The centre of mass follows the plan, as far as its support lets it.
+        """The task by which the centre of mass follows the plan, as far as the support allows.
 
-        In directions in which that has no extent, and which last, so does the angular momentum. Of a
-        support p without extent along u only gravity changes the angular momentum L about its line, whose
-        level part is z x u: dL = m g (c - p) u. A triple pole of that chain of integrators (Azad and
-        Featherstone, IEEE Trans. Robotics 32, 2016) gives with e for errors and w the bandwidth
+        On a narrow support that lasts, the angular momentum follows the plan too. If the support p has no
+        extent along u, only gravity changes the angular momentum L about its line, whose level part is z x u:
+        dL = m g (c - p) u. A triple pole of this chain of integrators (Azad and Featherstone, IEEE Trans.
+        Robotics 32, 2016) gives, with errors e and the bandwidth w,
             dd c = dd c_d - 3 w de - 3 w^2 e - w^3 e_L / (m g)
-        Where they do not last it falls as the pendulum does, until the next feet stand. Before that, while
-        the robot still stands wide, it follows the feet that will hold it: from where they are off the plan
-        it would be thrown off.
+        On a narrow support that does not last, the centre of mass falls like a pendulum until the next feet
+        stand. Before that, on the wide support, it follows the feet that will carry it, which may stand
+        beside their planned places.
         """
         gains, units, targets = self._gains, self._units, self._targets
         w, tilt = gains.body / units.time, gains.balance / units.time
@@ -107,7 +109,7 @@ class Balance:
         )
 
     def _lasting(self, reference: ReferenceTrajectory) -> np.ndarray:
-        """Ticks (n,) of stances on one line or point that last: shorter ones follow the plan as it is."""
+        """Ticks (n,) of lasting stances on one line or point; in shorter ones the robot does not balance."""
         active = reference.active
         lasting = np.zeros(len(active), dtype=bool)
         if self._walks or self.wide[active.any(axis=1)].any():

@@ -1,4 +1,4 @@
-"""Active contacts of a controller: what their forces may be, and how they may accelerate."""
+"""Active contacts of a controller: constraints on their forces and accelerations."""
 
 import math
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from trajopt.control.robot_state import RobotState
 from trajopt.dynamics.model_quantities import without_rolling
 from trajopt.robot.friction import inscribed_rows, pressure_rows, yaw_rows
 
-# Sides of the pyramid inscribed in Coulomb's cone: it holds back up to 8 % of the friction, four sides 29 %.
+# Sides of the pyramid inscribed in Coulomb's cone: eight give away up to 8 % of the friction, four 29 %.
 SIDES = 8
-# An axis is too near to the normal to project if the square of its projection is less than this.
+# Least squared length of an axis projected across the normal; a shorter one has no reliable direction.
 LEAST_PROJECTION = 1e-2
 
 
@@ -21,16 +21,16 @@ class ActiveContact:
     """A contact that transmits forces at a tick.
 
     Args:
-        number: of the contact in the plan.
-        frame: of the model, by name or index.
+        number: index of the contact in the plan.
+        frame: frame of the model, by name or index.
         dimension: 3 for a point, 6 for a sole.
-        normal: out of the ground (3,), world.
+        normal: unit vector out of the ground (3,), world.
         friction: Coulomb's coefficient.
-        half_size: of a sole along its x and y axes, m.
-        bilateral: whether it is held: any force, no cone.
-        sliding: unit vector (3,) along which it slides, world; None where it sticks.
+        half_size: half sizes of a sole along its x and y axes, m.
+        bilateral: whether the contact is held and may transmit any force, without a cone.
+        sliding: unit vector (3,) along which the contact slides, world; None if it sticks.
         most: largest normal force, N.
-        lever: from where a ball that rolls touches to its centre (3,), m, world; None of others.
+        lever: vector (3,) from the touching point of a rolling ball to its centre, m, world; None for others.
     """
 
     number: int
@@ -45,10 +45,10 @@ class ActiveContact:
     lever: np.ndarray | None = None
 
     def force_rows(self, state: RobotState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows (m, dimension) on the force in world axes, and their bounds (m,).
+        """Rows (m, dimension) on the force in world axes, and their lower and upper bounds (m,).
 
-        A pyramid, the normal force in its bounds, and of a sole the wrench cone of its four corners (see
-        `trajopt.robot.friction`). What slides transmits mu f_n against its way.
+        They are a friction pyramid, bounds of the normal force and, for a sole, the wrench cone of its four
+        corners (see `trajopt.robot.friction`). A sliding contact transmits mu f_n against its direction.
         """
         n, size = self.normal, self.dimension
         if self.bilateral:
@@ -72,17 +72,17 @@ class ActiveContact:
         return whole, np.append(low, np.zeros(len(moments))), np.append(high, np.full(len(moments), np.inf))
 
     def jacobian(self, state: RobotState) -> np.ndarray:
-        """Rows (dimension, nv) of its motion, and of what its force does; of a ball without what it rolls."""
+        """Jacobian (dimension, nv) of the contact's motion and force; of a ball without its rolling."""
         return self._held(state.frame(self.frame).jacobian)
 
     def _held(self, motion: np.ndarray) -> np.ndarray:
-        """What a contact holds of motions (6, ...) of its frame."""
+        """The components (dimension, ...) of its frame's motions (6, ...) that the contact prevents."""
         return motion[: self.dimension] if self.lever is None else without_rolling(motion, self.lever)
 
     def motion_rows(self, state: RobotState, damping: float) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (m, nv) and values (m,) of an acceleration that takes the contact's velocity out.
+        """Rows (m, nv) and values (m,) of accelerations that bring the contact's velocity to zero.
 
-        J a = -dJ v - damping J v; of what slides along the normal alone. ``damping`` in 1/s.
+        J a = -dJ v - damping J v, with ``damping`` in 1/s; for a sliding contact only along the normal.
         """
         frame, jacobian = state.frame(self.frame), self.jacobian(state)
         value = -self._held(frame.drift) - damping * self._held(frame.velocity)
@@ -94,13 +94,13 @@ class ActiveContact:
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product of vectors (3,); NumPy's own takes 20 times as long."""
+    """Cross product of vectors (3,), 20 times as fast as NumPy's."""
     (ax, ay, az), (bx, by, bz) = a, b
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def _tangents(n: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors across a normal, the first along the projection of ``first``, or of ``second``."""
+    """Unit vectors across a normal, the first along the projection of ``first`` or else of ``second``."""
     x = first - n * (n @ first)
     if x @ x < LEAST_PROJECTION:
         x = second - n * (n @ second)
@@ -111,14 +111,14 @@ def _tangents(n: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[np.
 def _cone(
     n: np.ndarray, x: np.ndarray, y: np.ndarray, friction: float, most: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows (9, 3) of a pyramid and the normal force, with their bounds."""
+    """Rows (9, 3) of the pyramid and the normal force, and their bounds (9,)."""
     rows = _pyramid_rows(friction) @ np.array([x, y, n])
     return rows, np.zeros(SIDES + 1), np.append(np.full(SIDES, np.inf), most)
 
 
 @lru_cache(maxsize=256)
 def _pyramid_rows(friction: float) -> np.ndarray:
-    """Rows (9, 3) on the force along two axes and the normal."""
+    """Rows (9, 3) on the components of the force along two tangents and the normal."""
     force = np.eye(3)
     return np.array([*inscribed_rows(force, friction, SIDES), force[2]])
 
@@ -127,17 +127,17 @@ def _pyramid_rows(friction: float) -> np.ndarray:
 def _pyramid(
     normal: tuple[float, float, float], friction: float, most: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of a point that sticks, whatever its frame's orientation."""
+    """Rows and bounds for a point that sticks; they do not depend on its frame's orientation."""
     n = np.array(normal)
     return _cone(n, *_tangents(n, *np.eye(3)[:2]), friction, most)
 
 
 @lru_cache(maxsize=256)
 def _sole_rows(friction: float, half_size: tuple[float, float]) -> np.ndarray:
-    """Rows (14, 6) on a sole's wrench along its two axes and its normal, >= 0.
+    """Rows (14, 6) on a sole's wrench in its two axes and its normal, >= 0.
 
-    Its centre of pressure, its moment about the normal, and what friction leaves of that. The moment is at
-    most that of Coulomb's cones at the corners, mu f_n times half the diagonal.
+    They bound the centre of pressure, the moment about the normal, and that moment together with friction. It
+    is at most the moment of Coulomb's cones at the corners, mu f_n times half the diagonal.
     """
     force, moment = np.eye(6)[:3], np.eye(6)[3:]
     most = friction * math.hypot(*half_size) * force[2]

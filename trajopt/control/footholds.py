@@ -1,4 +1,4 @@
-"""Where feet land beside their planned footholds, so that the next stance catches the centre of mass."""
+"""Offsets of feet from their planned footholds, by which the next stance catches the centre of mass."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from trajopt.control.support import Support
 
-# A foot in the air takes at least this part of the natural time to a new foothold.
+# Shortest time in which a foot moves to a new foothold, over sqrt(l / g).
 QUICKEST = 0.15
-# Errors grow by at most exp of this until touchdown: the prediction is linear.
+# Largest exponent by which errors grow until touchdown: the prediction is linear.
 MOST_GROWTH = 2.0
-# A foot lands at most this part of l beside the foothold that moves with the centre of mass.
+# Largest offset of a foot from the foothold that moves with the centre of mass, over l.
 LONGEST = 0.25
-# For an error that stays feet land at most this part of l farther.
+# Largest offset for a steady error, over l.
 STEADIEST = 0.1
-# It stays where the velocity of the centre of mass is so close to the plan's, in sqrt(g l): not after a push.
+# Largest velocity error of the centre of mass, over sqrt(g l), at which an error is steady: not after a push.
 STAYING = 0.1
 
 
@@ -26,16 +26,16 @@ def capture_error(
     """Error (3,) of the capture point at touchdown, m.
 
     The capture point of an inverted pendulum is xi = c + dc / w, w = sqrt(g / h) (Pratt et al., Humanoids
-    2006). Its difference from the planned one moves by d xi = w (xi - e_p) over a support that is e_p off the
-    plan, in directions in which that has no extent (Englsberger, Ott and Albu-Schaeffer, T-RO 31, 2015); in
-    others the tracker's feedback holds it. In flight the centre of mass is thrown.
+    2006). In directions in which the support has no extent, its difference from the planned one moves by
+    d xi = w (xi - e_p), where e_p is the offset of the support from the plan (Englsberger, Ott and
+    Albu-Schaeffer, T-RO 31, 2015). In the others the tracker's feedback holds it. Flight is ballistic.
 
     Args:
-        error: of the centre of mass (3,), m.
-        change: of its velocity (3,), m/s.
-        support: under it, None in flight.
+        error: error of the centre of mass (3,), m.
+        change: error of its velocity (3,), m/s.
+        support: the present support; None in flight.
         left: time until touchdown, s.
-        rate: of the pendulum over the next support, 1/s; taken where there is no support now.
+        rate: rate of the pendulum over the next support, 1/s, which is used in flight.
     """
     if support is None:
         return np.asarray(error + change * (left + 1.0 / rate))
@@ -47,13 +47,13 @@ def capture_error(
 class FootholdOffsets:
     """Offsets (2,) of feet from their planned motions, m, and their rates.
 
-    A foot that stands is where it was measured. In the air its offset goes to that of its new foothold by the
-    cubic of least acceleration that arrives there at rest at touchdown, planned anew at each tick.
+    A standing foot has its measured offset. In the air the offset moves to that of the new foothold along the
+    cubic of least acceleration that comes to rest there at touchdown, recomputed at each tick.
 
     Args:
-        n: how many feet there are.
-        period: of a tick, s.
-        length: of the robot, m.
+        n: number of feet.
+        period: duration of a tick, s.
+        length: length l of the robot, m.
         time: sqrt(l / g), s.
     """
 
@@ -62,23 +62,23 @@ class FootholdOffsets:
         self._period, self._longest, self._least = period, LONGEST * length, QUICKEST * time
 
     def copy(self) -> FootholdOffsets:
-        """These offsets, apart."""
+        """An independent copy of the offsets."""
         twin = object.__new__(FootholdOffsets)
         twin.__dict__ = {**self.__dict__, "offset": self.offset.copy(), "rate": self.rate.copy()}
         return twin
 
     def stand(self, foot: int, offset: np.ndarray) -> None:
-        """A foot stands at an offset (2,)."""
+        """Set the offset (2,) of a standing foot, m."""
         self.offset[foot], self.rate[foot] = offset, 0.0
 
     def swing(self, foot: int, error: np.ndarray, capture: np.ndarray, left: float) -> np.ndarray:
-        """Move a foot on by one tick; returns the acceleration (2,) of its offset, m/s^2.
+        """Advance the offset of a foot in the air by one tick; returns its acceleration (2,), m/s^2.
 
         Args:
-            foot: its number.
-            error: of the centre of mass (3,), m.
-            capture: where to land beside the planned foothold (3,), m.
-            left: until touchdown, s.
+            foot: index of the foot.
+            error: error of the centre of mass (3,), m.
+            capture: offset at which to land from the planned foothold (3,), m.
+            left: time until touchdown, s.
         """
         step = (capture - error)[:2]
         step = step * min(1.0, self._longest / max(float(np.linalg.norm(step)), self._longest))
@@ -90,15 +90,15 @@ class FootholdOffsets:
 
 
 class SteadyError:
-    """What stays of the error of the centre of mass in a gait, integrated.
+    """The integral of the steady error of the centre of mass in a gait.
 
-    Where the model's is not the robot's, or the ground is higher, feet have to land beside their footholds
-    all the time. While the velocity is off the plan too, as after a push, nothing is integrated.
+    If the model is wrong or the ground is higher, feet must always land beside their footholds. While the
+    velocity is off the plan as well, as after a push, nothing is integrated.
 
     Args:
-        rate: of the integral, 1/s.
-        period: of a tick, s.
-        length: of the robot, m.
+        rate: rate of the integral, 1/s.
+        period: duration of a tick, s.
+        length: length l of the robot, m.
         time: sqrt(l / g), s.
     """
 
@@ -107,10 +107,10 @@ class SteadyError:
         self._step, self._most, self._slow = rate * period, STEADIEST * length, STAYING * length / time
 
     def copy(self) -> SteadyError:
-        """This integral, apart; updates replace its array."""
+        """An independent copy; updates replace the array of the integral."""
         return copy.copy(self)
 
     def update(self, error: np.ndarray, change: np.ndarray) -> None:
-        """Integrate the error of the centre of mass (3,), m, while that of its velocity, m/s, is small."""
+        """Integrate the error of the centre of mass (3,), m, if that of its velocity (3,), m/s, is small."""
         if np.linalg.norm(change[:2]) < self._slow:
             self.integral = np.clip(self.integral + self._step * error, -self._most, self._most)

@@ -11,22 +11,22 @@ class TrackerGains:
     """Bandwidths of feedback in 1 / sqrt(l / g), l the robot's reach, and weights of tasks in natural units.
 
     Args:
-        body: bandwidth of centre of mass and base.
-        foot: of swinging feet.
-        joint: of joints.
-        contact: rate at which the velocity of a contact is taken out.
-        com_weight: of the centre of mass, while contacts stand.
-        thin_com_weight: likewise on a line or a point, in plans that are not periodic.
-        base_weight: of the base's orientation, likewise.
-        foot_weight: of swinging feet.
-        joint_weight: of joints while contacts stand.
-        leg_weight: likewise of joints that the pose of a foot in the air determines.
-        force_weight: of contact forces.
-        flight_joint_weight: of joints while no contact stands, in plans that are not periodic.
-        balance: bandwidth on a line or a point.
-        balance_joint_weight: of joints there.
-        placement: how far feet land beside footholds: times the error of the capture point at touchdown.
-        steady: rate at which they land farther while the centre of mass of a gait stays off the plan.
+        body: bandwidth of the centre of mass and the base.
+        foot: bandwidth of swinging feet.
+        joint: bandwidth of joints.
+        contact: rate at which the velocity of a contact decays.
+        com_weight: weight of the centre of mass while contacts stand.
+        thin_com_weight: the same on a line or a point, in plans that are not periodic.
+        base_weight: weight of the base's orientation while contacts stand.
+        foot_weight: weight of swinging feet.
+        joint_weight: weight of joints while contacts stand.
+        leg_weight: the same for joints that the pose of a foot in the air determines.
+        force_weight: weight of contact forces.
+        flight_joint_weight: weight of joints while no contact stands, in plans that are not periodic.
+        balance: bandwidth of balancing on a line or a point.
+        balance_joint_weight: weight of joints there.
+        placement: offset of footholds from the plan, over the error of the capture point at touchdown.
+        steady: rate at which this offset grows while the centre of mass of a gait stays off the plan.
     """
 
     body: NonNegative = 8.0

@@ -1,20 +1,20 @@
 """Task-space inverse dynamics: accelerations and contact forces of one tick, by a quadratic program.
 
-Unknowns are x = (a, f): accelerations (nv,) and the forces of the active contacts in world axes. With
+The unknowns are x = (a, f): accelerations (nv,) and the forces of the active contacts in world axes. With
 
     M a + h = S' tau + J' f
 
-split into unactuated rows u and actuated ones, torques are eliminated: tau = M_a a + h_a - J_a' f. Rows:
+split into unactuated rows u and actuated rows a, torques are eliminated: tau = M_a a + h_a - J_a' f. Rows:
 
     M_u a - J_u' f = -h_u                                      rows without actuators
     J a = -dJ v - d J v                                        contacts stand still
-    tau_min <= M_a a + h_a - J_a' f + friction <= tau_max      drives
+    tau_min <= M_a a + h_a - J_a' f + friction <= tau_max      torque limits of drives
     a_min <= a_j <= a_max                                      joints stay within position and rate limits
     friction pyramids, normal forces, centres of pressure      `ActiveContact.force_rows`
 
-The objective is that of the tasks (`trajopt.control.tasks`). If a program has no solution, rows are relaxed
-in this order, and the result says so: limits of joint acceleration; contacts (penalised instead). If that
-fails too, there is no torque, and the caller has to hold the joints.
+The objective is the sum of the tasks (`trajopt.control.tasks`). If a program has no solution, the limits of
+joint accelerations are dropped first, then the rows of contacts are penalised instead; the result reports it.
+If that fails too, there is no torque, and the caller has to hold the joints.
 """
 
 import math
@@ -37,18 +37,23 @@ from trajopt.control.tasks import Task
 from trajopt.errors import InputError
 from trajopt.robot.actuators.actuation import Actuation
 
-# Weight of contact rows where they are relaxed, over that of a task of weight one.
+# Weight of relaxed contact rows, relative to a task of weight one.
 PENALTY = 1e4
-# Of every unknown over its unit: keeps programs strictly convex.
-REGULARISATION = 1e-8
-# Singular values of contact rows below this part of the largest are of points of one link: rounding.
+REGULARISATION = 1e-8  # weight of every scaled unknown: keeps programs strictly convex
+# Relative singular value below which contact rows are dependent: several points on one link, up to rounding.
 DEPENDENT = 1e-8
 RELAXED = ("nothing", "joint limits", "contacts", "everything")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TickLimits:
-    """Limits at a tick: torques (nu,) N m, and accelerations (nu,) that keep joints within theirs."""
+    """Limits at a tick.
+
+    Args:
+        torque: least and largest inputs (nu,), N m or N.
+        acceleration: least and largest accelerations of the actuated joints, rad/s^2 or m/s^2.
+        friction: friction torques of the drives (nu,), N m.
+    """
 
     torque: tuple[np.ndarray, np.ndarray]
     acceleration: tuple[np.ndarray, np.ndarray]
@@ -59,9 +64,9 @@ class TickLimits:
 class TickResult:
     """Torques (nu,), accelerations (nv,) and forces (nc', 6) of the active contacts, in their order.
 
-    relaxed: index into `RELAXED`. With "everything" torques are zero and say nothing.
-    slack: largest violation of the rows that were relaxed, over their units: accelerations of contacts, g,
-    and of joints beyond their limits, g or g / l. Zero where none was, and with "everything".
+    ``relaxed`` is an index into `RELAXED`; for "everything" torques are zero and meaningless. ``slack`` is
+    the largest scaled violation of the relaxed rows: accelerations of contacts over g, and those of joints
+    beyond their limits over g or g / l. It is zero if nothing was relaxed, and for "everything".
     """
 
     torque: np.ndarray
@@ -74,16 +79,16 @@ class TickResult:
 
 @dataclass
 class TaskSpaceInverseDynamics:
-    """Programs of one robot, set up once for each number of contact rows.
+    """Quadratic programs of one robot, set up once for each combination of contacts.
 
     Args:
-        state: of the robot.
-        actuation: of the robot.
-        acceleration_unit: (nv,), m/s^2 and rad/s^2, which scales unknowns and rows.
-        force_units: of forces and moments, N and N m.
-        torque_unit: (nv,) of the rows of the dynamics.
-        damping: d of contact rows, 1/s.
-        solver: of the programs.
+        state: state of the robot.
+        actuation: actuation of the robot.
+        acceleration_unit: scale of accelerations in unknowns and rows (nv,), m/s^2 and rad/s^2.
+        force_units: scales of forces and moments, N and N m.
+        torque_unit: scale of the rows of the dynamics (nv,), N or N m.
+        damping: coefficient d of contact rows, 1/s.
+        solver: solver of the programs.
     """
 
     state: RobotState
@@ -98,7 +103,7 @@ class TaskSpaceInverseDynamics:
     def solve(
         self, contacts: Sequence[ActiveContact], tasks: Sequence[Task], limits: TickLimits
     ) -> TickResult:
-        """Solve at the state that was last given to `RobotState.update`."""
+        """Solve at the last state of `RobotState.update`."""
         program = _Program(self, contacts, limits)
         first, after = ([task for task in tasks if task.priority == level] for level in (1, 2))
         cost, slope, kept = program.objective(first)
@@ -134,7 +139,7 @@ class TaskSpaceInverseDynamics:
 
 
 def _independent(rows: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As many combinations of rows (m, n) and values (m,) as are independent: the least-squares equations."""
+    """Independent combinations of rows (m, n) and values (m,), with the same least-squares solution."""
     left, singular, _ = np.linalg.svd(rows, full_matrices=False)
     span = left[:, singular > DEPENDENT * singular.max(initial=0.0)].T
     return span @ rows, span @ value
@@ -249,7 +254,7 @@ class _Program:
         )
 
     def _slack(self, scaled: np.ndarray, relaxed: int) -> float:
-        """Largest violation of the rows that are relaxed by scaled unknowns (n,), over their units."""
+        """Largest scaled violation of the relaxed rows at scaled unknowns (n,)."""
         if relaxed not in (1, 2):
             return 0.0
         joints = self.owner.actuation.rows

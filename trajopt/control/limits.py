@@ -1,4 +1,4 @@
-"""Limits at a tick: torques of drives, and accelerations that keep joints in their ranges."""
+"""Limits at a tick: torques of drives, and accelerations that keep joints within their ranges."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ from trajopt.solution.solution import Solution
 
 
 def torque_limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest torque (nu,); a source of rates or accelerations has none."""
+    """Least and largest inputs (nu,); unlimited if the control inputs of the plan are not torques."""
     limit = np.full(plan.tau.shape[1], np.inf)
     given = plan.description.effort_limit
     if given is not None and plan.description.actuation == "torque":
@@ -23,7 +23,7 @@ def torque_limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
 def limits_with_drives(
     drives: tuple[Drive | None, ...], rate: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of rows with a drive: those of its voltage and current at the rates."""
+    """The limits (nu,), where a drive's voltage and current at its rate replace them in rows with a drive."""
     low, high = low.copy(), high.copy()
     for row, drive in enumerate(drives):
         if drive is not None:
@@ -40,11 +40,11 @@ def friction_of_drives(drives: Sequence[Drive | None], rate: np.ndarray) -> np.n
 
 
 class JointRange:
-    """Bounds on accelerations (nu,) that keep positions and rates of joints in range for ``horizon`` s.
+    """Bounds on accelerations of actuated joints that keep positions and rates in range for ``horizon`` s.
 
-    With constant acceleration a, q + v T + a T^2 / 2 and v + a T are in their ranges. A joint that cannot
-    return within T is braked as hard as its rate allows. ``critical``: it approaches the end of its range as
-    a critically damped spring would instead, a <= (q_max - q) / T^2 - 2 v / T, without going beyond.
+    At constant acceleration a, q + v T + a T^2 / 2 and v + a T are in range after T. If ``critical``, a joint
+    approaches the end of its range like a critically damped spring, a <= (q_max - q) / T^2 - 2 v / T, without
+    overshoot. A joint that cannot return in time is braked by at most |v| / T, or 2 |v| / T if ``critical``.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class JointRange:
         self.fastest = whole[actuated]
 
     def bounds(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest acceleration (nu,) at positions (nq,) and rates (nu,)."""
+        """Least and largest accelerations of the actuated joints at q (nq,) and their rates v."""
         time, known = self.horizon, self.index >= 0
         low, high = (-self.fastest - v) / time, (self.fastest - v) / time
         ahead = np.where(known, q[np.maximum(self.index, 0)], 0.0) + self.damped * v * time
@@ -83,5 +83,5 @@ class JointRange:
 
 
 def _numbers(limit: np.ndarray) -> np.ndarray:
-    """Limits, infinite where there is none."""
+    """The limits, with infinity for those that stand for none."""
     return np.where(limit > UNLIMITED, np.inf, limit)

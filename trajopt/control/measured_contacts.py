@@ -1,4 +1,4 @@
-"""Contacts as they are measured: which transmit forces at a tick, which are late, what each may transmit."""
+"""Measured contacts: which transmit forces at a tick, which are late, and what each may transmit."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
-# A contact that is early by less than this part of its swing takes load at once.
+# A contact that is early by less than this fraction of its swing takes load at once.
 EARLY = 1 / 3
-# A stance goes on if the contact is lost for less than this part of the natural time: soft contacts chatter.
+# Time over sqrt(l / g) for which a lost contact still counts as standing: soft contacts chatter.
 LOST = 0.05
-# A foot that is late is pressed down with this part of sqrt(g l), for at most this part of l.
+# Speed at which a late foot is pressed down, over sqrt(g l), and its largest depth, over l.
 PRESSED, DEEPEST = 0.1, 0.1
 
 
 class MeasuredContacts:
-    """Contacts of a plan, switched by what touches.
+    """Contacts of a plan, switched by which contacts touch.
 
     Args:
-        plan: what is tracked; reference, targets: at its ticks.
+        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
     """
 
     def __init__(self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets) -> None:
@@ -36,11 +36,11 @@ class MeasuredContacts:
         self._touched_at = np.full(len(self.frames), -np.inf)
 
     def copy(self) -> MeasuredContacts:
-        """These contacts, apart."""
+        """An independent copy of the contacts."""
         return copy.copy(self)  # times are replaced, not written
 
     def active(self, k: int, touching: np.ndarray) -> np.ndarray:
-        """Contacts (nc,) that transmit forces: planned and touching, or early; held ones as planned."""
+        """Contacts (nc,) that transmit forces: planned and touching, or early; held contacts as planned."""
         planned, targets = self._reference.active[k], self._targets
         now = k * self._reference.period
         self._touched_at = np.where(touching, now, self._touched_at)
@@ -53,7 +53,7 @@ class MeasuredContacts:
         return np.asarray((planned & lately) | early | held | started)
 
     def late(self, i: int, k: int) -> float | None:
-        """Time for which contact ``i`` should stand but does not touch, s; None where it should not."""
+        """Time for which contact ``i`` has been due without touching, s; None if it should not stand."""
         planned = self._reference.active
         if not planned[k, i]:
             return None

@@ -1,4 +1,4 @@
-"""What a plan asks of contacts, centre of mass and base at every tick, in the world."""
+"""Targets of a plan for contacts, centre of mass and base at every tick, in the world."""
 
 from dataclasses import dataclass
 
@@ -16,11 +16,11 @@ from trajopt.solution.solution import Solution
 class PlanTargets:
     """Targets at n ticks; velocities and accelerations are of the frames' origins, world axes.
 
-    com: (n, 3, 3) position, velocity, acceleration of the centre of mass, m. momentum: (n, 3) angular about
-    it, N m s. pose: of each contact frame,
-    rotation (n, nc, 3, 3) and position (n, nc, 3); velocity and acceleration (n, nc, 6). base: of the base
-    joint's frame, rotation (n, 3, 3), velocity and acceleration (n, 6). surfaces: under the contacts.
-    next_stance, last_stance: ticks (n, nc) until a contact that is in the air stands, and since it stood.
+    ``com`` (n, 3, 3) is position, velocity and acceleration of the centre of mass, in m and s, ``momentum``
+    (n, 3) the angular momentum about it, N m s. Contact frames have ``position`` (n, nc, 3), ``rotation``
+    (n, nc, 3, 3), ``velocity`` and ``acceleration`` (n, nc, 6); the base joint's frame has ``base_rotation``
+    (n, 3, 3), ``base_velocity`` and ``base_acceleration`` (n, 6). ``surfaces`` are under the contacts.
+    ``next_stance``, ``last_stance`` (n, nc) are ticks until a contact in the air stands and since it stood.
     """
 
     com: np.ndarray
@@ -38,15 +38,15 @@ class PlanTargets:
 
 
 def base_frame(model: pin.Model) -> int:
-    """Index of the frame of a moving base's joint."""
+    """Index of the frame of a moving base's joint in the model."""
     name = model.names[BASE_JOINT[base_of(model)]]
     return int(model.getFrameId(name, pin.FrameType.JOINT))
 
 
 def tracking_model(plan: Solution, phase: int) -> pin.Model:
-    """The plan's model with everything that is carried in a phase, and a frame of a moving base's joint.
+    """The plan's model with all payloads of a phase and the frame of a moving base's joint.
 
-    Models that are no description's may lack that frame.
+    Models that do not come from a description may lack that frame.
     """
     model, kind = carrying_model(plan, phase), base_of(plan.model)
     if kind != "fixed" and base_frame(model) >= model.nframes:
@@ -100,7 +100,7 @@ def plan_targets(plan: Solution, reference: ReferenceTrajectory) -> PlanTargets:
 
 
 def _until(active: np.ndarray) -> np.ndarray:
-    """Rows (n, nc) until the next true one, zero where true, n where there is none."""
+    """Number of rows (n, nc) until the next true entry: zero where true, n if there is none."""
     n, ticks = len(active), np.zeros(active.shape, dtype=int)
     ahead = np.full(active.shape[1], n)
     for k in range(n - 1, -1, -1):

@@ -1,4 +1,4 @@
-"""Tasks of a tick that follows the plan: joints, forces, centre of mass, base and contacts in the air."""
+"""Tasks of a tick that follows the plan, for joints, forces, centre of mass, base and contacts in the air."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from trajopt.motion.cycles import moving_rows
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
-# Rotations of the base about lines on which the robot balances weigh this part.
+# Factor on rotations of the base about lines on which the robot balances.
 TILT_PART = 0.03
 
 
@@ -28,8 +28,8 @@ class PlanTasks:
     """Tasks of all ticks of a plan.
 
     Args:
-        plan: what is tracked; reference, targets: at its ticks.
-        gains: of the feedback.
+        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
+        gains: gains of the feedback.
     """
 
     def __init__(
@@ -48,17 +48,17 @@ class PlanTasks:
         self._swings = SwingTasks(plan, reference, targets, gains)
 
     def copy(self) -> PlanTasks:
-        """These tasks, apart."""
+        """An independent copy of the tasks."""
         twin = copy.copy(self)
         twin._swings = self._swings.copy()
         return twin
 
     def stand(self, k: int, active: np.ndarray, state: RobotState) -> None:
-        """Contacts (nc,) of a mask stand where they are."""
+        """Let the ``active`` contacts (nc,) stand where they are."""
         self._swings.stand(k, active, state)
 
     def of(self, k: int, active: np.ndarray, contacts: MeasuredContacts, state: RobotState) -> list[Task]:
-        """Tasks of tick ``k``, with the contacts (nc,) of a mask."""
+        """Tasks of tick ``k`` with the ``active`` contacts (nc,)."""
         units, reference = self._units, self._reference
         planned = reference.active[k]
         flying = not (planned.any() and active.any())
@@ -95,7 +95,7 @@ class PlanTasks:
         )
 
     def _orientation(self, k: int, tilting: np.ndarray) -> FrameTask:
-        """Of the base, but hardly about axes (r, 3) on which the robot balances."""
+        """Orientation task of the base, with little weight about axes (r, 3) on which the robot balances."""
         units, targets = self._units, self._targets
         return FrameTask(
             weight=self._gains.base_weight,
@@ -109,10 +109,10 @@ class PlanTasks:
         )
 
     def _joint_weights(self, active: np.ndarray, flying: bool, balances: bool) -> np.ndarray:
-        """Weights (nu,) of the planned posture.
+        """Weights of the planned posture, one for each actuated joint.
 
-        Joints that the pose of a foot in the air determines would only hold it back: where the base is off
-        the plan, posture and foot are at odds.
+        They are low for joints that the pose of a foot in the air determines. When the base is off the plan,
+        their posture contradicts the pose of the foot and would hold it back.
         """
         gains, legs = self._gains, self._legs
         size = legs.shape[1]
@@ -127,7 +127,7 @@ class PlanTasks:
 
 
 def _determined_joints(plan: Solution, stands: np.ndarray) -> np.ndarray:
-    """Joints (nc, nu) of legs that have no more than the pose of their foot has components."""
+    """Mask (nc, actuated joints) of the joints that move a foot, if its pose determines all of them."""
     actuated = plan.actuated_rows
     determined = np.zeros((len(stands), len(actuated)), dtype=bool)
     for i in np.flatnonzero(stands):
@@ -137,6 +137,6 @@ def _determined_joints(plan: Solution, stands: np.ndarray) -> np.ndarray:
 
 
 def _without(axes: np.ndarray) -> np.ndarray:
-    """Rows (3, 3) of rotations without those about some orthogonal axes (r, 3), but for a small part."""
+    """Rows (3, 3) of rotations, of which only a small part is left about orthogonal axes (r, 3)."""
     axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
     return np.asarray(np.eye(3) - (1.0 - TILT_PART) * axes.T @ axes)

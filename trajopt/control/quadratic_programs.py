@@ -1,12 +1,12 @@
-"""Convex quadratic programs of one structure, solved tick by tick: PIQP, ProxQP or OSQP.
+"""Convex quadratic programs of one structure, solved at each tick by PIQP, ProxQP or OSQP.
 
     minimise x' P x / 2 + c' x    subject to    E x = e,   l <= G x <= u,   bounds on some x
 
-OSQP (Stellato et al., Mathematical Programming Computation 12, 2020) is set up once per structure, starts
-from the last solution, and takes new values alone; where it does not converge PIQP decides. PIQP (Schwan et
-al., CDC 2023) is an interior-point method for dense matrices. ProxQP (Bambade et al., RSS 2022), of the extra
-``proxqp``, is an augmented Lagrangian method for dense matrices; it starts from the solution of the equations
-alone, so that what it finds does not depend on the ticks before.
+PIQP (Schwan et al., CDC 2023) is an interior-point method for dense matrices. OSQP (Stellato et al.,
+Mathematical Programming Computation 12, 2020) is set up once per structure; each tick only updates the values
+and starts from the last solution. ProxQP (Bambade et al., RSS 2022), in the extra ``proxqp``, is an augmented
+Lagrangian method for dense matrices; it starts from the solution of the equations alone, so that results do
+not depend on earlier ticks. PIQP solves the programs for which OSQP or ProxQP do not converge.
 """
 
 from abc import ABC, abstractmethod
@@ -19,21 +19,21 @@ import piqp  # type: ignore[import-untyped]
 from trajopt.errors import InputError, not_among
 
 QpSolverName = Literal["osqp", "piqp", "proxqp"]
-# Accuracy of rows over their natural units, and of stationarity: OSQP needs half as many iterations as for
-# 1e-5, and robots end where they did; PIQP is quadratic at its end.
+# Accuracy of scaled rows and stationarity: OSQP needs half as many iterations as for 1e-5, and the robots end
+# in the same place; PIQP converges quadratically.
 ACCURACY, EXACT = 1e-4, 1e-7
 MOST_OSQP, MOST_PIQP = 400, 100
-# Of ProxQP, whose last digits are as cheap as the first.
+# Accuracy of ProxQP, whose last digits cost no more than the first.
 PROXIMAL = 1e-6
-# A bound as large as this, over natural units, is none.
+# A scaled bound of this size or larger counts as none.
 UNBOUNDED = 1e6
-# Infinity of OSQP and of ProxQP.
+# The value that OSQP and ProxQP take for infinity.
 OSQP_INFINITY = PROXQP_INFINITY = 1e20
 
 
 @dataclass(frozen=True)
 class QuadraticSolution:
-    """A minimiser ``x`` (n,), or the last iterate; whether it is one; and the iterations."""
+    """The minimiser or last iterate ``x`` (n,), whether it is ``solved``, and the number of iterations."""
 
     x: np.ndarray
     solved: bool
@@ -42,10 +42,11 @@ class QuadraticSolution:
 
 @dataclass(frozen=True, kw_only=True)
 class QpRows:
-    """What restricts n unknowns.
+    """Constraints on n unknowns x.
 
-    equal, value: (p, n) and (p,) of E x = e. between, low, high: (m, n) and (m,) of l <= G x <= u. bounded,
-    least, most: (b,) indices of x and their bounds. For bounds that are none see `UNBOUNDED`.
+    ``equal`` (p, n) and ``value`` (p,) are E and e of E x = e; ``between`` (m, n), ``low`` and ``high`` (m,)
+    are G, l and u of l <= G x <= u. ``bounded`` (b,) are indices of x, with bounds ``least`` and ``most``
+    (b,). Bounds as large as `UNBOUNDED` count as none.
     """
 
     equal: np.ndarray
@@ -59,18 +60,18 @@ class QpRows:
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """Numbers of unknowns, equations, rows between bounds and bounded unknowns."""
+        """Numbers of unknowns, equations, two-sided rows and bounded unknowns."""
         return self.between.shape[1], len(self.value), len(self.low), len(self.bounded)
 
 
 class QuadraticSolver(ABC):
-    """Solves programs of one `QpRows.shape`, one after the other."""
+    """Solves a sequence of programs of one `QpRows.shape`."""
 
     def __init__(self, shape: tuple[int, int, int, int]) -> None:
         self.n = shape[0]
 
     def solve(self, p: np.ndarray, c: np.ndarray, rows: QpRows) -> QuadraticSolution:
-        """Solve with P (n, n) symmetric and c (n,)."""
+        """Solve the program with symmetric P (n, n) and c (n,)."""
         if (rows.low > rows.high).any() or (rows.least > rows.most).any():
             return QuadraticSolution(np.zeros(self.n), False, 0)
         low, high = _without_large(rows.low, rows.high)
@@ -87,7 +88,7 @@ def _without_large(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def quadratic_solver(name: QpSolverName, shape: tuple[int, int, int, int]) -> QuadraticSolver:
-    """A solver by its name for programs of a `QpRows.shape`. Raises `InputError`."""
+    """The solver of that name for programs of a `QpRows.shape`. Raises `InputError` for an unknown name."""
     known: dict[str, type[QuadraticSolver]] = {"osqp": _Osqp, "piqp": _Piqp, "proxqp": _ProxQp}
     if name not in known:
         raise not_among(get_args(QpSolverName), str(name), f"solver of quadratic programs is {name!r}")
@@ -114,14 +115,14 @@ class _Osqp(QuadraticSolver):
         result = self._solver.solve(raise_error=False)
         if result.info.status_val == 1:
             return QuadraticSolution(np.array(result.x, dtype=float), True, int(result.info.iter))
-        # PIQP tells slow programs from infeasible ones.
+        # PIQP distinguishes slow programs from infeasible ones.
         exact = self._second.solve(p, c, rows)
         if exact.solved:
             self._solver.warm_start(x=exact.x)
         return QuadraticSolution(exact.x, exact.solved, exact.iterations + int(result.info.iter))
 
     def _set_up(self, p: np.ndarray, c: np.ndarray, a: np.ndarray, low: np.ndarray, high: np.ndarray) -> Any:
-        import osqp  # takes a while to load, as SciPy does
+        import osqp  # slow to import, like SciPy
         import scipy.sparse as sp
 
         m, n = a.shape
@@ -147,7 +148,7 @@ class _Piqp(QuadraticSolver):
         self._pattern: np.ndarray | None = None
 
     def _solve(self, p: np.ndarray, c: np.ndarray, rows: QpRows) -> QuadraticSolution:
-        # An interior-point method needs an interior: bounds that are equal are equations.
+        # An interior-point method needs an interior: equal bounds become equations.
         same, fixed = rows.low == rows.high, rows.least == rows.most
         used = ~same & (np.isfinite(rows.low) | np.isfinite(rows.high))
         pattern = np.concatenate([same, fixed, used])
@@ -199,7 +200,7 @@ class _ProxQp(QuadraticSolver):
 
 
 def proxqp_package() -> Any:
-    """The module of ProxQP. Raises `InputError` if it is not installed."""
+    """The module of ProxQP. Raises `InputError` if the package is not installed."""
     try:
         import proxsuite  # type: ignore[import-untyped]
     except ImportError as error:

@@ -1,8 +1,8 @@
-"""Recovery steps: where a robot stands and its capture point leaves its feet, they step below it.
+"""Recovery steps: when the capture point of a standing robot leaves its feet, they step below it.
 
 The capture point xi = c + dc / w, w = sqrt(g / h) (Pratt et al., Humanoids 2006) moves by
-dxi = w (xi - p) with the centre of pressure p. Feet that stand can bring it back while p reaches beyond it;
-else diagonal pairs of feet swing in turn, until they can (Koolen et al., IJRR 31, 2012).
+dxi = w (xi - p) with the centre of pressure p. Standing feet can bring it back while p reaches beyond it.
+Otherwise diagonal pairs of feet swing in turn until they can (Koolen et al., IJRR 31, 2012).
 """
 
 from __future__ import annotations
@@ -28,37 +28,37 @@ from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP
 
-# A swing lasts so many natural times and lifts feet by this part of l: what joints and torques of the
-# library's quadrupeds can do. Longer ones let the capture point go farther.
+# Duration of a swing over sqrt(l / g) and its height over l: what joints and torques of the library's
+# quadrupeds can do. Longer swings let the capture point go farther.
 SWING, LIFT = 0.45, 0.03
-# Steps begin where the capture point leaves the feet: four of them brake better than two. They end where it
-# is more than this part of l inside, and only where the plan keeps it there recovery acts at all.
+# Distance of the capture point inside the feet, over l, at which steps end; recovery acts only while the plan
+# keeps at least this distance. Steps begin when it leaves the feet: four feet brake better than two.
 RETURNS = 0.03
-# Steps end with feet where they should be relative to each other, up to this part of l.
+# Largest error of the feet's places relative to each other, over l, at which steps end.
 APART = 0.05
-# A foot has left the ground when it is this part of l above it.
+# Height over the ground, over l, at which a foot has left it.
 LEFT = 0.001
-# A swinging foot that touches after this part of its swing stands; before, it has not left the ground yet.
+# Fraction of a swing after which a touching foot stands; before, it has not left the ground yet.
 LANDS = 0.6
-# A foot that lost the ground follows its place in so many natural times.
+# Time in which a foot that lost the ground moves to its place, over sqrt(l / g).
 FOLLOWS = 0.2
-# Feet land this many times as far beside the centre of mass as the capture point: beyond one leads it back.
+# Distance of footholds from the centre of mass over that of the capture point: above one leads it back.
 BEYOND = 1.1
-# Feet land within this part of the reach of their legs, and are lifted beyond the other: a stretched leg can
-# neither brake nor keep a contact within the limits of its joints.
+# Distances from the hip within which feet land, and beyond which they are lifted, over the reach of the leg:
+# a stretched leg can neither brake nor keep a contact within its joint limits.
 STRETCHED, TORN = 0.93, 0.98
-# The capture point returns to the middle of the feet with this many times the pendulum's rate.
+# Rate at which the capture point returns to the middle of the feet, over the pendulum's rate.
 RETURNING = 1.0
-# Part of the friction that brakes the centre of mass: the rest is for turning.
+# Fraction of the friction that brakes the centre of mass: the rest is for turning.
 BRAKING = 0.9
-# Bandwidth of the height, 1 / sqrt(l / g), and its largest acceleration over g: feet that carry no weight
+# Bandwidth of the height in 1 / sqrt(l / g), and its largest acceleration over g: feet that carry no weight
 # cannot brake.
 UPRIGHT, RISING = 4.0, 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
 class FootPath:
-    """What a foot follows at a tick: position, velocity, acceleration (3,), world axes, m."""
+    """Target of a foot at a tick: position, velocity and acceleration (3,), world axes, in m and s."""
 
     position: np.ndarray
     velocity: np.ndarray
@@ -67,10 +67,12 @@ class FootPath:
 
 @dataclass(frozen=True, kw_only=True)
 class RecoveryStep:
-    """What recovery asks of a tick.
+    """Targets of recovery at a tick.
 
-    active: contacts (nc,) that transmit forces. acceleration: (3,) of the centre of mass, m/s^2. paths: of
-    feet in the air, by contact.
+    Args:
+        active: contacts that transmit forces (nc,).
+        acceleration: acceleration of the centre of mass (3,), m/s^2.
+        paths: paths of the feet in the air, by contact.
     """
 
     active: np.ndarray
@@ -79,14 +81,14 @@ class RecoveryStep:
 
 
 class Recovery:
-    """A state machine: off; stepping, a group of feet at a time; standing where it came to rest.
+    """A state machine: off; stepping, one group of feet at a time; standing where the robot came to rest.
 
-    It acts from where a plan that ends at rest stands for good, on four point feet on level ground.
+    It acts in the last stance of plans that end at rest on four point feet on level ground.
 
     Args:
-        plan: what is tracked; reference, targets: at its ticks.
+        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
 
-    steps: whether it ever acts.
+    ``steps`` tells whether it ever acts.
     """
 
     def __init__(self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets) -> None:
@@ -109,19 +111,19 @@ class Recovery:
         self.engaged = False
 
     def copy(self) -> Recovery:
-        """This state, apart."""
+        """An independent copy of the state machine."""
         twin = copy.copy(self)
         twin._offsets = self._offsets.copy()
         twin._landed, twin._lifted = self._landed.copy(), self._lifted.copy()
         return twin
 
     def step(self, k: int, t: float, state: RobotState, touching: np.ndarray) -> RecoveryStep | None:
-        """Go on by one tick; None while the plan is followed as it is.
+        """Advance by one tick; returns None while the plan is followed as it is.
 
         Args:
             k: tick of the plan.
-            t: time, s, which goes on after the plan.
-            state: measured.
+            t: time, s, which continues after the plan.
+            state: measured state.
             touching: which contacts touch (nc,).
         """
         if k < self._first:
@@ -146,7 +148,7 @@ class Recovery:
         )
 
     def _first_tick(self, reference: ReferenceTrajectory) -> int:
-        """From where all feet stand to the end, and the planned capture point stays well between them."""
+        """First tick from which all feet stand and the planned capture point stays well between them."""
         n, targets = len(reference.t), self._targets
         if not self.steps:
             return n
@@ -161,14 +163,14 @@ class Recovery:
         return 0
 
     def _falling(self, state: RobotState, places: np.ndarray) -> FallingMass:
-        """The centre of mass over the feet."""
+        """The centre of mass as a pendulum over the feet."""
         position, velocity = state.centre_of_mass()[:2]
         height = float((position - places[self._feet].mean(axis=0)) @ UP)
         height = max(height, LOWEST * self._units.length)
         return FallingMass(position[:2], velocity[:2], float(np.sqrt(self._units.gravity / height)))
 
     def _land(self, k: int, t: float, places: np.ndarray, touching: np.ndarray) -> None:
-        """Feet that swing leave the ground, and later stand on it."""
+        """Find which swinging feet have left the ground, and which have landed."""
         over = (places - self._targets.position[k]) @ UP
         lands = t - self._since > LANDS * SWING * self._units.time
         for i in self._swinging:
@@ -176,7 +178,7 @@ class Recovery:
             self._lifted[i] |= over[i] > LEFT * self._units.length
 
     def _change(self, k: int, t: float, places: np.ndarray, capture: np.ndarray) -> None:
-        """With all feet on the ground: stand, or begin the next swing."""
+        """With all feet on the ground, stand or begin the next swing."""
         inside = -SupportPolygon(places[self._feet]).outside(capture)
         beside = (places - self._targets.position[k])[self._feet, :2]
         apart = float(np.abs(beside - beside.mean(axis=0)).max())
@@ -190,7 +192,7 @@ class Recovery:
             self._swing(t, next(group for group in self._groups if group != self._swinging))
 
     def _missed(self, places: np.ndarray, group: tuple[int, ...], capture: np.ndarray) -> float:
-        """How far the capture point is off the feet that stand while a group swings, m."""
+        """Distance of the capture point outside the feet that stand while a group swings, m."""
         return SupportPolygon(places[[i for i in self._feet if i not in group]]).outside(capture)
 
     def _swing(self, t: float, group: tuple[int, ...]) -> None:
@@ -209,7 +211,7 @@ class Recovery:
     def _pressure(
         self, k: int, places: np.ndarray, active: np.ndarray, mass: FallingMass
     ) -> np.ndarray | None:
-        """Centre of pressure (2,) within the feet that stand, to brake the centre of mass; None in flight."""
+        """Centre of pressure (2,) within the standing feet that brakes the centre of mass; None in flight."""
         standing = np.flatnonzero(active)
         if not len(standing):
             return None
@@ -220,7 +222,7 @@ class Recovery:
     def _acceleration(
         self, k: int, state: RobotState, mass: FallingMass, pressure: np.ndarray | None
     ) -> np.ndarray:
-        """Wanted of the centre of mass (3,), m/s^2: level within friction, and softly to its height."""
+        """Wanted acceleration of the centre of mass (3,), m/s^2: level within friction, soft in height."""
         gravity, stiff = self._units.gravity, UPRIGHT / self._units.time
         level = np.zeros(2) if pressure is None else mass.acceleration(pressure)
         most = BRAKING * float(self._targets.surfaces.friction[k, self._feet].min()) * gravity
@@ -239,14 +241,14 @@ class Recovery:
         mass: FallingMass,
         pressure: np.ndarray | None,
     ) -> dict[int, FootPath]:
-        """Paths of the feet that do not stand, to where the next stance catches the centre of mass."""
+        """Paths of the feet that do not stand, to footholds that catch the centre of mass."""
         done = (t - self._since) / (SWING * self._units.time)
         left = max(1.0 - done, 0.0) * SWING * self._units.time
         then, paths = mass.after(left, pressure), {}
         error = np.append(then.place - self._targets.com[k, 0, :2], 0.0)
         for i in self._feet:
             planned = self._targets.position[k, i]
-            rises = not (self._landed[i] or self._lifted[i])  # straight up: it would drag along the ground
+            rises = not (self._landed[i] or self._lifted[i])  # straight up, not to drag along the ground
             if active[i] or rises:
                 self._offsets.stand(i, (places[i] - planned)[:2])
             if active[i]:
@@ -265,7 +267,7 @@ class Recovery:
         return paths
 
     def _foothold(self, i: int, below: np.ndarray, hip: np.ndarray, then: FallingMass) -> np.ndarray:
-        """Where (3,) a foot that would stand ``below`` the body catches it, within the reach of its leg."""
+        """Foothold (3,) that catches the body, within the leg's reach, for a foot that belongs ``below``."""
         step = below - hip
         step[:2] += BEYOND * (then.capture - then.place)
         longest = max((STRETCHED * self._legs[i].reach) ** 2 - float(step[2]) ** 2, 0.0) ** 0.5
@@ -274,9 +276,9 @@ class Recovery:
 
 
 def swing_height(done: float, units: NaturalUnits) -> tuple[float, float, float]:
-    """Height over the ground of a foot after a part of its swing, m, its rate and acceleration.
+    """Height of a foot over the ground at a fraction s of its swing, m, with its rate and acceleration.
 
-    16 H s^2 (1 - s)^2: it leaves and lands at rest; after that it is pressed down.
+    It is 16 H s^2 (1 - s)^2, at rest at both ends; after the swing the foot is pressed down.
     """
     high, duration = LIFT * units.length, SWING * units.time
     if done >= 1:
@@ -292,7 +294,7 @@ def swing_height(done: float, units: NaturalUnits) -> tuple[float, float, float]
 def _feet_of(
     plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets
 ) -> tuple[list[int], tuple[tuple[int, ...], ...]]:
-    """Feet that step and groups that swing together; none where the plan does not end standing on four."""
+    """Feet that step and groups that swing together; none unless the plan ends standing on four feet."""
     feet = np.flatnonzero(reference.active[-1])
     points = all(not plan.description.contacts[i].is_sole for i in feet)
     rests = reference.held and not plan.description.periodicity
@@ -308,13 +310,13 @@ def _feet_of(
     return feet.tolist(), diagonal_pairs(feet, targets.position[-1, feet])
 
 
-# Motion grows by at most exp of this: the pendulum is linear.
+# Largest exponent of the pendulum's motion, which is linear.
 MOST_GROWTH = 2.0
 
 
 @dataclass(frozen=True)
 class FallingMass:
-    """The centre of mass over level ground: place (2,) m, velocity (2,) m/s, and w = sqrt(g / h), 1/s."""
+    """A centre of mass over level ground: place (2,), m, velocity (2,), m/s, rate w = sqrt(g / h), 1/s."""
 
     place: np.ndarray
     velocity: np.ndarray
@@ -322,15 +324,15 @@ class FallingMass:
 
     @property
     def capture(self) -> np.ndarray:
-        """The capture point (2,), c + dc / w: with the centre of pressure there it comes to rest there."""
+        """The capture point (2,), c + dc / w: a centre of pressure there brings the mass to rest there."""
         return np.asarray(self.place + self.velocity / self.rate)
 
     def acceleration(self, pressure: np.ndarray) -> np.ndarray:
-        """w^2 (c - p) (2,) over a centre of pressure (2,)."""
+        """Acceleration w^2 (c - p) (2,) over a centre of pressure p (2,), m/s^2."""
         return np.asarray(self.rate**2 * (self.place - pressure))
 
     def after(self, time: float, pressure: np.ndarray | None) -> FallingMass:
-        """After some time over a centre of pressure (2,), or thrown where there is none."""
+        """The mass ``time`` s later, over a centre of pressure (2,), or in ballistic flight without one."""
         if pressure is None:
             return FallingMass(self.place + time * self.velocity, self.velocity, self.rate)
         angle = min(self.rate * time, MOST_GROWTH)
@@ -346,14 +348,14 @@ class FallingMass:
         return np.asarray(self.capture + gain * (self.capture - middle))
 
 
-# Corners that turn by less than this (m^2, twice the area of the triangle) are on one line.
+# Twice the area of a triangle of corners, m^2, up to which they are on one line.
 STRAIGHT = 1e-9
 
 
 class SupportPolygon:
-    """Convex hull of points (n, 2 or more) in the level plane; also of one or two, or of points on a line.
+    """Convex hull of points (n, 2 or more) in the level plane; one point or a line are hulls too.
 
-    corners: (m, 2) of the hull, counter-clockwise.
+    ``corners`` (m, 2) are those of the hull, counter-clockwise.
     """
 
     def __init__(self, points: np.ndarray) -> None:
@@ -362,14 +364,14 @@ class SupportPolygon:
         self.corners = np.array(places if len(places) < 3 else lower[:-1] + upper[:-1])
 
     def nearest(self, point: np.ndarray) -> np.ndarray:
-        """The point (2,) of the hull that is nearest to a point (2,)."""
+        """The point (2,) of the hull nearest to a point (2,)."""
         if self.outside(point) <= 0:
             return np.array(point[:2])
         feet = [_nearest_on(first, second, point) for first, second in self._edges()]
         return min(feet, key=lambda foot: math.hypot(*(foot - point[:2])))
 
     def outside(self, point: np.ndarray) -> float:
-        """Distance of a point (2,) from the hull, m; inside that from its nearest edge, negative."""
+        """Distance of a point (2,) from the hull, m; inside, the negative distance from the nearest edge."""
         edges = self._edges()
         if len(self.corners) > 2:
             inside = min(_left_of(first, second, point) for first, second in edges)
@@ -407,22 +409,22 @@ def _nearest_on(first: np.ndarray, second: np.ndarray, point: np.ndarray) -> np.
     return np.asarray(first + min(1.0, max(0.0, share)) * along)
 
 
-# Angles of each joint that are tried for the longest leg; with an odd number also the middle of its range.
+# Number of angles of each joint in the search for the longest leg; an odd number includes the middle.
 ANGLES = 9
-# Joints of a leg beyond its hip that are tried: the reach of longer legs is that of their last ones.
+# Number of joints beyond the hip in the search: only the last ones of a leg with more joints move.
 TRIED = 3
 
 
 @dataclass(frozen=True)
 class SwingLeg:
-    """A leg: its hip, the first actuated joint on the way to its foot, and the foot's largest distance, m."""
+    """A leg: its hip, the first actuated joint towards its foot, and the largest distance between them, m."""
 
     hip: int
     reach: float
 
 
 def swing_leg(model: pin.Model, frame: int, actuated_rows: np.ndarray) -> SwingLeg:
-    """The leg that moves a frame of the model, by trying angles within the ranges of its joints."""
+    """The leg that moves a frame of the model; the reach is found on a grid of its joints' ranges."""
     way = [
         joint
         for joint in list(model.supports[model.frames[frame].parentJoint])[1:]
@@ -441,7 +443,7 @@ def swing_leg(model: pin.Model, frame: int, actuated_rows: np.ndarray) -> SwingL
 
 
 def diagonal_pairs(feet: np.ndarray, places: np.ndarray) -> tuple[tuple[int, ...], ...]:
-    """The two diagonals of four feet (4,), by their places (4, 2 or more)."""
+    """The two diagonals of four feet (4,) at places (4, 2 or more)."""
     beside = places[:, :2] - places[:, :2].mean(axis=0)
     around = feet[np.argsort(np.arctan2(beside[:, 1], beside[:, 0]))].tolist()
     return (around[0], around[2]), (around[1], around[3])

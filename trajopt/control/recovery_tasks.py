@@ -1,4 +1,4 @@
-"""Tasks of a tick in which a robot recovers: centre of mass, base, feet in the air, joints and forces."""
+"""Tasks of a tick during recovery, for centre of mass, base, feet in the air, joints and forces."""
 
 import numpy as np
 import pinocchio as pin
@@ -12,16 +12,16 @@ from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask,
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
-# Joints weigh this part while a robot recovers: its feet are far from the posture.
+# Factor on the weight of joints during recovery, when feet are far from the planned posture.
 RECOVERING = 0.1
 
 
 class RecoveryTasks:
-    """Tasks of all ticks in which a robot recovers.
+    """Tasks of all ticks during recovery.
 
     Args:
-        plan: what is tracked; reference, targets: at its ticks.
-        gains: of the feedback.
+        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
+        gains: gains of the feedback.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class RecoveryTasks:
         self._unit = self._units.acceleration(plan.model)[self._rows]
 
     def of(self, k: int, step: RecoveryStep, state: RobotState) -> list[Task]:
-        """Tasks of tick ``k``; in flight joints and feet alone."""
+        """Tasks of tick ``k``; in flight only those of joints and feet."""
         gains, units, reference = self._gains, self._units, self._reference
         tasks: list[Task] = [
             PostureTask(
@@ -66,7 +66,7 @@ class RecoveryTasks:
         ]
 
     def _standing(self, k: int, step: RecoveryStep, state: RobotState) -> list[Task]:
-        """Forces, with the weight on all feet alike, centre of mass and orientation of the base."""
+        """Tasks of forces that share the weight equally, of the centre of mass and of the base."""
         gains, units, targets = self._gains, self._units, self._targets
         position, velocity = state.centre_of_mass()[:2]
         forces = np.zeros_like(self._reference.f[k])

@@ -1,4 +1,4 @@
-"""The plan on the grid of the controller: motion, torques and contacts, period by period."""
+"""The plan on the grid of the controller: motion, torques and contacts for each period."""
 
 import math
 from dataclasses import dataclass, replace
@@ -16,11 +16,11 @@ from trajopt.motion.quantities import MotionQuantities
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 
-# After a plan that ends at rest, its last posture is held for this many natural times, to test balance.
+# Time for which the last posture of a plan that ends at rest is held, over sqrt(l / g), to test balance.
 HOLD = 2.0
-# A plan that ends slower than this (reaches and radians over the natural time) ends at rest.
+# Largest final rate in natural units at which a plan ends at rest.
 REST = 1e-3
-# Periods of the controller in one simulation: each is sampled and recorded.
+# Largest number of controller periods in a simulation: each one is sampled and recorded.
 MOST_PERIODS = 200_000
 
 
@@ -28,11 +28,11 @@ MOST_PERIODS = 200_000
 class ReferenceTrajectory:
     """A plan at the starts of n periods of the controller.
 
-    t: (n,) s. period: s. q, v: (n, nq), (n, nv), Pinocchio's. torque: (n, nu) that the drives deliver, and a:
-    (n, nv), both in the middle of each period; where a phase ends within it, a is its mean. f: (n, nc, 6) of
-    the surroundings. active: (n, nc).
-    phase: (n,) index into ``phase_names``; source: (n,) phase of the file. held: periods after the plan.
-    end: (nq,) where the plan ends.
+    ``t`` (n,) and ``period`` are in s, ``q`` (n, nq) and ``v`` (n, nv) Pinocchio's. The ``torque`` of the
+    drives (n, nu) and ``a`` (n, nv) are in the middle of each period; if a phase ends within it, ``a`` is the
+    mean. ``f`` (n, nc, 6) are forces of the surroundings on ``active`` (n, nc) contacts. ``phase`` (n,) is an
+    index into ``phase_names``, ``source`` (n,) the phase of the file. ``held`` periods follow the plan, which
+    ends at ``end`` (nq,).
     """
 
     t: np.ndarray
@@ -51,20 +51,20 @@ class ReferenceTrajectory:
 
     @property
     def modes(self) -> list[tuple[int, int]]:
-        """Stretches of periods, begin and end, whose contacts are the same."""
+        """Begin and end of the intervals of periods with constant contacts."""
         changes = np.flatnonzero((self.active[1:] != self.active[:-1]).any(axis=1)) + 1
         return list(pairwise([0, *changes.tolist(), len(self.active)]))
 
     @property
     def planned(self) -> int:
-        """Periods of the plan itself."""
+        """Number of periods of the plan itself."""
         return len(self.t) - self.held
 
 
 def reference_of(plan: Solution, rate: float, cycles: int = 1, *, hold: float = HOLD) -> ReferenceTrajectory:
     """Sample a plan at ``rate`` Hz, repeat it, and hold its end if it is at rest. Raises `InputError`.
 
-    hold: in natural times.
+    The hold lasts ``hold`` times sqrt(l / g).
     """
     whole = passes_of(plan, cycles)
     periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * rate * whole
@@ -76,7 +76,7 @@ def reference_of(plan: Solution, rate: float, cycles: int = 1, *, hold: float = 
 
 
 def stance_reference(plan: Solution, rate: float, duration: float) -> ReferenceTrajectory:
-    """The start of a plan at rest, held for ``duration`` s instead of the plan's. Raises `InputError`."""
+    """The start of a plan at rest, held for ``duration`` s in place of the plan. Raises `InputError`."""
     _require_few(duration * rate, "a lower --control-rate or a shorter duration")
     count = max(1, round(duration * rate))
     start = _once(plan, 1.0 / float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]))
@@ -116,10 +116,10 @@ def _once(plan: Solution, rate: float) -> ReferenceTrajectory:
 
 
 def _mean_acceleration(plan: Solution, t: np.ndarray, period: float, middle: np.ndarray) -> np.ndarray:
-    """Accelerations (n, nv) of periods from their middles; means where a phase ends and forces jump.
+    """Accelerations (n, nv) in the middle of each period, or their means if a phase ends and forces jump.
 
-    A contact that lifts within a period, and may carry three times the weight, would otherwise give or lose
-    up to half a period of its force.
+    A contact that lifts within a period may carry three times the weight. Without the mean, up to half a
+    period of its force would be gained or lost.
     """
     mean = middle.copy()
     ends = np.array([plan.t[rows.start] for rows in plan.phases[1:]])
@@ -132,7 +132,7 @@ def _mean_acceleration(plan: Solution, t: np.ndarray, period: float, middle: np.
 
 
 def _repeated(plan: Solution, one: ReferenceTrajectory, times: int) -> ReferenceTrajectory:
-    """The reference followed by its images, ``times`` in all."""
+    """The reference and its images in the following cycles, ``times`` in all."""
     image = CycleImage.of(plan)
     parts = [one]
     for number in range(1, times):
@@ -160,7 +160,7 @@ def _repeated(plan: Solution, one: ReferenceTrajectory, times: int) -> Reference
 
 
 def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Torques (nu,) and contact forces (nc, 6) that hold the plan's end; the forces are nearest to its last.
+    """Torques (nu,) and contact forces (nc, 6) that hold the plan's end; the forces are nearest to the last.
 
     A plan that has come to rest may still accelerate: its last torques would move it away again.
     """
@@ -186,7 +186,7 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
 
 
 def _with_hold(plan: Solution, reference: ReferenceTrajectory, hold: float) -> ReferenceTrajectory:
-    """The reference with its end held for a while, where the plan ends at rest."""
+    """The reference, with its end held for a while if the plan ends at rest."""
     units = NaturalUnits.of(plan.model)
     speed = np.abs(plan.v[-1]) * units.time
     if plan.description.periodicity or speed.max(initial=0.0) > REST:

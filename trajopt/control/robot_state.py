@@ -1,4 +1,4 @@
-"""What a controller needs of a robot at one state: inertia, nonlinear effects, frames, centre of mass."""
+"""Quantities of a robot at one state for a controller: inertia, nonlinear effects, frames, centre of mass."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,9 +13,10 @@ from trajopt.robot.contact import require_frame
 
 @dataclass(frozen=True, kw_only=True)
 class FrameState:
-    """A frame at one state, world axes at its origin.
+    """A frame at one state, in world axes at its origin.
 
-    placement: in the world. jacobian: (6, nv), linear rows first. velocity, drift: (6,), J v and dJ/dt v.
+    ``placement`` is in the world, ``jacobian`` J (6, nv) has linear rows first, ``velocity`` (6,) is J v and
+    ``drift`` (6,) is dJ/dt v.
     """
 
     placement: pin.SE3
@@ -27,9 +28,9 @@ class FrameState:
 class RobotState:
     """Quantities of a model at a state (q, v), recomputed by `update`.
 
-    ``mass`` (nv, nv) and ``nonlinear`` (nv,) are of M a + h = S' tau + J' f, with forces of springs and
-    friction at joints in h (Featherstone, Rigid Body
-    Dynamics Algorithms, 2008, sec. 9.2); frames and the centre of mass are computed when asked for.
+    ``mass`` (nv, nv) and ``nonlinear`` (nv,) are M and h of M a + h = S' tau + J' f, with the forces of
+    springs and friction at joints in h (Featherstone, Rigid Body Dynamics Algorithms, 2008, sec. 9.2). Frames
+    and the centre of mass are computed on demand.
     """
 
     def __init__(self, model: pin.Model, joint_forces: Sequence[JointForce] = ()) -> None:
@@ -42,7 +43,7 @@ class RobotState:
         self._centre: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def update(self, q: np.ndarray, v: np.ndarray) -> None:
-        """Move to a state (nq,), (nv,). Raises `InputError` for other shapes and what is not finite."""
+        """Set the state (nq,), (nv,). Raises `InputError` for wrong shapes or values that are not finite."""
         model, data = self.model, self.data
         for name, given, size in (("q", q, model.nq), ("v", v, model.nv)):
             if np.shape(given) != (size,):
@@ -54,7 +55,7 @@ class RobotState:
         self.mass = pin.crba(model, data, q).copy()
         self.nonlinear = pin.nonLinearEffects(model, data, q, v) - joint_force(model, self.joint_forces, q, v)
         pin.computeJointJacobians(model, data, q)
-        pin.forwardKinematics(model, data, q, v, self._rest)  # last: what is above puts gravity in
+        pin.forwardKinematics(model, data, q, v, self._rest)  # last: the calls above include gravity
         pin.updateFramePlacements(model, data)
         self._frames, self._centre = {}, None
 
@@ -100,7 +101,7 @@ class RobotState:
         return self._centre
 
     def angular_momentum(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Angular momentum (3,) about the centre of mass, its matrix (3, nv), and the drift of its rate."""
+        """Angular momentum (3,) about the centre of mass, its matrix (3, nv), and its drift (3,)."""
         matrix = np.array(pin.ccrba(self.model, self.data, self.q, self.v)[3:])
         pin.computeCentroidalMomentumTimeVariation(self.model, self.data, self.q, self.v, self._rest)
         return self.data.hg.angular.copy(), matrix, self.data.dhg.angular.copy()

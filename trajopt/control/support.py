@@ -1,4 +1,4 @@
-"""What a robot stands on: where its feet are, how wide they stand, and the pendulum over them."""
+"""The support of a robot: where its feet stand, how wide, and the pendulum over them."""
 
 import math
 from dataclasses import dataclass
@@ -7,23 +7,23 @@ import numpy as np
 
 from trajopt.terrain.surface import UP
 
-# What is level of a vector.
+# Factors that leave the level part of a vector.
 LEVEL = np.array([1.0, 1.0, 0.0])
-# The pendulum over a support is at least this part of l high.
+# Least height of the pendulum over a support, over l.
 LOWEST = 0.1
-# The cross product of up with a vector.
+# Matrix of the cross product of the vertical with a vector.
 TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True)
 class Support:
-    """Feet that stand, and the centre of mass as an inverted pendulum over them.
+    """Standing feet, with the centre of mass as an inverted pendulum over them.
 
     Attributes:
-        places: of the feet (n, 3), measured, m.
-        planned: where they should be (n, 3), m.
-        axes: level directions (r, 3) without extent: two of a point, one of a line, none where it is wide.
-        rate: sqrt(g / h), 1/s, h the height of the centre of mass over the feet.
+        places: measured positions of the feet (n, 3), m.
+        planned: planned positions of the feet (n, 3), m.
+        axes: level directions (r, 3) without extent: two for a point, one for a line, none for a wide one.
+        rate: sqrt(g / h) with the height h of the centre of mass over the feet, 1/s.
     """
 
     places: np.ndarray
@@ -33,10 +33,10 @@ class Support:
 
     @property
     def lines(self) -> np.ndarray:
-        """Directions (r, 3) without a lever: forces of the feet do not turn the robot about them.
+        """Directions (r, 3) of lines about which forces of the feet have no moment.
 
-        One for each of ``axes``, a quarter turn to the left of it, of unit length seen from above. The line
-        of feet of different heights slopes: about a level one they would have a lever.
+        There is one for each of ``axes``, a quarter turn to its left, whose level part has unit length. With
+        feet at different heights the line slopes: about a level one the forces would have a lever.
         """
         directions = self.axes @ TURNED.T
         if len(directions) == 1:
@@ -47,19 +47,19 @@ class Support:
 
     @property
     def offset(self) -> np.ndarray:
-        """How far (3,) the feet are off the plan, m, level."""
+        """Mean level offset (3,) of the feet from the plan, m."""
         return np.asarray((self.places - self.planned).mean(axis=0) * LEVEL)
 
     def falling(self, error: np.ndarray) -> np.ndarray:
-        """Acceleration (3,) of an error of the centre of mass, m/s^2, on feet that cannot correct it.
+        """Acceleration (3,) of an error of the centre of mass that the feet cannot correct, m/s^2.
 
-        Of two pendulums dd c = g / h (c - p), the measured and the planned one, the difference is
+        The measured and the planned pendulum obey dd c = g / h (c - p), so their difference obeys
         dd e = g / h (e - e_p).
         """
         return np.asarray(self.rate**2 * (error - self.offset))
 
     def reachable(self, com: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        """The nearest acceleration (3,) that a centre of pressure between the feet of a line gives."""
+        """The nearest acceleration (3,) from a centre of pressure between feet on a line, m/s^2."""
         if len(self.axes) != 1:
             return acceleration
         line = TURNED @ self.axes[0]
@@ -71,7 +71,7 @@ class Support:
 def support_of(
     places: np.ndarray, planned: np.ndarray, axes: np.ndarray, com: np.ndarray, gravity: float, lowest: float
 ) -> Support:
-    """The support of a centre of mass (3,), taken to be at least ``lowest`` m high, under gravity, m/s^2."""
+    """The support of a centre of mass (3,), m, taken as at least ``lowest`` m high; ``gravity`` in m/s^2."""
     height = max(float((com - places.mean(axis=0)) @ UP), lowest)
     return Support(places, planned, axes, float(np.sqrt(gravity / height)))
 
@@ -79,7 +79,7 @@ def support_of(
 def thin_axes(places: np.ndarray, least: float) -> np.ndarray:
     """Level directions (r, 3) in which places (n, 3) are less than ``least`` m apart."""
     x, y = places[:, 0] - places[:, 0].mean(), places[:, 1] - places[:, 1].mean()
-    # Eigenvectors of the scatter matrix; NumPy's decompositions take ten times as long.
+    # Eigenvectors of the scatter matrix in closed form, ten times as fast as NumPy's decompositions.
     along, mixed, across = float(x @ x), float(x @ y), float(y @ y)
     half, turn = (along + across) / 2, math.atan2(2 * mixed, along - across) / 2
     radius = math.hypot((along - across) / 2, mixed)
@@ -90,11 +90,11 @@ def thin_axes(places: np.ndarray, least: float) -> np.ndarray:
 
 
 def next_narrow(active: np.ndarray, wide: np.ndarray) -> np.ndarray:
-    """Contacts (n, nc) of the narrow stance that follows a wide one in which they stand already.
+    """Contacts (n, nc) that stand in a wide stance and will carry the narrow stance after it.
 
     Args:
         active: which contacts stand (n, nc).
-        wide: whether they hold the body in all directions (n,).
+        wide: whether these hold the body in all directions (n,).
     """
     narrow = np.zeros_like(active)
     for k in range(len(active) - 2, -1, -1):

@@ -1,4 +1,4 @@
-"""Contacts in the air: they follow the plan, land beside their footholds, and are pressed down where late."""
+"""Tasks of contacts in the air: follow the plan, land beside footholds for balance, press down when late."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface
 
-# Rate of the pendulum that a flight lands on, in natural units: legs half as long as the reach.
+# Rate of the pendulum after a flight, times sqrt(l / g): legs half as long as the reach.
 FLYING = 2.0**0.5
-# Surfaces whose normals differ from up by less than this are level: feet may land elsewhere on them.
+# Largest deviation of a level surface's normal from the vertical: feet may land elsewhere on it.
 LEVEL = 1e-3
 
 
 class SwingTasks:
-    """Tasks of contacts in the air, which remember where feet are beside the plan.
+    """Tasks of contacts in the air, with the offsets of feet from the plan as state.
 
     Args:
-        plan: what is tracked; reference, targets: at its ticks.
-        gains: of the feedback.
+        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
+        gains: gains of the feedback.
     """
 
     def __init__(
@@ -47,13 +47,13 @@ class SwingTasks:
         self._walks = bool(plan.description.periodicity)
 
     def copy(self) -> SwingTasks:
-        """These tasks, apart."""
+        """An independent copy of the tasks."""
         twin = copy.copy(self)
         twin._offsets, twin._steady = self._offsets.copy(), self._steady.copy()
         return twin
 
     def stand(self, k: int, active: np.ndarray, state: RobotState) -> None:
-        """Contacts (nc,) of a mask stand where they are; once a tick."""
+        """Let the ``active`` contacts (nc,) stand where they are; to be called once a tick."""
         if self._walks:
             self._steady.update(*self._error(k, state))
         for i in np.flatnonzero(active):
@@ -61,7 +61,7 @@ class SwingTasks:
             self._offsets.stand(int(i), (here - self._targets.position[k, i])[:2])
 
     def of(self, i: int, k: int, late: float | None, support: Support | None, state: RobotState) -> FrameTask:
-        """Contact ``i`` follows the plan; one that is late by so many s is pressed down along its normal."""
+        """The task of contact ``i`` to follow the plan; ``late`` s late, it is pressed to its surface."""
         targets, units = self._targets, self._units
         position, velocity = targets.position[k, i].copy(), targets.velocity[k, i].copy()
         acceleration = targets.acceleration[k, i].copy()
@@ -86,7 +86,7 @@ class SwingTasks:
         )
 
     def _beside(self, i: int, k: int, support: Support | None, state: RobotState) -> np.ndarray:
-        """Move a foot on beside its planned motion; returns the acceleration (2,) of its offset, m/s^2."""
+        """Advance the offset of a foot from its planned motion; returns its acceleration (2,), m/s^2."""
         error, change = self._error(k, state)
         left = float(self._targets.next_stance[k, i]) * self._period
         capture = capture_error(error, change, support, left, FLYING / self._units.time)
@@ -94,13 +94,13 @@ class SwingTasks:
         return self._offsets.swing(i, error, beside, left)
 
     def _error(self, k: int, state: RobotState) -> tuple[np.ndarray, np.ndarray]:
-        """Of the centre of mass (3,), m, and of its velocity (3,), m/s."""
+        """Errors of the centre of mass (3,), m, and of its velocity (3,), m/s."""
         position, velocity, _, _ = state.centre_of_mass()
         return position - self._targets.com[k, 0], velocity - self._targets.com[k, 1]
 
 
 def level_footholds(plan: Solution, targets: PlanTargets) -> np.ndarray:
-    """Where (n, nc) feet may land beside their footholds: on level ground without edges."""
+    """Mask (n, nc) of feet that may land beside their footholds: those on level ground without edges."""
     smooth = not plan.description.surfaces and isinstance(plan.description.ground, Surface)
     level = np.abs(targets.surfaces.normal - UP).max(axis=2) < LEVEL
     return np.asarray(level & smooth)

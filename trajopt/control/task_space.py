@@ -1,4 +1,4 @@
-"""Task-space inverse dynamics without a plan: torques that do given tasks at the state that was measured."""
+"""Task-space inverse dynamics without a plan: torques for given tasks in the measured state."""
 
 from collections.abc import Sequence
 
@@ -31,24 +31,24 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 
-# Weight of small accelerations, which decide where tasks do not.
+# Weight of the accelerations themselves, which decides what tasks leave open.
 SMALL = 1e-8
 # The vertical, out of level ground.
 UP = np.array([0.0, 0.0, 1.0])
 
 
 class TaskSpaceController:
-    """Torques for tasks; units, limits, drives and contacts are those of the robot.
+    """Torques for tasks, with the units, limits, drives and contacts of the robot.
 
-    Joints keep within their ranges and rates, torques within their limits, contacts stand on level ground.
+    Joints stay within their ranges and rates, torques within their limits; contacts stand on level ground.
 
     Args:
         robot: the robot.
         friction: Coulomb's coefficient at its contacts.
-        horizon: for which joints look ahead to their limits, s: time to stop within the torques.
-        solver: of the quadratic programs.
+        horizon: time for which joints look ahead to their limits, s; enough to stop within the torques.
+        solver: solver of the quadratic programs.
 
-    ``state`` has inertia, frames and the centre of mass of the last tick, ``last`` its result.
+    ``state`` has inertia, frames and centre of mass of the last tick, ``last`` has its result.
     """
 
     @checked
@@ -78,12 +78,12 @@ class TaskSpaceController:
         Args:
             q: measured configuration (nq,).
             v: measured velocity (nv,).
-            tasks: what is wanted.
-            contacts: names of those that stand; default all of a robot that moves, none of a fixed one.
+            tasks: tasks of the tick.
+            contacts: names of the standing contacts; default: all, and none for a robot with a fixed base.
 
         Raises:
-            InputError: for a state or a task that is not finite or has another shape, unknown contacts, and
-                where no torques within the limits exist.
+            InputError: for a state or a task that is not finite or has the wrong shape, for unknown contacts,
+                and if no torques within the limits exist.
         """
         robot = self.robot
         names = [c.name for c in robot.contacts if robot.base != "fixed"] if contacts is None else contacts
@@ -102,7 +102,7 @@ class TaskSpaceController:
 
     @checked
     def step(self, q: np.ndarray, v: np.ndarray, dt: Positive) -> tuple[np.ndarray, np.ndarray]:
-        """State a time dt in s later under the last result's acceleration, semi-implicit Euler."""
+        """The state ``dt`` s later with the acceleration of the last result, by semi-implicit Euler."""
         if self.last is None:
             raise InputError("no torques were asked for yet", "allowed: torque(q, v, tasks), then step")
         v = v + dt * self.last.acceleration
@@ -110,7 +110,7 @@ class TaskSpaceController:
 
 
 def program_of(robot: Robot, solver: QpSolverName) -> TaskSpaceInverseDynamics:
-    """Programs of a robot at a state of its own, in its natural units."""
+    """The quadratic programs of a robot in its natural units, with a `RobotState` of their own."""
     model, units = robot.model, NaturalUnits.of(robot.model)
     return TaskSpaceInverseDynamics(
         state=RobotState(model, robot.joint_forces),
@@ -124,7 +124,7 @@ def program_of(robot: Robot, solver: QpSolverName) -> TaskSpaceInverseDynamics:
 
 
 def standing_contact(robot: Robot, contact: Contact, friction: float) -> ActiveContact:
-    """A contact that stands on level ground with this coefficient of friction."""
+    """A contact that stands on level ground with Coulomb's coefficient ``friction``."""
     return ActiveContact(
         number=robot.contacts.index(contact),
         frame=contact.frame,
@@ -136,7 +136,7 @@ def standing_contact(robot: Robot, contact: Contact, friction: float) -> ActiveC
 
 
 def limits_at(robot: Robot, joint_range: JointRange, q: np.ndarray, v: np.ndarray) -> TickLimits:
-    """Limits of a robot's torques, with its drives, and of its joints at a state (nq,), (nv,)."""
+    """Limits of a robot's torques, including its drives, and of its joints at a state (nq,), (nv,)."""
     rate, drives = robot.actuation.rates(v), robot.drives or (None,) * robot.nu
     high = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
     return TickLimits(
@@ -147,7 +147,7 @@ def limits_at(robot: Robot, joint_range: JointRange, q: np.ndarray, v: np.ndarra
 
 
 def require_task(task: Task, robot: Robot) -> None:
-    """Raise `InputError` for a task of the library with a value that is not finite or of another shape."""
+    """Raise `InputError` for a task of the library with a value that is not finite or has the wrong shape."""
     model, name = robot.model, type(task).__name__
     three, six, rates = (3,), (6,), (model.nv,)
     kinds: dict[type, dict[str, tuple[int, ...] | None]] = {
@@ -155,7 +155,7 @@ def require_task(task: Task, robot: Robot) -> None:
         AngularMomentumTask: {"momentum": three, "rate": three},
         FrameTask: {"velocity": six, "acceleration": six},
         PostureTask: {"q": (model.nq,), "v": rates, "a": rates},
-        ContactForceTask: {"wanted": None},  # a row for each contact that stands, which its rows say
+        ContactForceTask: {"wanted": None},  # one row for each contact: `ContactForceTask.rows` checks it
     }
     for key, shape in kinds.get(type(task), {}).items():
         value = getattr(task, key)

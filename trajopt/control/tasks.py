@@ -1,6 +1,6 @@
-"""Tasks: what accelerations and contact forces should be, as weighted least squares.
+"""Tasks: goals for accelerations and contact forces, as weighted least squares.
 
-A task asks A x = b of x = (a, f), accelerations (nv,) and forces of the active contacts, by
+A task wants A x = b of x = (a, f), accelerations (nv,) and forces of the active contacts, by
 
     minimise weight |(A x - b) / unit|^2
 
@@ -10,7 +10,7 @@ Position and Torque Control, 2016; Wensing et al., IEEE T-RO 40, 2024, sec. IV)
     dd y = dd y_d + 2 w (d y_d - d y) + w^2 (y_d - y)
 
 with one bandwidth w in 1/s: errors vanish in about 5 / w without overshoot. Tasks of priority 2 act only in
-what tasks of priority 1 leave free.
+the null space that tasks of priority 1 leave.
 """
 
 from abc import ABC, abstractmethod
@@ -28,7 +28,7 @@ from trajopt.errors import InputError
 
 @dataclass(frozen=True, kw_only=True)
 class TaskRows:
-    """Rows A x = b: on accelerations (n, nv), on forces (n, nf) or None, and b (n,); each over its unit."""
+    """Rows A x = b over their units: A on accelerations (n, nv), on forces (n, nf) or None, and b (n,)."""
 
     acceleration: np.ndarray
     value: np.ndarray
@@ -37,7 +37,7 @@ class TaskRows:
 
 @dataclass(frozen=True, kw_only=True)
 class Task(ABC):
-    """A task; ``weight`` of its squared error among those of its ``priority``, 1 or 2."""
+    """A task, with the ``weight`` of its squared error among the tasks of the same ``priority``, 1 or 2."""
 
     weight: float = 1.0
     priority: int = 1
@@ -48,7 +48,7 @@ class Task(ABC):
 
     @abstractmethod
     def rows(self, state: RobotState, contacts: Sequence[ActiveContact]) -> TaskRows:
-        """Rows at a state, with the contacts that are active."""
+        """Rows of the task at a state, with the active contacts."""
 
 
 def _feedback(error: np.ndarray, rate_error: np.ndarray, wanted: np.ndarray, bandwidth: float) -> np.ndarray:
@@ -57,9 +57,9 @@ def _feedback(error: np.ndarray, rate_error: np.ndarray, wanted: np.ndarray, ban
 
 @dataclass(frozen=True, kw_only=True)
 class CenterOfMassTask(Task):
-    """The centre of mass follows a position, velocity and acceleration (3,), by default rest, world, m.
+    """The centre of mass follows a position, velocity and acceleration (3,), world, in m and s.
 
-    ``unit`` m/s^2 and ``bandwidth`` 1/s as of the module.
+    Velocity and acceleration are zero by default; ``bandwidth`` in 1/s and ``unit`` in m/s^2, see the module.
     """
 
     position: np.ndarray
@@ -95,11 +95,11 @@ class AngularMomentumTask(Task):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameTask(Task):
-    """A frame of the model follows a pose, velocity and acceleration (6,), by default rest, world axes.
+    """A frame of the model follows a pose, velocity and acceleration (6,), world axes, by default at rest.
 
-    ``frame``: its name, or its index in the model. Errors of rotation are log(R_d R') in world axes.
-    ``selection`` (r, 6): rows that act, as combinations of the linear and angular ones, by default all;
-    ``numpy.eye(6)[:3]`` is the position alone. ``units``: of linear and angular rows, m/s^2 and rad/s^2.
+    ``frame`` is its name or its index in the model. The rotation error is log(R_d R') in world axes.
+    ``selection`` (r, 6) has the active combinations of linear and angular rows, by default all;
+    ``numpy.eye(6)[:3]`` is the position alone. ``units`` are of linear and angular rows, m/s^2 and rad/s^2.
     """
 
     frame: int | str
@@ -127,10 +127,10 @@ class FrameTask(Task):
 
 @dataclass(frozen=True, kw_only=True)
 class PostureTask(Task):
-    """Rates ``rows_of_v`` follow a configuration (nq,), v and a (nv,), with a weight for each row.
+    """The degrees of freedom ``rows_of_v`` (n,) follow a configuration (nq,), v and a (nv,).
 
-    v, a: by default zero. rows_of_v: by default all but those of a moving base. weights: (n,), factors on
-    ``weight``. unit: (n,), rad/s^2 or m/s^2.
+    By default v and a are zero, and the rows are all but those of a moving base. ``weights`` (n,) are factors
+    on ``weight``; ``unit`` (n,) is in rad/s^2 or m/s^2.
     """
 
     q: np.ndarray
@@ -159,7 +159,7 @@ class PostureTask(Task):
 class ContactForceTask(Task):
     """Forces of the active contacts are near ``wanted`` (nc, 6), N and N m, world axes, by contact index.
 
-    ``units`` (2,): of forces and moments.
+    ``units`` are those of forces and moments, N and N m.
     """
 
     wanted: np.ndarray
@@ -184,7 +184,7 @@ class ContactForceTask(Task):
 
 @dataclass(frozen=True, kw_only=True)
 class RegularisationTask(Task):
-    """All accelerations are small: makes every program strictly convex. ``unit`` (nv,)."""
+    """All accelerations are small, for strict convexity; ``unit`` (nv,) is in m/s^2 or rad/s^2."""
 
     unit: np.ndarray
 

@@ -1,4 +1,4 @@
-"""What happened in the ticks of a tracker."""
+"""Counts and times of the ticks of a tracker."""
 
 from dataclasses import dataclass, field
 
@@ -7,9 +7,9 @@ from trajopt.control.inverse_dynamics import RELAXED
 
 @dataclass
 class TickCounts:
-    """What happened so far: ticks, their programs by what was relaxed (see `RELAXED`), and times, s.
+    """Ticks so far, their number by what was relaxed (see `RELAXED`), solver iterations, and times in s.
 
-    slack: the largest of a `TickResult`.
+    ``slack`` is the largest one of a `TickResult`.
     """
 
     ticks: int = 0

@@ -1,4 +1,4 @@
-"""What a tick of the tracker asks for: contact forces, goals of the centre of mass and of swinging feet."""
+"""The request of a tracker's tick: contact forces, and goals of the centre of mass and of swinging feet."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from trajopt.control.tasks import CenterOfMassTask, FrameTask, Task
 class TickRequest:
     """Contact forces and goals of one tick, in the world.
 
-    forces: (nc, 6) of the surroundings on the robot at the contact frames, N and N m; zero where none.
-    com: (3,) where the centre of mass should be, m; NaN where no task leads it, as in flight.
-    feet: (nc, 3) where the frames of contacts in the air should be, m; NaN of those that stand.
+    ``forces`` (nc, 6) act on the robot at the contact frames, N and N m; they are zero for inactive contacts.
+    ``com`` (3,) is the goal of the centre of mass, m; NaN if no task leads it, as in flight. ``feet`` (nc, 3)
+    are goals of the contact frames in the air, m; NaN for contacts that stand.
     """
 
     forces: np.ndarray
@@ -26,7 +26,7 @@ class TickRequest:
 
     @classmethod
     def none(cls, contacts: int) -> TickRequest:
-        """The request of a tick without a program, for a robot with so many contacts."""
+        """The request of a tick without a program, for a robot with that number of contacts."""
         return cls(
             forces=np.zeros((contacts, 6)), com=np.full(3, np.nan), feet=np.full((contacts, 3), np.nan)
         )
@@ -43,11 +43,11 @@ class TickRequest:
         """The request of a program.
 
         Args:
-            forces: (nc', 6) of the active contacts, N and N m.
-            contacts: these contacts.
-            tasks: of the program.
-            com: planned centre of mass (3,), m, which a `CenterOfMassTask` leads to.
-            frames: of all contacts (nc,).
+            forces: forces of the active contacts (nc', 6), N and N m.
+            contacts: the active contacts.
+            tasks: tasks of the program.
+            com: planned centre of mass (3,), m, the goal of a `CenterOfMassTask`.
+            frames: frames of all contacts (nc,).
         """
         request = cls.none(len(frames))
         for contact, force in zip(contacts, forces, strict=True):

@@ -1,4 +1,4 @@
-"""Track a plan: its motion as tasks, its contacts as they are measured, a quadratic program a tick."""
+"""Tracking of a plan: its motion as tasks, measured contacts, and a quadratic program at each tick."""
 
 from __future__ import annotations
 
@@ -28,30 +28,30 @@ from trajopt.robot.robot import Robot
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.solution import Solution
 
-# Joints are braked towards their limits over so many ticks.
+# Number of ticks over which joints brake before their limits.
 HORIZON = 10
-# A robot that moves faster than this in natural units fell long ago: its joints are held.
+# Rate in natural units above which a robot has long fallen, and its joints are held.
 TOO_FAST = 1e3
 
 
 class Tracker:
-    """A controller that tracks a plan with any robot, contacts and phases of the library.
+    """A controller that tracks a plan, with any robot, contacts and phases of the library.
 
-    At each tick `torque` takes the measured state and which contacts touch, and gives torques of the drives.
-    The tracker knows neither the simulator nor what happens to the robot. ``request`` is what its last tick
-    asked for, ``counts`` what happened in all ticks.
+    At each tick `torque` returns torques of the drives for the measured state and the touching contacts. The
+    tracker knows neither the simulator nor disturbances of the robot. ``request`` holds the forces and goals
+    of the last tick, ``counts`` the counts and times of all ticks.
 
     Args:
         solution: the plan, or the path of its file.
-        robot: what is controlled; its joints must be those of the plan, whose model is used.
-        rate: of its ticks, Hz.
-        cycles: of a periodic plan.
-        gains: of the feedback.
-        solver: of the quadratic programs, "piqp", "proxqp" or "osqp".
+        robot: the controlled robot; its joints must be those of the plan, whose model is used.
+        rate: rate of the ticks, Hz.
+        cycles: number of cycles of a periodic plan.
+        gains: gains of the feedback.
+        solver: solver of the quadratic programs, "piqp", "proxqp" or "osqp".
 
     Raises:
-        InputError: for a plan that cannot be sampled or is of another robot, and ticks that are longer than
-            one of its phases.
+        InputError: for a plan that cannot be sampled or is of another robot, or if a tick is longer than a
+            phase of the plan.
     """
 
     @checked
@@ -92,7 +92,7 @@ class Tracker:
         self._recovery_tasks = RecoveryTasks(*tracked, gains) if self._recovery.steps else None
 
     def copy(self) -> Tracker:
-        """A tracker that goes on from here, apart; both count their ticks together."""
+        """An independent copy of the tracker, which shares the counts of ticks."""
         twin = copy.copy(self)
         twin._contacts, twin._tasks = self._contacts.copy(), self._tasks.copy()
         twin._recovery = self._recovery.copy()
@@ -102,13 +102,13 @@ class Tracker:
         """Torques of the drives (nu,) for the tick at ``t`` s.
 
         Args:
-            t: since the start of the plan, s.
+            t: time since the start of the plan, s.
             q: measured configuration (nq,), Pinocchio's.
             v: measured velocity (nv,).
             touching: which contacts touch (nc,).
 
         Raises:
-            InputError: for a state that is not finite or has another shape.
+            InputError: for a state that is not finite or has the wrong shape.
         """
         begin = time.perf_counter()
         k = int(np.clip(round(t / self.reference.period), 0, len(self.reference.t) - 1))
@@ -171,7 +171,7 @@ class Tracker:
         )
 
     def _held(self, k: int, state: RobotState) -> np.ndarray:
-        """Planned torques with feedback of single joints: where no program has a solution."""
+        """Planned torques with joint feedback, for ticks whose program has no solution."""
         rows, w = self.plan.actuated_rows, self.gains.joint / self.units.time
         inertia = np.diagonal(state.mass)[rows]
         error = pin.difference(state.model, state.q, self.reference.q[k])[rows]

@@ -1,4 +1,4 @@
-"""Which limits are active, where, for how long, and how much the objective would gain without them."""
+"""Active limits: where, for how long, and how much the objective would gain without them."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -15,9 +15,10 @@ SIDES = {-1: "lower", 1: "upper"}
 class ActiveLimit:
     """One limit in one phase: ``block`` and ``about`` name it, ``side`` is lower or upper.
 
-    places: number of points or nodes at which it is active, of ``of`` at which it is stated; strict: at how
-    many of them it is strictly active by its multiplier. duration: s, of those at points. first, last: s.
-    multiplier: the largest, scaled units, at the time ``at``; None without multipliers.
+    places, of: number of points or nodes at which it is active, and at which it is imposed.
+    strict: number of rows or bounds that are strictly active by their multipliers.
+    duration: time in s at active points. first, last: times of the first and last active place, s.
+    multiplier: the largest one, scaled units, at time ``at``; None without multipliers.
     """
 
     block: str
@@ -35,7 +36,7 @@ class ActiveLimit:
 
     @property
     def weak(self) -> bool:
-        """Whether it is nowhere strictly active."""
+        """Whether the limit is strictly active nowhere."""
         return self.multiplier is not None and self.strict == 0
 
     def __str__(self) -> str:
@@ -50,7 +51,7 @@ class ActiveLimit:
 
 
 def active_limits(snapshot: Snapshot) -> list[ActiveLimit]:
-    """All active inequalities and bounds, those with the largest multipliers first."""
+    """Return all active inequalities and bounds, those with the largest multipliers first."""
     names, lower, upper = snapshot.names, snapshot.lower, snapshot.upper
     limited = (np.isfinite(lower) | np.isfinite(upper)) & (lower != upper)
     stated = {(names.block(i), names.sites[i]) for i in np.flatnonzero(limited).tolist()}
@@ -67,7 +68,7 @@ def active_limits(snapshot: Snapshot) -> list[ActiveLimit]:
 def _limit(
     snapshot: Snapshot, block: str, about: str, side: int, phase: int, of: int, members: list[int]
 ) -> ActiveLimit:
-    """One limit in one phase, active at ``members``, rows or bounds."""
+    """Summarise one limit in one phase that is active at ``members``, rows or bounds."""
     names, multiplier = snapshot.names, snapshot.multiplier
     sites = {names.sites[index] for index in members}
     times = [names.time(site) for site in sites]
@@ -92,7 +93,7 @@ def _limit(
 
 
 def _share(names: NlpNames, site: Site) -> float:
-    """Time that a point represents, s: its weight in the integral; 0 for a node."""
+    """Return the time that a point represents, s: its quadrature weight; 0 for a node."""
     if site.point < 0:
         return 0.0
     step = float(names.times[site.stage + 1] - names.times[site.stage])

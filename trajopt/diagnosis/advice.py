@@ -1,4 +1,4 @@
-"""What to try: one sentence for each finding."""
+"""Advice: for each finding, one sentence on what to try."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from trajopt.diagnosis.diagnosis import Diagnosis
     from trajopt.diagnosis.findings import DependentRows
 
-# Blocks of rows that are goals.
+# Blocks of rows that express goals.
 GOALS = (
     "frame_pose",
     "frame_velocity",
@@ -27,7 +27,7 @@ GOALS = (
     "periodicity",
 )
 CONTACTS = ("contact_acceleration", "contact_velocity", "contact_landing", "impact_dynamics")
-# Limits that conflict with a goal, and the remedy.
+# Remedies for limits that conflict with a goal.
 REMEDIES = {
     "velocity_limits": "lengthen the phase, or raise the velocity limit",
     "torque_limits": "lengthen the phase, raise the torque limit, or carry less",
@@ -40,13 +40,13 @@ REMEDIES = {
     BOUNDS: "widen that bound",
 }
 BOUND_OF = {"rate": "velocity_limits", "position": "position_limits"}
-# A limit active at this fraction of its places determines the motion; most of them that are named.
+# A limit that is active at this fraction of its places determines the motion; number of such limits to name.
 SATURATED, MOST_SATURATED = 0.5, 3
-# An interval with a larger error than this (m) is too wide: the tolerance of a check on drift.
+# Largest error of an interval, m, on a mesh that is fine enough: the check's tolerance on drift.
 COARSE = 1e-3
-# Condition of active rows beyond which solvers lose half of their digits.
+# Condition number of active rows beyond which solvers lose half of their digits.
 ILL = 1e8
-# Costs that give a kind of variable curvature.
+# Costs that give curvature to each kind of variable.
 CURVING = {
     "force": "WrenchCost",
     "moment": "WrenchCost",
@@ -61,7 +61,7 @@ CURVING = {
 
 
 def advice(diagnosis: Diagnosis) -> Iterator[Advice]:
-    """All advice from a diagnosis, the most urgent first."""
+    """Yield the advice for a diagnosis, most urgent first."""
     yield from _of_values(diagnosis)
     yield from _of_conflict(diagnosis)
     yield from _of_rows(diagnosis)
@@ -144,7 +144,7 @@ def _of_conflict(diagnosis: Diagnosis) -> Iterator[Advice]:
     kind = "goal out of reach" if goal else "rows contradict each other"
     against = (_remedy(one.block, one.what, f"ask less of {one.block}") for one in clash.against[:3])
     remedies = list(dict.fromkeys(against))
-    if not clash.stuck or diagnosis.status is None:  # at a guess the linearisation says little
+    if not clash.stuck or diagnosis.status is None:  # at a guess, the linearisation is not reliable
         kind = f"{misses}; left are"
         remedies = ["more iterations, or an easier goal first and its solution as the start", *remedies]
     finding = f"{kind}: {_parties(clash)}"
@@ -159,7 +159,7 @@ def _parties(clash: Conflict) -> str:
 
 
 def _remedy(block: str, what: str, otherwise: str) -> str:
-    """A bound on a node's rate or position counts as the corresponding limit at points."""
+    """Return the remedy for a block; bounds on nodal rates or positions count as limits at points."""
     if block == BOUNDS:
         block = next((limits for word, limits in BOUND_OF.items() if word in what), block)
     return REMEDIES.get(block, otherwise)
@@ -198,7 +198,7 @@ def _of_scaling(diagnosis: Diagnosis) -> Iterator[Advice]:
         return
     for block in diagnosis.scaling.worst_blocks[:2]:
         much = block.multiplier is not None and block.multiplier.largest > max(1.0, block.row_norm.far)
-        if much and not diagnosis.feasible:  # then they only tell how far the rows are from feasible
+        if much and not diagnosis.feasible:  # they only reflect how infeasible the rows are
             continue
         what = f"multipliers {block.multiplier}" if much else f"row norms {block.row_norm}"
         yield Advice(
@@ -225,7 +225,7 @@ def _of_mesh(diagnosis: Diagnosis) -> Iterator[Advice]:
 
 
 def _of_limits(diagnosis: Diagnosis) -> Iterator[Advice]:
-    tried = diagnosis.status is not None and not diagnosis.solved  # limits at a guess mean nothing
+    tried = diagnosis.status is not None and not diagnosis.solved  # limits of a guess are meaningless
     saturated = 0
     for limit in diagnosis.limits:
         decides = limit.of > 1 and limit.places >= SATURATED * limit.of and not limit.weak

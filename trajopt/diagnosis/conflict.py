@@ -1,13 +1,13 @@
 """Which rows contradict each other: the elastic minimum of the linearised constraints.
 
-About an iterate, within a box of natural units, the least sum of violations of the linearised rows,
+About an iterate, within a box in natural units, it minimises the sum of violations of the linearised rows,
 
     min sum w (s+ + s-)    lower <= g + J p + s+ - s- <= upper,    |p| <= box,  bounds of variables
 
-w is 1, and large for the motion itself (defects and dynamics): goals and limits are relaxed first.
-Rows with s > 0 have to give way. The multipliers y, at most w in magnitude, are a Farkas certificate: rows
-weighted with y add up to a contradiction, so the rows and bounds with large ones are in conflict with those
-that give way. (Gill, Murray, Saunders, "SNOPT", SIAM Review 2005, elastic mode.)
+The weight w is 1, and large for the motion itself (defects and dynamics), so that goals and limits are
+relaxed first. Rows with s > 0 must give way. The multipliers y, with magnitudes up to w, are a Farkas
+certificate: rows weighted by y add up to a contradiction, so rows and bounds with large multipliers conflict
+with those that give way. (Gill, Murray, Saunders, "SNOPT", SIAM Review 2005, elastic mode.)
 """
 
 from dataclasses import dataclass
@@ -19,24 +19,26 @@ from scipy import sparse
 from trajopt.diagnosis.snapshot import Snapshot
 from trajopt.solving.conflict import ConflictMember, members_against, members_giving, rows_of_motion
 
-# How far variables may move, scaled units: the range in which the linearisation is trusted.
+# Largest change of variables, scaled units: the range in which the linearisation is trusted.
 BOX = 1.0
-# Weight of the step: selects the nearest of equal minima, and makes the program well-posed.
+# Weight of the step: it selects the nearest of several minima and makes the program well-posed.
 NEAREST = 1e-6
-# Violations below this fraction of the largest are ignored.
+# Violations below this fraction of the largest one are ignored.
 GIVES = 1e-3
-# Price of rows of the dynamics: they give way last.
+# Weight of rows of the dynamics, which makes them give way last.
 LAST = 1e3
-# Fractions of the violation left after the best small step: in a conflict, and at an early iterate.
+# Fraction of the violation left after the best small step: above the first, a conflict; below the second, an
+# early iterate.
 STUCK, MENDED = 0.5, 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
 class Conflict:
-    """before, after: sum of violations at the iterate, and its least value within the box.
+    """A conflict between constraints.
 
-    giving: rows that have to give way; against: limits, bounds and goals in conflict with them; edge:
-    fraction of the variables at the edge of the box.
+    before, after: sum of violations at the iterate, and its least value within the box.
+    giving: rows that must give way. against: limits, bounds and goals that conflict with them.
+    edge: fraction of the variables at the edge of the box.
     """
 
     before: float
@@ -47,7 +49,7 @@ class Conflict:
 
     @property
     def stuck(self) -> bool:
-        """Whether no small step removes half of the violation: a conflict, not merely an early iterate."""
+        """Whether no small step removes half of the violation: a conflict rather than an early iterate."""
         return self.after > STUCK * self.before
 
     @property
@@ -57,7 +59,7 @@ class Conflict:
 
 
 def conflict(snapshot: Snapshot) -> Conflict | None:
-    """The conflict at an iterate; None where the quadratic program is not solved."""
+    """Return the conflict at an iterate, or None if the quadratic program cannot be solved."""
     t = snapshot.transcription
     free = np.flatnonzero(~snapshot.fixed)
     jacobian = snapshot.jacobian[:, free].tocsc()
@@ -81,7 +83,7 @@ def conflict(snapshot: Snapshot) -> Conflict | None:
 def _elastic(
     snapshot: Snapshot, jacobian: sparse.csc_matrix, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Variables of the elastic program; multipliers of rows, then of bounds that are not the box's."""
+    """Solve the elastic program; return its variables and the multipliers of rows and of true bounds."""
     t = snapshot.transcription
     m, n = jacobian.shape
     eye = sparse.eye(m, format="csc")

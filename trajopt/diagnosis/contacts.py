@@ -1,7 +1,7 @@
-"""Rank of the contacts' own Jacobian along the motion: redundant contacts by physics alone.
+"""Rank of the contact Jacobian along the motion: redundancy of contacts from physics alone.
 
-The wrenches of contacts whose rows depend on each other are not unique, whatever the transcription does. A
-rank that changes along a phase is due to a posture: a straight leg, or an axis through two contacts.
+Contact wrenches are not unique if contact rows depend on each other, in any transcription. A rank that
+changes along a phase is due to a posture, such as a straight leg or an axis through two contacts.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,13 +17,13 @@ from trajopt.robot.contact import Contact
 from trajopt.solution.solution import Solution
 from trajopt.transcription.transcription import Transcription
 
-# Condition of the contacts beyond which a posture is nearly singular: a leg straight to a thousandth.
+# Condition number of the contacts in a nearly singular posture, such as a leg straight within a thousandth.
 NEARLY_SINGULAR = 1e3
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactDependency:
-    """Rows (contact and axis) that depend on each other, and how many are redundant."""
+    """Rows (contact and axis) that depend on each other, and the number of redundant ones."""
 
     rows: tuple[str, ...]
     excess: int
@@ -36,8 +36,8 @@ class ContactDependency:
 class PhaseContacts:
     """Contacts of one phase over its samples.
 
-    rows: number of rows. least, most: rank over the samples. condition: the worst, at the time ``at`` in s.
-    dependencies: at the sample of least rank. left_out: rows that the transcription does not impose.
+    rows: number of rows. least, most: extreme ranks. condition: the worst one, at time ``at`` in s.
+    dependencies: at the sample of least rank. left_out: rows that the transcription leaves out as redundant.
     """
 
     phase: str
@@ -56,7 +56,7 @@ class PhaseContacts:
 
     @property
     def singular(self) -> bool:
-        """Whether postures of the phase are singular, or nearly so."""
+        """Whether some postures of the phase are singular or nearly so."""
         return self.least < self.most or self.condition > NEARLY_SINGULAR
 
     def __str__(self) -> str:
@@ -70,9 +70,9 @@ class PhaseContacts:
 
 
 def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator[PhaseContacts]:
-    """Contact ranks of every phase at the collocation points of its motion.
+    """Yield the contact ranks of every phase at the collocation points of its motion.
 
-    Samples that are not finite, and phases without finite ones, are skipped.
+    Samples that are not finite are skipped, as are phases without others.
     """
     layout, model = transcription.layout, solution.model
     finite = np.isfinite(solution.q).all(axis=1) & solution.collocation
@@ -80,8 +80,9 @@ def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator
         contacts = layout.touching[index]
         samples = [k for k in solution.phases[index] if finite[k]]
         levers = [transcription.problem.levers[index].get(contact.name) for contact in contacts]
-        found = (_rank(model, contacts, solution.q[k], levers) for k in samples)
-        ranks = [rank for rank in found if rank is not None]
+        found = ((k, _rank(model, contacts, solution.q[k], levers)) for k in samples)
+        known = [(k, rank) for k, rank in found if rank is not None]
+        ranks = [rank for _, rank in known]
         if not contacts or not ranks:
             continue
         absent = _absent_rows(contacts)
@@ -93,7 +94,7 @@ def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator
             least=least.delassus,
             most=max(rank.delassus for rank in ranks),
             condition=ranks[worst].condition,
-            at=float(solution.t[samples[worst]]),
+            at=float(solution.t[known[worst][0]]),
             dependencies=tuple(
                 ContactDependency(rows=group.rows, excess=group.excess)
                 for group in least.dependencies
@@ -104,7 +105,7 @@ def phase_contacts(transcription: Transcription, solution: Solution) -> Iterator
 
 
 def _absent_rows(contacts: tuple[Contact, ...]) -> set[str]:
-    """Rows that a contact within a plane does not have, by name."""
+    """Return the names of rows that contacts do not impose because they are within a plane."""
     return {
         f"{contact.name} {AXES[row]}"
         for contact in contacts
@@ -122,5 +123,5 @@ def _rank(
         lower = mass_factor(pin.crba(model, data, q))
         rows = contact_kinematics(model, data, q, np.zeros(model.nv), active)
         return contact_rank(active, rows.jacobian, contact_response(lower, active, rows.jacobian))
-    except (TrajoptError, np.linalg.LinAlgError):  # a body without mass, an iterate far from any motion
+    except (TrajoptError, np.linalg.LinAlgError):  # a massless body, or an iterate far from any motion
         return None

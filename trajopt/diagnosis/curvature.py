@@ -1,16 +1,17 @@
 """Curvature of the Lagrangian on the null space of the active constraints.
 
-With H the Hessian of the Lagrangian and A the active rows over the free variables, the second-order condition
-asks p^T H p > 0 for all p with A p = 0. Eigenvalues of H on that null space near zero come from Lanczos on
+With the Hessian H of the Lagrangian and the active rows A over the free variables, the second-order condition
+requires p^T H p > 0 for all p != 0 with A p = 0. The eigenvalues of H on that null space near zero come from
+Lanczos on the operator (shift and invert)
 
-    p -> first block of [H - s I   A^T   ]^-1 [p]        (shift and invert)
-                        [A         -beta I]   [0]
+    p -> first block of [H - s I   A^T  ]^-1 [p]
+                        [A      -beta I]     [0]
 
-whose eigenvalues are 1 / (lambda - s), and those far from it from Lanczos on P H P, P the projector on the
-null space by the same system with H - s I replaced by I. Ritz values are quotients p^T H p / p^T p of vectors
-that are in the null space to rounding: a negative one proves negative curvature. Finding none proves its
-absence only as far as Lanczos goes; small problems take a dense decomposition, which is a proof. (Nocedal,
-Wright, "Numerical Optimization", 2006, ch. 12.5 and 16; Parlett, "The Symmetric Eigenvalue Problem", ch. 13.)
+whose eigenvalues are 1 / (lambda - s), and those far from zero from Lanczos on P H P. P projects on the null
+space by the same system with I in place of H - s I. Ritz values are quotients p^T H p / p^T p of vectors in
+the null space up to rounding, so a negative one proves negative curvature. Its absence is proved only by the
+dense decomposition of small problems. (Nocedal, Wright, "Numerical Optimization", 2006, ch. 12.5 and 16;
+Parlett, "The Symmetric Eigenvalue Problem", ch. 13.)
 """
 
 from collections.abc import Callable
@@ -22,26 +23,26 @@ from scipy.sparse import linalg as sparse_linalg
 
 from trajopt.diagnosis.rank import DENSE, RANK_TOLERANCE, quiet_factor
 
-# Curvature below this part of the largest counts as zero: rounding of a Hessian in natural units, or
-# a cost of negligible weight.
+# Curvature below this fraction of the largest counts as zero: rounding of a Hessian in natural units, or a
+# cost of negligible weight.
 FLAT = 1e-8
 BETA = 1e-14
-# Lanczos vectors, relative error at which an eigenvalue has converged, restarts; eigenvalues sought.
+# Number of Lanczos vectors, relative tolerance of eigenvalues, restarts; then number of eigenvalues sought.
 STEPS, CONVERGED, RESTARTS = 40, 1e-8, 30
 SOUGHT = 16
-# Ritz vectors of different runs that differ by less than this are the same up to rounding.
+# Singular values of the Ritz vectors below this fraction of the largest are rounding: vectors found twice.
 DISTINCT = 1e-5
-# One more shift, between flat and largest curvature, finds what runs at both ends miss.
+# An additional shift, between zero and the largest curvature, for eigenvalues that both other runs miss.
 BETWEEN = -1e-2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curvature:
-    """Eigenvalues of the reduced Hessian, per unit of scaled variables squared.
+    """Eigenvalues of the reduced Hessian, per squared unit of scaled variables.
 
-    directions: number of free directions. values (k,), vectors (n, k): those found, ascending, with unit
-    directions over the free variables; where nothing could be found, a NaN without a direction. exact: all of
-    them, by a dense decomposition.
+    directions: number of free directions. values: (k,) eigenvalues found, ascending; a NaN if none could be
+    found. vectors: (n, k) unit directions over the free variables; none for a NaN.
+    exact: whether a dense decomposition found all of them.
     """
 
     directions: int
@@ -51,22 +52,22 @@ class Curvature:
 
     @property
     def smallest(self) -> float | None:
-        """Least curvature, None where there is no free direction."""
+        """Smallest curvature, or None without free directions."""
         return float(self.values[0]) if len(self.values) else None
 
     @property
     def largest(self) -> float | None:
-        """Largest curvature, None where there is no free direction."""
+        """Largest curvature, or None without free directions."""
         return float(self.values[-1]) if len(self.values) else None
 
     @property
     def flat(self) -> float:
-        """Curvature below this magnitude counts as zero."""
+        """Magnitude below which curvature counts as zero."""
         return FLAT * max(abs(self.largest or 0.0), abs(self.smallest or 0.0))
 
     @property
     def negative(self) -> bool:
-        """Whether some direction has negative curvature: the second-order condition does not hold."""
+        """Whether a direction has negative curvature, so that the second-order necessary condition fails."""
         return self.smallest is not None and self.smallest < -self.flat
 
     @property
@@ -76,7 +77,7 @@ class Curvature:
 
 
 def curvature(hessian: sparse.spmatrix, active: sparse.spmatrix) -> Curvature:
-    """Smallest eigenvalues of ``hessian`` (n, n) on the null space of ``active`` (m, n)."""
+    """Return extreme eigenvalues of ``hessian`` (n, n) on the null space of ``active`` (m, n)."""
     full, rows = sparse.csc_matrix(hessian), sparse.csc_matrix(active)
     if min(rows.shape[1], rows.shape[0] + DENSE) <= DENSE or rows.shape[1] <= 2 * DENSE:
         return _dense(full.toarray(), rows.toarray())
@@ -103,7 +104,7 @@ def _sparse(hessian: sparse.csc_matrix, active: sparse.csc_matrix) -> Curvature:
     unit = float(sparse.linalg.norm(hessian, np.inf)) or 1.0
     scaled = hessian / unit
     project = _operator(sparse.eye(n, format="csc"), active)
-    if project is None:  # the factorisation of the rows fails: no result
+    if project is None:  # factorisation failed
         return replace(_none(n, exact=False), directions=max(0, n - m), values=np.array([np.nan]))
     start = project(np.random.default_rng(0).standard_normal(n))
     if np.linalg.norm(start) < np.sqrt(np.finfo(float).eps) * np.sqrt(n):
@@ -126,7 +127,7 @@ def _operator(first: sparse.csc_matrix, active: sparse.csc_matrix) -> Operator |
 
 
 def lanczos(operator: Operator, start: np.ndarray) -> np.ndarray:
-    """Eigenvectors (n, k) of a symmetric operator at both ends of its spectrum, those that converge."""
+    """Return converged eigenvectors (n, k) of a symmetric operator at both ends of its spectrum."""
     n = len(start)
     symmetric = sparse_linalg.LinearOperator((n, n), matvec=operator, dtype=float)
     settings = {"which": "BE", "v0": start, "ncv": min(STEPS, n), "tol": CONVERGED, "maxiter": RESTARTS}
@@ -145,7 +146,7 @@ def _from_vectors(
     project: Operator,
     unit: float,
 ) -> Curvature:
-    """Rayleigh-Ritz on the span of all vectors found, projected onto the null space again."""
+    """Apply Rayleigh-Ritz to the span of all vectors found, projected onto the null space again."""
     m, n = active.shape
     basis = _orthonormal(_orthonormal(vectors, project), project)
     small = basis.T @ (hessian @ basis)
@@ -154,7 +155,7 @@ def _from_vectors(
 
 
 def _orthonormal(vectors: np.ndarray, project: Operator) -> np.ndarray:
-    """Orthonormal basis of the projected vectors, without vectors that are only rounding."""
+    """Return an orthonormal basis of the projected vectors, without those that are only rounding."""
     inside = np.column_stack([project(column) for column in vectors.T])
     basis, values, _ = np.linalg.svd(inside, full_matrices=False)
     return basis[:, values > DISTINCT * values[0]]

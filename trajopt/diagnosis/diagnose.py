@@ -29,7 +29,7 @@ from trajopt.solving.verdicts import STILL_FEASIBLE, finite_or_none
 from trajopt.solving.warm_start import warm_start
 from trajopt.transcription.transcription import Transcription
 
-# Rows count as violated beyond this, or ten times the solve's tolerance, as in a solve.
+# Rows are violated beyond this multiple of the solve's tolerance.
 TRUSTED = 10.0
 WORST = 5
 # Largest difference of objective and violation between a file and the problem rebuilt from it.
@@ -47,12 +47,12 @@ def diagnose(
 
     Args:
         what: A solution or its file, solved or not; or a prepared problem, which is diagnosed at its guess.
-        problem: Of the solution; default: the one in the catalogue that the file names, with its parameters.
-        robot: Name or ``.py`` file of that problem's robot; default: the one of the catalogue that the file
-            names. A file that a solution names is not run.
+        problem: Problem of the solution; default: the catalogue's, by the name and parameters in the file.
+        robot: Name or ``.py`` file of the problem's robot; default: the catalogue robot that the file names.
+            A robot file named in a solution is not executed.
 
     Raises:
-        InputError: Where the problem is unknown, on another robot, or has other phases than the solution.
+        InputError: If the problem is unknown, or its robot or phases differ from the solution's.
     """
     if isinstance(what, PreparedProblem):
         return _diagnosed(
@@ -72,7 +72,7 @@ def diagnose(
 
 
 def _problem_of(solution: Solution, robot: str | None) -> Problem:
-    """The problem of the catalogue that a solution names, with its parameters. Raises InputError."""
+    """Return the catalogue problem that a solution names, with its parameters. Raises InputError."""
     name, known = str(solution.description.problem), families()
     if name not in known:
         raise InputError(
@@ -87,13 +87,13 @@ def _problem_of(solution: Solution, robot: str | None) -> Problem:
     values = family.of_file(stated) | ({} if robot is None else {"robot": robot})
     try:
         return family.load(values)
-    except InputError:  # a derived value may be outside the parameter's range
+    except InputError:  # a derived value may be out of range
         asked = {key: value for key, value in values.items() if parameters[key].default is not None}
         return family.load(asked)
 
 
 def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
-    """The solution's own variables, and its multipliers if they belong to the same rows."""
+    """Return the NLP at the solution, with multipliers if they belong to the same rows."""
     t = prepared.transcription
     start = warm_start(t, solution)
     known = _same_rows(t, solution)
@@ -107,7 +107,7 @@ def at_solution(prepared: PreparedProblem, solution: Solution) -> Snapshot:
 
 
 def _same_rows(t: Transcription, solution: Solution) -> bool:
-    """Whether a solution's multipliers belong to this transcription's rows, and are not all zero."""
+    """Return whether a solution's multipliers belong to the transcription's rows and are not all zero."""
     if solution.row_multiplier is None or solution.bound_multiplier is None or solution.row_place is None:
         return False
     if not (solution.row_multiplier.any() or solution.bound_multiplier.any()):
@@ -157,7 +157,7 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
 
 
 def _worst(snapshot: Snapshot, limit: float) -> list[Violation]:
-    """The worst violated rows and bounds, each block once."""
+    """Return the worst violated rows and bounds, one for each block."""
     names = snapshot.names
     amounts = np.where(np.isfinite(snapshot.violations), snapshot.violations, np.inf)
     worst: dict[str, Violation] = {}
@@ -174,7 +174,7 @@ def _worst(snapshot: Snapshot, limit: float) -> list[Violation]:
 
 
 def _local_errors(solution: Solution | None) -> dict[str, float] | None:
-    """Largest error of one interval by phase, m; None where re-integration fails."""
+    """Return the largest error of an interval by phase, m, or None if re-integration fails."""
     from trajopt.certify.accuracy.measures import interval_errors
 
     if solution is None:
@@ -192,7 +192,7 @@ def _local_errors(solution: Solution | None) -> dict[str, float] | None:
 
 
 def _notes(snapshot: Snapshot, solution: Solution | None, largest: float | None) -> Iterator[str]:
-    """Signs that the rebuilt problem is not the one that the file was made from."""
+    """Yield indications that the rebuilt problem is not the one from which the file was made."""
     if solution is None:
         return
     unit = snapshot.transcription.objective_unit

@@ -1,4 +1,4 @@
-"""A diagnosis as data, and as lines for a terminal."""
+"""A diagnosis as data, and as text for a terminal."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -13,13 +13,13 @@ from trajopt.diagnosis.nonfinite import NonFinite
 from trajopt.diagnosis.scaling import Scaling
 from trajopt.transcription.names import BOUNDS
 
-# Entries of long lists that are shown, the JSON has all; columns of titles.
+# Number of entries shown of long lists, which JSON has in full; width of titles in characters.
 SHOWN, LABEL = 8, 10
 
 
 @dataclass(frozen=True)
 class Advice:
-    """``finding``: what was seen; ``remedy``: what to try."""
+    """A ``finding`` and its ``remedy``, in words."""
 
     finding: str
     remedy: str
@@ -30,7 +30,7 @@ class Advice:
 
 @dataclass(frozen=True, kw_only=True)
 class Violation:
-    """A row or bound in words, and by how much it is violated, natural units; None where not finite."""
+    """A violated row or bound in words, and its violation in natural units (None if not finite)."""
 
     row: str
     block: str
@@ -40,10 +40,10 @@ class Violation:
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """The findings at one iterate; those that need finite values are None if values are not finite.
+    """Findings at one iterate; those that need finite values are None or empty if values are not finite.
 
-    source: what was diagnosed. status: the solver's, None for a guess. free: number of free variables at the
-    iterate. local_error: per phase the largest error in m that one interval makes, of a solved motion.
+    source: what was diagnosed. status: the solver's, or None for a guess. local_error: largest error of an
+    interval in m by phase, for a solved motion.
     """
 
     problem: str
@@ -70,12 +70,12 @@ class Diagnosis:
 
     @property
     def clean(self) -> bool:
-        """Whether there is no advice."""
+        """Whether there is nothing to advise."""
         return not self.advice
 
     @property
     def dependent(self) -> tuple[DependentRows, ...]:
-        """Groups of dependent rows: of single phases, then across phases."""
+        """Groups of dependent rows, first within phases, then across phases."""
         within = [group for report in self.ranks[1:] for group in report.dependent]
         known = {group.rows for group in within}
         across = [group for report in self.ranks[:1] for group in report.dependent]
@@ -83,11 +83,11 @@ class Diagnosis:
 
     @property
     def feasible(self) -> bool:
-        """Whether all rows and bounds hold by the criterion of a solve."""
+        """Whether all rows and bounds hold by the solve's criterion."""
         return self.max_violation is not None and not self.worst
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able; non-finite numbers are left to the writer."""
+        """Return JSON-able entries, except that numbers may be non-finite."""
         return {**asdict(self), "clean": self.clean, "feasible": self.feasible}
 
     def __str__(self) -> str:
@@ -95,7 +95,7 @@ class Diagnosis:
 
 
 def _lines(diagnosis: Diagnosis) -> Iterator[str]:
-    """Sections in reading order: what, why, what to try."""
+    """Yield the sections in reading order: what, why, what to try."""
     state = "guess" if diagnosis.status is None else diagnosis.status.replace("_", " ")
     yield f"{diagnosis.problem} on {diagnosis.robot}: {state} ({diagnosis.source})"
     yield _line("size", f"{diagnosis.variables} variables, {diagnosis.constraints} rows")

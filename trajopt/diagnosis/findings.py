@@ -1,4 +1,4 @@
-"""Findings of a diagnosis about rank, curvature and the start, by names instead of indices."""
+"""Findings on rank, curvature and the start, with names instead of indices."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
@@ -12,18 +12,19 @@ from trajopt.diagnosis.snapshot import Snapshot
 from trajopt.problem.problem import Problem
 from trajopt.terms.limits import PositionLimits
 
-# Rows of one group of dependent rows that are named, variables of a direction, and directions.
+# Numbers of rows of a dependent group, of variables of a direction, and of directions to name.
 NAMED_ROWS, NAMED_UNKNOWNS, NAMED_DIRECTIONS = 8, 3, 4
-# Positions this close to a limit (rad, m) count as on it.
+# Positions this close to a limit (rad, m) are on it.
 ON_LIMIT = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
 class DependentRows:
-    """Rows that depend on each other, the same ones ``times`` times between the places first and last.
+    """Rows that depend on each other, found ``times`` times between the places first and last.
 
-    rows: blocks and subjects, largest share first; more: how many beyond those. excess: redundant rows in
-    all. fixed: they depend on fixed variables alone. equations: none of them is an active limit.
+    rows: rows in words, largest share first. blocks: their blocks. more: number of further rows.
+    excess: total number of redundant rows. fixed: whether they depend only on fixed variables.
+    equations: whether none of them is an active limit.
     """
 
     rows: tuple[str, ...]
@@ -46,11 +47,11 @@ class DependentRows:
 
 @dataclass(frozen=True, kw_only=True)
 class RankReport:
-    """Active rows over the free variables that they touch: of one phase, or (``phase`` None) of all.
+    """Rank of the active rows over the free variables in them, for one phase, or all if ``phase`` is None.
 
-    equations: limits are left out, because the iterate is far from feasible. nullity: number of redundant
-    rows; with ``complete`` False there are more. condition: largest over smallest singular value that is not
-    zero, None without any. dependent: groups of rows that depend on each other.
+    equations: limits are left out because the iterate is far from feasible. nullity: number of redundant
+    rows, or a lower bound of it unless ``complete``. condition: largest over smallest nonzero singular value,
+    None without any. dependent: groups of rows that depend on each other.
     """
 
     phase: str | None
@@ -78,10 +79,10 @@ class RankReport:
 
 
 def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
-    """Rank of the active rows of a phase, or of all; active bounds fix their variables.
+    """Return the rank of the active rows of a phase, or of all; active bounds fix their variables.
 
-    Rows of a phase: those of its intervals and nodes, with the defects that lead out of it, over all free
-    variables that they touch. Dependence across phases shows only in the report over all.
+    Rows of a phase are those of its intervals and nodes, with the defects that lead out of it, over all free
+    variables in them. Dependence across phases shows only in the report on all rows.
     """
     names, rows = snapshot.names, snapshot.active_rows
     if phase is not None:
@@ -113,7 +114,7 @@ def rank_report(snapshot: Snapshot, phase: int | None) -> RankReport:
 
 
 def _merged(snapshot: Snapshot, groups: list[tuple[np.ndarray, int]], *, fixed: bool) -> list[DependentRows]:
-    """Joins groups (rows, number of redundant ones) of the same rows at different places into one finding."""
+    """Merge groups (rows, number of redundant rows) that have the same rows at different places."""
     names = snapshot.names
     kinds: defaultdict[tuple[str, ...], list[tuple[np.ndarray, int]]] = defaultdict(list)
     for rows, excess in groups:
@@ -142,7 +143,7 @@ def _merged(snapshot: Snapshot, groups: list[tuple[np.ndarray, int]], *, fixed: 
 
 @dataclass(frozen=True, kw_only=True)
 class Direction:
-    """A free direction: its curvature, its largest variables with their share, and where they are."""
+    """A free direction: its curvature, its largest variables with their share, and its main place."""
 
     curvature: float
     unknowns: tuple[str, ...]
@@ -155,11 +156,10 @@ class Direction:
 
 @dataclass(frozen=True, kw_only=True)
 class CurvatureReport:
-    """Curvature of the Lagrangian on the null space of the active rows, directions named, see `Curvature`.
+    """Curvature of the Lagrangian on the null space of the active rows, with named directions.
 
-    directions: number of free directions. holds: the second-order sufficient condition; negative: some
-    direction has negative curvature. known: whether there were multipliers. smallest_along: directions of the
-    least curvature; flat_along: some of those without curvature.
+    For the numbers see `Curvature`. known: whether there were multipliers. smallest_along: directions of the
+    smallest curvature. flat_along: some of the directions without curvature.
     """
 
     directions: int
@@ -186,7 +186,7 @@ class CurvatureReport:
 
 
 def curvature_report(snapshot: Snapshot) -> CurvatureReport:
-    """Curvature on the null space of the active rows, with the directions of the least curvature named."""
+    """Return the curvature on the null space of the active rows, and name the flattest directions."""
     free, rows = snapshot.free, snapshot.active_rows
     result = curvature(snapshot.hessian[free][:, free], snapshot.jacobian[rows][:, free])
     named = range(result.vectors.shape[1])
@@ -205,7 +205,7 @@ def curvature_report(snapshot: Snapshot) -> CurvatureReport:
 
 
 def _direction(snapshot: Snapshot, value: float, vector: np.ndarray) -> Direction:
-    """Variables by their share of the squared length, added up over time."""
+    """Describe a direction by the share of each variable in its squared length, summed over time."""
     names, free = snapshot.names, snapshot.free
     share: defaultdict[str, float] = defaultdict(float)
     kinds: defaultdict[str, float] = defaultdict(float)
@@ -224,7 +224,7 @@ def _direction(snapshot: Snapshot, value: float, vector: np.ndarray) -> Directio
 
 
 def start_findings(problem: Problem) -> Iterator[str]:
-    """Problems of a start: joints outside their limits, or exactly on one, which is degenerate."""
+    """Yield joints whose start is outside their limits, or exactly on one, which is degenerate."""
     if problem.periodicity is not None or not any(isinstance(t, PositionLimits) for t in problem.terms):
         return
     robot, q = problem.robot, problem.initial_q

@@ -1,4 +1,4 @@
-"""The first value or derivative that is not finite: the term, the place, and the inputs that cause it."""
+"""The first value or derivative that is not finite: its term, its place, and the inputs that cause it."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ Evaluation = Callable[[np.ndarray], np.ndarray]
 def nonfinite_terms(
     names: NlpNames, site: Site, form: NodeLayout, place: Place, inputs: np.ndarray
 ) -> list[tuple[str, Evaluation]]:
-    """Terms whose own values at z = ``inputs`` are not finite, with their functions.
+    """Return the terms with non-finite values at z = ``inputs``, with their functions.
 
-    Where all values are finite, those whose derivatives are not.
+    If all values are finite, these are the terms with non-finite derivatives.
     """
     made = list(_terms(names, site, form, place))
     for kind in (value_function, derivative_function):
@@ -41,7 +41,7 @@ def nonfinite_terms(
 
 
 def value_function(function: PointFunction, parameters: np.ndarray) -> Evaluation:
-    """All values of a point function at z in one column."""
+    """Return all values of a point function at z in one column."""
 
     def values(z: np.ndarray) -> np.ndarray:
         o = ca.DM(z)
@@ -54,7 +54,7 @@ def value_function(function: PointFunction, parameters: np.ndarray) -> Evaluatio
 
 
 def derivative_function(function: PointFunction, parameters: np.ndarray) -> Evaluation:
-    """All its first and second derivatives in one column."""
+    """Return all first and second derivatives of a point function at z in one column."""
     made = Derivatives(function)
     first, second, ones = made.first, made.second, np.ones(function.n_rows)
 
@@ -68,7 +68,7 @@ def derivative_function(function: PointFunction, parameters: np.ndarray) -> Eval
 def _terms(
     names: NlpNames, site: Site, form: NodeLayout, place: Place
 ) -> Iterator[tuple[str, PointFunction, np.ndarray]]:
-    """Name, function and parameters' values of every term that acts at a place."""
+    """Yield name, function and parameter values of every term that acts at a place."""
     layout, k = names.layout, site.stage
     phase = layout.place_phase(k) if place is Place.NODE else layout.stages[k].phase
     units, more = names.units_at(place, k), (layout.place(k),) if place is Place.NODE else ()
@@ -85,18 +85,18 @@ def _terms(
             yield term.name, function, context.parameter_values_at(names.time(site, layout.node_times))
 
 
-# Changes of one input, in its natural units, tried in turn until the value is finite. Small ones leave a
-# point without slope, such as a norm at zero; large ones reach the domain of a root or a logarithm.
-# Quaternion entries are changed little: far from unit length they are not rotations.
+# Changes of one input, in natural units, tried in turn until the value is finite. Small ones leave a point
+# without a slope, such as a norm at zero; large ones reach the domain of a root or a logarithm. Quaternion
+# entries change little, since far from unit length they are not rotations.
 CHANGES = (1e-3, 1e-1, 1.0, 10.0, 100.0)
 MOST_TURN = 0.1
-# Most inputs that are named; where more of them cause it together, their kinds are named.
+# Largest number of inputs to name; if more of them are a joint cause, their kinds are named instead.
 MOST_NAMED = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuspectInput:
-    """An input of the function: name, value (SI units, true or nominal time as the variable is)."""
+    """An input of the function: name and value in SI units, in the variable's true or nominal time."""
 
     name: str
     value: float
@@ -107,10 +107,10 @@ class SuspectInput:
 
 @dataclass(frozen=True, kw_only=True)
 class NonFinite:
-    """What is not finite: ``output`` (cost, rows, gradient, jacobian, hessian) of ``terms`` at a place.
+    """A non-finite ``output`` (cost, rows, gradient, jacobian, hessian) of ``terms`` at a place.
 
-    row: the row's subject, if it is one. inputs: those that are not finite, or any one of which, changed a
-    little, makes all finite. kinds: if no single input does, kinds of inputs that do.
+    row: subject of the row, for output "rows". inputs: those that are not finite; without any, those that
+    make everything finite if one of them changes a little. kinds: if no single input does, kinds that do.
     """
 
     output: str
@@ -133,7 +133,7 @@ class NonFinite:
 
 @dataclass(frozen=True, kw_only=True)
 class _Where:
-    """The group of functions, its position, and the names of its inputs."""
+    """A group of functions, its position, and the names of its inputs."""
 
     group: FunctionGroup
     position: int
@@ -144,7 +144,7 @@ class _Where:
 
 
 def first_nonfinite(nlp: Nlp, names: NlpNames, x: np.ndarray) -> NonFinite | None:
-    """The first function of the NLP that is not finite at scaled variables x (n_unknowns,), or None."""
+    """Return the first non-finite function of the NLP at scaled variables x (n_unknowns,), or None."""
     first = nlp.engine.first_nonfinite(x)
     if first is None:
         return _unknown_itself(names, x)
@@ -185,7 +185,7 @@ def _at(names: NlpNames, site: Site) -> dict[str, Any]:
 
 
 def _unknown_itself(names: NlpNames, x: np.ndarray) -> NonFinite | None:
-    """A variable that is not finite and that no function depends on."""
+    """Return a non-finite variable that no function depends on, or None."""
     wrong = np.flatnonzero(~np.isfinite(x))
     if not len(wrong):
         return None
@@ -221,7 +221,7 @@ def _where(t: Transcription, names: NlpNames, number: int, position: int) -> _Wh
 
 
 def _point_of(t: Transcription, group: FunctionGroup, k: int) -> int:
-    """Index of a group's collocation point, -1 where it is at a node; points share one function."""
+    """Return the index of a group's collocation point, or -1 at a node; points share one function."""
     if k == t.layout.n_stages or t.layout.stages[k].kind is not StageKind.INTERVAL:
         return -1
     siblings = [
@@ -253,7 +253,7 @@ def _labels(
 def _causes(
     functions: Sequence[Evaluation], where: _Where, inputs: np.ndarray
 ) -> tuple[tuple[SuspectInput, ...], tuple[str, ...]]:
-    """Inputs of which any one alone makes all finite, or if there are none, kinds of inputs."""
+    """Return inputs that each make everything finite when changed, or else kinds of inputs that do."""
     units = np.abs(where.group.gather.toarray()).max(axis=1)
     units[units == 0] = 1.0
     kinds = np.array([label.kind for label in where.labels])
@@ -272,7 +272,7 @@ def _causes(
 
 
 def _mended(functions: Sequence[Evaluation], inputs: np.ndarray, which: list[int], steps: np.ndarray) -> bool:
-    """Whether all functions are finite when only these inputs are changed, in either direction."""
+    """Return whether changing only these inputs, in either direction, makes all functions finite."""
     for sign in (1.0, -1.0):
         trial = inputs.copy()
         trial[which] += sign * steps[which]

@@ -1,15 +1,15 @@
 """Rank, condition and dependent rows of sparse constraint Jacobians.
 
 The smallest singular values of A (m, n) and their left vectors u, A^T u = sigma u', come from inverse
-subspace iteration with a sparse LU factor of
+subspace iteration with a sparse LU factorisation of
 
     [alpha I   A^T  ]
     [A       -beta I]
 
-whose Schur complement is -(A A^T / alpha + beta I): one factor, any number of vectors, no A A^T. With a small
-alpha the values sigma^2 / alpha of independent rows stay apart from beta; the singular values themselves are
-then those of A^T U for the basis U found (Rayleigh-Ritz), accurate to rounding. Small matrices take a dense
-singular value decomposition. (Golub, Van Loan, "Matrix Computations", ch. 8 and 10.)
+Its Schur complement is -(A A^T / alpha + beta I), so one factorisation serves any number of vectors without
+forming A A^T. A small alpha separates the values sigma^2 / alpha of independent rows from beta. The singular
+values are those of A^T U for the basis U found (Rayleigh-Ritz), accurate to rounding. Small matrices use a
+dense singular value decomposition. (Golub, Van Loan, "Matrix Computations", ch. 8 and 10.)
 """
 
 import warnings
@@ -19,18 +19,18 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
-# Singular values below this fraction of the largest count as zero: scaled rows are dependent to rounding, or
-# to the error of an iterate at a solver's tolerance.
+# Singular values below this fraction of the largest count as zero: scaled rows are dependent up to rounding,
+# or up to the error of an iterate at a solver's tolerance.
 RANK_TOLERANCE = 1e-8
-# If the smaller dimension is at most this, the decomposition is dense: exact, and at most a second.
+# Up to this smaller dimension the decomposition is dense: exact, and at most a second.
 DENSE = 400
 ALPHA, BETA = 1e-6, 1e-13
-# Vectors of the first subspace; it doubles until it holds a singular value that is not zero.
+# Initial and largest subspace dimension; it doubles until the subspace has a nonzero singular value.
 FIRST, MOST = 8, 256
 ITERATIONS, CONVERGED = 12, 1e-3
-# Entries of the projector above which two rows are coupled, i.e. depend on each other.
+# Projector entries, relative to the rows' shares, above which two rows depend on each other.
 COUPLED = 1e-2
-# Digits to which shares are compared: rounding must not decide which of two rows comes first.
+# Digits of shares that are compared, so that rounding does not decide the order of two rows.
 SHARE_DIGITS = 3
 
 
@@ -38,8 +38,9 @@ SHARE_DIGITS = 3
 class Spectrum:
     """Singular values of a matrix with m rows.
 
-    largest, smallest: of those that are not zero (None where all are). nullity: number of redundant rows;
-    ``vectors`` (m, k) is an orthonormal basis of the left null space; with ``complete`` False there are more.
+    largest, smallest: extreme nonzero singular values (smallest: None if all are zero). nullity: number of
+    redundant rows, or a lower bound of it unless ``complete``. vectors: (m, k) orthonormal basis of the left
+    null space found.
     """
 
     rows: int
@@ -56,20 +57,20 @@ class Spectrum:
 
     @property
     def condition(self) -> float | None:
-        """Largest over smallest singular value that is not zero."""
+        """Largest over smallest nonzero singular value."""
         return None if self.smallest is None else self.largest / self.smallest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RowDependency:
-    """Rows that depend on each other, largest share first, and how many are redundant."""
+    """Rows that depend on each other, largest share first, and the number of redundant ones."""
 
     rows: np.ndarray
     excess: int
 
 
 def spectrum(matrix: sparse.spmatrix) -> Spectrum:
-    """Smallest and largest singular values of the rows of a sparse matrix (m, n)."""
+    """Return the smallest and largest singular values of a sparse matrix (m, n)."""
     csr = sparse.csr_matrix(matrix)
     return _dense(csr) if min(csr.shape) <= DENSE else _sparse(csr)
 
@@ -82,7 +83,7 @@ def _dense(matrix: sparse.csr_matrix) -> Spectrum:
 
 
 def _found(values: np.ndarray, vectors: np.ndarray, largest: float, *, complete: bool = True) -> Spectrum:
-    """From singular values (k,), the smallest among them, and their left vectors (m, k)."""
+    """Build the spectrum from singular values (k,), including the smallest, and left vectors (m, k)."""
     zero = values <= RANK_TOLERANCE * largest
     return Spectrum(
         rows=len(vectors),
@@ -118,7 +119,7 @@ def _sparse(matrix: sparse.csr_matrix) -> Spectrum:
 def _iterated(
     factor: sparse_linalg.SuperLU, matrix: sparse.csc_matrix, basis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ascending singular values of A^T on a subspace, and their left vectors, when the smallest settles."""
+    """Iterate until the smallest singular value settles; return ascending values and their left vectors."""
     n = matrix.shape[1]
     values = np.full(basis.shape[1], np.inf)
     for _ in range(ITERATIONS):
@@ -135,10 +136,10 @@ def _iterated(
 
 
 def dependencies(vectors: np.ndarray) -> list[RowDependency]:
-    """Groups of rows that depend on each other, from an orthonormal basis (m, k) of their left null space.
+    """Return groups of rows that depend on each other, given a basis (m, k) of their left null space.
 
-    The projector V V^T on that space does not depend on the basis; rows of different groups are not coupled
-    in it, and its diagonal, which adds up to the number of redundant rows, is each row's share.
+    The basis V is orthonormal; the projector V V^T does not depend on its choice and does not couple rows of
+    different groups. Its diagonal is each row's share, and adds up to the number of redundant rows.
     """
     if vectors.shape[1] == 0:
         return []
@@ -159,7 +160,7 @@ def dependencies(vectors: np.ndarray) -> list[RowDependency]:
 
 
 def quiet_factor(matrix: sparse.csc_matrix) -> sparse_linalg.SuperLU | None:
-    """Sparse LU factor, None where the matrix is singular to rounding."""
+    """Return a sparse LU factorisation, or None if the matrix is singular to rounding."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

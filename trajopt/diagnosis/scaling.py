@@ -9,23 +9,23 @@ from scipy import sparse
 
 from trajopt.diagnosis.snapshot import Snapshot
 
-# Row or column norms off one by this factor, either way, slow a solver down: its tolerances then mean
-# different things in different rows.
+# Row or column norms that differ from one by this factor slow a solver down, because its tolerances then have
+# different meanings in different rows.
 FAR = 1e4
-# Entries below this are rounding: those of scaled functions are of order one.
+# Relative magnitude below which entries are rounding; those of scaled functions are of order one.
 ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Smallest and largest magnitude of entries above rounding; both 0 if there are none."""
+    """Smallest and largest magnitude of entries above rounding; 0 if there are none."""
 
     smallest: float
     largest: float
 
     @classmethod
     def of(cls, values: np.ndarray) -> Spread:
-        """Spread of an array."""
+        """Return the spread of an array."""
         magnitudes = np.abs(values)
         magnitudes = magnitudes[magnitudes > ROUNDING * max(1.0, magnitudes.max(initial=0.0))]
         return cls(
@@ -35,7 +35,7 @@ class Spread:
 
     @property
     def far(self) -> float:
-        """How far from one, as a factor."""
+        """Largest factor between a magnitude and one."""
         return max(self.largest, 1 / self.smallest) if self.smallest > 0 else 1.0
 
     def __str__(self) -> str:
@@ -44,7 +44,7 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True)
 class BlockScale:
-    """A block of rows: number, norms of its Jacobian's rows, its entries, multipliers (or None)."""
+    """Scale of a block of rows: count, norms and entries of its Jacobian, multipliers (or None)."""
 
     block: str
     rows: int
@@ -55,10 +55,10 @@ class BlockScale:
 
 @dataclass(frozen=True, kw_only=True)
 class KindScale:
-    """Variables of one kind, by ranges.
+    """Scale of the variables of one kind.
 
-    value: scaled values. unit: SI value of a scaled unit. column_norm: of the Jacobian. hessian: diagonal
-    entries of the Lagrangian's Hessian.
+    value: scaled values. unit: SI value of a scaled unit. column_norm: of the Jacobian.
+    hessian: diagonal entries of the Lagrangian's Hessian.
     """
 
     kind: str
@@ -71,7 +71,7 @@ class KindScale:
 
 @dataclass(frozen=True, kw_only=True)
 class Scaling:
-    """Blocks and kinds, those with norms farthest from one first."""
+    """Scales of blocks and kinds, those with norms farthest from one first."""
 
     blocks: tuple[BlockScale, ...]
     kinds: tuple[KindScale, ...]
@@ -95,7 +95,7 @@ class Scaling:
 
 
 def scaling(snapshot: Snapshot) -> Scaling:
-    """Ranges at one iterate."""
+    """Return the scales at one iterate."""
     jacobian, hessian = snapshot.jacobian, snapshot.hessian
     rows, columns = sparse.linalg.norm(jacobian, axis=1), sparse.linalg.norm(jacobian, axis=0)
     return Scaling(

@@ -13,11 +13,11 @@ from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.violations import row_violations
 
-# A limit this close to its bound, in natural units, counts as reached: interior-point iterates at the
-# solvers' tolerance of 1e-6 come that close.
+# Distance from its bound, natural units, at which a limit is active: interior-point iterates at the solvers'
+# tolerance of 1e-6 come that close.
 REACHED = 1e-5
-# Slack and multiplier of a limit fall together to the root of the barrier where it is weakly active; a limit
-# is strictly active where its multiplier is this many times its slack.
+# At a weakly active limit, slack and multiplier both approach the square root of the barrier parameter. A
+# limit is strictly active if its multiplier is this many times its slack.
 STRICT = 10.0
 
 
@@ -25,10 +25,9 @@ STRICT = 10.0
 class Snapshot:
     """An NLP at scaled variables ``x`` (n_unknowns,).
 
-    ``row_multiplier`` (n_rows,), ``bound_multiplier`` (n_unknowns,): of the Lagrangian
-    f + row . g + bound . x; None without. ``tolerance``: of the solve. ``equations_only``: limits are left
-    out of the active rows, as far from feasible points, where limits that an iterate happens to pass mean
-    nothing.
+    row_multiplier, bound_multiplier: (n_rows,), (n_unknowns,) of the Lagrangian f + row . g + bound . x; or
+    None. tolerance: the solve's. equations_only: whether limits are left out of the active rows, as they
+    should be far from feasible points, where it is accidental which limits an iterate reaches.
     """
 
     nlp: Nlp
@@ -45,7 +44,7 @@ class Snapshot:
 
     @cached_property
     def names(self) -> NlpNames:
-        """Variables and rows in words."""
+        """Names of variables and rows."""
         return NlpNames(self.nlp, self.x)
 
     @cached_property
@@ -60,22 +59,22 @@ class Snapshot:
 
     @cached_property
     def violations(self) -> np.ndarray:
-        """Of rows, then of bounds (n_rows + n_unknowns,)."""
+        """Violations of rows, then of bounds (n_rows + n_unknowns,)."""
         return row_violations(self.nlp, self.x)
 
     @cached_property
     def gradient(self) -> np.ndarray:
-        """Of the objective (n_unknowns,)."""
+        """Gradient of the objective (n_unknowns,)."""
         return np.asarray(self.nlp.engine.gradient(self.x)).copy()
 
     @cached_property
     def jacobian(self) -> sparse.csr_matrix:
-        """Of the rows (n_rows, n_unknowns)."""
+        """Jacobian of the rows (n_rows, n_unknowns)."""
         return self.nlp.jacobian(self.x)
 
     @cached_property
     def hessian(self) -> sparse.csr_matrix:
-        """Of the Lagrangian; of the objective alone without multipliers."""
+        """Hessian of the Lagrangian; without multipliers, of the objective."""
         known = np.zeros(self.transcription.n_rows) if self.row_multiplier is None else self.row_multiplier
         values = np.asarray(self.nlp.engine.hessian(self.x, 1.0, known)).copy()
         place = (self.nlp.hessian_row, self.nlp.hessian_column)
@@ -92,7 +91,7 @@ class Snapshot:
 
     @cached_property
     def complementarity(self) -> float:
-        """Largest product of a row's multiplier and its slack at the bound that its sign names."""
+        """Largest product of a row's multiplier and its slack at the bound given by the multiplier's sign."""
         if self.row_multiplier is None:
             return 0.0
         t = self.transcription
@@ -104,7 +103,7 @@ class Snapshot:
 
     @cached_property
     def lower(self) -> np.ndarray:
-        """Lower bounds of rows, then of variables (n_rows + n_unknowns,), like what follows."""
+        """Lower bounds of rows, then of variables (n_rows + n_unknowns,), the order of the arrays below."""
         return np.concatenate([self.transcription.lower_g, self.transcription.lower_x])
 
     @cached_property
@@ -114,32 +113,32 @@ class Snapshot:
 
     @cached_property
     def multiplier(self) -> np.ndarray | None:
-        """Multipliers; None without."""
+        """Multipliers, or None."""
         if self.row_multiplier is None or self.bound_multiplier is None:
             return None
         return np.concatenate([self.row_multiplier, self.bound_multiplier])
 
     @cached_property
     def margins(self) -> tuple[np.ndarray, np.ndarray]:
-        """How far above its lower bound and below its upper bound each is."""
+        """Distances above the lower bounds and below the upper bounds."""
         values = np.concatenate([self.g, self.x])
         return values - self.lower, self.upper - values
 
     @property
     def equality(self) -> np.ndarray:
-        """Rows that are equations (n_rows,)."""
+        """Whether each row is an equation (n_rows,)."""
         return (self.lower == self.upper)[: len(self.g)]
 
     @property
     def fixed(self) -> np.ndarray:
-        """Variables that are fixed (n_unknowns,)."""
+        """Whether each variable is fixed (n_unknowns,)."""
         return (self.lower == self.upper)[len(self.g) :]
 
     @cached_property
     def side(self) -> np.ndarray:
-        """-1 at the lower bound, 1 at the upper one, 0 within; of equations and fixed variables 0 too.
+        """-1 for limits active at the lower bound, 1 at the upper one, else 0; 0 also for equations.
 
-        A limit is active where it is reached, or where its multiplier outweighs its slack.
+        A limit is active if it is reached, or if its multiplier exceeds its slack.
         """
         below, above = self.margins
         at_lower, at_upper = below <= REACHED, above <= REACHED
@@ -151,7 +150,7 @@ class Snapshot:
 
     @property
     def strict(self) -> np.ndarray:
-        """Where a limit is strictly active; nowhere without multipliers."""
+        """Whether each limit is strictly active; False without multipliers."""
         if self.multiplier is None:
             return np.zeros(len(self.lower), dtype=bool)
         slack = np.abs(np.minimum(*self.margins))
@@ -159,16 +158,16 @@ class Snapshot:
 
     @property
     def active_rows(self) -> np.ndarray:
-        """Rows that are equations or at a bound, sorted."""
+        """Sorted indices of rows that are equations or active limits."""
         at_bound = (self.side[: len(self.g)] != 0) & (not self.equations_only)
         return np.flatnonzero(self.equality | at_bound)
 
     @property
     def free(self) -> np.ndarray:
-        """Variables that are neither fixed nor at a bound, sorted."""
+        """Sorted indices of variables that are neither fixed nor at a bound."""
         return np.flatnonzero(~self.fixed & ((self.side[len(self.g) :] == 0) | self.equations_only))
 
     @property
     def structure(self) -> Snapshot:
-        """The same iterate with equations and objective alone."""
+        """The same iterate with only equations and objective, without limits and multipliers."""
         return replace(self, row_multiplier=None, bound_multiplier=None, equations_only=True)

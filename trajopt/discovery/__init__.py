@@ -1,4 +1,4 @@
-"""Schedules that are found, not given: who touches when, proposed, rounded and certified."""
+"""Discovery of contact schedules: candidates are proposed, rounded, and certified with hard contacts."""
 
 import lazy_loader
 

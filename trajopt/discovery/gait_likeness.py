@@ -1,4 +1,4 @@
-"""Which of the known gaits a cycle that was found is most like."""
+"""Comparison of a discovered cycle with the known gaits."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from trajopt.schedule.gaits import Gait, gait_names, gait_of
 
 
 def nearest_gait(task: ContactTask, modes: ModeSequence) -> tuple[str, float] | None:
-    """The known gait whose touchdowns and duty factors are nearest, and how far, as part of a period."""
+    """The known gait nearest in touchdowns and duty factors, and its distance in periods, or None."""
     try:
         names = gait_names(task.robot)
     except InputError:
@@ -23,7 +23,7 @@ def nearest_gait(task: ContactTask, modes: ModeSequence) -> tuple[str, float] | 
 
 
 def _as_gait(modes: ModeSequence) -> Gait | None:
-    """Duty factors and touchdowns of a cycle in which every foot steps once; else None."""
+    """Read duty factors and touchdowns from a cycle in which every foot steps once; None for other cycles."""
     duty, offsets = modes.duty(), {}
     begins = np.cumsum([0.0, *(duration for _, duration in modes.modes)]) / modes.duration
     for foot in sorted(duty):
@@ -36,7 +36,7 @@ def _as_gait(modes: ModeSequence) -> Gait | None:
 
 
 def _apart(one: Gait, other: Gait) -> float:
-    """Mean difference of touchdowns, at the best shift in time, and of duty factors."""
+    """Mean difference of touchdowns at the best time shift, plus half that of duty factors, in periods."""
     feet = [foot for foot in other.feet if foot in one.feet]
     if len(feet) < len(other.feet):
         return 1.0

@@ -1,4 +1,4 @@
-"""A goal without a problem of the catalogue: where a robot stands at the end, on what ground, and when."""
+"""Discovery tasks without a catalogue problem: stand at a goal, or move periodically at a mean speed."""
 
 import math
 from dataclasses import dataclass, replace
@@ -29,25 +29,25 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.terrain import Terrain
 
-# Default duration in sqrt(l / g): to push off and come to rest, and more for each length of the way.
+# Default duration in units of sqrt(l / g): for push-off and coming to rest, and per robot length of the way.
 STANDING, EACH_LENGTH = 4.0, 3.0
-# Weight of the base's distance from the mean motion of a cycle.
+# Weight of the base's deviation from the mean motion of a cycle.
 TRACKING = 0.1
-# Distance of feet from an edge at the start, over the robot's length, and ground behind it, the same.
+# In robot lengths: distance of the fore feet from an edge at the start, and ground beyond the goal.
 FROM_EDGE, BEYOND = 0.15, 3.0
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Destination:
-    """Where a robot that stands at the origin stands at the end, and when.
+    """Goal pose of a robot that starts standing at the origin, and the time to reach it.
 
     Args:
         x: forward, m.
         y: to the left, m.
         yaw: turn to the left, rad.
-        duration: s; None: from the way.
-        duration_range: least and greatest, s, of a free duration; None: it is as given.
+        duration: s; None derives it from the distance.
+        duration_range: bounds of a free duration, s; None fixes the duration.
     """
 
     x: float = 0.0
@@ -59,10 +59,11 @@ class Destination:
 
 @checked
 def task_to(robot: Robot, goal: Destination, terrain: Terrain | None = None) -> ContactTask:
-    """The least torques with which a robot gets there from standing: a task for `discover`.
+    """Build the task of reaching a goal from standing with the least torques, for `discover`.
 
     Raises:
-        InputError: for a robot without feet on a moving base, and ground that its legs do not reach.
+        InputError: for a robot without feet on a moving base, an invalid duration range, or ground beyond the
+            reach of its legs.
     """
     require_feet(robot)
     robot = on_feet(robot)
@@ -93,7 +94,7 @@ def task_to(robot: Robot, goal: Destination, terrain: Terrain | None = None) -> 
 
 
 def _standing(robot: Robot, terrain: Terrain, place: Destination) -> np.ndarray:
-    """The reference posture (nq,) moved to a place, feet on the ground there."""
+    """The reference posture (nq,) moved to a place, with its feet on the ground there."""
     q = robot.reference.copy()
     if robot.base == "planar":
         if place.y or place.yaw:
@@ -108,12 +109,12 @@ def _standing(robot: Robot, terrain: Terrain, place: Destination) -> np.ndarray:
 
 @checked
 def cycle_of(robot: Robot, speed: float, period: Positive | None = None) -> ContactTask:
-    """A periodic motion at a mean speed forward, m/s, of the least torques: a task for `discover`.
+    """Build the task of a periodic motion at a mean forward speed with the least torques, for `discover`.
 
     Args:
-        robot: with feet on a moving base.
-        speed: m/s, forward.
-        period: s; None: `stride_period`.
+        robot: a robot with feet on a moving base.
+        speed: mean forward speed, m/s.
+        period: s; None uses `stride_period`.
 
     Raises:
         InputError: for a robot without feet on a moving base.
@@ -135,14 +136,14 @@ def cycle_of(robot: Robot, speed: float, period: Positive | None = None) -> Cont
 
 
 def _moving(robot: Robot, speed: float, t: float) -> np.ndarray:
-    """The reference posture (nq,), moved forward."""
+    """The reference posture (nq,), moved forward at the given speed."""
     q = robot.reference.copy()
     q[0] += speed * t
     return q
 
 
 def _lifting(robot: Robot, duration: float) -> Schedule:
-    """A cycle that a problem accepts: standing, then flight; `discover` does not use it."""
+    """A placeholder cycle of standing and flight that a problem accepts; `discover` does not use it."""
     names = tuple(contact.name for contact in robot.contacts)
     phases = (("stand", names), ("flight", ()))
     return Schedule(tuple(Phase(name=name, duration=duration / 2, contacts=feet) for name, feet in phases))
@@ -155,7 +156,7 @@ def _costs_and_limits(robot: Robot) -> tuple[Term, ...]:
 
 @checked
 def obstacle(robot: Robot, kind: str, size: float, goal: Destination) -> PiecewiseTerrain:
-    """A box of a height or a gap of a width, m, ahead of the fore feet: the goal is on or behind it."""
+    """A box of height or a gap of width ``size``, m, ahead of the fore feet; the goal is on or behind it."""
     feet = np.array(list(contact_positions(robot, robot.reference).values()))
     edge = float(feet[:, 0].max()) + FROM_EDGE * robot.length
     if kind == "gap":

@@ -1,4 +1,4 @@
-"""The height of contacts over any ground as one smooth function, without phases that say what they touch."""
+"""Height of contacts above any terrain as one smooth function, independent of phases."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,12 +12,12 @@ from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Terrain
 
-# Half the width of the flank that takes the place of an edge, and depth of a hole, over the robot's length.
+# In robot lengths: half the width of the flank that replaces an edge, and depth of a hole.
 FLANK, HOLE = 0.03, 0.5
 
 
 def gap(terrain: Terrain, point: np.ndarray, radius: float) -> float:
-    """Vertical distance in m of a contact's origin (3,) m from where it touches; infinite over a hole."""
+    """Height, m, of a contact's origin (3,) m above the one at which it touches; infinite over a hole."""
     if isinstance(terrain, FlatGround):
         return float(point[2]) - _plane(terrain.surface, point[0], point[1], radius)
     return float(point[2] - terrain.offset(radius).height(point[0], point[1]))
@@ -26,7 +26,7 @@ def gap(terrain: Terrain, point: np.ndarray, radius: float) -> float:
 def smooth_gap(
     terrain: Terrain, point: ca.SX, radius: float, length: float, parameter: Callable[[Any], ca.SX]
 ) -> ca.SX:
-    """The same of a symbolic point (3,), with flanks in place of edges; ``length`` of the robot, m."""
+    """`gap` of a symbolic point (3,), with flanks in place of edges; ``length``: the robot's length, m."""
     if isinstance(terrain, SmoothTerrain):
         return terrain.offset(radius).symbolic(point, parameter)[0]
     if isinstance(terrain, FlatGround):
@@ -40,13 +40,13 @@ def smooth_gap(
 
 
 def _plane(surface: Surface, x: Any, y: Any, radius: float) -> Any:
-    """Height of the plane parallel to a surface at x, y."""
+    """Height at x, y of a surface's plane, offset by ``radius`` along its normal."""
     n = surface.normal
     return (surface.height + radius - n[0] * x - n[1] * y) / n[2]
 
 
 def _inside(face: Patch, point: ca.SX, width: float) -> ca.SX:
-    """1 inside a face, seen from above, 0 outside, smooth over its edges."""
+    """Smooth indicator of a face seen from above: 1 inside, 0 outside."""
     product = ca.SX(1)
     for inward, offset in zip(face.inward, face.offsets, strict=True):
         across = float(np.linalg.norm(inward[:2]))

@@ -1,4 +1,4 @@
-"""Modes: which contacts are on the ground when, read from forces and heights of a motion."""
+"""Contact modes: which contacts are on the ground when, read from the forces and heights of a motion."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -8,20 +8,22 @@ import numpy as np
 
 from trajopt.schedule.gaits import support_names
 
-# A contact is on the ground where its normal force is at least this part of the weight.
+# A contact is on the ground where its normal force exceeds this fraction of the weight.
 LOADED = 0.06
-# A contact that neither rises nor moves by more than this, over the robot's length, has not been lifted.
+# A contact that neither rises nor moves by more than this, in robot lengths, is not lifted.
 LIFTED = 0.02
-# Times at which sequences are compared.
+# Number of times at which sequences are compared.
 SAMPLES = 100
 
 
 @dataclass(frozen=True)
 class ModeSequence:
-    """Contacts and duration in s of each mode, one after the other.
+    """Contacts and duration, s, of consecutive modes.
 
-    shift: s by which a cycle begins later than the motion it was read from. dropped: modes too short for the
-    mesh that were left out; unlifted: swings that were none.
+    Args:
+        shift: s by which a cycle begins later than the motion from which it was read.
+        dropped: number of modes removed because they are too short for the mesh.
+        unlifted: number of swings removed because the contact was not lifted.
     """
 
     modes: tuple[tuple[tuple[str, ...], float], ...]
@@ -31,12 +33,12 @@ class ModeSequence:
 
     @property
     def duration(self) -> float:
-        """The sum of durations, s."""
+        """Total duration, s."""
         return sum(duration for _, duration in self.modes)
 
     @property
     def key(self) -> tuple[tuple[str, ...], ...]:
-        """Contacts of each mode: the same for schedules that differ in durations alone."""
+        """Contacts of each mode; equal for schedules that differ only in durations."""
         return tuple(contacts for contacts, _ in self.modes)
 
     def names(self) -> list[str]:
@@ -44,25 +46,25 @@ class ModeSequence:
         return support_names(self.key)
 
     def duty(self) -> dict[str, float]:
-        """Part of the whole duration in which each contact is on the ground, of those that ever are."""
+        """Fraction of the duration for which each contact is on the ground, for those that ever are."""
         feet = dict.fromkeys(name for contacts in self.key for name in contacts)
         on = {foot: sum(time for contacts, time in self.modes if foot in contacts) for foot in feet}
         return {foot: time / self.duration for foot, time in on.items()}
 
     def apart(self, other: "ModeSequence") -> float:
-        """Part of the time in which a contact is on the ground in one cycle only, at the best shift."""
+        """Fraction of contact states, over time, that differ between two cycles at the best shift."""
         names = sorted({name for key in (*self.key, *other.key) for name in key})
         one, two = (each._active(names) for each in (self, other))
         return float(min((one != np.roll(two, shift, axis=1)).mean() for shift in range(SAMPLES)))
 
     def _active(self, names: Sequence[str]) -> np.ndarray:
-        """Whether each contact is on the ground at times between begin and end (n, SAMPLES)."""
+        """Whether each contact is on the ground at equally spaced times (n, SAMPLES)."""
         ends = np.cumsum([duration for _, duration in self.modes]) / self.duration
         at = np.searchsorted(ends[:-1], (np.arange(SAMPLES) + 0.5) / SAMPLES)
         return np.array([[name in self.key[index] for index in at] for name in names])
 
     def source(self) -> str:
-        """The schedule as Python that a problem can use."""
+        """The schedule as Python source for a problem."""
         lines = ["from trajopt.schedule import Phase, Schedule", "", "SCHEDULE = Schedule(", "    ("]
         for name, (contacts, duration) in zip(self.names(), self.modes, strict=True):
             lines.append(f"        Phase(name={name!r}, duration={duration:.6g}, contacts={contacts!r}),")
@@ -75,7 +77,7 @@ class ModeSequence:
         )
 
     def from_touchdown(self) -> "ModeSequence":
-        """The same cycle, begun at a touchdown where it has one."""
+        """The same cycle starting at a touchdown, if it has one."""
         for start in range(len(self.modes)):
             if set(self.modes[start][0]) - set(self.modes[start - 1][0]):
                 begin = sum(duration for _, duration in self.modes[:start])
@@ -84,9 +86,9 @@ class ModeSequence:
         return self
 
     def neighbours(self, periodic: bool) -> Iterator[tuple[str, "ModeSequence"]]:
-        """Sequences with one mode less, and with two changes of contacts the other way round, by names.
+        """Yield named variants: with one mode removed, or with two successive contact changes swapped.
 
-        The first mode stays, and the last one of a motion that is no cycle.
+        The first mode is kept; so is the last one of a motion that is not a cycle.
         """
         count = len(self.modes)
         for k in range(1, count if periodic else count - 1):
@@ -106,9 +108,9 @@ class ModeSequence:
                 yield f"swapped-{k}", replace(self, modes=tuple(modes))
 
     def without_short(self, least: float, periodic: bool) -> "ModeSequence":
-        """Without modes shorter than ``least`` s: each goes to the neighbours that it differs least from.
+        """Merge modes shorter than ``least`` s into the neighbours with the most similar contacts.
 
-        The first and the last of a motion that is no cycle stay.
+        The first and last modes of a motion that is not a cycle are kept.
         """
         modes, shift, dropped = [*self.modes], self.shift, self.dropped
         while True:
@@ -124,7 +126,7 @@ class ModeSequence:
             share = duration / len(taking)
             for i in taking:
                 modes[i] = (modes[i][0], modes[i][1] + share)
-            if index == 0 and len(modes) - 1 in taking:  # what the last one takes is before the cycle begins
+            if index == 0 and len(modes) - 1 in taking:  # the last mode's share precedes the cycle
                 shift += share
             modes.pop(index)
             joined = ModeSequence(tuple(modes), shift)._joined(periodic)
@@ -132,7 +134,7 @@ class ModeSequence:
         return replace(self, modes=tuple(modes), shift=shift, dropped=dropped)
 
     def _joined(self, periodic: bool) -> "ModeSequence":
-        """Neighbours with the same contacts as one mode."""
+        """Merge adjacent modes with the same contacts."""
         groups = [
             (contacts, sum(duration for _, duration in group))
             for contacts, group in groupby(self.modes, key=lambda mode: mode[0])
@@ -157,18 +159,18 @@ def read_modes(
     cycle: np.ndarray | None = None,
     ends: tuple[Sequence[str], Sequence[str]] | None = None,
 ) -> ModeSequence:
-    """The modes of a motion at n times within its duration.
+    """Read the modes of a motion from n samples.
 
     Args:
         contacts: names (nc).
-        times: (n,) s, rising.
+        times: (n,) s, ascending.
         duration: of the motion, s.
-        loaded: (n, nc) whether the contact's force is that of a contact.
-        gaps: (n, nc) heights over the ground, m.
+        loaded: (n, nc) whether each contact carries load.
+        gaps: (n, nc) heights above the ground, m.
         places: (n, nc, 3) positions, m.
         length: of the robot, m.
-        cycle: of a cycle, how far it moves on (3,), m.
-        ends: contacts that stand at the start and at the end.
+        cycle: displacement (3,) per cycle, m; None for a motion that is not a cycle.
+        ends: names of the contacts that stand at the start and at the end.
     """
     on, unlifted, n = loaded.copy(), 0, len(times)
     for column in range(len(contacts)):
@@ -193,7 +195,7 @@ def read_modes(
 
 
 def _runs(flags: np.ndarray, periodic: bool) -> list[list[int]]:
-    """Indices of each run of true flags; in a cycle one may go over the end."""
+    """Indices of each run of true flags; in a cycle, a run may wrap around the end."""
     runs = [
         [index for index, _ in group]
         for flag, group in groupby(enumerate(flags.tolist()), key=lambda entry: entry[1])

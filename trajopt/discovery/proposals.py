@@ -1,4 +1,4 @@
-"""Proposals: modes from relaxed contacts and from known gaits and hops, each with a motion to begin from."""
+"""Proposals: modes from relaxed contacts and from known gaits and hops, each with a motion to start from."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -19,12 +19,12 @@ from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.solution.solution import Solution
 from trajopt.terms.tracking import KeyFrames
 
-# A relaxed motion is no proposal above this slack: feet still push from a distance.
+# Relaxed motions with more slack than this are rejected: their feet still push from a distance.
 MOST_SLACK = 0.01
-# Samples of a motion that is kept.
+# Samples of a stored motion.
 SAMPLES = 201
-# Parts of the duration of the known ones that do not repeat: push, flight and landing of a hop; standing at
-# both ends of steps.
+# Fractions of the duration of known motions that are not cycles: push, flight and landing of a hop; standing
+# at either end of steps.
 HOP = (0.4, 0.2, 0.4)
 STAND = 0.15
 MOST_CYCLES = 3
@@ -32,10 +32,13 @@ MOST_CYCLES = 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """Modes from a ``source``, and a motion from the start of these modes on.
+    """A mode sequence from a ``source``, and a motion that begins with the first of its modes.
 
-    objective, slack: of the relaxed motion. screened: objective with hard contacts on a coarse mesh. seconds,
-    effort: of solvers, effort as iterations times variables. why: it is rejected.
+    Args:
+        objective, slack: of the relaxed motion.
+        screened: objective with hard contacts on a coarse mesh.
+        seconds, effort: of its solves; effort is iterations times variables.
+        why: reason for which it is rejected.
     """
 
     source: str
@@ -50,12 +53,12 @@ class Proposal:
 
 
 def relaxed_name(seed: int, fine: bool = False) -> str:
-    """The source of a relaxed motion."""
+    """Name of the source of a relaxed motion."""
     return f"relaxed:{seed}" + (":fine" if fine else "")
 
 
 def relaxed_proposal(task: ContactTask, seed: int, max_time: float, fine: bool = False) -> Proposal:
-    """The modes of a relaxed motion; ``max_time`` s of the solver."""
+    """Propose the modes of a relaxed motion, with at most ``max_time`` s of solver time."""
     relaxed = relaxed_motion(task, seed=seed, max_time=max_time, fine=fine)
     solution, modes, slack = relaxed.solution, relaxed.modes, relaxed.slack
     bare = Proposal(
@@ -73,7 +76,7 @@ def relaxed_proposal(task: ContactTask, seed: int, max_time: float, fine: bool =
 
 
 def key_frames(task: ContactTask, solution: Solution, shift: float = 0.0) -> KeyFrames:
-    """The motion of a solution, of a cycle from ``shift`` s on."""
+    """The motion of a solution; for a cycle, starting at ``shift`` s."""
     times = np.linspace(0.0, float(solution.t[-1]), SAMPLES)
     q = solution.sample(times=times).q
     if shift:
@@ -84,7 +87,7 @@ def key_frames(task: ContactTask, solution: Solution, shift: float = 0.0) -> Key
 def _turned(
     task: ContactTask, q: np.ndarray, times: np.ndarray, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples of a cycle from ``shift`` s on: of two cycles in a row, moved to where the first began."""
+    """Samples of a cycle starting at ``shift`` s, cut from two cycles and moved to the original start."""
     duration = times[-1]
     cycle = task.travel(q[0], q[-1])
     shift = shift % duration
@@ -98,7 +101,7 @@ def _turned(
 
 
 def known_proposals(task: ContactTask) -> Iterator[Proposal]:
-    """Gaits by their names, and from standing to standing hops and steps; of robots for which these exist."""
+    """Yield known gaits for a cycle, else hops and steps from standing to standing, if the robot has any."""
     for source, phases in _known(task):
         modes = ModeSequence(tuple((phase.contacts, phase.duration) for phase in phases))
         try:
@@ -130,12 +133,12 @@ def _known(task: ContactTask) -> Iterator[tuple[str, tuple[Phase, ...]]]:
     for name in gaits:
         gait = gait_of(robot, name)
         if not all(support.feet for support in gait.supports()):
-            continue  # from standing to standing it has no flights
+            continue  # steps between two standing postures have no flights
         for cycles in range(1, MOST_CYCLES + 1):
             period, stand = duration * (1 - 2 * STAND) / cycles, STAND * duration
             try:
                 phases = transition(gait, period, cycles=cycles, stand=stand, rest=stand)
-            except InputError:  # so few cycles do not lift each foot
+            except InputError:  # too few cycles to lift every foot
                 continue
             scale = duration / sum(phase.duration for phase in phases)
             scaled = [(phase.name, scale * phase.duration, phase.contacts) for phase in phases]
@@ -143,7 +146,7 @@ def _known(task: ContactTask) -> Iterator[tuple[str, tuple[Phase, ...]]]:
 
 
 def _known_motion(task: ContactTask, schedule: Schedule) -> Motion:
-    """Legs by inverse kinematics under a straight path of the base; on other bases legs that stand."""
+    """Straight path of the base with legs by inverse kinematics; without a free-flying base, legs at rest."""
     robot, duration = task.robot, task.duration
     if robot.base != "freeflyer":
         return task.still

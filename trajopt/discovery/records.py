@@ -1,4 +1,4 @@
-"""What became of the candidates of a task, kept in a folder as they end."""
+"""Results of the candidates of a task, stored in a folder as they finish."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from trajopt.solution.solution import Solution
 from trajopt.study.workers.records import JsonLines
 
 RECORD = "discovery.jsonl"
-# Screened: solved on a coarse mesh alone; untried: not even that.
+# Screened: solved only on a coarse mesh. Untried: not solved at all.
 CERTIFIED, REJECTED, SCREENED, UNTRIED = "certified", "rejected", "screened", "untried"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """A schedule that was tried: where it is from, what rounding changed, and what became of it.
+    """A schedule that was tried: its source, its modes and its result.
 
-    relaxed_objective, slack: of the motion it was read from. dropped, unlifted: modes too short for the mesh
-    and swings that were none, left out by rounding. screened: objective with hard contacts on a coarse mesh.
-    vanished: phases that shrank to nothing and were taken out. objective: with hard contacts. why: it was
-    rejected or not tried. seconds, effort: of solvers, effort as iterations times variables. solution: if
-    certified.
+    Args:
+        relaxed_objective, slack: of the motion from which the modes were read.
+        screened, objective: with hard contacts, on a coarse mesh and of the certified motion.
+        vanished: number of phases that shrank to nothing and were removed.
+        why: reason for which it was rejected or not tried.
+        seconds, effort: of its solves; effort is iterations times variables.
+        solution: of a certified candidate.
     """
 
     source: str
@@ -45,7 +47,7 @@ class Candidate:
     solution: Solution | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able, without the solution."""
+        """JSON-able fields, without the solution."""
         modes = self.modes
         told = {name: value for name, value in vars(self).items() if name not in ("solution", "modes")}
         return told | {
@@ -56,7 +58,7 @@ class Candidate:
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any], solution: Solution | None) -> Candidate:
-        """The candidate that `to_dict` wrote. Raises KeyError, TypeError or ValueError for anything else."""
+        """The inverse of `to_dict`. Raises KeyError, TypeError or ValueError for anything else."""
         fields = dict(told)
         modes = fields.pop("modes")
         counts = {name: fields.pop(name) or 0 for name in ("dropped", "unlifted")}
@@ -66,29 +68,29 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Discovery:
-    """All candidates of a task, in the order in which they ended; seconds of solvers in all."""
+    """All candidates of a task, in the order in which they finished."""
 
     task: ContactTask
     candidates: tuple[Candidate, ...]
 
     @property
     def best(self) -> tuple[Candidate, ...]:
-        """Those that are certified, the least objective first."""
+        """Certified candidates, lowest objective first."""
         held = [each for each in self.candidates if each.status == CERTIFIED]
         return tuple(sorted(held, key=lambda each: each.objective or 0.0))
 
     @property
     def seconds(self) -> float:
-        """Of solvers, in all."""
+        """Solver time of all candidates, s."""
         return sum(each.seconds for each in self.candidates)
 
     @property
     def effort(self) -> float:
-        """Iterations times variables of all solves."""
+        """Effort of all solves: iterations times variables."""
         return sum(each.effort for each in self.candidates)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able: the task, and every candidate."""
+        """JSON-able task and candidates."""
         return {
             "task": self.task.describe(),
             "left_out": list(self.task.left_out),
@@ -97,7 +99,7 @@ class Discovery:
 
 
 class Records:
-    """Candidates as they end; with a folder, the task and each of them a line, and each certified motion."""
+    """Collects candidates; a folder gets the task, a line per candidate, and the certified motions."""
 
     def __init__(self, task: ContactTask, folder: Path | str | None, *, resume: bool) -> None:
         self.task, self.candidates = task, list[Candidate]()
@@ -117,7 +119,7 @@ class Records:
                 "allowed: without --resume",
             )
         for each in kept[1:]:
-            with suppress(KeyError, TypeError, ValueError, InputError):  # incomplete: it is tried again
+            with suppress(KeyError, TypeError, ValueError, InputError):  # incomplete entries are tried again
                 candidate = self._read(each)
                 if candidate.status != UNTRIED:
                     self.candidates.append(candidate)
@@ -131,7 +133,7 @@ class Records:
         return self.folder / f"{re.sub(r'[^A-Za-z0-9]+', '-', source)}.npz"
 
     def add(self, candidate: Candidate) -> Candidate:
-        """Keep a candidate; its file is complete before its line names it."""
+        """Store a candidate; its solution file is complete before its line is written."""
         self.candidates.append(candidate)
         if self.folder is not None and candidate.solution is not None:
             candidate.solution.save(self._file(candidate.source))

@@ -1,15 +1,16 @@
-"""Contacts without phases: complementarity of force, height and speed within a slack that is made smaller.
+"""Relaxed contacts without phases: complementarity of force, height and speed within a decreasing slack.
 
 With the gap g >= 0 of each contact (of each corner of a sole), its vertical force f >= 0 and its twist v, in
 natural units,
 
     f g <= slack,    |f v| <= slack
 
-hold at collocation points of one phase in which every contact may push. A first solve with a large slack lets
-feet push from where they are; each further one starts from the last with a smaller slack, as in Manchester,
-Doshi, Wood, Kuindersma, "Contact-implicit trajectory optimization using variational integrators", IJRR 38
-(2019), and Patel, Shield, Kazi, Johnson, Biegler, "Contact-implicit trajectory optimization using orthogonal
-collocation", RA-L 4 (2019). The motion that results is a proposal: hard contacts decide.
+hold at the collocation points of a single phase in which every contact may push. The first solve has a large
+slack and lets feet push from where they are; each further one starts from the previous solution with a
+smaller slack, as in Manchester, Doshi, Wood, Kuindersma, "Contact-implicit trajectory optimization using
+variational integrators", IJRR 38 (2019), and Patel, Shield, Kazi, Johnson, Biegler, "Contact-implicit
+trajectory optimization using orthogonal collocation", RA-L 4 (2019). The resulting motion is a proposal: hard
+contacts decide.
 """
 
 from dataclasses import dataclass, replace
@@ -38,15 +39,15 @@ from trajopt.terrain.terrain import Terrain
 from trajopt.transcription.guess import perturbed
 from trajopt.transcription.mesh import Mesh
 
-# Slacks of the solves, one after the other.
+# Slacks of consecutive solves.
 SLACKS = (0.1, 0.03, 0.01, 0.003)
 SCHEME = "legendre:2"
-# Intervals in each sqrt(l / g) of a motion, the least and the most; fewer in each, but on a fine mesh, where
-# intervals times nv are more than LARGE: Go2 with 24.
+# Intervals per sqrt(l / g) of a motion, and their least and largest number. Except on a fine mesh, there are
+# fewer where intervals times nv would exceed LARGE (Go2 with 24 intervals).
 PER_UNIT, LEAST_INTERVALS, MOST_INTERVALS = 5, 12, 60
 LARGE, PER_UNIT_LARGE = 432, 3
 MOST_ITERATIONS = 300
-# A mode shorter than so many intervals is not resolved.
+# Modes shorter than this many intervals are not resolved.
 SHORTEST = 1.5
 # Standard deviation of the noise on the guess, scaled units.
 NOISE = 0.1
@@ -55,7 +56,7 @@ PHASE = "all"
 
 @dataclass(frozen=True, kw_only=True)
 class RelaxedContacts(PointConstraint):
-    """Every contact pushes only near the ground, where it hardly moves; see the module."""
+    """Contacts push only near the ground, where they hardly move; see the module."""
 
     slack: Positive
     terrain: Terrain
@@ -83,7 +84,7 @@ class RelaxedContacts(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class WholeEnd(NodeConstraint):
-    """The motion ends in a configuration (nq,), or at rest (None), in all directions: no contact holds it."""
+    """The motion ends at ``q`` (nq,), or at rest if None, in all directions, as no contact holds it."""
 
     q: np.ndarray | None
 
@@ -96,10 +97,12 @@ class WholeEnd(NodeConstraint):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Relaxation:
-    """A motion without phases, the modes read from it, and what each solve took.
+    """A motion without phases, the modes read from it, and the cost of its solves.
 
-    solution: of the least slack that was solved, and that ``slack``; None without one. stages: slack, status,
-    iterations and objective of each solve. seconds: of the solver; effort: iterations times variables.
+    Args:
+        solution, slack: of the smallest slack that was solved; None if none was.
+        stages: slack, status, iterations and objective of each solve.
+        seconds, effort: solver time, s, and iterations times variables.
     """
 
     solution: Solution | None
@@ -118,7 +121,7 @@ def relaxed_motion(
     max_time: float = 60.0,
     fine: bool = False,
 ) -> Relaxation:
-    """Solve a task with relaxed contacts, from legs that stand still; a ``seed`` other than 0 adds noise."""
+    """Solve a task with relaxed contacts from `ContactTask.still`, with noise if ``seed`` is not 0."""
     solution, reached = None, None
     stages, seconds, effort = [], 0.0, 0.0
     count = intervals or intervals_of(task, fine)
@@ -150,7 +153,7 @@ def relaxed_motion(
 
 
 def modes_of(task: ContactTask, solution: Solution, intervals: int) -> ModeSequence:
-    """The modes of a relaxed motion; a cycle begins at a touchdown."""
+    """Read the modes of a relaxed motion; a cycle is shifted to begin at a touchdown."""
     robot, rows = task.robot, solution.collocation
     q, duration = solution.q[rows], float(solution.t[-1])
     places = np.array([list(contact_positions(robot, each).values()) for each in q])
@@ -178,7 +181,7 @@ def modes_of(task: ContactTask, solution: Solution, intervals: int) -> ModeSeque
 
 
 def intervals_of(task: ContactTask, fine: bool) -> int:
-    """Intervals of a relaxed motion."""
+    """Number of intervals of a relaxed motion."""
     units = task.duration / Units(task.robot).time
     wanted = PER_UNIT * units
     if not fine:
@@ -206,7 +209,7 @@ def _relaxed(task: ContactTask, slack: float) -> Problem:
 
 
 def _everywhere(term: Term) -> Term:
-    """An end in all directions in place of one in those that contacts leave free."""
+    """Replace a terminal condition in the directions that contacts leave free by one in all directions."""
     if isinstance(term, TerminalState):
         return WholeEnd(q=term.q)
     return WholeEnd(q=None) if isinstance(term, TerminalRest) else term

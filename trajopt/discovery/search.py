@@ -1,4 +1,4 @@
-"""From a task to schedules with hard contacts: propose, screen, certify, choose."""
+"""The search from a task to schedules with hard contacts: propose, screen, certify, choose."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from trajopt.study.workers.executor import processors
 from trajopt.study.workers.task import end_unguarded_import
 
 SEEDS, MOST, MAX_TIME, KEEP, EFFORT = 4, 12, 30.0, 3, 15.0
-# Solves at a time on a cluster; known schedules and neighbours that are screened at a time.
+# Concurrent solves on a cluster; known schedules and neighbours screened per batch.
 AHEAD, AT_A_TIME = 4, 4
-# A schedule beside the best is certified if on the coarse mesh it costs at most so much more, relative; one
-# beside those that are kept if it costs so much less.
+# Relative differences in objective on the coarse mesh: schedules up to CLOSE above the best are certified
+# too; once enough are certified, only those at least BETTER below it.
 CLOSE, BETTER = 0.1, 0.02
-# Durations that differ by less in all, over that of the motion, are the same schedule.
+# Schedules whose durations differ in total by less than this fraction of the motion's are the same.
 ALIKE = 0.2
-# Beside the solver's limit of time: to build, to examine and to solve once more without phases that vanish.
+# Time limit of a call over the solver's: it covers building, checking, and a solve without vanished phases.
 BESIDE = 4.0
 INFEASIBLE = Status.INFEASIBLE.word
-# Index and value of each call as it ends; as text why its process was lost or took too long.
+# Yields index and value of each call as it ends; a text as value says why it was lost or too slow.
 Run = Callable[[Callable[..., Any], Sequence[tuple[Any, ...]]], Iterator[tuple[int, Any]]]
 
 
@@ -56,29 +56,29 @@ def discover(
     resume: bool = False,
     told: Callable[[Candidate], object] = id,
 ) -> Discovery:
-    """Find schedules of contacts for a task, and motions with hard contacts that hold at any time.
+    """Find contact schedules for a task, and motions with hard contacts that hold at any time.
 
-    A relaxed motion comes first, then known schedules, more relaxed motions, and neighbours of the best
-    schedule, as long as effort is left. All are solved on a coarse mesh, and those with the least objective
-    there until their motion holds.
+    A relaxed motion comes first, then known schedules, further relaxed motions, and neighbours of the best
+    schedule, while effort remains. All are screened on a coarse mesh; those with the lowest objective there
+    are solved until their motion has the grade.
 
     Args:
-        problem: whose phases are not used, or a task, as from `task_to`.
-        seeds: relaxed motions, the first from legs that stand still, others from noise beside it.
-        known: whether gaits, hops and steps that are known are proposed, too.
-        keep: schedules about as good as the best that are certified, too, up to so many in all.
-        most: schedules that are tried until their motion holds, at most.
-        effort: of all solves, over that of the easiest schedule that is certified, on its first mesh, in
-            iterations times variables: beyond it nothing is begun.
-        max_time: s of the solver, for each relaxed motion and each schedule.
-        jobs: processes; 1 stays in this one; None: one for each processor.
-        scheduler: address of a running Dask scheduler, instead of processes here.
-        folder: where candidates are kept as they end; None keeps nothing.
-        resume: whether candidates that are there are not tried again.
-        told: called with each candidate as it ends.
+        problem: a problem, whose phases are ignored, or a task, such as from `task_to`.
+        seeds: number of relaxed motions; the first starts from still legs, the others from noise around them.
+        known: whether to propose known gaits, hops and steps as well.
+        keep: schedules about as good as the best are certified too, up to this number in all.
+        most: largest number of schedules to try to certify.
+        effort: limit on all solves, in iterations times variables, over those of the easiest certified
+            schedule on its first mesh: beyond it nothing new is started.
+        max_time: solver time for each relaxed motion and each schedule, s.
+        jobs: number of processes; 1 runs in this one, None uses one per processor.
+        scheduler: address of a running Dask scheduler to use instead of local processes.
+        folder: where to store candidates as they finish; None stores nothing.
+        resume: whether to keep the candidates in the folder and try only others.
+        told: called with each candidate as it finishes.
 
     Raises:
-        InputError: for a problem whose schedule cannot be found, and a folder that cannot be written.
+        InputError: for a problem whose schedule cannot be found, or a folder that cannot be written.
     """
     if min(seeds, most, keep) < 0 or seeds + known == 0 or 0 in (most, keep) or min(max_time, effort) <= 0:
         raise InputError(
@@ -108,11 +108,11 @@ def discover(
 def nearest_reached(
     make: Callable[[float], ContactTask], *, halvings: int = 3, **settings: Any
 ) -> tuple[float, Discovery] | None:
-    """The largest part of the way to a goal for which a schedule is found, by bisection; None for none.
+    """Find by bisection the largest fraction of the way to a goal that has a schedule; None if none has.
 
     Args:
-        make: the task of a part of the way, 0 to 1, of which the whole has no schedule.
-        halvings: parts that are tried.
+        make: returns the task for a fraction of the way, 0 to 1; the whole way has no schedule.
+        halvings: number of fractions to try.
         settings: of `discover`.
     """
     low, high, best = 0.0, 1.0, None
@@ -131,10 +131,14 @@ def nearest_reached(
 
 @dataclass
 class _ScheduleSearch:
-    """Proposals that wait, the least objective on a coarse mesh first; all that were screened; attempts.
+    """State of a search.
 
-    given_up: what was not certified on the first meshes, with its proposal. relaxing: effort of the last
-    relaxed motion.
+    Args:
+        waiting: proposals that wait for certification, lowest objective on a coarse mesh first.
+        screened: all proposals that were screened.
+        given_up: proposals that were not certified on the first meshes, with their candidates.
+        attempts: number of certifications.
+        relaxing: effort of the last relaxed motion.
     """
 
     task: ContactTask
@@ -162,13 +166,13 @@ class _ScheduleSearch:
         return sum(each.effort for each in ended) + sum(each.effort for each in self.waiting)
 
     def has_effort(self, *, relaxed: bool = False) -> bool:
-        """Whether effort is left; for relaxed motions as much as the last ones took."""
+        """Whether effort is left; for relaxed motions, as much as the last one took."""
         first = (each.solution.statistics.rounds[0] for each in self.best if each.solution)
         easiest = min((each.iterations * each.variables for each in first), default=math.inf)
         return self.spent + (self.relaxing if relaxed else 0.0) <= self.effort * easiest
 
     def relaxed(self, seeds: Sequence[int], fine: bool = False) -> Iterator[Proposal]:
-        """Proposals of relaxed motions."""
+        """Yield the proposals of relaxed motions."""
         arguments = [(self.task, seed, self.max_time, fine) for seed in seeds]
         for k, value in self.run(relaxed_proposal, arguments):
             proposal = value
@@ -178,7 +182,7 @@ class _ScheduleSearch:
             yield proposal
 
     def ordered(self, known: bool) -> list[Proposal]:
-        """Known proposals: of cycles the most like the relaxed motion first, else the fewest phases first."""
+        """Known proposals: of a cycle, most like the relaxed motion first, else fewest phases first."""
         found = next((each.modes for each in self.screened if each.modes), None)
 
         def place(proposal: Proposal) -> tuple[float, int]:
@@ -190,7 +194,7 @@ class _ScheduleSearch:
         return sorted(known_proposals(self.task), key=place) if known else []
 
     def tried(self, proposals: Iterable[Proposal]) -> None:
-        """Screen proposals, and certify the best of all that wait."""
+        """Screen proposals, then certify the best of all that wait."""
         proposals = [*proposals]
         new: list[Proposal] = []
         for each in proposals:
@@ -213,9 +217,9 @@ class _ScheduleSearch:
             self._certify(chosen, ROUNDS)
 
     def _chosen(self) -> list[Proposal]:
-        """Those that are certified next, as many as there are processes.
+        """Proposals to certify next, at most one per process.
 
-        Those about as good as the best while effort is left and until enough are certified, better ones
+        Those about as good as the best, while effort is left and until enough are certified; better ones
         always.
         """
         best, chosen = self.best, list[Proposal]()
@@ -246,7 +250,7 @@ class _ScheduleSearch:
             self._tell(candidate)
 
     def improved(self) -> None:
-        """Try neighbours of the best schedule until none is better or the effort is used."""
+        """Try neighbours of the best schedule until none is better or the effort is used up."""
         keep, self.keep, best = self.keep, 1, None
         while self.best and self.best[0] is not best:
             best = self.best[0]
@@ -261,9 +265,9 @@ class _ScheduleSearch:
         self.keep = keep
 
     def in_turn(self, proposals: Iterable[Proposal], least: int = 0) -> list[Proposal]:
-        """Try proposals that are not on record, some at a time; those for which no effort was left.
+        """Try proposals that are not on record, in batches; returns those for which no effort was left.
 
-        ``least`` of them are tried in any case.
+        At least ``least`` of them are tried.
         """
         done = {each.source for each in self.records.candidates}
         left = [each for each in proposals if each.source not in done]
@@ -273,7 +277,7 @@ class _ScheduleSearch:
         return left
 
     def finished(self, unsolved: Iterable[Proposal]) -> None:
-        """Take up what was given up where nothing is certified, and tell of all that was not tried."""
+        """If nothing is certified, retry what was given up; then report everything that was not tried."""
         self.given_up.sort(key=lambda pair: _promise(pair[0]))
         for _ in range(self.keep):
             if self.best or not self.given_up:
@@ -294,12 +298,12 @@ class _ScheduleSearch:
 
 
 def _promise(proposal: Proposal) -> tuple[float, str]:
-    """The least objective on a coarse mesh first; those that were not solved there last."""
+    """Sort key: lowest objective on a coarse mesh first, unsolved proposals last."""
     return math.inf if proposal.screened is None else proposal.screened, proposal.source
 
 
 def _alike(one: Proposal, other: Proposal) -> bool:
-    """Whether two have the same contacts in the same order for about as long."""
+    """Whether two proposals have the same contact sequence with similar durations."""
     if one.modes is None or other.modes is None or one.modes.key != other.modes.key:
         return False
     apart = [abs(a - b) for (_, a), (_, b) in zip(one.modes.modes, other.modes.modes, strict=True)]
@@ -308,7 +312,7 @@ def _alike(one: Proposal, other: Proposal) -> bool:
 
 @contextmanager
 def _workers(jobs: int | None, scheduler: str | None, limit: float) -> Iterator[Run]:
-    """Where calls run: in this process, in others, or on a Dask cluster, with a limit of time in s."""
+    """Provide a function that runs calls here, or in other processes or on Dask with a time limit in s."""
 
     def here(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
         return ((index, function(*each)) for index, each in enumerate(arguments))

@@ -1,4 +1,4 @@
-"""A task: what of a problem does not depend on its phases, and problems of other schedules for it."""
+"""Discovery tasks: what a problem is without its phases, and its problems for discovered schedules."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,17 +23,20 @@ from trajopt.terms.tracking import KeyFrames
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 
-# Height of swings over the robot's length, where the problem's terms say none.
+# Swing height in robot lengths, if the problem's terms give none.
 CLEARANCE = 0.05
-# Durations of a schedule that was found are free within these multiples of what was found.
+# Bounds of the phase durations of a discovered schedule, in multiples of the discovered durations.
 FREE = (0.3, 2.5)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactTask:
-    """A problem without its phases: the robot, the ground, where it starts, and terms that name no phase.
+    """A problem without its phases: robot, ground, start, and terms that name no phase.
 
-    left_out: names of terms that act in phases of the problem's own schedule, and are no part of the task.
+    Args:
+        terms: those that act in the whole motion.
+        left_out: names of terms that act only in phases of the problem's own schedule.
+        clearance: height of swings, m.
     """
 
     problem: Problem
@@ -43,7 +46,7 @@ class ContactTask:
 
     @classmethod
     def of(cls, problem: Problem) -> "ContactTask":
-        """The task of a problem. Raises `InputError` for one whose model depends on its phases."""
+        """The task of a problem. Raises `InputError` if its model depends on its phases."""
         robot, label = problem.robot, f"the schedule of '{problem.name}' cannot be found"
         require_feet(robot)
         for what, given in (("minimal coordinates", problem.modes), ("payloads", problem.payloads)):
@@ -68,7 +71,7 @@ class ContactTask:
         )
 
     def describe(self) -> dict[str, Any]:
-        """JSON-able: what tells it from another task."""
+        """JSON-able description that distinguishes tasks."""
         problem, end = self.problem, self.end
         return {
             "problem": problem.name,
@@ -103,24 +106,24 @@ class ContactTask:
 
     @property
     def end(self) -> np.ndarray | None:
-        """The configuration (nq,) in which the motion ends; None where no term says it."""
+        """Final configuration (nq,); None if no term prescribes it."""
         return next((term.q for term in self.terms if isinstance(term, TerminalState)), None)
 
     def travel(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """How far the base is moved from one configuration (nq,) to another (3,), m, world."""
+        """Displacement (3,) of the base between two configurations (nq,), m, world."""
         frame = self.robot.model.names[1]
         places = [frame_pose(self.robot, q, frame).translation for q in (first, last)]
         return np.asarray(places[1] - places[0])
 
     def moved(self, q: np.ndarray, by: np.ndarray) -> np.ndarray:
-        """A configuration (nq,) with the base ``by`` (3,) m away, world."""
+        """A configuration (nq,) with its base translated by ``by`` (3,), m, world."""
         moved, rows = q.copy(), [0, 1, 2] if self.robot.base == "freeflyer" else [0, 2]
         moved[: len(rows)] += by[rows]
         return moved
 
     @property
     def still(self) -> KeyFrames:
-        """The plainest guess: a straight path of the base, legs still in a cycle, else from start to end."""
+        """The simplest guess: a straight base path; legs at rest in a cycle, else from start to end."""
         robot = self.robot
         first, last = self.problem.guess_at(0.0).copy(), self.end
         last = (self.problem.guess_at(self.duration) if last is None else last).copy()
@@ -140,10 +143,10 @@ class ContactTask:
         return tuple(name for name, height in heights.items() if height < near)
 
     def with_modes(self, modes: ModeSequence, guess: Motion) -> Problem:
-        """The problem with hard contacts in the schedule that was found; durations are free.
+        """The problem with hard contacts in a discovered schedule, with free durations.
 
         Raises:
-            InputError: for a schedule that the problem cannot have.
+            InputError: for a schedule that does not fit the problem.
         """
         schedule = self._schedule(modes, guess)
         problem, names = self.problem, tuple(contact.name for contact in self.robot.contacts)
@@ -167,7 +170,7 @@ class ContactTask:
         )
 
     def _schedule(self, modes: ModeSequence, guess: Motion) -> Schedule:
-        """Phases of the modes; a contact's last landing is where the motion has to end."""
+        """Phases of the modes; each contact's last landing is at its foothold in the final configuration."""
         terrain, feet = self.problem.terrain, [set(contacts) for contacts in modes.key]
         before = [feet[-1] if self.periodic else feet[0], *feet[:-1]]
         landing = [
@@ -204,14 +207,14 @@ def require_feet(robot: Robot) -> None:
 
 
 def _face(terrain: PiecewiseTerrain, place: np.ndarray) -> Patch:
-    """The face under a landing, or the nearest one."""
+    """The face below a landing point, or the nearest one."""
     under = terrain.face_at(float(place[0]), float(place[1]))
     off = [float(np.linalg.norm(face.nearest(place) - place)) for face in terrain.faces]
     return under or terrain.faces[int(np.argmin(off))]
 
 
 def _whole_cycle(problem: Problem, terms: tuple[Term, ...]) -> Problem:
-    """The problem with the other half of its cycle, where it has one half and its mirror image."""
+    """Complete a half cycle with its mirror image; other problems are returned unchanged."""
     periodicity, robot = problem.periodicity, problem.robot
     if periodicity is None or not periodicity.mirror:
         return problem

@@ -1,4 +1,4 @@
-"""One schedule with hard contacts: what it costs on a coarse mesh, and its motion that holds at any time."""
+"""Trials of one schedule with hard contacts: its objective on a coarse mesh, and a motion with the grade."""
 
 from __future__ import annotations
 
@@ -18,17 +18,16 @@ from trajopt.solving.graded import MOST_ROUNDS, solve_graded
 from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.transcription.mesh import Mesh
 
-# The mesh on which schedules are compared: scheme and part of the problem's intervals; tolerance and limit of
-# iterations.
+# Screening mesh: scheme and fraction of the problem's intervals; tolerance and iteration limit of its solve.
 COARSE, PART, TOLERANCE, ITERATIONS = "legendre:2", 0.25, 1e-3, 40
-# Meshes of a first attempt to certify, and iterations on each.
+# Meshes in a first attempt at certification, and iterations on each.
 ROUNDS, PATIENCE = 3, 100
-# A phase at its least duration is meant to vanish; relative to the bound.
+# A phase counts as vanished up to this multiple of its least duration.
 AT_BOUND = 1.02
 
 
 def screened(task: ContactTask, proposal: Proposal, max_time: float) -> Proposal:
-    """The proposal with its objective on a coarse mesh; without one where that is not solved."""
+    """The proposal with its objective on a coarse mesh; without one if that solve does not converge."""
     assert proposal.modes is not None
     assert proposal.motion is not None
     try:
@@ -55,7 +54,7 @@ def screened(task: ContactTask, proposal: Proposal, max_time: float) -> Proposal
 
 
 def certified(task: ContactTask, proposal: Proposal, max_time: float, rounds: int = MOST_ROUNDS) -> Candidate:
-    """Solve a proposal with hard contacts until its motion holds, without phases that shrink to nothing."""
+    """Solve a proposal with hard contacts until its motion has the grade, without vanished phases."""
     assert proposal.modes is not None
     assert proposal.motion is not None
     rejected = untried(proposal, "", REJECTED)
@@ -93,7 +92,7 @@ def certified(task: ContactTask, proposal: Proposal, max_time: float, rounds: in
 
 
 def untried(proposal: Proposal, why: str, status: str) -> Candidate:
-    """A proposal that is not certified, with the reason."""
+    """The candidate of a proposal that is not certified, with the reason."""
     return Candidate(
         source=proposal.source,
         modes=proposal.modes,
@@ -108,7 +107,7 @@ def untried(proposal: Proposal, why: str, status: str) -> Candidate:
 
 
 def spent(solution: Solution) -> tuple[float, float]:
-    """Time of the solver in all rounds, s, and their iterations times variables."""
+    """Solver time, s, and effort (iterations times variables), summed over all rounds."""
     rounds = solution.statistics.rounds
     return sum(each.wall_time_s for each in rounds), float(
         sum(each.iterations * each.variables for each in rounds)
@@ -116,7 +115,7 @@ def spent(solution: Solution) -> tuple[float, float]:
 
 
 def without_vanished(modes: ModeSequence, solution: Solution, periodic: bool) -> ModeSequence | None:
-    """The modes without those that a motion has at their least duration; None where there is none."""
+    """The modes without those at their least duration in the solution; None if there are none."""
     durations = solution.phase_durations
     least = [AT_BOUND * FREE[0] * duration for _, duration in modes.modes]
     if len(durations) != len(least) or all(a > b for a, b in zip(durations, least, strict=True)):
@@ -131,7 +130,7 @@ def without_vanished(modes: ModeSequence, solution: Solution, periodic: bool) ->
 def _solved(
     task: ContactTask, modes: ModeSequence, motion: Motion, limits: dict[str, Any]
 ) -> Solution | None:
-    """The motion of a schedule; None where the problem cannot have it."""
+    """The solution for a schedule; None if the problem cannot have it."""
     try:
         return solve_graded(task.with_modes(modes, motion), **limits).solution
     except InputError:

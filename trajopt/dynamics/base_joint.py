@@ -1,4 +1,4 @@
-"""Kinds of base: how each is recognised in a model, its rows and coordinates; position limits of a model.
+"""Kinds of base: their recognition in a model, rows and coordinates; position limits of a model.
 
 A base is fixed, a free-flyer, planar, or virtual: six joints in series, three prismatic along x, y, z, and
 three revolute about axes in one of ``ORDERS`` (see `virtual_base`).
@@ -19,7 +19,7 @@ BASE_JOINT: dict[Base, int] = {"freeflyer": 1, "virtual": 6, "planar": 1, "fixed
 BASE_POSITION: dict[Base, int] = {"freeflyer": 3, "virtual": 3, "planar": 2, "fixed": 0}
 # Parsers write "no limit" as the largest double or as infinity; no robot reaches this.
 UNLIMITED = 1e20
-# Of a virtual base: the world's axes, orders of its revolute joints, prefix of its joints' names, its rows.
+# A virtual base: the world's axes, orders of its revolute joints, prefix of joint names, number of rows.
 AXES = "XYZ"
 ORDERS = ("ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY")
 PREFIX = "virtual_"

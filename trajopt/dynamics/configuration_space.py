@@ -1,9 +1,8 @@
 """Integrate and difference of Pinocchio's joints on SX, without 0/0 in value or derivatives.
 
-Pinocchio's own versions on SX give NaN derivatives at zero rotation. A function of the squared angle
-that is 0/0 at zero is replaced near it by its series, and its closed form is kept away from zero there,
-so that no branch makes a NaN. Formulas: Sola, Deray, Atchuthan, "A micro Lie theory", 2018, appendices
-A, B and D.
+Pinocchio's own versions on SX give NaN derivatives at zero rotation. Near zero, a function of the squared
+angle that is 0/0 there is replaced by its series, and its closed form is evaluated away from zero, so that
+neither branch gives NaN. Formulas: Sola, Deray, Atchuthan, "A micro Lie theory", 2018, appendices A, B and D.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +24,7 @@ _INVERSE_JACOBIAN = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 
 
 
 def _smooth(square: ca.SX, series: Sequence[float], closed: Callable[[ca.SX], ca.SX]) -> ca.SX:
-    """``closed(square)``, by its series in ``square`` where that is small."""
+    """``closed(square)``, or its series in ``square`` where that is small."""
     is_small = square < _SMALL
     return ca.if_else(is_small, _polynomial(series, square), closed(ca.if_else(is_small, 1, square)))
 

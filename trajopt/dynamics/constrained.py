@@ -1,9 +1,9 @@
-"""Dynamics in contact as CasADi functions, for transcriptions of one's own.
+"""Dynamics in contact as CasADi functions, for custom transcriptions.
 
     M a + h = tau + J^T f,      J a + Jdot v = 0
 
-with frames that hold: points (3 rows of J) or soles (6), whose wrenches f are in world axes at their origins.
-Rows of J have to be independent; `trajopt.certify.forward_dynamics` is numeric and takes any.
+for frames held in place: points (3 rows of J) or soles (6), with wrenches f in world axes at their origins.
+Rows of J must be independent; `trajopt.certify.forward_dynamics` is numeric and accepts dependent ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from trajopt.dynamics import rigid_body
 def contact_forward_dynamics(model: pin.Model, held: Mapping[str, int]) -> ca.Function:
     """Acceleration and wrenches ``(q, v, tau) -> (a, f)``: tau (nv,) N m, a (nv,), f (n,) N and N m.
 
-    ``held``: 3 or 6 rows by the frame's name, in the order of f. Raises `InputError`.
+    ``held`` gives 3 or 6 rows by the frame's name, in the order of f. Raises `InputError`.
     """
     q, v, tau = (ca.MX.sym(name, n) for name, n in (("q", model.nq), ("v", model.nv), ("tau", model.nv)))
     jacobian, drift = _contact_rows(model, held, q, v)
@@ -39,7 +39,7 @@ def contact_inverse_dynamics(
 ) -> ca.Function:
     """Torques and wrenches of least norm, ``(q, v, a) -> (tau, f)``: ``[f; tau] = [J^T S^T]^+ (M a + h)``.
 
-    ``tau`` (nu,) of ``actuated_rows`` of v. Contacts and actuators have to reach every row together: a
+    ``tau`` (nu,) acts on ``actuated_rows`` of v. Contacts and actuators together must reach every row: a
     quadruped on two points cannot turn about the line between them. Raises `InputError`.
     """
     q, v, a = (ca.MX.sym(name, n) for name, n in (("q", model.nq), ("v", model.nv), ("a", model.nv)))
@@ -51,7 +51,7 @@ def contact_inverse_dynamics(
 
 
 def _contact_rows(model: pin.Model, held: Mapping[str, int], q: ca.MX, v: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """J (n, nv) of the frames that hold, and Jdot v (n,)."""
+    """J (n, nv) of the held frames, and Jdot v (n,)."""
     still = ca.MX.zeros(model.nv)
     jacobians = [rigid_body.frame_jacobian(model, name)(q)[:size, :] for name, size in held.items()]
     drifts = [rigid_body.frame_acceleration(model, name)(q, v, still)[:size] for name, size in held.items()]

@@ -51,7 +51,7 @@ SUPPORTED_JOINTS = (
 
 @dataclass(frozen=True)
 class Joint:
-    """Where one joint sits in q and v, and how its coordinates behave."""
+    """Position of one joint in q and v, and the kind of its coordinates."""
 
     name: str
     kind: str  # "plain" | "continuous" | "planar" | "spherical" | "freeflyer"
@@ -60,7 +60,7 @@ class Joint:
 
     @property
     def is_counted(self) -> bool:
-        """Whether the coordinate counts whole turns, which q does not."""
+        """Whether the coordinate counts whole turns, which q does not contain."""
         return self.kind == "continuous"
 
     @property
@@ -199,7 +199,7 @@ class Coordinates:
     def local_to_pinocchio(
         self, rotations: np.ndarray, xi: np.ndarray, dxi: np.ndarray, ddxi: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Numeric (q, v, a) of points: inputs (n, 4 n_rotations) and three times (n, nv)."""
+        """Numeric (q, v, a) of n points, from rotations (n, 4 n_rotations) and three arrays (n, nv)."""
         q, v, a = self._local_to_pinocchio(rotations.T, xi.T, dxi.T, ddxi.T)
         return np.array(q).T, np.array(v).T, np.array(a).T
 
@@ -225,7 +225,7 @@ class Coordinates:
     def symbolic_node(self, q: ca.SX, v: ca.SX, counted: Mapping[str, ca.SX] = MappingProxyType({})) -> ca.SX:
         """Symbolic node state (n_node,) of q (nq,) and v (nv,), as ``node_from_pinocchio``.
 
-        ``counted`` are angles of continuous joints, by name: q does not contain their whole turns.
+        ``counted`` holds angles of continuous joints by name, as q does not contain their whole turns.
         """
         rotations, xi, rates = [], ca.SX.zeros(self.nv), v + 0
         for joint in self.joints:
@@ -261,7 +261,7 @@ class Coordinates:
         return node
 
     def acceleration_from_pinocchio(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Second derivative of the local coordinates (nv,) at the start of an interval there."""
+        """Second derivative (nv,) of the local coordinates of an interval that starts at (q, v, a)."""
         ddxi = np.array(a, dtype=float)
         for joint in self.joints:
             if joint.kind == "freeflyer":

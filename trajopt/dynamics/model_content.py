@@ -46,7 +46,7 @@ def model_content(model: pin.Model) -> tuple:
 
 @dataclass(frozen=True)
 class _KeyedModel:
-    """A model that is equal to another of the same content."""
+    """A model that compares equal to any model of the same content."""
 
     content: tuple
     model: pin.Model = field(compare=False)

@@ -52,8 +52,8 @@ def contact_jacobian(
     """Rows (n, nv) of the contacts' frame Jacobians at q (nq,), world-aligned axes.
 
     ``contacts`` are frame names with their dimension, 3 (linear) or 6 (linear, angular), or with the indices
-    of the rows to take. ``levers``: for each contact None, or of a ball that rolls where its centre is from
-    where it touches (3,), m; its linear rows are of v - omega x lever.
+    of the rows to take. ``levers`` holds for each contact None or, for a rolling ball, the vector (3,), m,
+    from its point of contact to its centre; its linear rows are then those of v - omega x lever.
     """
     data = model.createData()
     blocks = [np.zeros((0, model.nv))]
@@ -68,9 +68,9 @@ def contact_jacobian(
 
 
 def without_rolling(motion: np.ndarray, lever: ArrayLike) -> np.ndarray:
-    """Linear rows (3, ...) of a ball's twist, acceleration or Jacobian (6, ...) without what it rolls.
+    """Linear rows (3, ...) of a ball's twist, acceleration or Jacobian (6, ...) without its rolling motion.
 
-    ``v - omega x lever`` of its centre, with the lever (3,) m from where it touches to there.
+    ``v - omega x lever`` for its centre, with the lever (3,), m, from the point of contact to the centre.
     """
     return np.asarray(motion[:3] + pin.skew(np.asarray(lever)) @ motion[3:])
 

@@ -1,13 +1,13 @@
-"""A floating model re-rooted at another of its bodies: the same tree, seen from a contact point.
+"""Re-rooting of a floating model at another of its bodies: the same tree, seen from a contact point.
 
 A joint of one degree of freedom places its child in its parent at ``M exp(S q)``. Seen from the child
 the parent is at ``exp(-S q) M^-1``. With T a half turn about an axis perpendicular to S,
-``exp(-S q) = T exp(S q) T^-1``: the joint of the same kind, placed at T. So a reversed joint keeps the name,
-coordinate, rate, torque, armature and limits of the original.
+``exp(-S q) = T exp(S q) T^-1``: the joint of the same kind, placed at T. A reversed joint therefore keeps the
+name, coordinate, rate, torque, armature and limits of the original.
 
-Pinocchio's own graphs (``pin.graph``) reverse joints too, but need the robot as a graph to begin with,
-and version 4.1 leaves a body's inertia at its joint where the body's frame lies elsewhere
-(`docs/modelling/coordinates.md`), as it does behind every reversed joint.
+Pinocchio's graphs (``pin.graph``) also reverse joints, but need the robot as a graph to begin with. Version
+4.1 leaves a body's inertia at its joint where the body's frame lies elsewhere, as it does behind every
+reversed joint (`docs/modelling/coordinates.md`).
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ JOINT_ROWS = (
 
 @dataclass(frozen=True)
 class Body:
-    """Where a body of the old model is: its joint in the new model, its old frame in that joint's frame."""
+    """A body of the old model: its joint in the new model, and its old frame in that joint's frame."""
 
     joint: int
     placement: pin.SE3
@@ -39,7 +39,7 @@ class Body:
 def path_to_base(model: pin.Model, joint: int) -> list[int]:
     """Return the joints from ``joint`` up to the base, joint 1, both included.
 
-    Raises `UnsupportedJointError` for one with more than one degree of freedom.
+    Raises `UnsupportedJointError` for a joint with more than one degree of freedom.
     """
     path = [joint]
     while path[-1] != 1:
@@ -69,11 +69,11 @@ def joint_motion(joint: pin.JointModel) -> pin.Motion:
 def reroot(
     model: pin.Model, frame: str, passive: pin.JointModel, passive_name: str, root: pin.SE3
 ) -> pin.Model:
-    """Return ``model`` standing on ``frame``: a ``passive`` joint there, at ``root`` in the world.
+    """Return ``model`` standing on ``frame``, which a ``passive`` joint connects to the world at ``root``.
 
-    The passive joint comes first, then the joints from there to the base, then the limbs; all but the
-    first keep name, coordinate and rows. At the passive joint's neutral the frame's body has its orientation
-    from the neutral configuration of ``model``. Frames are kept; `BASE_FRAME` is where joint 1 was. Raises
+    The passive joint comes first, then the joints from there to the base, then the limbs; all but the first
+    keep their name, coordinate and rows. With the passive joint at neutral, the frame's body is oriented as
+    in the neutral configuration of ``model``. Frames are kept; `BASE_FRAME` is where joint 1 was. Raises
     `InputError`, `UnsupportedJointError`.
     """
     foot = model.frames[model.getFrameId(frame)]
@@ -100,7 +100,7 @@ def reroot(
 
 
 def _half_turn(motion: pin.Motion) -> pin.SE3:
-    """Half a turn about an axis perpendicular to that of the joint, which it reverses."""
+    """A half turn about an axis perpendicular to that of the joint, which it reverses."""
     axis = motion.angular if np.any(motion.angular) else motion.linear
     perpendicular = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     perpendicular /= np.linalg.norm(perpendicular)
@@ -110,7 +110,7 @@ def _half_turn(motion: pin.Motion) -> pin.SE3:
 def _hang_limbs(
     model: pin.Model, new: pin.Model, joint: int, path: list[int], bodies: dict[int, Body]
 ) -> None:
-    """Add the limbs on ``joint`` off the path, and record where their bodies are."""
+    """Add the limbs of ``joint`` that are not on the path, and record where their bodies are."""
     limbs = {joint}
     for index in range(1, model.njoints):
         parent = int(model.parents[index])
@@ -129,13 +129,13 @@ def joint_slices(model: pin.Model, name: str) -> tuple[slice, slice]:
 
 
 def joints_with(model: pin.Model, marked: np.ndarray) -> list[str]:
-    """Return the names of joints with a marked entry among those (nq,) of q or (nv,) of v."""
+    """Return the names of joints with a true entry in ``marked``, a mask (nq,) of q or (nv,) of v."""
     rows = 0 if len(marked) == model.nq else 1
     return [name for name in list(model.names)[1:] if marked[joint_slices(model, name)[rows]].any()]
 
 
 def copy_bodies(model: pin.Model, new: pin.Model, bodies: dict[int, Body]) -> None:
-    """Add the old model's inertias and frames to its bodies, and the rows and limits of its joints."""
+    """Copy the inertias and frames of the old model's bodies, and the rows and limits of its joints."""
     for joint, body in bodies.items():
         new.appendBodyToJoint(body.joint, model.inertias[joint], body.placement)
     _copy_rows(model, new)
@@ -143,7 +143,7 @@ def copy_bodies(model: pin.Model, new: pin.Model, bodies: dict[int, Body]) -> No
 
 
 def _copy_rows(model: pin.Model, new: pin.Model) -> None:
-    """Copy what belongs to a joint to the joint of that name; other joints have no limits and no effort."""
+    """Copy rows and limits to the joints of the same name; other joints have no limits and no effort."""
     for name in list(new.names)[1:]:
         q, v = joint_slices(new, name)
         if not model.existJointName(name):
@@ -161,7 +161,7 @@ def _copy_rows(model: pin.Model, new: pin.Model) -> None:
 
 
 def _copy_frames(model: pin.Model, new: pin.Model, bodies: dict[int, Body]) -> None:
-    """Add the old model's frames on their bodies and on the world; frames of joints where those are now."""
+    """Copy the old model's frames on bodies and the world; frames of joints move with their joints."""
     holders = dict.fromkeys(range(new.njoints), 0)
     for joint, name in enumerate(list(new.names)[1:], start=1):
         # A model may give a joint no frame, where a link has its name.

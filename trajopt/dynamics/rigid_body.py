@@ -46,7 +46,7 @@ def fused(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) 
 
 
 def loaded_frames(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) -> tuple:
-    """Contents of frames with the sizes of their wrenches. Raises `InputError` for another size."""
+    """Contents of frames with the sizes of their wrenches. Raises `InputError` for an unknown size."""
     if len(frames) != len(wrench_kinds) or not set(wrench_kinds) <= set(WRENCH_SIZES):
         what = f"wrench sizes {list(wrench_kinds)} for frames {list(frames)}"
         raise InputError(what, "one of 0, 3, 6 per frame")
@@ -95,7 +95,7 @@ def frame_acceleration(model: pin.Model, frame_name: str, reference: Reference =
 
 @checked
 def frame_jacobian(model: pin.Model, frame_name: str, reference: Reference = "world_aligned") -> Function:
-    """Jacobian ``q -> J`` (6, nv) with ``J v`` the frame's velocity, of which it is the slope."""
+    """Jacobian ``q -> J`` (6, nv) of the frame's velocity, which is ``J v``."""
     return _frame_jacobian(frame_velocity(model, frame_name, reference))
 
 
@@ -133,9 +133,9 @@ def integrate(model: pin.Model) -> Function:
 
 
 def difference(model: pin.Model) -> Function:
-    """The velocity that leads in unit time from one configuration to the other, ``(q0, q1) -> v`` (nv).
+    """The velocity that leads from one configuration to the other in unit time, ``(q0, q1) -> v`` (nv).
 
-    Smooth at q0 = q1 in value and derivatives; rotations by the shorter way, so undefined at pi rad.
+    Smooth at q0 = q1 in value and derivatives; rotations take the shorter way, which is undefined at pi rad.
     """
     return configuration_space.difference_function(_kinds(model))
 
@@ -152,7 +152,7 @@ def _in_reference(name: str, model: pin.Model, frame_name: str, reference: str) 
 
 @lru_cache(maxsize=_CACHED_FUNCTIONS)
 def _kinetic_energy(model: tuple) -> Function:
-    """Links and rotors."""
+    """Kinetic energy of links and rotors."""
     links = _of_model("kinetic_energy", model)
     q, v = links.sx_in(0), links.sx_in(1)
     rotors = ca.dot(ca.DM(model[1]), v**2) / 2

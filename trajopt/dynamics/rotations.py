@@ -51,8 +51,8 @@ def rotation_matrix(quaternion: ca.SX) -> ca.SX:
 def rotation_error(target: ca.SX, rotation: ca.SX) -> ca.SX:
     """Twice the Rodrigues vector of target^T rotation, 2 tan(angle / 2) times its axis, (3,).
 
-    ``2 vee(R - R^T) / (1 + tr R)``: smooth and zero only where both rotations (3, 3) are equal. It is
-    infinite at an angle of pi, so that there is no false zero.
+    ``2 vee(R - R^T) / (1 + tr R)`` is smooth, and zero only where both rotations (3, 3) are equal. It is
+    infinite at an angle of pi, so there is no false zero.
     """
     error = ca.mtimes(target.T, rotation)
     vee = ca.vertcat(error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1])

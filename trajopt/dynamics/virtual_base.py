@@ -1,8 +1,8 @@
 """A floating base as six virtual joints: three prismatic, then three revolute in a chosen order.
 
-The base is where a free-flyer's would be: ``R = R_i(a) R_j(b) R_k(c)`` for the order "ijk", default "ZYX"
-(yaw, pitch, roll), and the position p is that of the free-flyer. Its twist in world axes is the base
-Jacobian times the rates,
+The pose of the base is that of a free-flyer: ``R = R_i(a) R_j(b) R_k(c)`` for the order "ijk", default "ZYX"
+(yaw, pitch, roll), and the position p is the free-flyer's. Its twist in world axes is the base Jacobian times
+the rates,
 
     [p'; omega] = diag(I, J_w) [p'; phi'],     J_w = [e_i, R_i e_j, R_i R_j e_k]
 
@@ -22,7 +22,7 @@ from trajopt.errors import InputError
 
 DEFAULT_ORDER = "ZYX"
 
-# Below this margin the angles' rates are over twenty times the angular velocity and their accelerations
+# Below this margin the angles' rates may exceed twenty times the angular velocity and their accelerations
 # four hundred times: a scheme with a few points per interval no longer resolves them.
 LEAST_MARGIN = 0.05
 
@@ -75,7 +75,7 @@ def margin_of(middle: np.ndarray) -> np.ndarray:
 
 
 def gimbal_margin_along(model: pin.Model, t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float | None:
-    """Return the least gimbal margin of a motion, between its samples too; None for another base.
+    """Return the least gimbal margin of a motion, also between its samples; None for another base.
 
     t (n,) s, q (n, nq), v (n, nv). Between samples the middle angle is the cubic through its values and
     rates; where it passes a right angle the margin is 0.
@@ -139,8 +139,8 @@ def base_jacobian(order: str, angles: np.ndarray) -> np.ndarray:
 def angles_of(order: str, rotation: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
     """Angles (3,) rad of a rotation matrix; with the middle one in [-pi/2, pi/2], or nearest to ``near``.
 
-    In gimbal lock only a sum or difference of the outer angles is determined: the last is then 0, or
-    what it is in ``near``.
+    In gimbal lock only the sum or the difference of the outer angles is determined: the last angle is then
+    0, or that of ``near``.
     """
     i, j, k = (AXES.index(axis) for axis in order)
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
@@ -162,7 +162,7 @@ def angles_of(order: str, rotation: np.ndarray, near: np.ndarray | None = None) 
 
 
 def to_free_flyer(model: pin.Model, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Triple:
-    """Free-flyer coordinates (nq + 1, nv, nv) of those of the virtual-base ``model``."""
+    """Free-flyer coordinates (nq + 1, nv, nv) from coordinates of the virtual-base ``model``."""
     order = virtual_order(model)
     if order is None:
         raise InputError(f"model '{model.name}' has no virtual base", "base='virtual'")
@@ -186,8 +186,8 @@ def from_free_flyer(
 ) -> Triple:
     """Coordinates of a virtual base with that ``order`` from those of a free-flyer.
 
-    ``near`` (3,) rad: take the angles nearest to these, as in `angles_of`. Raises `InputError` in gimbal
-    lock where a velocity or acceleration is not zero: no angle rates produce them.
+    With ``near`` (3,), rad, the angles are those nearest to it, as in `angles_of`. Raises `InputError` in
+    gimbal lock if the angular velocity or acceleration is not zero: no angle rates produce it.
     """
     require_order(order)
     rotation = pin.Quaternion(*q[[6, 3, 4, 5]]).toRotationMatrix()

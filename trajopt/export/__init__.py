@@ -1,4 +1,4 @@
-"""Motions in the formats of other people's tools: sampled at an even rate, cycle after cycle."""
+"""Motions in the formats of other tools, sampled at an even rate, cycle after cycle."""
 
 import lazy_loader
 

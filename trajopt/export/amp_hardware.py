@@ -1,4 +1,4 @@
-"""Motions of "AMP for hardware" and its followers, as their ``AMPLoader`` reads them: 61 numbers a frame."""
+"""Motions for "AMP for hardware" and its followers, as their ``AMPLoader`` reads them: 61 numbers a frame."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -14,15 +14,15 @@ from trajopt.export.exported_motion import ExportedMotion
 from trajopt.export.links import frame_motion
 from trajopt.solution.local_states import rotation_matrices
 
-# Order of legs in files: PyBullet's, which the loader changes into Isaac Gym's (FL, FR, RL, RR).
+# Order of the legs in files: PyBullet's, which the loader converts to Isaac Gym's (FL, FR, RL, RR).
 ORDER = ("FR", "FL", "RR", "RL")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Base:
-    """The base: position (n, 3) m and quaternion (n, 4) wxyz, world axes; velocities (n, 3) along its axes.
+    """Motion of the base: position (n, 3) m, quaternion (n, 4) wxyz; velocities (n, 3) along its own axes.
 
-    turn: (n, 3, 3) from its axes to the world's.
+    turn: (n, 3, 3) rotation from the base's axes to the world's.
     """
 
     position: np.ndarray
@@ -33,7 +33,7 @@ class _Base:
 
 
 def write_amp_hardware(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
-    """Write one motion of a quadruped; raises `InputError` for another robot."""
+    """Write the motion of a quadruped; raises `InputError` for other robots."""
     (motion,) = motions
     by_name = three_joint_legs(motion)
     legs = [by_name[name] for name in ORDER]
@@ -83,7 +83,7 @@ def _base(motion: ExportedMotion) -> _Base:
 
 
 def _feet_on_base(motion: ExportedMotion, base: _Base, feet: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities (n, 12) of feet, seen from the base and along its axes; m, m/s."""
+    """Positions and velocities (n, 12) of feet relative to the base, along its axes; m, m/s."""
     frames = {foot: motion.model.getFrameId(foot) for foot in feet}
     world = frame_motion(motion.model, frames, motion.q, motion.v)
     apart = np.einsum("nji,nkj->nki", base.turn, world.position - base.position[:, None])
@@ -93,7 +93,7 @@ def _feet_on_base(motion: ExportedMotion, base: _Base, feet: Sequence[str]) -> t
 
 
 def _one_frame_a_line(described: Mapping[str, Any]) -> str:
-    """JSON with one line for each frame of a list of frames."""
+    """JSON text with one line per frame in lists of frames."""
     lines = []
     for key, value in described.items():
         nested = isinstance(value, list) and value and isinstance(value[0], list)
@@ -103,7 +103,7 @@ def _one_frame_a_line(described: Mapping[str, Any]) -> str:
 
 
 ALLOWED = "allowed: a quadruped with a floating base and three joints a leg"
-# Joints of a leg.
+# Joints per leg.
 JOINTS = 3
 
 
@@ -116,7 +116,7 @@ class Leg:
 
 
 def three_joint_legs(motion: ExportedMotion) -> dict[str, Leg]:
-    """Legs by the names FR, FL, RR, RL, told apart by where their hips are (x ahead, y to the left).
+    """Legs by name (FR, FL, RR, RL), told apart by the positions of their hips (x ahead, y to the left).
 
     Raises `InputError` for any other robot.
     """

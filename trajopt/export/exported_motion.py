@@ -1,4 +1,4 @@
-"""A motion as it is exported: at an even rate, cycle after cycle, joints and links by name."""
+"""A motion as exported: evenly sampled, cycle after cycle, with joints and links by name."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -22,15 +22,26 @@ from trajopt.solution.solution import Solution
 @picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExportedMotion:
-    """A motion at n times, ``rate`` a second; SI units, world axes unless said, arrays are read-only.
+    """A motion at n times, ``rate`` per second; SI units, world axes unless stated; arrays are read-only.
 
-    plan: the solution. cycles: how often a periodic one is repeated. t: (n,) s, from 0.
-    q, v, a: (n, nq), (n, nv), (n, nv), Pinocchio's: quaternions xyzw, the twist of a base along its axes.
-    tau, drive_torque: (n, nu) as in `SampledMotion`. f: (n, nc, 6), active: (n, nc), of the plan's contacts.
-    phase: (n,) index into ``phase_names``; with several cycles the phases of all, one after the other.
-    joint_names: the d joints beside a moving base, in Pinocchio's order. Of each joint_position, whole turns
-        counted, joint_velocity, joint_acceleration, joint_torque of its drive, 0 of a passive one: (n, d).
-    links: poses and velocities of all links.
+    Args:
+        plan: the solution.
+        cycles: number of repetitions of a periodic plan.
+        t: (n,) s, from 0.
+        q: (n, nq) of Pinocchio, quaternions xyzw.
+        v: (n, nv), the twist of the base along its axes.
+        a: (n, nv).
+        tau: (n, nu), as in `SampledMotion`.
+        drive_torque: (n, nu), as in `SampledMotion`.
+        f: (n, nc, 6), wrenches of the plan's contacts.
+        active: (n, nc), whether contacts are active.
+        phase: (n,) index into ``phase_names``, which holds the phases of all cycles one after the other.
+        joint_names: the d joints other than a moving base, in Pinocchio's order.
+        joint_position: (n, d), with whole turns.
+        joint_velocity: (n, d).
+        joint_acceleration: (n, d).
+        joint_torque: (n, d) of the drives; 0 for passive joints.
+        links: poses and velocities of all links.
     """
 
     plan: Solution
@@ -79,19 +90,19 @@ class ExportedMotion:
 def sample_cycles(
     solution: SolutionOrFile, rate: Positive = RATE, cycles: PositiveCount = 1
 ) -> ExportedMotion:
-    """Return a motion at ``rate``, from the polynomials of its intervals; at a switch the values after it.
+    """Sample a motion at ``rate`` from the polynomials of its intervals; a switch has the values after it.
 
-    All steps are equal: what is left at the end, shorter than a step, is not sampled.
+    All steps are equal: a remainder at the end that is shorter than a step is not sampled.
 
     Args:
         solution: the plan, or the path of its file.
-        rate: samples a second, Hz.
-        cycles: of a periodic plan, each moved on from the one before; half a cycle counts with its mirror
+        rate: samples per second, Hz.
+        cycles: of a periodic plan, each continuing the previous one; half a cycle counts with its mirror
             image, as in `simulate`.
 
     Raises:
         InputError: for a rate that gives over 200,000 samples, several cycles of a plan that is not periodic,
-            and joints beside the base with several degrees of freedom.
+            or joints other than the base with several degrees of freedom.
     """
     plan = require_motion(solution_of(solution))
     joints = single_joints(plan)
@@ -122,7 +133,7 @@ def _even_times(duration: float, rate: float) -> np.ndarray:
 
 
 def _move_on(image: CycleImage, arrays: dict[str, np.ndarray], number: np.ndarray, passes: int) -> None:
-    """Replace samples of pass ``number`` (n,) by their images, as many times as passes went before."""
+    """Replace samples of pass ``number`` (n,) by their images, once per preceding pass."""
     for past in range(1, passes):
         rows = number >= past
         arrays["q"][rows], arrays["v"][rows] = image.of_states(arrays["q"][rows], arrays["v"][rows])
@@ -163,7 +174,7 @@ def _named_motion(
 
 
 def require_one_robot(motions: Sequence[ExportedMotion]) -> None:
-    """Raise `InputError` for motions of several robots."""
+    """Raise `InputError` for motions of different robots."""
     robots = {motion.robot for motion in motions}
     if len(robots) > 1:
         raise InputError(f"motions of {len(robots)} robots: {', '.join(sorted(robots))}", "allowed: of one")

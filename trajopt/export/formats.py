@@ -1,9 +1,9 @@
-"""The formats, by name: what each writes, which options it knows, and where its writer is.
+"""Export formats by name: what each writes, its options, and where its writer is.
 
-A writer is a function ``write(motions, path, options)``: the motions (`ExportedMotion`), the file to write or
-the empty folder to fill, which nobody else sees until it is complete, and those of `Format.options` that are
-given. It raises `InputError` for motions that the format cannot hold. A new format is one entry here and one
-module; a new option is one entry here and one keyword of `export_motion`.
+A writer is a function ``write(motions, path, options)`` of the motions (`ExportedMotion`), the file to write
+or the empty folder to fill, which nobody else sees until it is complete, and the given ones of
+`Format.options`. It raises `InputError` for motions that the format cannot hold. A new format takes one entry
+here and one module; a new option takes one entry here and one keyword of `export_motion`.
 """
 
 import importlib
@@ -15,17 +15,17 @@ from typing import Any
 from trajopt.errors import InputError, not_among
 from trajopt.versions import optional_package
 
-# Samples a second where nothing is said: what policies of legged robots are trained and run at.
+# Default samples per second: the rate at which policies of legged robots are trained and run.
 RATE = 50.0
-# The same of torques that are played back: what controllers of legged robots run at.
+# Default for torques to play back: the rate at which controllers of legged robots run.
 CONTROL_RATE = 500.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOption:
-    """An option that some formats know: a keyword of `export_motion`, and ``--NAME`` on the command line.
+    """An option of some formats: a keyword of `export_motion`, and ``--NAME`` on the command line.
 
-    metavar: placeholder of its value. help: one line. is_path: the value is a path, not a text.
+    metavar: placeholder of its value. help: one line. is_path: whether the value is a path.
     """
 
     metavar: str
@@ -37,9 +37,9 @@ class ExportOption:
 class Format:
     """A format of motions.
 
-    help: one line. writer: "module:function", loaded when it is used. ending: of its file; "" for a folder.
-    several: takes several motions. options: names among `OPTIONS`. marker: path within its folder of a file
-    that every export has; a folder that lacks it is not replaced. rate: samples a second where none is given.
+    help: one line. writer: "module:function", loaded on use. ending: of its file; "" for a folder. several:
+    whether it takes several motions. options: names among `OPTIONS`. marker: path, within its folder, of a
+    file that every export has; a folder without it is not replaced. rate: default samples per second.
     """
 
     help: str
@@ -51,7 +51,7 @@ class Format:
     rate: float = RATE
 
     def load_writer(self) -> Callable[..., None]:
-        """The writer."""
+        """Import and return the writer."""
         module, _, name = self.writer.partition(":")
         writer: Callable[..., None] = getattr(importlib.import_module(module), name)
         return writer
@@ -113,24 +113,24 @@ FORMATS = {
 
 
 def package_of_format(name: str, extra: str) -> ModuleType:
-    """The module ``name`` of a package of an extra; raises `InputError` where it is not installed."""
+    """Import the module ``name``, which an extra installs; raises `InputError` if it is missing."""
     return optional_package(name, what="this format", extra=extra)
 
 
 def format_named(name: str) -> Format:
-    """The format of that name; raises `InputError`."""
+    """The format with this name; raises `InputError`."""
     if name not in FORMATS:
         raise not_among(FORMATS, name, f"export format {name!r} is unknown")
     return FORMATS[name]
 
 
 def keyword_arguments(**given: Any) -> dict[str, Any]:
-    """The options that are given, without those that are None."""
+    """The given options other than None."""
     return {name: value for name, value in given.items() if value is not None}
 
 
 def require_options(name: str, chosen: Format, given: Iterable[str]) -> None:
-    """Raise `InputError` where a format is given an option that it does not know."""
+    """Raise `InputError` for an option that a format does not have."""
     for option in given:
         if option not in chosen.options:
             allowed = ", ".join(chosen.options) or "no option"
@@ -138,7 +138,7 @@ def require_options(name: str, chosen: Format, given: Iterable[str]) -> None:
 
 
 def require_count(name: str, chosen: Format, count: int) -> None:
-    """Raise `InputError` where a format is given no motion, or several that it does not take."""
+    """Raise `InputError` for no motion, or for several that a format does not take."""
     if count == 0 or (count > 1 and not chosen.several):
         raise InputError(
             f"{count} motions for {name}", "allowed: one or more" if chosen.several else "allowed: one"

@@ -1,4 +1,4 @@
-"""Motions of Isaac Lab for adversarial motion priors, as its ``MotionLoader`` reads them."""
+"""Motions for adversarial motion priors in Isaac Lab, as its ``MotionLoader`` reads them."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Data sets of LeRobot, v3.0, as its ``LeRobotDataset`` reads them: motions are episodes."""
+"""Data sets for LeRobot v3.0, as its ``LeRobotDataset`` reads them: motions are episodes."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -13,14 +13,14 @@ from trajopt.export.archives import frame_rate
 from trajopt.export.exported_motion import ExportedMotion, require_one_robot
 from trajopt.export.formats import package_of_format
 
-# What the layout is called, and its own limits: files in a folder, and the size at which a new one begins.
+# Version of the layout, and its limits: files per folder, and file sizes at which a new file begins.
 VERSION, FILES, FILE_SIZE_MB, VIDEO_SIZE_MB = "v3.0", 1000, 100, 200
 CHUNK = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 DATA, EPISODES = f"data/{CHUNK}.parquet", f"meta/episodes/{CHUNK}.parquet"
 FIRST = {"chunk_index": 0, "file_index": 0}
-# Quantiles of statistics, by the names that policies normalise with.
+# Quantiles in the statistics, by the names with which policies normalise.
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-# A value of the data at which so many are reached, as LeRobot's own counting in bins has it.
+# Quantiles are values of the data, as in LeRobot's own binned counts.
 METHOD: Final = "inverted_cdf"
 EXTRA = "data"
 AXES = ("x", "y", "z")
@@ -28,7 +28,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Feature:
-    """Values of all frames: (n, k) float32 with the names of the k entries, or (n,) without names."""
+    """Values of all frames: (n, k) float32 with names of the k entries, or (n,) without names."""
 
     values: np.ndarray
     names: tuple[str, ...] | None = None
@@ -46,9 +46,9 @@ class Feature:
 
 
 def write_lerobot(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
-    """Write motions of one robot, one after the other; an episode begins at 0 s.
+    """Write motions of one robot, one after the other; each episode starts at 0 s.
 
-    Raises `InputError` for motions with different joints or contacts, a rate that is no whole number, and
+    Raises `InputError` for motions with different joints or contacts, a rate that is not a whole number, and
     without pandas and pyarrow.
     """
     require_one_robot(motions)
@@ -75,7 +75,7 @@ def _task(motion: ExportedMotion, options: Mapping[str, Any]) -> str:
 
 
 def _features_of(motion: ExportedMotion, *, episode: int, start: int, task: int) -> dict[str, Feature]:
-    """Features of a motion by name, without those of no entries; ``start``: index of its first frame."""
+    """Features of a motion by name, without empty ones; ``start``: index of its first frame."""
     frames, count = np.arange(len(motion.t)), len(motion.t)
     features = {
         "observation.state": _vector(
@@ -99,7 +99,7 @@ def _vector(values: np.ndarray, names: list[str]) -> Feature:
 
 
 def _base_features(motion: ExportedMotion) -> dict[str, Feature]:
-    """Pose and velocity of the link that a moving base carries, world axes; quaternion xyzw."""
+    """Pose and velocity of the base link of a moving base, world axes; quaternion xyzw."""
     links, base = motion.links, motion.links.base
     if base is None:
         return {}
@@ -113,7 +113,7 @@ def _base_features(motion: ExportedMotion) -> dict[str, Feature]:
 
 
 def _contact_features(motion: ExportedMotion) -> dict[str, Feature]:
-    """Contacts that are active, forces, and moments of soles and balls that roll; world axes."""
+    """Active contacts, forces, and moments of soles and rolling balls; world axes."""
     frames, count = motion.plan.contact_frames, len(motion.t)
     turning = np.flatnonzero(motion.plan.description.soles | motion.plan.description.rolling).tolist()
     force = motion.f[..., :3].reshape(count, -1)
@@ -167,7 +167,7 @@ def _write_info(
 def _described_episodes(
     episodes: Sequence[Mapping[str, Feature]], tasks: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """A row for each episode: its frames, where its data are, and statistics of its features."""
+    """One row per episode: its frames, the place of its data, and statistics of its features."""
     rows = []
     for number, episode in enumerate(episodes):
         index = episode["index"].values
@@ -189,7 +189,7 @@ def _described_episodes(
 
 
 def _statistics(values: np.ndarray) -> dict[str, list[Any]]:
-    """Statistics of the entries of a feature (n, k) over frames, as lists (k,); ``count`` of frames."""
+    """Statistics of a feature (n, k) over its frames, as lists (k,); ``count``: number of frames."""
     columns = values.reshape(len(values), -1).astype(values.dtype if values.dtype.kind == "i" else float)
     statistics = {
         "min": columns.min(axis=0),
@@ -210,7 +210,7 @@ def _write_json(path: Path, described: Mapping[str, Any]) -> None:
 
 
 def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
-    """Texts of tasks are the index of the table: readers look numbers up by text."""
+    """Write the tasks with their texts as the index: readers look up numbers by text."""
     package_of_format("pyarrow", EXTRA)
     table = package_of_format("pandas", EXTRA).DataFrame({"task_index": range(len(tasks))}, index=list(tasks))
     table.to_parquet(path)
@@ -223,7 +223,7 @@ def _write_rows(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def _write_frames(path: Path, features: Mapping[str, Feature], joined: Mapping[str, np.ndarray]) -> None:
-    """A row for each frame: vectors as lists of fixed size, a single entry as a number."""
+    """Write one row per frame: vectors as lists of fixed size, single entries as numbers."""
     arrow, parquet = package_of_format("pyarrow", EXTRA), package_of_format("pyarrow.parquet", EXTRA)
     columns = {}
     for key, values in joined.items():

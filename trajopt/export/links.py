@@ -8,7 +8,7 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.pickling import picklable
 
-# What descriptions call the world.
+# Names of the world in robot descriptions.
 WORLD = ("universe", "world")
 
 
@@ -17,9 +17,9 @@ WORLD = ("universe", "world")
 class LinkMotion:
     """B links at n times, world axes; SI units, arrays are read-only.
 
-    names: (B,) parents before children. position: (n, B, 3) of the link's frame. quaternion: (n, B, 4), wxyz,
-    without jumps of sign along time. linear_velocity: (n, B, 3) of the frame's origin. angular_velocity:
-    (n, B, 3). base: index of the link that a moving base carries; None of a fixed base.
+    names: (B,) parents before children. position: (n, B, 3) of the link frames. quaternion: (n, B, 4) wxyz,
+    with continuous signs along time. linear_velocity: (n, B, 3) of the frames' origins. angular_velocity: (n,
+    B, 3). base: index of the link that a moving base carries; None for a fixed base.
     """
 
     names: tuple[str, ...]
@@ -35,9 +35,9 @@ class LinkMotion:
 
 
 def link_frames(model: pin.Model) -> dict[str, int]:
-    """Index of the frame of each link, by name, parents before children; fixed to another is its own link.
+    """Frame index of each link by name, parents before children; a link fixed to another is one of its own.
 
-    Of a joint that no link hangs from there is none. The world itself is no link.
+    A joint that carries no link has none, and the world itself is not a link.
     """
     return {
         frame.name: index
@@ -48,7 +48,7 @@ def link_frames(model: pin.Model) -> dict[str, int]:
 
 
 def link_motion(model: pin.Model, q: np.ndarray, v: np.ndarray) -> LinkMotion:
-    """Poses and velocities of all links at states (n, nq), (n, nv); a joint without links is one itself."""
+    """Poses and velocities of all links at states (n, nq), (n, nv); a joint without links counts as one."""
     bare = set(range(1, model.njoints)) - {
         model.frames[frame].parentJoint for frame in link_frames(model).values()
     }
@@ -64,7 +64,7 @@ def link_motion(model: pin.Model, q: np.ndarray, v: np.ndarray) -> LinkMotion:
 
 
 def frame_motion(model: pin.Model, frames: dict[str, int], q: np.ndarray, v: np.ndarray) -> LinkMotion:
-    """Poses and velocities of frames, by name, at states (n, nq), (n, nv)."""
+    """Poses and velocities of frames by name, at states (n, nq), (n, nv)."""
     data, size = model.createData(), (len(q), len(frames))
     position, linear, angular = (np.empty((*size, 3)) for _ in range(3))
     quaternion = np.empty((*size, 4))
@@ -87,7 +87,7 @@ def frame_motion(model: pin.Model, frames: dict[str, int], q: np.ndarray, v: np.
 
 
 def without_jumps(quaternion: np.ndarray) -> np.ndarray:
-    """The same rotations (n, ..., 4) with signs that follow on along time; the scalar, first, begins >= 0."""
+    """The same rotations (n, ..., 4), wxyz, with continuous signs along time; the first scalar is >= 0."""
     if not len(quaternion):
         return quaternion
     start = np.where(quaternion[:1, ..., :1] < 0, -1.0, 1.0)

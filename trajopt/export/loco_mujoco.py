@@ -1,4 +1,4 @@
-"""Trajectories of LocoMuJoCo, as its ``Trajectory.load`` reads them."""
+"""Trajectories for LocoMuJoCo, as its ``Trajectory.load`` reads them."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from trajopt.export.exported_motion import ExportedMotion, require_one_robot
 from trajopt.export.simulator_model import read_simulator_model
 from trajopt.export.simulator_motion import COMPUTED, simulator_motion
 
-# Fields of the compiled model that a trajectory keeps, of joints, bodies and sites.
+# Fields of the compiled model that a trajectory stores, on joints, bodies and sites.
 OF_MODEL = (
     *("njnt", "jnt_type"),
     *("nbody", "body_rootid", "body_weldid", "body_mocapid"),
@@ -21,9 +21,9 @@ OF_MODEL = (
 
 
 def write_loco_mujoco(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
-    """Write motions of one robot one after the other; ``split_points`` says where each begins, and the end.
+    """Write motions of one robot one after the other; ``split_points`` has the start of each, and the end.
 
-    The loader refuses keys that it does not know: there is no room for torques and forces.
+    The loader refuses unknown keys, so torques and forces are left out.
     """
     require_one_robot(motions)
     simulator = read_simulator_model(motions[0], options.get("mjcf"))

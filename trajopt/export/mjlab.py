@@ -1,4 +1,4 @@
-"""Motions of mjlab and BeyondMimic (whole_body_tracking), as their ``MotionLoader`` reads them."""
+"""Motions for mjlab and BeyondMimic (whole_body_tracking), as their ``MotionLoader`` reads them."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ from trajopt.export.simulator_motion import simulator_motion
 def write_mjlab(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
     """Write one motion; float32, joints and bodies in the simulator's order, without free joint and world.
 
-    Velocities are those of the bodies' origins along world axes, as mjlab's converter has them.
+    Velocities are those of the bodies' origins along world axes, as in mjlab's converter.
     """
     (motion,) = motions
     simulator = read_simulator_model(motion, options.get("mjcf"))
@@ -38,7 +38,7 @@ def write_mjlab(motions: Sequence[ExportedMotion], path: Path, options: Mapping[
 
 
 def _torques(motion: ExportedMotion, names: list[str]) -> np.ndarray:
-    """Torques (n, d) of joints by name; 0 of those that the motion does not move, such as a base's."""
+    """Torques (n, d) of joints by name; 0 for those that the motion does not drive, such as a base's."""
     torque = np.zeros((len(motion.t), len(names)))
     for column, name in enumerate(names):
         if name in motion.joint_names:

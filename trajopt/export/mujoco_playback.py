@@ -1,4 +1,4 @@
-"""A motion to play back in MuJoCo: the model with its ground, and torques and states along the motion."""
+"""A motion to play back in MuJoCo: the model with its ground, and torques and states over time."""
 
 import csv
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.world import World, build_world
 
 MODEL, ARRAYS, TABLE = "model.xml", "controls.npz", "controls.csv"
-# Names of the coordinates of MuJoCo's joints, after that of the joint; others have one of each.
+# Suffixes of the coordinate names of a free joint; other joints have one coordinate each.
 FREE_POSITION = ("/x", "/y", "/z", "/qw", "/qx", "/qy", "/qz")
 FREE_VELOCITY = ("/linear_x", "/linear_y", "/linear_z", "/angular_x", "/angular_y", "/angular_z")
 
@@ -47,13 +47,13 @@ def write_mujoco_playback(motions: Sequence[ExportedMotion], path: Path, options
 def _playback_arrays(motion: ExportedMotion, world: World) -> dict[str, np.ndarray]:
     """Times (n,), torques and gains (n, nu) in the order of the motors, states (n, nq), (n, nv), and grasps.
 
-    A motor's torque is that of its drive: the model has the joints' friction.
+    A motor's torque is that of its drive, since the model includes the joints' friction.
     """
     coordinates, joints = world.coordinates, single_joints(motion.plan)
     qpos = coordinates.to_mujoco(motion.q)
     addresses = [coordinates.addresses[motion.model.getJointId(name) - 1].q for name in joints.names]
     for place, angle in zip(addresses, motion.joint_position.T, strict=True):
-        qpos[:, place] = angle[:, None]  # counts turns also where samples are far apart
+        qpos[:, place] = angle[:, None]  # counts turns even if samples are far apart
     gains = gains_of(motion.plan, world, _reference(motion, world), SimulationSettings())
     return {
         "time": motion.t,
@@ -67,7 +67,7 @@ def _playback_arrays(motion: ExportedMotion, world: World) -> dict[str, np.ndarr
 
 
 def _reference(motion: ExportedMotion, world: World) -> ReferenceTrajectory:
-    """The motion as the gains read it; feedback acts at every step of the physics."""
+    """The motion as `gains_of` takes it; feedback acts at every physics step."""
     return ReferenceTrajectory(
         t=motion.t,
         period=float(world.compiled.opt.timestep),
@@ -86,12 +86,12 @@ def _reference(motion: ExportedMotion, world: World) -> ReferenceTrajectory:
 
 
 def _phase_of_plan(motion: ExportedMotion) -> np.ndarray:
-    """Phases (n,) as the plan counts them, which repeat in every cycle."""
+    """Phases (n,) as numbered in the plan, which repeat in every cycle."""
     return np.asarray(motion.phase % len(motion.plan.phase_names))
 
 
 def _held_grasps(motion: ExportedMotion, world: World) -> np.ndarray:
-    """Whether each grasp holds (n, neq), in the order of the model's equality constraints."""
+    """Whether each grasp is active (n, neq), in the order of the model's equality constraints."""
     phase = _phase_of_plan(motion)
     return np.array([np.isin(phase, grasp.phases) for grasp in world.grasps]).reshape(-1, len(phase)).T
 
@@ -106,7 +106,7 @@ def _coordinate_names(compiled: Any, of_free: Sequence[str]) -> list[str]:
 
 
 def _write_table(path: Path, arrays: Mapping[str, np.ndarray], named: Mapping[str, np.ndarray]) -> None:
-    """A line of names, then a line a sample: time, torques, positions, velocities; numbers in full."""
+    """Write a header, then one line per sample: time, torques, positions, velocities, at full precision."""
     groups = {"ctrl": "actuator_names", "qpos": "qpos_names", "qvel": "qvel_names"}
     header = ["time", *(f"{group}/{name}" for group, names in groups.items() for name in named[names])]
     with path.open("w", newline="", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""Messages of ROS 2 by name of their types, serialised by the package ``rosbags``."""
+"""ROS 2 messages by the name of their type, serialised by the package ``rosbags``."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ import numpy as np
 from trajopt.export.formats import package_of_format
 
 EXTRA = "ros"
-# A second in the unit of stamps.
+# Nanoseconds per second; stamps are in nanoseconds.
 NANOSECONDS = 1_000_000_000
-# Entries of a covariance; zero: not known.
+# Entries of a covariance matrix; zeros mean that it is not known.
 COVARIANCE = 36
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RosMessages:
-    """Makes messages of one store of types, which ``rosbags`` brings along."""
+    """Creates messages from a store of types that ``rosbags`` brings along."""
 
     store: Any
 
     @classmethod
     def load(cls) -> RosMessages:
-        """The types of ROS 2; raises `InputError` where rosbags is not installed."""
+        """Load the types of ROS 2; raises `InputError` if rosbags is not installed."""
         typesys = package_of_format("rosbags.typesys", EXTRA)
         return cls(store=typesys.get_typestore(typesys.Stores.ROS2_HUMBLE))
 
     def make(self, kind: str, **fields: Any) -> Any:
-        """A message of a type, such as "geometry_msgs/Vector3"."""
-        whole = {  # what serialises them reads arrays as blocks of memory
+        """Create a message of a type such as "geometry_msgs/Vector3"."""
+        whole = {  # the serialiser reads arrays as blocks of memory
             name: np.ascontiguousarray(value) if isinstance(value, np.ndarray) else value
             for name, value in fields.items()
         }
         return self.store.types[full_type(kind)](**whole)
 
     def bytes_of(self, kind: str, message: Any) -> Any:
-        """The message as it lies in a bag."""
+        """Serialise a message for a bag."""
         return self.store.serialize_cdr(message, full_type(kind))
 
     def header(self, stamp: int, frame: str = "") -> Any:
@@ -47,7 +47,7 @@ class RosMessages:
         return self.make("std_msgs/Header", stamp=time, frame_id=frame)
 
     def duration(self, length: int) -> Any:
-        """A duration of a length in ns."""
+        """A duration of ``length`` ns."""
         seconds, rest = divmod(length, NANOSECONDS)
         return self.make("builtin_interfaces/Duration", sec=seconds, nanosec=rest)
 
@@ -57,14 +57,14 @@ class RosMessages:
         return self.make(f"geometry_msgs/{kind}", x=x, y=y, z=z)
 
     def rotation(self, quaternion: np.ndarray) -> Any:
-        """A quaternion of x, y, z, w."""
+        """A quaternion message from x, y, z, w."""
         x, y, z, w = quaternion.tolist()
         return self.make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
     def transform(
         self, stamp: int, frames: tuple[str, str], position: np.ndarray, quaternion: np.ndarray
     ) -> Any:
-        """Where the second frame is in the first."""
+        """Pose of the second frame in the first."""
         placed = self.make(
             "geometry_msgs/Transform",
             translation=self.xyz("Vector3", position),
@@ -79,7 +79,7 @@ class RosMessages:
         )
 
     def wrench(self, stamp: int, frame: str, wrench: np.ndarray) -> Any:
-        """Force and moment (6,) along a frame's axes, at its origin."""
+        """Force and moment (6,) at a frame's origin, along its axes."""
         parts = self.make(
             "geometry_msgs/Wrench",
             force=self.xyz("Vector3", wrench[:3]),
@@ -90,7 +90,7 @@ class RosMessages:
     def odometry(
         self, stamp: int, frames: tuple[str, str], pose: tuple[np.ndarray, np.ndarray], twist: np.ndarray
     ) -> Any:
-        """Pose of the second frame in the first, and its velocities (6,) along its own axes."""
+        """Pose of the second frame in the first, and its twist (6,) along its own axes."""
         unknown = np.zeros(COVARIANCE)
         placed = self.make(
             "geometry_msgs/Pose", position=self.xyz("Point", pose[0]), orientation=self.rotation(pose[1])
@@ -110,6 +110,6 @@ class RosMessages:
 
 
 def full_type(kind: str) -> str:
-    """Name of a type in a bag: "std_msgs/String" is "std_msgs/msg/String" there."""
+    """Full name of a type, as in a bag: "std_msgs/String" becomes "std_msgs/msg/String"."""
     library, _, name = kind.partition("/")
     return f"{library}/msg/{name}"

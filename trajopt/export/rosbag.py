@@ -1,4 +1,4 @@
-"""Bags of ROS 2 (rosbag2, sqlite3), by the package ``rosbags``: no ROS is needed."""
+"""ROS 2 bags (rosbag2, sqlite3), written by the package ``rosbags`` without ROS."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,24 +15,24 @@ from trajopt.export.ros_messages import EXTRA, NANOSECONDS, RosMessages, full_ty
 from trajopt.export.transforms import WORLD_FRAME, FrameTree, frame_tree
 from trajopt.solution.local_states import rotation_matrices
 
-# Of the layout of a bag; read by ROS 2 since it has this version, and by rosbags.
+# Version of the bag layout; ROS 2 reads it since it uses this version itself, and so does rosbags.
 VERSION = 8
-# Stamps begin here, ns: to tf a stamp of zero is "the latest", not a time.
+# First stamp, ns: tf takes a stamp of zero as "the latest", not as a time.
 START = NANOSECONDS
-# How rosbag2 writes a duration without end, s and ns.
+# An infinite duration as rosbag2 writes it, s and ns.
 ENDLESS = (9223372036, 854775807)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Bag:
-    """A bag that is open for writing, and its topics so far."""
+    """A bag open for writing, and its topics so far."""
 
     writer: Any
     messages: RosMessages
     topics: dict[str, Any] = field(default_factory=dict)
 
     def write(self, topic: str, kind: str, stamp: int, message: Any, *, latched: bool = False) -> None:
-        """Add a message; a latched one reaches subscribers that come later, as tf and robot models need."""
+        """Add a message; a latched one reaches later subscribers too, as tf and robot models need."""
         if topic not in self.topics:
             self.topics[topic] = self.writer.add_connection(
                 topic,
@@ -48,7 +48,7 @@ def write_rosbag(motions: Sequence[ExportedMotion], path: Path, options: Mapping
     (motion,) = motions
     messages, tree = RosMessages.load(), frame_tree(motion)
     rosbag2 = package_of_format("rosbags.rosbag2", EXTRA)
-    inner = path / path.name  # the writer makes its folder, and names its file after it
+    inner = path / path.name  # the writer creates its folder and names its file after it
     with rosbag2.Writer(inner, version=VERSION) as writer:
         for key, value in (("robot", motion.robot), ("problem", motion.problem)):
             writer.set_custom_data(key, value)
@@ -62,7 +62,7 @@ def write_rosbag(motions: Sequence[ExportedMotion], path: Path, options: Mapping
 
 
 def _latched() -> Any:
-    """Quality of service: the last message is kept for subscribers that come later."""
+    """Quality of service that keeps the last message for later subscribers."""
     kinds = package_of_format("rosbags.interfaces", EXTRA)
     endless = kinds.QosTime(*ENDLESS)
     return kinds.Qos(
@@ -87,7 +87,7 @@ def _since_start(motion: ExportedMotion, row: int) -> int:
 
 
 def _write_once(bag: _Bag, motion: ExportedMotion, tree: FrameTree) -> None:
-    """What does not change: the URDF, transforms of fixed links, and the trajectory as one message."""
+    """Write what does not change: URDF, transforms of fixed links, and the trajectory as one message."""
     make, text = bag.messages.make, _urdf(motion)
     if text is not None:
         described = make("std_msgs/String", data=text)
@@ -102,7 +102,7 @@ def _write_once(bag: _Bag, motion: ExportedMotion, tree: FrameTree) -> None:
 
 
 def _urdf(motion: ExportedMotion) -> str | None:
-    """Text of the robot's URDF; None where it has none, or its file is not here."""
+    """Text of the robot's URDF; None if it has none or its file is missing."""
     source = motion.plan.description.visual
     if source is None or source.is_mjcf or not source.urdf.is_file():
         return None
@@ -110,7 +110,7 @@ def _urdf(motion: ExportedMotion) -> str | None:
 
 
 def _trajectory(messages: RosMessages, motion: ExportedMotion) -> Any:
-    """Joints that have a torque, at all times; a stamp of zero says: begin when it is received."""
+    """Trajectory of the joints with a torque; a stamp of zero means that it starts when received."""
     names = [name for name in motion.joint_names if name in motion.plan.torque_names]
     columns = [motion.joint_names.index(name) for name in names]
     points = [
@@ -132,7 +132,7 @@ def _trajectory(messages: RosMessages, motion: ExportedMotion) -> Any:
 def _sampled(
     messages: RosMessages, motion: ExportedMotion, tree: FrameTree
 ) -> Iterator[tuple[str, str, int, Any]]:
-    """Topic, type, sample and message, in the order of time."""
+    """Yield topic, type, sample and message, in order of time."""
     names, odometry, wrenches = list(motion.joint_names), _odometry(messages, motion), _local_wrenches(motion)
     contacts = dict(zip(_topics(motion.plan.contact_frames), motion.plan.contact_frames, strict=True))
     for row in range(len(motion.t)):
@@ -175,7 +175,7 @@ def _transforms(
 
 
 def _odometry(messages: RosMessages, motion: ExportedMotion) -> Iterator[Any] | None:
-    """Messages of the link that a moving base carries, sample by sample; None of a fixed base."""
+    """Odometry of the link that a moving base carries, sample by sample; None for a fixed base."""
     links, base = motion.links, motion.links.base
     if base is None:
         return None
@@ -199,7 +199,7 @@ def _odometry(messages: RosMessages, motion: ExportedMotion) -> Iterator[Any] | 
 
 
 def _local_wrenches(motion: ExportedMotion) -> np.ndarray:
-    """Forces and moments (n, nc, 6) along the axes of the contact frames."""
+    """Contact forces and moments (n, nc, 6) along the axes of the contact frames."""
     frames = {name: motion.model.getFrameId(name) for name in motion.plan.contact_frames}
     quaternion = frame_motion(motion.model, frames, motion.q, motion.v).quaternion
     shape = (len(motion.t), len(frames), 3, 3)
@@ -209,7 +209,7 @@ def _local_wrenches(motion: ExportedMotion) -> np.ndarray:
 
 
 def _topics(frames: Sequence[str]) -> list[str]:
-    """Topics of contacts, of the letters that ROS allows; a number where two would be the same."""
+    """Topics of contacts, in the characters that ROS allows; a number tells equal ones apart."""
     topics: list[str] = []
     for number, frame in enumerate(frames):
         name = re.sub(r"[^A-Za-z0-9_]|^(?=[0-9])", "_", frame)

@@ -1,4 +1,4 @@
-"""A MuJoCo model of the robot: its MJCF, and where each of its joints finds its values in a motion."""
+"""A MuJoCo model of the robot from MJCF, and the values of its joints in a motion."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,15 +12,15 @@ from trajopt.export.exported_motion import ExportedMotion
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.simulation.mjcf import mjcf_of
 
-# A free joint without a name is called this.
+# Name of a free joint without a name.
 FREE_JOINT = "root"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatorModel:
-    """A compiled model, and the names of its joints, bodies (the world first) and sites, in its order.
+    """A compiled model, with the names of its joints, bodies (the world first) and sites in its order.
 
-    source: what messages call it.
+    source: its name in messages.
     """
 
     compiled: Any
@@ -31,12 +31,12 @@ class SimulatorModel:
 
     @property
     def is_free(self) -> np.ndarray:
-        """(njnt,) the joint is free."""
+        """Whether each joint is free (njnt,)."""
         return np.asarray(self.compiled.jnt_type == mujoco_package().mjtJoint.mjJNT_FREE)
 
 
 def read_simulator_model(motion: ExportedMotion, mjcf: str | Path | None) -> SimulatorModel:
-    """The model in an MJCF file; without one, that of the plan, as `write_mjcf` writes it.
+    """Read the model in an MJCF file; without one, the plan's, as `write_mjcf` writes it.
 
     Raises `InputError` for a file that MuJoCo cannot read, for ball joints, and without MuJoCo.
     """
@@ -70,9 +70,9 @@ def read_simulator_model(motion: ExportedMotion, mjcf: str | Path | None) -> Sim
 def named_coordinates(
     motion: ExportedMotion, simulator: SimulatorModel
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Positions and velocities (n,) by names of hinges and slides: joints, and parts of a base.
+    """Positions and velocities (n,) by name of hinge or slide: of joints, and of parts of a base.
 
-    The parts of a planar or virtual base are left out where the model has a free joint in their place.
+    Parts of a planar or virtual base are left out if the model has a free joint instead.
     """
     model, base = motion.model, base_of(motion.model)
     coordinates = {
@@ -96,7 +96,7 @@ def named_coordinates(
 
 
 def require_same_joints(motion: ExportedMotion, simulator: SimulatorModel) -> None:
-    """Raise `InputError` where the model lacks a joint or the moving base of the motion, or has one more."""
+    """Raise `InputError` if the model lacks a joint or base of the motion, or has an extra joint."""
     known, source, free = named_coordinates(motion, simulator), simulator.source, simulator.is_free
     base, held = base_of(motion.model), held_joints(motion, simulator)
     allowed = {"freeflyer": (1,), "fixed": (0,)}.get(base, (0, 1))
@@ -114,10 +114,10 @@ def require_same_joints(motion: ExportedMotion, simulator: SimulatorModel) -> No
 
 
 def held_joints(motion: ExportedMotion, simulator: SimulatorModel) -> dict[str, float]:
-    """Angles, rad, of hinges that the motion holds: the link that hangs from one is fixed to its parent.
+    """Angles, rad, of hinges that the motion holds, with the child link fixed to its parent.
 
-    Such as those of the arms of a humanoid whose plan moves only its legs. They are read from the two links'
-    poses.
+    Examples are the arms of a humanoid whose plan moves only its legs. The poses of the two links give the
+    angle.
     """
     compiled, names, angles = simulator.compiled, motion.links.names, {}
     hinge = mujoco_package().mjtJoint.mjJNT_HINGE
@@ -133,7 +133,7 @@ def held_joints(motion: ExportedMotion, simulator: SimulatorModel) -> dict[str, 
 def _hinge_angle(
     motion: ExportedMotion, simulator: SimulatorModel, joint: int, links: tuple[str, str]
 ) -> float:
-    """The angle of a hinge between two links at the motion's start; as ``qpos`` counts it."""
+    """Angle of a hinge between two links at the start of the motion, as ``qpos`` counts it."""
     mujoco, compiled = mujoco_package(), simulator.compiled
     parent, child = (motion.links.quaternion[0, motion.links.names.index(link)] for link in links)
     turned, angle, back = np.zeros(4), np.zeros(3), np.zeros(4)

@@ -1,4 +1,4 @@
-"""A motion in the coordinates, joints and bodies of a MuJoCo model, as MuJoCo's own kinematics gives them."""
+"""A motion in the coordinates, joints and bodies of a MuJoCo model, by MuJoCo's own kinematics."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from trajopt.export.simulator_model import (
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.solution.local_states import rotation_matrices
 
-# Descriptions of one robot from two sources are rounded differently, by less than this: m.
+# Descriptions of a robot from two sources are rounded differently, by less than this, m.
 SAME_PLACE = 5e-3
 
 
@@ -24,9 +24,11 @@ SAME_PLACE = 5e-3
 class SimulatorMotion:
     """A motion at n times in the order of a MuJoCo model; SI units.
 
-    qpos: (n, nq), qvel: (n, nv). Of all bodies, the world first: xpos (n, nbody, 3), xquat (n, nbody, 4),
-    wxyz, cvel (n, nbody, 6) angular and linear velocity about the centre of mass of the tree, subtree_com
-    (n, nbody, 3). Of sites: site_xpos (n, nsite, 3), site_xmat (n, nsite, 9).
+    Args:
+        qpos, qvel: (n, nq), (n, nv).
+        xpos, xquat, subtree_com: (n, nbody, 3), (n, nbody, 4) wxyz, (n, nbody, 3), the world first.
+        cvel: (n, nbody, 6) angular and linear velocity, about the centre of mass of the body's tree.
+        site_xpos, site_xmat: (n, nsite, 3), (n, nsite, 9).
     """
 
     simulator: SimulatorModel
@@ -41,25 +43,24 @@ class SimulatorMotion:
 
     @property
     def linear_velocity(self) -> np.ndarray:
-        """(n, nbody, 3) m/s of the origins of bodies, world axes."""
+        """Velocities (n, nbody, 3), m/s, of the bodies' origins, world axes."""
         from_com = self.xpos - self.subtree_com[:, self.simulator.compiled.body_rootid]
         return self.cvel[..., 3:] + np.cross(self.cvel[..., :3], from_com)
 
     @property
     def angular_velocity(self) -> np.ndarray:
-        """(n, nbody, 3) rad/s of bodies, world axes."""
+        """Angular velocities (n, nbody, 3), rad/s, of the bodies, world axes."""
         return self.cvel[..., :3]
 
 
-# What MuJoCo computes of each state.
+# What MuJoCo computes for each state.
 COMPUTED = ("xpos", "xquat", "cvel", "subtree_com", "site_xpos", "site_xmat")
 
 
 def simulator_motion(motion: ExportedMotion, simulator: SimulatorModel) -> SimulatorMotion:
-    """The motion in the model's coordinates.
+    """Convert a motion to the model's coordinates.
 
-    Raises `InputError` where joints do not have the same names, or a body lies elsewhere than the link of its
-    name.
+    Raises `InputError` if joints have other names, or a body is not where the link of its name is.
     """
     require_same_joints(motion, simulator)
     mujoco, compiled = mujoco_package(), simulator.compiled
@@ -100,9 +101,9 @@ def _coordinates(motion: ExportedMotion, simulator: SimulatorModel) -> tuple[np.
 
 
 def _free_joint(motion: ExportedMotion, body: str) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates (n, 7) and velocities (n, 6) of the link of that name, or of the base where none has it.
+    """Coordinates (n, 7) and velocities (n, 6) of the link with this name, or of the base if there is none.
 
-    Linear velocity along world axes, angular velocity along those of the body.
+    Linear velocities are along world axes, angular velocities along the body's.
     """
     links = motion.links
     base = links.names.index(body) if body in links.names else links.base

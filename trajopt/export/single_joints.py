@@ -1,4 +1,4 @@
-"""The joints of a robot beside its moving base, each with one position and one velocity."""
+"""The joints of a robot other than its moving base, each with one position and one velocity."""
 
 from dataclasses import dataclass
 
@@ -12,9 +12,9 @@ from trajopt.solution.solution import Solution
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SingleJoints:
-    """Joints of one degree of freedom: names (d,), rows (d,) of v, and of q where each begins.
+    """Joints of one degree of freedom: names (d,), rows (d,) in v, and places (d,) of their first entry in q.
 
-    counted: (d,) q has the angle as cosine and sine.
+    counted: (d,) whether q holds the cosine and sine of the angle.
     """
 
     names: tuple[str, ...]
@@ -24,7 +24,7 @@ class SingleJoints:
 
 
 def single_joints(plan: Solution) -> SingleJoints:
-    """The joints beside the base; raises `InputError` for one of several degrees of freedom."""
+    """The joints other than the base; raises `InputError` for one with several degrees of freedom."""
     single = Coordinates(plan.model).joints[BASE_JOINT[base_of(plan.model)] :]
     for joint in single:
         if joint.v.stop - joint.v.start != 1:
@@ -40,9 +40,9 @@ def single_joints(plan: Solution) -> SingleJoints:
 
 
 def joint_angles(joints: SingleJoints, q: np.ndarray, v: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Positions (n, d) of joints at times ``t`` (n,), rad or m; angles go on where they are cosine and sine.
+    """Positions (n, d) of joints at times ``t`` (n,), rad or m; continuous where q has cosine and sine.
 
-    From sample to sample the velocities say how many whole turns a continuous joint has made.
+    The velocities tell how many whole turns a continuous joint makes from sample to sample.
     """
     angles = q[:, joints.places]
     for column in np.flatnonzero(joints.counted):

@@ -1,4 +1,4 @@
-"""The tree of a robot's frames: each link seen from the one that it hangs from, contact frames on links."""
+"""The tree of a robot's frames: each link relative to its parent, and contact frames on links."""
 
 from dataclasses import dataclass
 
@@ -9,15 +9,15 @@ from scipy.spatial.transform import Rotation
 from trajopt.export.exported_motion import ExportedMotion
 from trajopt.export.links import frame_motion, link_frames, without_jumps
 
-# What a frame hangs from that hangs from no link.
+# Parent of the frames that have no parent link.
 WORLD_FRAME = "world"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameTree:
-    """F frames at n times, each seen from its parent; SI units.
+    """F frames at n times, each relative to its parent; SI units.
 
-    names, parents: (F,) ``world`` is no frame of its own. fixed: (F,) does not move on its parent.
+    names, parents: (F,); ``world`` is not a frame itself. fixed: (F,) whether it is fixed to its parent.
     position: (n, F, 3). quaternion: (n, F, 4) xyzw.
     """
 
@@ -29,7 +29,7 @@ class FrameTree:
 
 
 def frame_tree(motion: ExportedMotion) -> FrameTree:
-    """The tree of all links and of those contact frames that are no links."""
+    """The tree of all links, and of the contact frames that are not links."""
     model, links = motion.model, motion.links
     contacts = {
         name: model.getFrameId(name) for name in motion.plan.contact_frames if name not in links.names
@@ -62,10 +62,10 @@ def _parents(
     names: tuple[str, ...],
     joints: list[int],
 ) -> list[int | None]:
-    """Index of the link that each frame hangs from, None for the world.
+    """Index of the parent link of each frame; None for the world.
 
-    It is that of the description. Where a model does not know it, as behind a joint that was locked, it is
-    the first link of the joint, or of the one before.
+    It is that of the robot's description. If the model does not have it, as behind a locked joint, it is the
+    first link of the same joint, or of the joint before.
     """
     first = {joint: i for i, joint in reversed(list(enumerate(joints))) if i < len(links)}
     parents: list[int | None] = []
@@ -79,9 +79,9 @@ def _parents(
 
 
 def _link_above(model: pin.Model, frame: int, links: tuple[str, ...]) -> int | None:
-    """Index of the nearest link on the way from a frame to the world, None where there is none."""
+    """Index of the nearest link between a frame and the world; None if there is none."""
     passed: set[int] = set()
-    while frame and frame not in passed:  # a joint that was locked may be its own parent
+    while frame and frame not in passed:  # a locked joint may be its own parent
         passed.add(frame)
         frame = model.frames[frame].parentFrame
         above = model.frames[frame]
@@ -93,7 +93,7 @@ def _link_above(model: pin.Model, frame: int, links: tuple[str, ...]) -> int | N
 def _seen_from_parents(
     parents: list[int | None], position: np.ndarray, turn: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, F, 3) and quaternions (n, F, 4), xyzw without jumps of sign, from each frame's parent."""
+    """Positions (n, F, 3), and quaternions (n, F, 4) xyzw with continuous signs, relative to the parents."""
     moved, turned = position.copy(), turn.copy()
     for frame, parent in enumerate(parents):
         if parent is not None:

@@ -1,4 +1,4 @@
-"""Exporting: one motion or several, in a format by name, completely or not at all."""
+"""Export of one or several motions to a named format, completely or not at all."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -30,20 +30,20 @@ def export_motion(
     mjcf: str | Path | None = None,
     task: str | None = None,
 ) -> Path:
-    """Write a motion, or several, in the format of another tool; return the path of the file or folder.
+    """Write one or several motions in the format of another tool; return the path of the file or folder.
 
     Args:
-        solution: the plan, or the path of its file; several of them where the format takes several.
-        format: name of the format, such as "isaaclab-amp" (docs/exports.md has all of them).
-        path: of the file, or of the folder, which is replaced.
-        rate: samples a second, Hz; None for that of the format, 50 or, of torques to play back, 500.
-        cycles: of a periodic plan, each moved on from the one before.
-        mjcf: of formats in a simulator's order: the MJCF of its robot.
-        task: of data sets: what the robot does, in words; None for the problem's name.
+        solution: the plan, or the path of its file; several of them if the format takes several.
+        format: name of the format, such as "isaaclab-amp"; docs/exports.md lists them.
+        path: of the file or folder, which is replaced.
+        rate: samples per second, Hz; None: that of the format, 50, or 500 for torques to play back.
+        cycles: of a periodic plan, each continuing the previous one.
+        mjcf: MJCF of the simulator's robot, for formats in a simulator's order.
+        task: what the robot does, in words, for data sets; None: the problem's name.
 
     Raises:
-        InputError: for a format or option that is not known, motions that the format cannot hold, and a place
-            that cannot be written, or holds a folder that is no such export.
+        InputError: for an unknown format or option, motions that the format cannot hold, and a path that
+            cannot be written or is a folder with something other than such an export.
     """
     given = [solution] if isinstance(solution, Solution | str | Path) else list(solution)
     chosen, options, target = format_named(format), keyword_arguments(mjcf=mjcf, task=task), expanded(path)

@@ -1,4 +1,4 @@
-"""Guesses: motions of base and feet from which a solve begins, legs by inverse kinematics."""
+"""Initial guesses: motions of base and feet, with the legs by inverse kinematics."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""The path of a base through given poses: smooth while feet stand, ballistic while none does."""
+"""Path of the base through given poses: smooth while feet stand, ballistic in flight."""
 
 import math
 from collections.abc import Sequence
@@ -14,10 +14,10 @@ from trajopt.errors import InputError, finite_array, require_finite
 from trajopt.pickling import picklable
 from trajopt.schedule.schedule import Schedule
 
-# Times of waypoints and of phases that differ by less than this fraction of the schedule are the same.
+# Times of waypoints and phases that differ by less than this fraction of the schedule are equal.
 SAME_TIME = 1e-9
-# A turn between two waypoints of a supported stretch stays below this, rad: at a whole turn the rate of its
-# rotation vector is unbounded.
+# Largest turn between two waypoints while feet stand, rad: at a full turn the rate of the rotation vector is
+# unbounded.
 MOST_SUPPORTED_TURN = 2 * math.pi - 0.1
 
 
@@ -30,9 +30,9 @@ def hermite(
     end: float | np.ndarray,
     end_rate: float | np.ndarray,
 ) -> np.ndarray:
-    """Cubic through values and rates at both ends: a number or (n,), at the fraction ``s`` of the duration.
+    """Evaluate the cubic with given values and rates at both ends, numbers or (n,), at the fraction ``s``.
 
-    ``s`` is clipped to [0, 1]; rates are per unit of ``duration``'s time, s.
+    ``s`` is clipped to [0, 1]. ``duration`` is in s, rates are per s.
     """
     return _cubic(s, duration, start, start_rate, end, end_rate)
 
@@ -52,21 +52,21 @@ def _cubic(s: float, duration: float, start: Any, start_rate: Any, end: Any, end
 class BaseWaypoint:
     """A pose through which the base passes.
 
-    Velocity and rate of None are derived: from the ballistics next to a flight, rest at both ends of the
-    path, and in between slopes that do not overshoot. Next to a flight the ballistics hold, whatever is
-    given.
+    A velocity or rate of None is derived: from the ballistic motion next to a flight, zero at both ends of
+    the path, and elsewhere from slopes without overshoot. Next to a flight the ballistic motion overrides
+    given values.
 
     Args:
         time: s.
         position: (3,), m, world.
-        turn: rotation vector (3,), rad, world axes, by which the base has turned since the waypoint before
-            (for the first: from the world's axes), R_i = exp(turn) R_(i-1): several turns are several times
-            2 pi.
+        turn: Rotation vector (3,), rad, world axes, of the rotation since the previous waypoint (for the
+            first one, since the world's axes): R_i = exp(turn) R_(i-1). It counts full turns, as multiples
+            of 2 pi.
         velocity: (3,), m/s, world.
-        rate: angular velocity (3,), rad/s, world.
+        rate: Angular velocity (3,), rad/s, world.
 
     Raises:
-        InputError: for a wrong shape, and numbers that are not finite.
+        InputError: If a shape is wrong or a number is not finite.
     """
 
     time: float
@@ -84,18 +84,18 @@ class BaseWaypoint:
 
 
 class WaypointPath:
-    """Placement of the base over time, C1: cubics where feet stand, parabolas at a constant rate in flight.
+    """Placement of the base over time, C1: cubics while feet stand, parabolas with constant spin in flight.
 
-    Between two waypoints R(t) = exp(theta(t)) R_(i-1), theta along the turn at a constant rate in flight,
-    else the cubic whose ends have the angular velocities there: theta' = J_l(theta)^-1 omega.
+    Between two waypoints R(t) = exp(theta(t)) R_(i-1). In flight theta grows along the turn at a constant
+    rate; otherwise it is a cubic with the angular velocities at its ends, theta' = J_l(theta)^-1 omega.
 
     Args:
-        schedule: says which stretches are flights.
-        waypoints: in time order, the first at 0, two at the ends of every flight and none within it.
+        schedule: Determines when the robot is in flight.
+        waypoints: In time order; the first at time 0, one at each end of every flight and none within it.
         gravity: m/s^2, along -z.
 
     Raises:
-        InputError: for other times, and turns of a whole turn while feet stand.
+        InputError: If times do not fit, or the base makes a full turn between waypoints while feet stand.
     """
 
     def __init__(
@@ -120,14 +120,14 @@ class WaypointPath:
             self._rotations.append(pin.exp3(point.turn) @ self._rotations[-1])
         self._velocities = self._rates_of("position")
         self._spins = self._rates_of("turn")
-        # theta' = J_l(theta)^-1 omega at the end of a stretch, with J_l(theta) = J_r(theta)^T.
+        # theta' = J_l(theta)^-1 omega at the end of a segment, with J_l(theta) = J_r(theta)^T.
         self._end_rates = [
             spin if flying else np.linalg.solve(pin.Jexp3(np.asarray(end.turn)).T, spin)
             for end, spin, flying in zip(self._points[1:], self._spins[1:], self._flying, strict=True)
         ]
 
     def _flights(self, schedule: Schedule, tolerance: float) -> list[bool]:
-        """Which stretches between waypoints are flights; the others do not overlap any."""
+        """Return for each segment between waypoints whether it is a flight."""
         flying = [False] * (len(self._points) - 1)
         for begin, end in flights(schedule):
             first, last = (int(np.argmin(np.abs(self._times - t))) for t in (begin, end))
@@ -141,10 +141,10 @@ class WaypointPath:
         return flying
 
     def _rates_of(self, what: str) -> list[np.ndarray]:
-        """Velocity or angular velocity (3,) at every waypoint; see `BaseWaypoint`."""
+        """Return the velocity or angular velocity (3,) at every waypoint; see `BaseWaypoint`."""
         values = np.array([getattr(point, what) for point in self._points])
         steps = values[1:] if what == "turn" else np.diff(values, axis=0)
-        mean = steps / np.diff(self._times)[:, None]  # rates (n - 1, 3) from each waypoint to the next
+        mean = steps / np.diff(self._times)[:, None]  # mean rates (n - 1, 3) between waypoints
         given = "rate" if what == "turn" else "velocity"
         rates = []
         for i, point in enumerate(self._points):
@@ -158,7 +158,7 @@ class WaypointPath:
             elif i in (0, len(mean)):
                 rates.append(np.zeros(3))
             else:
-                # No new extremum between two mean slopes: their harmonic mean, or 0 (F. N. Fritsch,
+                # Harmonic mean of the two slopes, or 0 if their signs differ: no new extremum (F. N. Fritsch,
                 # J. Butland, SIAM J. Sci. Stat. Comput. 5, 1984, for equal steps).
                 product = mean[i - 1] * mean[i]
                 total = np.where(product > 0, mean[i - 1] + mean[i], 1.0)
@@ -166,7 +166,7 @@ class WaypointPath:
         return rates
 
     def _pull(self, what: str, stretch: int) -> np.ndarray:
-        """The start velocity of a flight minus its mean velocity (3,), from gravity."""
+        """Return the initial velocity of a flight minus its mean velocity (3,), due to gravity."""
         if what == "turn":
             return np.zeros(3)
         return np.array([0.0, 0.0, self._gravity * float(np.diff(self._times)[stretch]) / 2])
@@ -181,7 +181,7 @@ class WaypointPath:
         return self._velocities[index].copy(), self._spins[index].copy()
 
     def __call__(self, t: float) -> pin.SE3:
-        """Placement at ``t`` in s; beyond the waypoints that of the nearest one."""
+        """Return the placement at ``t`` in s; times outside the path are clipped."""
         if not self._flying or t <= self._times[0]:
             return pin.SE3(self._rotations[0], self._points[0].position)
         i = min(int(np.searchsorted(self._times, t, side="right")), len(self._flying)) - 1
@@ -201,17 +201,17 @@ class WaypointPath:
 
 
 def heading_of(rotation: np.ndarray) -> float:
-    """Return the angle (rad) from the world's x axis to a rotation's, seen from above."""
+    """Return the angle (rad) from the world's x axis to that of a rotation, seen from above."""
     return math.atan2(rotation[1, 0], rotation[0, 0])
 
 
 def turn_to_heading(rotation: np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) about the vertical by the heading of a rotation."""
+    """Return the rotation (3, 3) about the vertical by the heading of ``rotation``."""
     return np.array(pin.utils.rotate("z", heading_of(rotation)))
 
 
 def flights(schedule: Schedule) -> list[tuple[float, float]]:
-    """Begin and end in s of every stretch without any contact; consecutive phases are stretches."""
+    """Return start and end in s of every flight; consecutive phases without contacts are one flight."""
     stretches: list[tuple[float, float]] = []
     t, flew = 0.0, False
     for phase in schedule.phases:

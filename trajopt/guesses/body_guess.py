@@ -1,4 +1,4 @@
-"""Guesses from reduced models: their base or CoM, feet on footholds or swings, legs by inverse kinematics."""
+"""Guesses from reduced models: their base or CoM motion, feet on footholds or swings, inverse kinematics."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from trajopt.terrain.swing_paths import require_clearance, smooth_step, swing_pr
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
-# Height in m of a swing over the straight line between its footholds, unless the caller says otherwise.
+# Default height in m of a swing above the straight line between its footholds.
 DEFAULT_CLEARANCE = 0.05
-# Fixed-point steps that bring the CoM to its target: each leaves the share of mass that does not follow the
-# base. A fixed number from one start keeps the posture a smooth function of time, for finite differences.
+# Fixed-point steps that move the CoM to its target. Each leaves the fraction of mass that does not follow the
+# base. A fixed number from a fixed start keeps the posture smooth in time, as finite differences need.
 COM_STEPS = 4
 
 
 class BasePath:
-    """Placement of the free-flyer over time through a solution's samples, twice differentiable in a phase.
+    """Free-flyer placement through a solution's samples over time, twice differentiable within a phase.
 
-    Positions by quintics through position, velocity and acceleration; rotations by cubics in exponential
-    coordinates relative to the sample before. ``durations`` of the phases in s, default the solution's: the
-    path is stretched to them.
+    Positions are quintics through position, velocity and acceleration. Rotations are cubics in exponential
+    coordinates relative to the previous sample. The path is stretched to the phase ``durations`` in s, by
+    default the solution's.
     """
 
     def __init__(self, solution: Solution, durations: Sequence[float] | None = None) -> None:
@@ -50,7 +50,7 @@ class BasePath:
         self._starts = np.concatenate([[0.0], np.cumsum(spans)])
 
     def __call__(self, t: float) -> pin.SE3:
-        """Placement at ``t`` in s; at a time between two phases that of the later one; times are clipped."""
+        """Return the placement at ``t`` in s, clipped; at a phase boundary, that of the later phase."""
         i = int(np.searchsorted(self._starts[1:-1], t, side="right"))
         times = self._pieces[i].t
         fraction = (t - self._starts[i]) / (self._starts[i + 1] - self._starts[i])
@@ -68,13 +68,13 @@ class _PhasePath:
         turned = np.array(self.rotations)
         velocity = np.einsum("kij,kj->ki", turned, v[:, :3])
         acceleration = np.einsum("kij,kj->ki", turned, a[:, :3] + np.cross(v[:, 3:6], v[:, :3]))
-        from scipy.interpolate import BPoly  # takes a while to load
+        from scipy.interpolate import BPoly  # slow to import
 
         self.position = BPoly.from_derivatives(self.t, np.stack([q[:, :3], velocity, acceleration], axis=1))
         self.turns = [self._turn(k, v[:, 3:6]) for k in range(len(self.t) - 1)]
 
     def _turn(self, k: int, omega: np.ndarray) -> CubicHermiteSpline:
-        """theta(t) from sample k to the next: theta' = omega at its start, Jlog(theta) omega at its end."""
+        """Interpolate theta(t) from sample k: theta' is omega at its start, Jlog(theta) omega at its end."""
         relative = self.rotations[k].T @ self.rotations[k + 1]
         rates = np.array([omega[k], pin.Jlog3(relative) @ omega[k + 1]])
         from scipy.interpolate import CubicHermiteSpline
@@ -89,7 +89,7 @@ class _PhasePath:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _LegPosture:
-    """Base on its path, feet on their footholds; swings in the world, or carried by the base in flight."""
+    """Base on its path and feet on footholds; swings are in the world, in flight relative to the base."""
 
     problem: Problem
     base: Callable[[float], pin.SE3]
@@ -127,11 +127,11 @@ def guess_from_srb(problem: Problem, solution: Solution, *, clearance: float = D
 
     Args:
         problem: The problem of the whole robot.
-        solution: Of one body: a single free-flyer, with the problem's phases.
+        solution: The solution of a single free-flyer body with the problem's phases.
         clearance: Height of swings while other feet stand, m.
 
     Raises:
-        InputError: For another solution.
+        InputError: If the solution has other coordinates or phases.
     """
     names = [phase.name for phase in problem.schedule.phases]
     phases = list(solution.phase_names)
@@ -147,9 +147,9 @@ def guess_from_srb(problem: Problem, solution: Solution, *, clearance: float = D
 
 @dataclass(frozen=True)
 class FootSwing:
-    """A foot in the air from ``start`` to ``end``, between two ``times`` in s, now at a ``fraction`` of them.
+    """A foot in the air between footholds ``start`` and ``end``, at a ``fraction`` of the ``times`` in s.
 
-    ``airborne``: no other foot is on the ground for part of the swing.
+    ``airborne``: all feet are in the air during part of the swing.
     """
 
     start: Foothold
@@ -161,10 +161,10 @@ class FootSwing:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FootMotion:
-    """Where each foot of a plan is at a time: on its foothold, or on its way to the next.
+    """Position of each foot of a plan over time: on its foothold, or in a swing to the next one.
 
-    ``initial``: the feet at the start by contact name, where a foot is before its first support. A foot that
-    does not land again stays where it was lifted. ``clearance`` m.
+    Before its first support, a foot is at its ``initial`` foothold, by contact name. A foot that does not
+    land again stays where it lifted off. ``clearance`` is the height of swings, m.
     """
 
     plan: FootstepPlan
@@ -176,11 +176,11 @@ class FootMotion:
 
     @cached_property
     def times(self) -> list[float]:
-        """Times between supports, s, with the start and the end."""
+        """Start of the plan, boundaries between supports, and end of the plan, s."""
         return [0.0, *accumulate(support.duration for support in self.plan.supports)]
 
     def at(self, name: str, t: float) -> Foothold | FootSwing:
-        """The foothold on which the foot ``name`` stands at ``t``, or its swing; times are clipped."""
+        """Return the foothold of the foot ``name`` at ``t``, or its swing; times are clipped."""
         supports = self.plan.supports
         now = int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(supports) - 1))
         if name in supports[now].feet:
@@ -195,7 +195,7 @@ class FootMotion:
         return FootSwing(start, end, (begin, over), fraction, airborne)
 
     def foothold(self, name: str, t: float) -> Foothold:
-        """Position of the foot in the world; a swing is lifted by ``clearance`` at its middle."""
+        """Return the foot's pose in the world; a swing rises by ``clearance`` at its middle."""
         swing = self.at(name, t)
         if isinstance(swing, Foothold):
             return swing
@@ -206,13 +206,13 @@ class FootMotion:
         return Foothold(position=position + lift, yaw=swing.start.yaw + part * turn)
 
     def heading(self, t: float) -> float:
-        """Mean turn of the feet since the start, rad."""
+        """Return the mean yaw of the feet since the start, rad."""
         turns = [self.foothold(name, t).yaw - foot.yaw for name, foot in self.initial.items()]
         return float(np.mean(turns))
 
 
 def foot_targets(robot: Robot, feet: Callable[[str], Foothold]) -> dict[str, pin.SE3 | np.ndarray]:
-    """Targets of inverse kinematics by frame: positions of point feet, level poses of soles."""
+    """Return inverse-kinematics targets by frame: positions of point feet, level poses of soles."""
     poses = {}
     for contact in robot.contacts:
         foot = feet(contact.name)
@@ -222,9 +222,9 @@ def foot_targets(robot: Robot, feet: Callable[[str], Foothold]) -> dict[str, pin
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WalkPosture:
-    """Postures of a walk: base level with the feet's heading, feet and CoM on their paths.
+    """Postures of a walk: base level along the feet's heading, feet and CoM on their paths.
 
-    The CoM keeps the height of ``q`` (nq,), the posture at the start.
+    The CoM keeps the height it has in the initial posture ``q`` (nq,).
     """
 
     robot: Robot
@@ -241,7 +241,7 @@ class WalkPosture:
         return np.array(pin.centerOfMass(self.robot.model, self.data, self.q))
 
     def __call__(self, t: float) -> np.ndarray:
-        """Configuration (nq,) at time ``t`` in s."""
+        """Return the configuration (nq,) at time ``t`` in s."""
         targets = foot_targets(self.robot, lambda name: self.feet.foothold(name, t))
         goal = np.append(self.motion.com(t), self._start[2])
         q = self.q.copy()
@@ -263,17 +263,17 @@ def guess_from_lip(
     q: np.ndarray | None = None,
     clearance: float = DEFAULT_CLEARANCE,
 ) -> Motion:
-    """Return a guess ``t -> q`` (nq,) for the full robot, its base level.
+    """Return a guess ``t -> q`` (nq,) for the full robot with a level base.
 
     Args:
         robot: A robot on a free-flyer in world axes.
-        plan: Where the feet stand, and when.
+        plan: Footholds and their timing.
         motion: Horizontal motion of the centre of mass.
-        q: Posture at the start (nq,), default the reference; its height of the centre of mass is kept.
+        q: Initial posture (nq,); default: the reference. The height of its centre of mass is kept.
         clearance: Height of the swings, m.
 
     Raises:
-        InputError: For a robot on another base.
+        InputError: If the base is not a free-flyer in world axes.
     """
     require_free_flyer(robot)
     start = np.array(robot.reference if q is None else q, dtype=float)

@@ -1,6 +1,6 @@
-"""Guesses of gaits: the base at a commanded pace, ballistic in flights, feet under it in mid stance.
+"""Guesses of gaits: base at the commanded pace, ballistic in flight, feet under their hips at mid-stance.
 
-A foot stands where its hip is at mid-stance, so that it acts symmetrically before and behind (Raibert,
+Each foothold is where the hip is at mid-stance, so that the leg acts symmetrically ahead and behind (Raibert,
 "Legged robots that balance", 1986, ch. 2: the neutral point).
 """
 
@@ -29,22 +29,22 @@ from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terrain.surface import UP
 from trajopt.terrain.swing_paths import smooth_step
 
-# Step of the finite differences for a state's rates, s; contacts are brought to rest exactly afterwards.
+# Step of the finite differences for rates, s; contacts are then brought exactly to rest.
 DIFFERENCE_STEP = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pace:
-    """A commanded motion of the base over level ground: along an arc, optionally from or to rest.
+    """A commanded motion of the base over level ground along an arc, optionally from or to rest.
 
     Args:
-        velocity: forward and to the left, in axes of the base, m/s.
-        turn_rate: to the left, rad/s.
-        starts: times (begin, end) in s between which the pace rises from zero; None: it does not.
-        stops: times (begin, end) in s between which the pace falls to zero; None: it does not.
+        velocity: Forward and leftward velocity in the base's axes, m/s.
+        turn_rate: Rate of turning left, rad/s.
+        starts: Times (begin, end) in s between which the pace rises from zero; None: the pace is constant.
+        stops: Times (begin, end) in s between which the pace falls to zero; None: the pace is constant.
 
     Raises:
-        InputError: for numbers that are not finite, and times that do not rise.
+        InputError: If a number is not finite or times do not increase.
     """
 
     velocity: tuple[float, float]
@@ -65,13 +65,13 @@ class Pace:
                 )
 
     def part(self, t: float) -> float:
-        """Fraction of the full pace at ``t`` s, 0 to 1."""
+        """Return the fraction of the full pace at ``t`` s, 0 to 1."""
         rise = 1.0 if self.starts is None else smooth_step(_fraction(t, self.starts))
         fall = 0.0 if self.stops is None else smooth_step(_fraction(t, self.stops))
         return rise - fall
 
     def progress(self, t: float) -> float:
-        """Time in s in which the full pace covers the same distance as this one from 0 to ``t`` s."""
+        """Return the time in s that the full pace needs for the distance covered from 0 to ``t`` s."""
         return self._travelled(t) - self._travelled(0.0)
 
     def _travelled(self, t: float) -> float:
@@ -79,9 +79,9 @@ class Pace:
         return rise - (0.0 if self.stops is None else _travelled(t, self.stops))
 
     def pose(self, t: float) -> tuple[np.ndarray, float]:
-        """Displacement (2,) m and turn rad of the base since ``t`` = 0, in its axes there.
+        """Return the displacement (2,) m and turn rad since ``t`` = 0, in the base's axes at that time.
 
-        A circular arc: p = (sin(a) / w) v + ((1 - cos(a)) / w) z x v, with the turn a = w progress.
+        The path is an arc: p = (sin(a) / w) v + ((1 - cos(a)) / w) z x v, with the turn a = w progress.
         """
         time, forward = self.progress(t), np.array(self.velocity)
         angle = self.turn_rate * time
@@ -96,13 +96,13 @@ def _fraction(t: float, times: tuple[float, float]) -> float:
 
 
 def _travelled(t: float, times: tuple[float, float]) -> float:
-    """Integral of ``smooth_step(fraction)`` up to ``t``: s^4 (5/2 - 3 s + s^2), then a straight line."""
+    """Integrate ``smooth_step(fraction)`` up to ``t``: s^4 (5/2 - 3 s + s^2), then linear."""
     s = min(max(_fraction(t, times), 0.0), 1.0)
     return (times[1] - times[0]) * s**4 * (2.5 - 3 * s + s * s) + max(t - times[1], 0.0)
 
 
 def base_pose(robot: Robot, pace: Pace, t: float) -> pin.SE3:
-    """Placement of the base at ``t`` s: level at the reference's height and heading, moved by the pace."""
+    """Return the base at ``t`` s: the reference's pose moved horizontally and turned by the pace."""
     start = pin.XYZQUATToSE3(robot.reference[:7])
     turned = turn_to_heading(start.rotation)
     shift, angle = pace.pose(t)
@@ -112,7 +112,7 @@ def base_pose(robot: Robot, pace: Pace, t: float) -> pin.SE3:
 
 @checked
 def commanded_motion(robot: Robot, pace: Pace) -> Motion:
-    """The reference posture carried along by the pace, ``t -> q`` (nq,): the reference motion of a gait."""
+    """Return the reference motion of a gait, ``t -> q`` (nq,): the reference posture moved by the pace."""
     return partial(_carried, robot, pace)
 
 
@@ -123,10 +123,10 @@ def _carried(robot: Robot, pace: Pace, t: float) -> np.ndarray:
 
 
 def gait_path(robot: Robot, schedule: Schedule, pace: Pace, *, begin: float = 0.0) -> WaypointPath:
-    """The base at a pace through a schedule that begins at ``begin`` s of it.
+    """Return the base path at a pace for a schedule that starts at time ``begin`` (s) of the pace.
 
-    At every change of supports; for a stretch on feet between two flights only at its ends, so that the base
-    sinks and rises in one smooth bounce. Raises `InputError`.
+    Waypoints are at every phase boundary. Stances between two flights have them only at their ends, so that
+    the base sinks and rises in one smooth bounce. Raises `InputError`.
     """
     waypoints: list[BaseWaypoint] = []
     before = np.eye(3)
@@ -147,7 +147,7 @@ def gait_path(robot: Robot, schedule: Schedule, pace: Pace, *, begin: float = 0.
 
 
 def _waypoint_times(schedule: Schedule) -> list[float]:
-    """Ends of flights, and of phases that are not between two flights; each time once."""
+    """Return all phase boundaries except those within a stance between two flights."""
     ends = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
     flown = flights(schedule)
     rounding = SAME_TIME * schedule.duration
@@ -162,7 +162,7 @@ def _waypoint_times(schedule: Schedule) -> list[float]:
 
 
 def _velocity(robot: Robot, pace: Pace, t: float) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity (3,) m/s and angular velocity (3,) rad/s of the base at ``t`` s, world."""
+    """Return velocity (3,) m/s and angular velocity (3,) rad/s of the base at ``t`` s, world."""
     part, (_, angle) = pace.part(t), pace.pose(t)
     heading = heading_of(pin.XYZQUATToSE3(robot.reference[:7]).rotation) + angle
     forward = np.array([*pace.velocity, 0.0])
@@ -172,23 +172,23 @@ def _velocity(robot: Robot, pace: Pace, t: float) -> tuple[np.ndarray, np.ndarra
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GaitPlan:
-    """A schedule with the footholds of all contacts that land, and its guess ``t -> q`` (nq,).
+    """A schedule with footholds for all landing contacts, and its guess ``t -> q`` (nq,).
 
-    Contacts that land at the beginning, after the preceding cycle, have footholds in the first phase.
+    The first phase has footholds for contacts that land at its start, after the preceding cycle.
     """
 
     schedule: Schedule
     guess: Motion
 
     def state(self, robot: Robot, t: float, resting: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """State of the guess at a time, with some contacts exactly at rest.
+        """Return the state of the guess at a time, with some contacts exactly at rest.
 
-        Rates by differences; joint rates get the least correction that stops the contacts.
+        Rates are finite differences. Joint rates get the smallest correction that stops the contacts.
 
         Args:
-            robot: the robot.
-            t: s.
-            resting: names of these contacts.
+            robot: The robot.
+            t: Time, s.
+            resting: Names of the contacts at rest.
 
         Returns:
             Configuration (nq,) and velocity (nv,).
@@ -206,18 +206,18 @@ class GaitPlan:
 def plan_of_cycle(
     robot: Robot, cycle: Schedule, pace: Pace, *, mirror: Mapping[str, str] | None = None, clearance: float
 ) -> GaitPlan:
-    """The plan of a periodic motion, the middle one of five cycles.
+    """Return the plan of a periodic motion: the middle one of five cycles.
 
     Args:
-        robot: the robot.
-        cycle: contacts over one cycle, or half of one.
-        pace: of the base.
-        mirror: where the cycle is half of one, the contact on the other side, for every contact: halves
-            before and after are its mirror images.
-        clearance: height of swings, m.
+        robot: The robot.
+        cycle: Contacts over one cycle, or over half of one.
+        pace: Commanded motion of the base.
+        mirror: If ``cycle`` is half a cycle: the opposite contact of every contact. The preceding and
+            following halves are then its mirror images.
+        clearance: Height of swings, m.
 
     Raises:
-        InputError: for a clearance that is negative or not finite.
+        InputError: If the clearance is negative or not finite.
     """
     whole, first = _repeated(cycle, mirror)
     return plan_of_part(robot, cycle, whole, first * len(cycle.phases), pace, clearance=clearance)
@@ -227,21 +227,21 @@ def plan_of_cycle(
 def plan_of_part(
     robot: Robot, part: Schedule, whole: Schedule, first: int, pace: Pace, *, clearance: float
 ) -> GaitPlan:
-    """The plan of a part of a longer schedule.
+    """Return the plan of a part of a longer schedule.
 
-    The whole determines how feet in the air at the part's ends move, and the middle of stances that go on
-    beyond them.
+    The longer schedule determines the swings in progress at the ends of the part, and the middle of stances
+    that extend beyond them.
 
     Args:
-        robot: the robot.
-        part: contacts over time.
-        whole: the longer schedule.
-        first: index of the phase of the whole with which the part begins.
-        pace: over time from the part's beginning, where the base is at the reference's position.
-        clearance: height of swings, m.
+        robot: The robot.
+        part: Contacts over time.
+        whole: The longer schedule.
+        first: Index of the phase of ``whole`` at which the part begins.
+        pace: Commanded motion, in time from the start of the part, where the base is at the reference.
+        clearance: Height of swings, m.
 
     Raises:
-        InputError: for a clearance that is negative or not finite.
+        InputError: If the clearance is negative or not finite.
     """
     begin = sum(phase.duration for phase in whole.phases[:first])
     path = gait_path(robot, whole, pace, begin=-begin)
@@ -259,10 +259,10 @@ def _later(motion: Motion, begin: float, t: float) -> np.ndarray:
 
 
 def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedule, int]:
-    """Two cycles before and two after this one, or as many alternating halves; the index of this one.
+    """Return this cycle or half-cycle with two full cycles before it and two after it, and its index.
 
-    Two, since a foot that swings at the beginning left a stance of the cycle before, where the base
-    already moved as it does in every cycle.
+    A foot that swings at the start lifted off in the previous cycle. With two of them, the base already moves
+    periodically there.
     """
     this = other = cycle.phases
     if mirror is not None:
@@ -274,7 +274,7 @@ def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedu
 
 
 def with_footholds(robot: Robot, schedule: Schedule, path: WaypointPath) -> Schedule:
-    """The schedule with footholds on level ground where contacts begin with a phase, as in `legged_guess`."""
+    """Add footholds on level ground wherever contacts begin with a phase, as in `legged_guess`."""
     posture = LeggedPosture(robot=robot, schedule=schedule, base=path, start=robot.reference)
     begins = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
     rounding = SAME_TIME * schedule.duration

@@ -1,4 +1,4 @@
-"""One guess for all legged motions: base on a path, feet on their footholds, legs by inverse kinematics."""
+"""One guess for all legged motions: base on a path, feet on footholds, legs by inverse kinematics."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -30,21 +30,21 @@ from trajopt.terrain.swing_paths import (
 )
 from trajopt.terrain.terrain import Terrain
 
-# Height of a swing over the straight line between its footholds, over the robot's length.
+# Height of a swing above the straight line between its footholds, over the robot's length.
 CLEARANCE_PART = 0.1
 
-# A joint that inverse kinematics moves this far from the reference, rad, may be on another branch, or have
-# wound around: then the feet move there in this many steps.
+# If inverse kinematics moves a joint further than this from the reference, rad, it may have changed branch or
+# wound around; the feet then move to their targets in this many steps.
 FAR, STEPS = 1.5, 12
 
-# Position (3,) in m, world, of a swinging contact, from its name, lift-off and touchdown positions, and the
-# fraction done.
+# Maps a swinging contact's name, lift-off and touchdown positions and fraction of the swing to its position
+# (3,) in m, world.
 SwingTrajectory = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FootStance:
-    """A contact holds ``place`` (world, m) from ``begin`` to ``end``, s."""
+    """A contact stays at ``place`` (world, m) from ``begin`` to ``end``, s."""
 
     begin: float
     end: float
@@ -66,7 +66,7 @@ class LeggedPosture:
     swing: SwingTrajectory | None = None
 
     def __call__(self, t: float) -> np.ndarray:
-        """Configuration (nq,) at time ``t`` in s."""
+        """Return the configuration (nq,) at time ``t`` in s."""
         placement = self.base(t)
         q = self.robot.reference.copy()
         q[:7] = pin.SE3ToXYZQUAT(placement)
@@ -74,10 +74,10 @@ class LeggedPosture:
         return self._legs(q, feet) if feet else q
 
     def _legs(self, q: np.ndarray, feet: Mapping[str, pin.SE3]) -> np.ndarray:
-        """Legs that bring the contacts to ``feet``, on the branch that is continuous with the reference.
+        """Move the contacts to ``feet`` on the branch of inverse kinematics that holds the reference.
 
-        From the reference posture in one step; where that moves a joint far, by small steps of the feet in
-        the base's axes from their reference positions.
+        This takes one step from the reference posture. If it moves a joint far, the feet move in small steps
+        instead, in the base's axes, from their reference positions.
         """
         joints = slice(self.robot.nq - self.robot.nu, None)
         direct = inverse_kinematics(self.robot, q, contact_targets(self.robot, feet)).q
@@ -94,7 +94,7 @@ class LeggedPosture:
         return q
 
     def foot(self, name: str, t: float, placement: pin.SE3) -> pin.SE3:
-        """Pose in the world of a contact at ``t`` with the base at ``placement``."""
+        """Return the world pose of a contact at ``t`` with the base at ``placement``."""
         stances, t = self.stances[name], min(max(t, 0.0), self.schedule.duration)
         for stance in stances:
             if stance.begin - self._rounding <= t <= stance.end + self._rounding:
@@ -103,11 +103,11 @@ class LeggedPosture:
         after = next((stance for stance in stances if stance.begin > t), None)
         lifted = self._in_the_air_at_first[name] if before is None else before.place
         begin = 0.0 if before is None else before.end
-        if after is None:  # it does not land: carried as at lift-off
+        if after is None:  # it does not land again: it moves with the base as at lift-off
             return placement * self.base(begin).inverse() * lifted
         s = min(max((t - begin) / (after.begin - begin), 0.0), 1.0)
         shared = (min(after.begin, last) - max(begin, first) for first, last in self._flights)
-        if any(overlap > self._rounding for overlap in shared):  # the robot is in flight for a while
+        if any(overlap > self._rounding for overlap in shared):  # the robot flies during the swing
             carried = self._carried(placement, (begin, after.begin), (lifted, after.place), s)
             ends = lifted.translation, after.place.translation
             ground = self._crossing(name, tuple(map(float, ends[0])), tuple(map(float, ends[1])))
@@ -125,9 +125,9 @@ class LeggedPosture:
     def _carried(
         self, placement: pin.SE3, times: tuple[float, float], places: tuple[pin.SE3, pin.SE3], s: float
     ) -> pin.SE3:
-        """From one stance to the next in the base's axes, drawn up, and above the line between the two.
+        """Interpolate between two stances in the base's axes, drawn up and above the line between them.
 
-        The height over that line is the root of the sum of squares of the carried height and of a swing's.
+        The height above that line is the root sum square of the carried height and a swing's height.
         """
         before, after = (self.base(t).actInv(place) for t, place in zip(times, places, strict=True))
         part = smooth_step(s)
@@ -140,7 +140,7 @@ class LeggedPosture:
 
     @cached_property
     def _crossing(self) -> Callable[[str, tuple[float, ...], tuple[float, ...]], Crossing]:
-        """The ground between two places of a contact, for its centre; edges at the distance to keep."""
+        """Return the ground between two places of a contact's centre, with edges at the clearance."""
 
         @cache
         def between(name: str, start: tuple[float, ...], end: tuple[float, ...]) -> Crossing:
@@ -156,7 +156,7 @@ class LeggedPosture:
 
     @cached_property
     def _rounding(self) -> float:
-        """Times closer than this count as equal, s."""
+        """Tolerance within which times are equal, s."""
         return SAME_TIME * self.schedule.duration
 
     @cached_property
@@ -169,7 +169,7 @@ class LeggedPosture:
 
     @cached_property
     def stances(self) -> dict[str, list[FootStance]]:
-        """Stances of every contact in time order: at the start's positions, then where they land."""
+        """Stances of every contact in time order: first at its start position, then where it lands."""
         ends = np.cumsum([phase.duration for phase in self.schedule.phases])
         by_contact: dict[str, list[FootStance]] = {contact.name: [] for contact in self.robot.contacts}
         for name, stances in by_contact.items():
@@ -187,7 +187,7 @@ class LeggedPosture:
         return by_contact
 
     def _landing(self, name: str, phase: Phase, middle: float) -> pin.SE3:
-        """Where a contact lands: its foothold, or its nominal position at the base's pose in mid-stance."""
+        """Return the landing pose: the foothold, or the nominal position under the base at mid-stance."""
         nominal, contact = self._nominal(name, self.base(middle)), self.robot.contact(name)
         surface = phase.surface(name, self.terrain, contact.radius).plane_at(nominal.translation)
         centre, patch = phase.centre(contact, self.terrain), phase.patches.get(name)
@@ -197,7 +197,7 @@ class LeggedPosture:
         return pin.SE3(leaning @ nominal.rotation, np.array(position))
 
     def _nominal(self, name: str, placement: pin.SE3) -> pin.SE3:
-        """Pose of the contact under an upright base at ``placement``, as in the reference posture."""
+        """Return the contact's pose under an upright base at ``placement``, as in the reference posture."""
         reference = pin.XYZQUATToSE3(self.robot.reference[:7])
         turn = turn_to_heading(placement.rotation) @ turn_to_heading(reference.rotation).T
         foot = self._reference_feet[name]
@@ -221,26 +221,25 @@ def legged_guess(
     tuck: float = 0.0,
     swing: SwingTrajectory | None = None,
 ) -> Motion:
-    """Return a guess ``t -> q`` (nq,) of a legged motion: base on ``path``, feet where the schedule has them.
+    """Return a guess ``t -> q`` (nq,) of a legged motion: base on ``path``, feet as the schedule says.
 
-    A contact that lands stands on its foothold, or if there is none, on its surface or patch at its nominal
-    position under the base in mid-stance. While other contacts stand it swings in a smooth arc; where the
-    robot flies the base carries it, at least as high as that arc, and clear of the edges of the terrain.
-    Inverse kinematics of the legs start from the reference posture at every time: the guess is a function of
-    time alone.
+    A landing contact goes to its foothold; without one, to the nominal position under the base at mid-stance,
+    on its surface or patch. While other contacts stand, it swings in a smooth arc. If the robot flies, it
+    moves with the base, at least as high as that arc and clear of the terrain's edges. Inverse kinematics
+    always start from the reference posture, so the guess is a function of time alone.
 
     Args:
         robot: A robot on a free-flyer in world axes.
         schedule: Phases, contacts and footholds.
         path: Waypoints of the base (see `WaypointPath`).
-        start: Configuration (nq,) whose contacts are where the first stances are; default: the reference.
-        terrain: Ground of contacts without a surface of their own; default: level.
-        clearance: Height of the arc of a swing, m; default: a tenth of the robot's length.
-        tuck: How far feet are drawn up along the base's z axis in the middle of a flight, m.
-        swing: Path of a swinging contact instead of the arc.
+        start: Configuration (nq,) with the contacts at their first stances; default: the reference.
+        terrain: Ground for contacts without a surface of their own; default: level.
+        clearance: Height of the swing arc, m; default: a tenth of the robot's length.
+        tuck: Height by which feet are drawn up along the base's z axis in mid-flight, m.
+        swing: Path of a swinging contact that replaces the arc.
 
     Raises:
-        InputError: For a robot on another base, and for lengths that are not finite.
+        InputError: If the base is not a free-flyer in world axes, or a length is not finite.
     """
     require_free_flyer(robot)
     lift = CLEARANCE_PART * robot.length if clearance is None else clearance
@@ -267,13 +266,13 @@ def _between(start: np.ndarray, end: np.ndarray, part: float) -> np.ndarray:
 
 
 def _blend(start: pin.SE3, end: pin.SE3, part: float) -> pin.SE3:
-    """Pose on the straight line and the shortest turn from one to another."""
+    """Interpolate poses along a straight line and the shortest rotation."""
     position = (1 - part) * start.translation + part * end.translation
     return pin.SE3(_between(start.rotation, end.rotation, part), position)
 
 
 def dropped_onto(position: np.ndarray, surface: Surface) -> np.ndarray:
-    """The point (3,) of a surface right below or above a position; the nearest one of a vertical surface."""
+    """Project a point (3,) vertically onto a surface; onto a vertical surface, along its normal."""
     distance, upward = float(surface.distance(position)), float(surface.normal[2])
     if abs(upward) < 1e-6:
         return np.asarray(position - distance * surface.normal)

@@ -1,7 +1,7 @@
-"""Gaits laid over terrain: footholds on its faces, a base that follows the ground under its feet, a guess.
+"""Gaits over terrain: footholds on its faces, a base path that follows the ground, and a guess.
 
-The base stays over the plane that fits the ground under the feet best, as high over it as it stands in the
-reference, and leans as that plane does.
+The base keeps its reference height above the plane that best fits the ground under the feet, and leans with
+that plane.
 """
 
 from collections.abc import Mapping
@@ -26,13 +26,13 @@ from trajopt.terrain.surface import frame_of_normal
 from trajopt.terrain.swing_paths import swing_path
 from trajopt.terrain.terrain import Terrain
 
-# Feet farther than this from their places at the start, over the robot's length, do not reach them.
+# Largest distance of the feet from their initial places, over the robot's length, in a valid start posture.
 REACHED = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TerrainPlan:
-    """A ``schedule`` with landings on terrain, the posture ``start`` (nq,), a ``guess`` ``t -> q`` (nq,)."""
+    """A ``schedule`` with landings on terrain, its ``start`` posture (nq,) and ``guess`` ``t -> q`` (nq,)."""
 
     schedule: Schedule
     start: np.ndarray
@@ -43,30 +43,30 @@ class TerrainPlan:
 def plan_over_terrain(
     robot: Robot, schedule: Schedule, pace: Pace, terrain: Terrain, *, clearance: float, free: bool = False
 ) -> TerrainPlan:
-    """The plan of a gait that starts from standing and goes over terrain.
+    """Return the plan of a gait over terrain that starts from standing.
 
-    Feet land under their hips in mid-stance (`gaits`), moved to the nearest point of the terrain that keeps
-    the margin from edges. The feet start under the reference's, vertically.
+    Feet land under their hips at mid-stance (`gaits`), moved to the nearest point of the terrain that keeps
+    the margin from edges. They start vertically above or below their reference positions.
 
     Args:
-        robot: the robot.
-        schedule: contacts over time, without flights.
-        pace: of the base.
-        terrain: the ground.
-        clearance: least height of swings, m, also over edges; those of the guess are higher (`swing_path`).
-        free: feet may land anywhere on the face on which they are planned, or anywhere on ground without
-            faces; only each foot's last landing is planned, so that the posture at the end is that of the
+        robot: The robot.
+        schedule: Contacts over time, without flights.
+        pace: Commanded motion of the base.
+        terrain: The ground.
+        clearance: Least swing height, m, also over edges; the guess swings higher (`swing_path`).
+        free: Let the optimisation choose footholds: on the planned face, or anywhere on ground without
+            faces. Only the last landing of each foot is fixed, so that the motion ends in the posture of the
             guess.
 
     Raises:
-        InputError: for a gait with flights, and ground that legs do not reach at the start.
+        InputError: If the gait has flights, or the legs do not reach the ground at the start.
     """
     require_free_flyer(robot)
     if flights(schedule):
         raise InputError("a gait over terrain flies", "allowed: feet on the ground at all times")
     level_path = gait_path(robot, schedule, pace)
     level = with_footholds(robot, schedule, level_path)
-    held = replace(level.phases[0], footholds={})  # these contacts are where the start has them
+    held = replace(level.phases[0], footholds={})  # these contacts stay where they are at the start
     later = level.phases[1:]
     if isinstance(terrain, PiecewiseTerrain):
         later = tuple(_over_faces(phase, terrain) for phase in later)
@@ -87,7 +87,7 @@ def plan_over_terrain(
 
 
 def _freed(schedule: Schedule) -> Schedule:
-    """The schedule without the footholds of all landings but every contact's last."""
+    """Remove the footholds of all landings but the last one of each contact."""
     last = {name: i for i, phase in enumerate(schedule.phases) for name in phase.footholds}
     return Schedule(
         tuple(
@@ -98,9 +98,9 @@ def _freed(schedule: Schedule) -> Schedule:
 
 
 def standing_on(robot: Robot, terrain: Terrain) -> np.ndarray:
-    """Posture (nq,) with every contact on the terrain vertically under or over its position in the reference.
+    """Return a posture (nq,) with every contact on the terrain, vertically below or above its reference.
 
-    Raises `InputError` where that is a hole, and where a leg does not reach.
+    Raises `InputError` over a hole, and if a leg does not reach.
     """
     feet = {}
     for name, place in contact_positions(robot, robot.reference).items():
@@ -120,7 +120,7 @@ def standing_on(robot: Robot, terrain: Terrain) -> np.ndarray:
 
 
 def _over_faces(phase: Phase, terrain: PiecewiseTerrain) -> Phase:
-    """The phase with every foothold over a face; one over a hole is moved to the nearest face."""
+    """Move footholds over holes to the nearest face."""
     footholds = {}
     for name, place in phase.footholds.items():
         candidates = [face.nearest(place) for face in terrain.faces]
@@ -134,11 +134,11 @@ def _over_faces(phase: Phase, terrain: PiecewiseTerrain) -> Phase:
 def _path_over(
     robot: Robot, schedule: Schedule, pace: Pace, stances: Mapping[str, list[FootStance]]
 ) -> WaypointPath:
-    """The base at every change of supports: at the pace seen from above, over the ground under the feet."""
+    """Return the base path through all phase boundaries: the pace seen from above, over the ground."""
     waypoints, before = [], np.eye(3)
     for time in np.cumsum([0.0, *(phase.duration for phase in schedule.phases)]):
         under = {}
-        for name, held in stances.items():  # in a swing along the straight line between its ends
+        for name, held in stances.items():  # during swings on the straight line between footholds
             times = np.ravel([(stance.begin, stance.end) for stance in held])
             places = np.repeat([stance.place.translation for stance in held], 2, axis=0)
             under[name] = np.array([np.interp(time, times, axis) for axis in places.T])
@@ -150,10 +150,10 @@ def _path_over(
 
 
 def _pose_over(robot: Robot, level: pin.SE3, feet: Mapping[str, np.ndarray]) -> pin.SE3:
-    """The ``level`` pose of the base, raised and leant as the plane nearest to the ``feet`` (3,) m.
+    """Raise and tilt the ``level`` base pose with the plane that best fits the ``feet`` (3,) m.
 
-    Heights over the reference's feet are fitted with a + b x + c y in the base's heading (least squares, of
-    least norm where all feet are on one line); the base rises by a and leans by atan b and atan c.
+    Heights relative to the reference feet are fitted by a + b x + c y along the base's heading (least
+    squares; minimum norm if all feet are on one line). The base rises by a and leans by atan b and atan c.
     """
     reference = contact_positions(robot, robot.reference)
     names = sorted(feet)

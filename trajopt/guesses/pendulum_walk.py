@@ -1,9 +1,9 @@
-"""A walk without optimisation: footsteps, the pendulum's centre of mass over them, postures and torques.
+"""A walk without optimal control: footsteps, pendulum CoM motion, postures and torques.
 
-Footsteps (`Walk`) give supports; a quadratic program of the linear inverted pendulum the centre of mass at
-constant height (Kajita et al., ICRA 2003; Wieber, Humanoids 2006); inverse kinematics the posture at every
-sample, with swings of the feet; and inverse dynamics (`trajopt.control`) the contact forces and torques of
-that motion. What comes out is a plan like any other: a whole-body controller tracks it.
+Footsteps (`Walk`) define the supports. A quadratic program of the linear inverted pendulum gives the centre
+of mass at constant height (Kajita et al., ICRA 2003; Wieber, Humanoids 2006). Inverse kinematics give the
+posture at every sample, with foot swings. Inverse dynamics (`trajopt.control`) give the contact forces and
+torques. The result is a plan like any other, which a whole-body controller can track.
 """
 
 import math
@@ -35,23 +35,23 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import UP
 from trajopt.versions import VERSIONED, installed_version
 
-# Durations of the parts of a walk over the natural time sqrt(l / g), and height of its swings over l.
+# Durations of the parts of a walk over the natural time sqrt(l / g), and swing height over l.
 STEP_TIME, DOUBLE_SUPPORT, SHIFT_TIME, SETTLE_TIME, CLEARANCE = 1.9, 0.45, 1.6, 1.9, 0.06
-# Crouches that are tried, over l: a straighter leg reaches farther, and bends its ankle less.
+# Crouches to try, over l: straighter legs reach farther, and bend their ankles less.
 CROUCHES = (0.0, -0.02, 0.02, -0.04, 0.04, 0.08)
-# Part of the soles that the pendulum's ZMP keeps away from: the robot is not a pendulum.
+# Fraction of the soles kept as a margin for the pendulum's ZMP: the robot is not a pendulum.
 MARGIN = 0.5
-# Intervals in a natural time: feet that stand move by less than a millimetre between the samples.
+# Intervals per natural time: standing feet then drift by less than a millimetre between samples.
 INTERVALS = 12
-# Step of the differences that give velocity and acceleration, over the natural time.
+# Step of the finite differences for velocity and acceleration, over the natural time.
 DIFFERENCE = 3e-3
-# Feet farther from their paths than this part of l are out of reach of the legs.
+# Feet farther from their paths than this fraction of l are out of the legs' reach.
 REACHED = 1e-3
-# Of the accelerations over their natural units: the torques of a sample give its motion.
+# Largest error of the accelerations that the torques produce, in natural units, in a feasible motion.
 FEASIBLE = 1e-2
-# What helps legs that do not follow.
+# Remedy if the legs cannot follow.
 SHORTER = "slower or shorter steps, or another crouch"
-# Weight of the motion over that of contact forces in their distribution.
+# Weight of the motion relative to the contact forces in their distribution.
 MOTION_WEIGHT = 1e6
 
 
@@ -66,19 +66,19 @@ def commanded_walk(
     step_time: Positive | None = None,
     double_support: Positive | None = None,
 ) -> Walk:
-    """Steps of a biped that walks with a velocity, from rest to rest.
+    """Return the steps of a biped that walks at a commanded velocity, from rest to rest.
 
     Args:
-        robot: the robot, on two soles.
-        steps: number of steps.
-        speed: forward, m/s; negative walks backwards.
-        side_speed: to the left, m/s.
-        turn_rate: to the left, rad/s.
-        step_time: duration of single support, s; default 1.9 sqrt(l / g), l the robot's reach.
-        double_support: duration of double support between steps, s; default 0.45 sqrt(l / g).
+        robot: A robot on two soles.
+        steps: Number of steps.
+        speed: Forward velocity, m/s; negative walks backwards.
+        side_speed: Velocity to the left, m/s.
+        turn_rate: Rate of turning left, rad/s.
+        step_time: Duration of single support, s; default 1.9 sqrt(l / g), with l the robot's reach.
+        double_support: Duration of double support between steps, s; default 0.45 sqrt(l / g).
 
     Raises:
-        InputError: for a robot that does not stand on two soles, and numbers that are out of range.
+        InputError: If the robot does not stand on two soles, or a number is out of range.
     """
     require_soles(robot)
     left, right = biped_legs(robot)
@@ -107,22 +107,22 @@ def walk_plan(
     clearance: NonNegative | None = None,
     friction: Positive = 0.7,
 ) -> Solution:
-    """The plan of a walk of the linear inverted pendulum, on level ground.
+    """Return the plan of a walk of the linear inverted pendulum on level ground.
 
-    ``success`` says whether torques and contact forces within their limits give the motion at
-    every sample; the pendulum knows nothing of angular momentum, of which swinging legs have some.
+    ``success`` says whether torques and contact forces within their limits produce the motion at every
+    sample. The pendulum ignores the angular momentum of the swinging legs.
 
     Args:
-        robot: the robot, on two soles.
-        walk: its steps.
-        crouch: how much lower the base is at the start than in the robot's reference, m; default that of
-            `CROUCHES`, the first with which the legs can follow.
-        clearance: height of the swings, m; default 0.06 of the robot's reach.
-        friction: Coulomb's coefficient of the ground.
+        robot: A robot on two soles.
+        walk: The steps.
+        crouch: Initial height of the base below its reference, m; default: the first of `CROUCHES` with
+            which the legs can follow.
+        clearance: Height of the swings, m; default 0.06 of the robot's reach.
+        friction: Friction coefficient of the ground.
 
     Raises:
-        InputError: for a robot that does not stand on two soles, and steps that its legs do not reach or
-            for which its joints are too slow.
+        InputError: If the robot does not stand on two soles, its legs do not reach the steps, or its joints
+            are too slow.
     """
     require_soles(robot)
     units = NaturalUnits.of(robot.model)
@@ -138,7 +138,7 @@ def walk_plan(
 
 
 class _OutOfReachError(Exception):
-    """What the legs cannot do, and what they can."""
+    """The legs cannot follow; the arguments say what fails and what is allowed."""
 
 
 def _walk_plan(robot: Robot, walk: Walk, crouch: float, clearance: float, friction: float) -> Solution:
@@ -167,7 +167,7 @@ def _walk_plan(robot: Robot, walk: Walk, crouch: float, clearance: float, fricti
 
 
 def _crouched(robot: Robot, crouch: float) -> np.ndarray:
-    """The reference with its base lower and its feet where they are."""
+    """Return the reference posture with the base lowered and the feet in place."""
     start = np.array(robot.reference, dtype=float)
     if not crouch:
         return start
@@ -182,7 +182,7 @@ def _crouched(robot: Robot, crouch: float) -> np.ndarray:
 
 
 class _Samples:
-    """Samples of a walk, phase by phase: two nodes and a point in the middle for each interval."""
+    """Samples of a walk, phase by phase: each interval has two nodes and a midpoint."""
 
     def __init__(self, problem: Problem, feet: FootMotion) -> None:
         self.problem, self.robot, self.feet = problem, problem.robot, feet
@@ -199,7 +199,7 @@ class _Samples:
         )
 
     def solution(self) -> Solution:
-        """All samples with what they are of. Raises `_OutOfReachError`."""
+        """Return the sampled motion as a solution. Raises `_OutOfReachError`."""
         schedule = self.problem.schedule
         starts = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
         counts = [
@@ -239,7 +239,7 @@ class _Samples:
         )
 
     def _motion(self, t: float, start: float, end: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Configuration, velocity and acceleration at ``t`` of a phase, by differences within the phase."""
+        """Return q, v and a at ``t`` by finite differences within the phase from ``start`` to ``end``."""
         guess, model, step = self.problem.guess, self.robot.model, self.step
         q = guess(t)
         self._require_reached(t, q)
@@ -254,7 +254,7 @@ class _Samples:
     def _torques(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, active: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Torques (K, nu), contact forces (K, nc, 6), and whether they give the motion everywhere."""
+        """Return torques (K, nu), contact forces (K, nc, 6), and whether they produce the whole motion."""
         robot, units = self.robot, self.units
         contacts = [self._contact(i) for i in range(len(robot.contacts))]
         tau, f = np.zeros((len(q), robot.nu)), np.zeros((len(q), len(contacts), 6))

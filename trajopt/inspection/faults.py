@@ -19,23 +19,23 @@ from trajopt.robot.mirror import find_mirror
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 
-# A rigid body has I_1 + I_2 >= I_3; descriptions are rounded by this part of I_3.
+# A rigid body has I_1 + I_2 >= I_3; descriptions may violate this by this fraction of I_3, from rounding.
 TRIANGLE_SLACK = 0.01
-# A body's radius of gyration beyond this many extents of its robot is an inertia in other units.
+# A radius of gyration beyond this many extents of the robot indicates an inertia in other units.
 LARGEST_GYRATION = 1.0
-# A joint nearer to a limit than this part of its range cannot move both ways for long.
+# A joint nearer to a limit than this fraction of its range cannot move both ways for long.
 NEAR_LIMIT = 0.02
-# A foot whose Jacobian's least singular value is below this part of its greatest cannot move in a direction:
-# a knee bent by 3 degrees has 0.02.
+# A foot cannot move in some direction if the least singular value of its Jacobian is below this fraction of
+# the largest: a knee bent by 3 degrees has 0.02.
 SINGULAR = 0.02
-# Feet that stand on one ground lie at one height up to the first part of the robot's length, and the points
-# that touch as near to the shapes' lowest point as the second.
+# Fractions of the robot's length: feet on the same ground differ in height by less than the first, and their
+# shapes reach less than the second below the points that touch.
 UNEVEN, SUNK = 0.02, 0.2
-# Depth of a foot's own shape in the ground beyond which its contact's radius is not that of the foot, m.
+# If a foot's own shape is deeper in the ground than this, m, the contact's radius is not that of the foot.
 DEEP = 1e-3
-# Differences of left and right above this (rad, or parts of mass and length) are not due to rounding.
+# Larger differences of left and right (rad, or fractions of mass and length) are not due to rounding.
 ASYMMETRIC = 0.1
-# Torques of mirrored legs agree to this many decimals, N m: the first of them is named.
+# Torques of mirrored legs are compared to this many decimals, N m, so that the first of them is named.
 DIGITS = 6
 # Number of names that are listed; the rest are counted.
 LISTED = 4
@@ -44,7 +44,7 @@ _Lines = Iterator[str]
 
 
 def find_faults(robot: Robot, standing: StandingPosture) -> tuple[str, ...]:
-    """One line for each fault, the worst first: bodies, limits, reference posture, feet, left and right."""
+    """One line for each fault, the worst first: bodies, limits, reference, shapes, feet, left and right."""
     legged = robot.base != "fixed"
     doubts = robot_shapes(robot).doubts(robot.model)
     faults = [*_bodies(robot), *_limits(robot), *_reference(robot, standing), *doubts]
@@ -56,7 +56,7 @@ def find_faults(robot: Robot, standing: StandingPosture) -> tuple[str, ...]:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names separated by commas; of many the first few, and the number of the rest."""
+    """Names separated by commas; if there are many, the first few and the number of the rest."""
     more = len(names) - LISTED
     return ", ".join(names[:LISTED]) + (f" and {more} more" if more > 0 else "")
 
@@ -193,7 +193,7 @@ def _legs(robot: Robot, standing: StandingPosture) -> _Lines:
 
 
 def _tool(robot: Robot) -> _Lines:
-    """An arm with six joints and more that cannot move or turn its last frame in some direction."""
+    """Report an arm of six or more joints that cannot move or turn its last frame in some direction."""
     if robot.nv < 6:
         return
     frame = [f.name for f in robot.model.frames if f.parentJoint == robot.model.njoints - 1][-1]
@@ -205,7 +205,7 @@ def _tool(robot: Robot) -> _Lines:
 
 
 def _deep_feet(robot: Robot, standing: StandingPosture) -> _Lines:
-    """Contacts that touch above the lowest point of their body: an ankle or a knee, or a ball's centre."""
+    """Report contacts above the lowest point of their body: at an ankle or a knee, or at a ball's centre."""
     below = {name: depth for name, depth in depths_below(robot, standing).items() if depth > DEEP}
     far = [name for name, depth in below.items() if depth > SUNK * robot.length]
     if far:
@@ -222,9 +222,9 @@ def _deep_feet(robot: Robot, standing: StandingPosture) -> _Lines:
 
 
 def depths_below(robot: Robot, standing: StandingPosture) -> dict[str, float]:
-    """How far the shapes of a foot's body reach below the point that touches, m, in the reference posture.
+    """Depth of each foot's shapes below its point of contact, m, in the reference posture.
 
-    Collision shapes, of bodies without them the drawn ones; empty without either.
+    Collision shapes are used, or drawn ones for bodies without them; feet without either are left out.
     """
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, robot.reference)
@@ -242,7 +242,7 @@ def depths_below(robot: Robot, standing: StandingPosture) -> dict[str, float]:
 
 
 def _lowest_of_body(robot: Robot, kind: pin.GeometryType, data: pin.Data, joint: int) -> float:
-    """Height of the lowest point of a body's shapes, m; infinite without shapes."""
+    """Height of the lowest point of a body's shapes, m; infinite if it has none."""
     try:
         geometry = shapes_of(robot, kind)
     except InputError:
@@ -254,12 +254,12 @@ def _lowest_of_body(robot: Robot, kind: pin.GeometryType, data: pin.Data, joint:
 
 @lru_cache(maxsize=2)
 def shapes_of(robot: Robot, kind: pin.GeometryType = pin.GeometryType.VISUAL) -> pin.GeometryModel | None:
-    """Drawn or collision shapes of a robot, None without a description. Raises `InputError`."""
+    """Visual or collision shapes of a robot; None without a description. Raises `InputError`."""
     return None if robot.visual is None else robot.visual.geometry(robot.model, kind)
 
 
 def _lowest(shape: object, place: pin.SE3) -> float:
-    """Height of the lowest point of a shape, m; infinite for a kind that is not known."""
+    """Height of the lowest point of a shape, m; infinite for an unknown kind."""
     import coal
 
     up, height = place.rotation[2], place.translation[2]

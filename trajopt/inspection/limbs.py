@@ -1,4 +1,4 @@
-"""What a description's joints are: an arm whose fingers branch at its end, wheels, joints without drive."""
+"""Kinds of joints in a description: an arm with fingers at its end, wheels, joints without drive."""
 
 from dataclasses import dataclass
 
@@ -8,34 +8,34 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import UNLIMITED
 from trajopt.inspection.faults import listed
 
-# A hand weighs at most this part of what its arm's first joint moves, a joint of it without drive moves at
-# most this part of all mass.
+# A hand weighs at most the first fraction of what its arm's first joint moves; a joint without drive moves at
+# most the second fraction of the total mass.
 HAND, TINY = 0.25, 0.02
-# Of a wheel: sine of its axis's angle to the ground, how far its centre of mass is from the axis over its
-# radius of gyration, and how high its axis is at most over the lowest joint, of the height of all joints.
+# Bounds for a wheel: sine of its axis's angle to the ground, distance of its centre of mass from the axis
+# over its radius of gyration, height of its axis over the lowest tip relative to the height of all joints.
 LEVEL, CENTRED, LOW = 0.1, 0.2, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limbs:
-    """Names of joints that a guess locks, and whether it fixes the base: of an arm, or on wheels."""
+    """Names of joints that a guess locks, and whether it fixes the base, as for an arm or on wheels."""
 
     wheels: tuple[str, ...]
     undriven: tuple[str, ...]
     is_fixed: bool
 
     def lines(self) -> tuple[str, ...]:
-        """What a guess does with them, one line each."""
+        """Lines that say what a guess does with them."""
         wheels = f"guess: wheels, locked and not taken as feet: {listed(self.wheels)}"
         undriven = f"guess: joints at the ends without drive or mass, locked: {listed(self.undriven)}"
         return (wheels,) * bool(self.wheels) + (undriven,) * bool(self.undriven)
 
 
 def find_limbs(model: pin.Model) -> Limbs:
-    """Limbs of a model on a fixed base, all joints at zero.
+    """Limbs of a model on a fixed base, with all joints at zero.
 
-    Joints without drive have an effort limit of 0, or none, where others have one, and move next to nothing,
-    or they move no mass; tips at the bottom, which may be feet, are kept.
+    A joint without drive moves no mass; or it moves little, and has an effort limit of 0 or none while others
+    have one. Tips at the bottom are not counted among them, as they may be feet.
     """
     data, joints, children = model.createData(), range(1, model.njoints), _children(model)
     pin.computeJointJacobians(model, data, pin.neutral(model))
@@ -57,7 +57,7 @@ def find_limbs(model: pin.Model) -> Limbs:
 
 
 def tool_joint(model: pin.Model) -> int:
-    """The joint at the end of the heaviest chain, before a light hand; 0 without joints."""
+    """The last joint of the heaviest chain, before a light hand; 0 without joints."""
     data, children, joint = model.createData(), _children(model), 0
     pin.computeSubtreeMasses(model, data)
     while children[joint]:
@@ -74,7 +74,7 @@ def _children(model: pin.Model) -> list[list[int]]:
 
 
 def _is_arm(data: pin.Data, children: list[list[int]], wheels: set[int]) -> bool:
-    """Whether all joints but wheels are in one chain, or behind its end and light."""
+    """Whether all joints but wheels form one chain, with at most a light hand at its end."""
     branches, chain = [child for child in children[0] if child not in wheels], list[int]()
     while len(branches) == 1:
         chain.append(branches[0])
@@ -83,7 +83,7 @@ def _is_arm(data: pin.Data, children: list[list[int]], wheels: set[int]) -> bool
 
 
 def _is_wheel(model: pin.Model, data: pin.Data, joint: int) -> bool:
-    """Whether a tip turns about a level axis through its body's centre, without limits."""
+    """Whether a tip turns without limits about a level axis through its body's centre of mass."""
     kind, inertia = model.joints[joint], model.inertias[joint]
     span = model.upperPositionLimit[kind.idx_q] - model.lowerPositionLimit[kind.idx_q]
     endless = kind.nq == 2 or not 0 < span < UNLIMITED

@@ -21,7 +21,7 @@ from trajopt.robot.mjcf_actuators import BALL, actuation_of
 from trajopt.robot.reading import require_xml
 from trajopt.robot.robot import Robot
 
-# Pairs and files that the text names for each reason; the JSON has all of them.
+# Number of pairs and files that the text names for each reason; the JSON has all of them.
 NAMED = 3
 
 
@@ -29,9 +29,12 @@ NAMED = 3
 class ShapeFacts:
     """Shapes of a robot's links.
 
-    kinds: number of each. pairs: number of those that must not touch. left_out: the other pairs by the reason
-    for which they are not judged. missing: what could not be read. above_ground: whether the ground is solid
-    to the robot.
+    Args:
+        kinds: number of shapes of each kind.
+        pairs: number of pairs that must not touch.
+        left_out: other pairs by the reason for which they are not judged.
+        missing: shapes that could not be read.
+        above_ground: whether the ground is an obstacle: not if links of a fixed base reach below it.
     """
 
     kinds: dict[str, int]
@@ -41,7 +44,7 @@ class ShapeFacts:
     above_ground: bool
 
     def lines(self) -> list[str]:
-        """The facts as text, one a line."""
+        """The facts as lines of text."""
         if not self.kinds:
             return ["none: the size of its links is not known", *self._missing()]
         counts = [f"{number} {_plural(kind, number)}" for kind, number in self.kinds.items()]
@@ -62,7 +65,7 @@ class ShapeFacts:
 
 
 def shape_facts(robot: Robot) -> ShapeFacts:
-    """Return the figures of `robot_shapes`."""
+    """Return the facts of the shapes found by `robot_shapes`."""
     shapes = robot_shapes(robot)
     counts = Counter(shape.kind for shape in shapes.shapes)
     return ShapeFacts(
@@ -90,10 +93,11 @@ def _plural(word: str, number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class JointFacts:
-    """A joint behind the base. rad, N m and rad/s, or m, N and m/s where it is ``straight``.
+    """A joint behind the base, in rad, N m and rad/s, or in m, N and m/s if it is ``straight``.
 
-    reference, lower, upper: of its coordinate, NaN where it has several. torque: needed to hold the reference
-    posture at rest, NaN for a joint without actuator or with several degrees of freedom.
+    reference: position in the reference posture. lower, upper: limits, infinite without them. torque: needed
+    to hold that posture at rest. reference and torque are NaN with several degrees of freedom, torque also
+    without an actuator.
     """
 
     name: str
@@ -109,9 +113,9 @@ class JointFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactFacts:
-    """A contact. position: (3,) of its frame in the reference posture, world, m. load: N at rest.
+    """A contact; ``position`` is that of its frame (3,) in the reference posture, world, m.
 
-    radius: of the ball with which a point touches, m.
+    radius: radius of the ball of a point contact, m. load: vertical force at rest, N.
     """
 
     name: str
@@ -124,7 +128,7 @@ class ContactFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotReport:
-    """Result of `robot_report`. SI units; ``notes`` are facts worth knowing, ``warnings`` likely mistakes."""
+    """Result of `robot_report`, in SI units; ``notes`` are useful facts, ``warnings`` are likely mistakes."""
 
     name: str
     base: str
@@ -164,7 +168,7 @@ _CONTACT_TITLES = ("contact", "frame", "kind", "radius", "x", "y", "z", "load")
 
 
 def robot_report(robot: Robot) -> RobotReport:
-    """Return figures, notes and warnings of a robot. Computed with numeric Pinocchio; nothing is solved."""
+    """Return figures, notes and warnings of a robot, computed with Pinocchio; no problem is solved."""
     rest = standing_posture(robot)
     loads = dict(zip(rest.feet, rest.load, strict=True)) if len(rest.load) == len(rest.feet) else {}
     places = contact_positions(robot, robot.reference)
@@ -288,7 +292,7 @@ def _torque(joint: JointFacts, unit: str) -> str:
 
 
 def _contact_row(contact: ContactFacts) -> tuple[str, ...]:
-    # Rounding of a height may be a negative zero.
+    # A height may round to negative zero.
     place = (f"{round(value, 3) + 0.0:.3f}" for value in contact.position)
     radius = f"{1e3 * contact.radius:.4g} mm" if contact.radius else "-"
     return (contact.name, contact.frame, contact.kind, radius, *place, f"{contact.load:.1f} N")
@@ -303,7 +307,7 @@ def _columns(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
 
 
 def unused_parts(robot: Robot) -> dict[str, list[str]]:
-    """Names of parts, by what they are. Raises `InputError` for a file that cannot be read."""
+    """Names of parts that the dynamics leave out, by kind. Raises `InputError` for an unreadable file."""
     source, moving, found = robot.visual, set(robot.model.names), dict[str, list[str]]()
     if source is None or not source.urdf.is_file():
         return {}

@@ -1,8 +1,8 @@
 """A robot's reference posture at rest: forces at its feet, torques at its joints, balance.
 
-With g(q) = RNEA(q, 0, 0) and the rows J of the feet, static balance is g(q) = S^T tau + J^T f. Of all f that
-push (f_z >= 0) and balance the unactuated rows, the one of least norm (in units of the weight and of weight
-times length) is taken; then tau = S (g(q) - J^T f).
+With g(q) = RNEA(q, 0, 0) minus joint forces such as springs, and the rows J of the feet, static balance is
+g(q) = S^T tau + J^T f. Of all f that push (f_z >= 0) and balance the unactuated rows, the one of least norm
+(in units of the weight and of weight times length) is taken; then tau = S (g(q) - J^T f).
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terrain.bodies import outline
 
-# Weight of the balance equations relative to the norm of the forces: their residuals do not show in a report.
+# Weight of the balance equations relative to the norm of the forces: residuals are too small for a report.
 BALANCE_WEIGHT = 1e4
 # Base rows with residuals below this fraction of the weight (and weight times length) are in balance.
 BALANCED = 1e-3
@@ -29,10 +29,13 @@ BALANCED = 1e-3
 class StandingPosture:
     """The reference posture at rest.
 
-    feet: contacts that stand. load: (nf,) vertical force of each in N. effort: (nu,) torques, N m or N.
-    unbalanced: residual of the unactuated rows, as a fraction of the weight and of weight times length: above
-    `BALANCED` the posture falls over. centre: (2,) of mass over the ground, world, m. margin: its distance
-    inside the polygon of the feet in m, negative outside, None with fewer than three corners.
+    Args:
+        feet: names of the contacts that stand.
+        load: vertical forces (n,), one for each vertical row of the feet, N.
+        effort: torques of the actuated rows, N m or N.
+        unbalanced: largest residual of the unactuated rows, relative to weight and weight times length.
+        centre: centre of mass over the ground (2,), world, m.
+        margin: its distance inside the polygon of the feet, m, negative outside; None without a polygon.
     """
 
     feet: tuple[str, ...]
@@ -49,7 +52,7 @@ class StandingPosture:
 
 
 def standing_feet(robot: Robot) -> tuple[Contact, ...]:
-    """Contacts at the bottom of the reference posture: hands and knees are higher, so they do not count."""
+    """Contacts at the bottom of the reference posture; hands and knees are higher and do not count."""
     if robot.base == "fixed" or not robot.contacts:
         return ()
     poses = contact_poses(robot, robot.reference)
@@ -85,10 +88,7 @@ def standing_posture(robot: Robot) -> StandingPosture:
 
 
 def _pushes(robot: Robot, feet: tuple[Contact, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Wrench rows (n, k) of the feet for unit forces that act on them, and which of these push upwards (k,).
-
-    At a point the forces along its own rows, at a sole three at each corner.
-    """
+    """Wrench rows (n, k) of unit forces along rows of points or at corners of soles; which (k,) push up."""
     from scipy.linalg import block_diag  # takes a while to load
 
     poses = contact_poses(robot, robot.reference)
@@ -106,7 +106,7 @@ def _pushes(robot: Robot, feet: tuple[Contact, ...]) -> tuple[np.ndarray, np.nda
 
 
 def _least_forces(wanted: np.ndarray, carried: np.ndarray, pushing: np.ndarray) -> np.ndarray:
-    """Least forces f (in weights) with ``carried`` f = ``wanted`` and none ``pushing`` that pulls."""
+    """Least forces f, in weights, with ``carried`` f = ``wanted``; none that is ``pushing`` pulls."""
     count = carried.shape[1]
     if not count:
         return np.zeros(0)
@@ -119,16 +119,16 @@ def _least_forces(wanted: np.ndarray, carried: np.ndarray, pushing: np.ndarray) 
 
 
 def support_points(robot: Robot, feet: tuple[Contact, ...]) -> np.ndarray:
-    """Points (k, 2) on which feet stand, world, m: the origins of points, the four corners of soles."""
+    """Points (k, 2) on which feet stand, world, m: origins of points, and the four corners of soles."""
     poses = contact_poses(robot, robot.reference)
     points = [poses[c.name].translation + c.corners @ poses[c.name].rotation[:, :2].T for c in feet]
     return np.vstack([np.zeros((0, 3)), *points])[:, :2]
 
 
 def inside(points: np.ndarray, place: np.ndarray) -> float | None:
-    """Distance of ``place`` (2,) to the border of the hull of ``points`` (k, 2), m; negative outside.
+    """Distance of ``place`` (2,) from the boundary of the hull of ``points`` (k, 2), m; negative outside.
 
-    Outside it is the distance to the nearest line through a side. None where there is no area.
+    Outside, it is the largest distance beyond the line through a side. None without an area.
     """
     corners = points[outline(points)]
     if len(corners) < 3:

@@ -1,4 +1,4 @@
-"""From a URDF or MJCF file to a first ``robot.py``: feet and a standing posture guessed from geometry."""
+"""A first ``robot.py`` from a URDF or MJCF file, with feet and a standing posture guessed from geometry."""
 
 import json
 import os
@@ -21,17 +21,17 @@ from trajopt.robot.legs import LIFTED
 from trajopt.robot.reading import read_urdf
 from trajopt.robot.robot import Robot
 
-# Fraction of the height over the feet by which the base is lowered from all joints at zero: bent knees.
+# Fraction of the height over the feet by which the base is lowered, from all joints at zero, to bend knees.
 BENT = 0.15
 # Inverse kinematics has succeeded if feet are in place up to this fraction of the height.
 REACHED = 1e-6
-# A ball is a foot's if its centre is this near to the foot's frame, m.
+# A ball belongs to a foot if its centre is this near to the foot's frame, m.
 SAME_PLACE = 1e-6
 # Iterations: moving the legs shifts the centre of mass, by less each time.
 CENTRINGS = 4
 # A description this many folders up is given by its absolute path.
 FAR = ("..", "..", "..")
-# Frames that feet may be: links, and of MJCF files balls and sites.
+# Kinds of frames that may be feet: links and, in MJCF files, balls and sites.
 TIPS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 TEMPLATE = '''"""Robot "{name}" of {source}. Feet and posture are guesses from geometry: edit them."""
@@ -62,12 +62,12 @@ def build() -> Robot:
 def guessed(path: Path, base: Base | None = None) -> Robot:
     """Return the robot of a URDF or MJCF file with guessed base, feet and posture.
 
-    base: by default that of an MJCF file; of a URDF file, fixed for an arm, a chain with a light hand or
-    none, and on wheels, else free. Wheels, and joints of hands without drive, are locked (`find_limbs`), as
-    are joints that follow others without a motor of their own, and those they follow. Feet are the tips at
-    the bottom with joints at zero, or as near as limits allow; the posture bends the legs, with the feet's
-    middle under the centre of mass, where inverse kinematics finds a way. The keyframe of an MJCF file goes
-    before both. Raises `InputError` for a file that is neither.
+    The default ``base`` is that of an MJCF file. For a URDF file it is fixed for an arm (a chain with at most
+    a light hand) and on wheels, else free. Locked are wheels, joints of hands without drive (`find_limbs`),
+    and joints that follow others without a motor of their own, with their leaders. Feet are the lowest tips
+    with joints at zero, or as near as limits allow. If inverse kinematics succeeds, the posture bends the
+    legs with the centre of mass above the middle of the feet. The keyframe of an MJCF file takes precedence
+    over both. Raises `InputError` for a file that is neither.
     """
     source, limbs = VisualSource(urdf=path), limbs_of(path)
     locked = (*_coupled(source), *limbs.wheels, *limbs.undriven)
@@ -83,7 +83,7 @@ def guessed(path: Path, base: Base | None = None) -> Robot:
 
 
 def limbs_of(path: Path) -> Limbs:
-    """Limbs of a URDF or MJCF file without its coupled joints, on a fixed base."""
+    """Limbs of a URDF or MJCF file on a fixed base, with coupled joints locked."""
     source = VisualSource(urdf=path)
     locked = _coupled(source)
     if source.is_mjcf:
@@ -97,7 +97,7 @@ def limbs_of(path: Path) -> Limbs:
 
 
 def _coupled(source: VisualSource) -> tuple[str, ...]:
-    """Joints that follow others without a motor of their own, or in another way, and those they follow."""
+    """Joints of all couplings except those with a driven follower: followers and their leaders."""
     led = (each for each in couplings_of(source) if not each.driven)
     return tuple(dict.fromkeys(joint for each in led for joint in each.joints))
 
@@ -119,7 +119,7 @@ def _ball_at(robot: Robot, name: str) -> float:
 
 
 def starter(robot: Robot, target: Path) -> str:
-    """Return the text of a Python file, to be written at ``target``, that builds a described ``robot``."""
+    """Return the text of a Python file, to be written at ``target``, that builds ``robot`` from its file."""
     if robot.visual is None:
         raise InputError(f"robot '{robot.name}' was not read from a file", "a robot of Robot.from_urdf")
     urdf, reader = robot.visual.urdf, "mjcf" if robot.visual.is_mjcf else "urdf"
@@ -194,13 +194,13 @@ def _lowest_tips(model: pin.Model, q: np.ndarray) -> list[str]:
     pin.framesForwardKinematics(model, data, q)
     heights = {name: data.oMf[model.getFrameId(name)].translation[2] for name in _tips(model).values()}
     lowest = min(heights.values(), default=0.0)
-    # A root may lie on the ground, as base_footprint does: the height is that of all frames.
+    # A root may lie on the ground, as base_footprint does, so the height is taken over all frames.
     within = LIFTED * (max((place.translation[2] for place in data.oMf), default=0.0) - lowest)
     return [name for name, height in heights.items() if height - lowest <= within]
 
 
 def _bent(straight: Robot) -> Robot:
-    """The robot with its base lowered over feet below the centre of mass, where such a posture exists."""
+    """The robot with its base lowered and its feet below the centre of mass, if such a posture exists."""
     if straight.base != "freeflyer" or not straight.contacts:
         return straight
     model, data = straight.model, straight.model.createData()

@@ -1,4 +1,4 @@
-"""Quantities along a motion: samples, carried bodies, touched surfaces, images of cycles, energy."""
+"""Quantities along a motion: samples, carried bodies, touched surfaces, periodic images, energy."""
 
 import lazy_loader
 

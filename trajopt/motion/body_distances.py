@@ -1,4 +1,4 @@
-"""Figures of a check about bodies: depth of links in the ground, distances from obstacles and each other."""
+"""Figures of a check on bodies: depth of links in the ground, distances to obstacles and each other."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from trajopt.collision.near import CollisionScene
 from trajopt.motion.traces import Trace, Traces
 from trajopt.solution.solution import Solution
 
-# Pairs within this distance beyond their margin, m, are measured, and farther ones where no pair of their
-# kind is so near.
+# Distances of pairs are exact within this distance beyond their margin, m; further away only for the nearest
+# pair of a kind.
 NEAR = 0.02
 KINDS = ("ground", "obstacle", "self")
 
 
 @dataclass(frozen=True, kw_only=True)
 class FileBodies:
-    """Scenes of the bodies of a solution.
+    """Collision scenes of a solution: its links' shapes, and the wider capsules of older files.
 
-    Of the shapes of its links, and of capsules, which are wider, and all that an older file has.
-    kinds: (n,) of the pairs of all scenes, what the second body is. margins: (n,) m that they shall keep.
-    within: (n,) m, beyond which distances are lower bounds.
+    kinds: (n,) kind of the second body of each pair of all scenes.
+    margins: (n,) distances that the pairs must keep, m.
+    within: (n,) distances beyond which values are only lower bounds, m.
     """
 
     scenes: tuple[CollisionScene, ...]
@@ -32,7 +32,7 @@ class FileBodies:
 
     @classmethod
     def of(cls, plan: Solution) -> tuple[FileBodies, Traces]:
-        """The bodies of a plan and their figures at its samples; of each kind the nearest pair is exact."""
+        """Return a plan's bodies and figures at its samples; the nearest pair of each kind is exact."""
         bodies, capsules = (
             scene(plan.model) for scene in (plan.description.body_scene, plan.description.capsule_scene)
         )
@@ -53,7 +53,7 @@ class FileBodies:
         for kind in KINDS:
             of_kind = measured.kinds == kind
             short = distances[:, of_kind] - asked[of_kind]
-            if short.size and short.min() > NEAR:  # all are bounds: the nearest pair is no farther than here
+            if short.size and short.min() > NEAR:  # only bounds: the nearest pair is at most as far as here
                 at = plan.q[np.unravel_index(short.argmin(), short.shape)[0]]
                 exact = np.concatenate([scene.distances(at)[0] for scene in scenes])
                 reach[of_kind] = (exact - asked)[of_kind].min() + asked.max(initial=0.0)
@@ -63,13 +63,13 @@ class FileBodies:
         return measured, measured._traces(distances)
 
     def distances(self, q: np.ndarray) -> np.ndarray:
-        """Distances (K, n) m of all pairs at configurations (K, nq)."""
+        """Return the distances (K, n) m of all pairs at configurations (K, nq)."""
         parts = np.split(self.within, np.cumsum([len(scene.pairs) for scene in self.scenes])[:-1])
         columns = [scene.distances(q, part) for scene, part in zip(self.scenes, parts, strict=False)]
         return np.concatenate([np.zeros((len(q), 0)), *columns], axis=1)
 
     def traces(self, plan: Solution) -> Traces:
-        """Depth in the ground, and least distances, m, of every pair at the samples of ``plan``."""
+        """Return the depth in the ground and the distances, m, of all pairs at the samples of ``plan``."""
         return self._traces(self.distances(plan.q))
 
     def _traces(self, distances: np.ndarray) -> Traces:
@@ -89,13 +89,13 @@ class FileBodies:
 
 
 def _kinds(scene: CollisionScene) -> list[str]:
-    """Of every pair what the second body is."""
+    """Return the kind of the second body of every pair."""
     kinds = ["ground"] * scene.n_ground + ["obstacle"] * (scene.n_outer - scene.n_ground)
     return kinds + ["self"] * (len(scene.pairs) - scene.n_outer)
 
 
 def missing_shapes(plan: Solution) -> tuple[str, ...]:
-    """What is not known of a motion because shapes of links are not in its file, or are doubtful."""
+    """Describe what is unknown about a motion because link shapes in its file are missing or doubtful."""
     bodies = plan.description.bodies
     if bodies is None or not bodies.shapes:
         return ("no shapes of links are in the file: their depth in the ground and distances are not known",)

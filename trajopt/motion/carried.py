@@ -1,4 +1,4 @@
-"""Bodies that a plan carries: their wrenches by Newton and Euler, and the model that carries them."""
+"""Bodies that a plan carries: their wrenches by Newton-Euler, and the model with them attached."""
 
 import numpy as np
 import pinocchio as pin
@@ -8,7 +8,7 @@ from trajopt.solution.solution import Solution
 
 
 def carrying_model(plan: Solution, phase: int) -> pin.Model:
-    """The plan's model with everything that is carried in a phase."""
+    """Return the plan's model with everything that the robot carries in a phase."""
     model = plan.model
     for body in plan.description.carried_in(phase):
         model = loaded_model(model, body.frame, body.spatial)
@@ -16,7 +16,7 @@ def carrying_model(plan: Solution, phase: int) -> pin.Model:
 
 
 def payload_wrenches(plan: Solution) -> np.ndarray:
-    """Wrenches (K, nc, 6) of carried bodies on the robot, recomputed from the motion."""
+    """Return the wrenches (K, nc, 6) of carried bodies on the robot, recomputed from the motion."""
     model, data = plan.model, plan.model.createData()
     wrenches = np.zeros_like(plan.f)
     for row in range(plan.n_samples):

@@ -1,4 +1,4 @@
-"""A solution as a motion at any time: on the polynomials of its intervals, or on geodesics."""
+"""A solution as a motion at any time: by its intervals' polynomials, or along geodesics."""
 
 from dataclasses import dataclass
 
@@ -14,31 +14,31 @@ from trajopt.solution.arrays import rows_of
 from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.solution import Solution
 
-# Fraction of a phase by which a time is moved inwards to find its interval: a node belongs to two.
+# Fraction of a phase by which a time is moved inwards to select one of the two intervals at a node.
 INSIDE = 1e-9
 
 
 @dataclass(frozen=True)
 class SolutionMotion:
-    """The motion of a solution by phase and by time; a callable from t in s to a configuration (nq,)."""
+    """The motion of a solution, by phase and by time; calling it maps t in s to a configuration (nq,)."""
 
     solution: Solution
 
     def __call__(self, t: float) -> np.ndarray:
-        """Return the configuration at time ``t``; outside the motion that at its nearer end."""
+        """Return the configuration at time ``t``, clipped to the motion."""
         return self._sample(int(self.solution.interval_at(t)), t).q
 
     def span(self, phase: int) -> tuple[float, float]:
-        """Return start and end of a phase, s."""
+        """Return the start and end of a phase, s."""
         edges = self.solution.interval_t[self.solution.intervals_of(phase)]
         return float(edges[0, 0]), float(edges[-1, 1])
 
     def in_phase(self, phase: int, fraction: float, towards: float) -> MotionSample:
-        """Sample at a fraction of a phase; at a node, of the interval on the side of ``towards``."""
+        """Return the sample at a fraction of a phase; at a node, of the interval towards ``towards``."""
         return rows_of(self.in_phases(np.array([phase]), np.array([fraction]), np.array([towards])), 0)
 
     def in_phases(self, phases: np.ndarray, fractions: np.ndarray, towards: np.ndarray) -> MotionSample:
-        """Samples at fractions of phases (K,), see `in_phase`."""
+        """Return the samples at fractions of phases (K,), see `in_phase`."""
         plan = self.solution
         intervals = [plan.intervals_of(phase) for phase in range(len(plan.phases))]
         first, last = np.array([[numbers[0], numbers[-1]] for numbers in intervals])[phases].T
@@ -58,17 +58,17 @@ class SolutionMotion:
 
 @checked
 def motion_of(solution: Solution) -> Motion:
-    """Return the motion of a solution as a guess or a reference: a time in s -> configuration (nq,).
+    """Return the motion of a solution as a guess or reference that maps time in s to a configuration (nq,).
 
-    Times outside the motion give its ends.
+    Times are clipped to the motion.
     """
     return SolutionMotion(solution)
 
 
 def geodesic_motion(solution: Solution, robot: Robot) -> Motion:
-    """Return the motion of a solution as a reference or a guess for ``robot``, at its own times.
+    """Return a solution's motion as a reference or guess for ``robot``, along geodesics between its samples.
 
-    Beyond its ends it is constant. Raises `InputError` if the robot has other joints.
+    Times are clipped to the motion. Raises `InputError` if the robot has other joints.
     """
     names = (list(solution.model.names), list(robot.model.names))
     if names[0] != names[1] or solution.model.nq != robot.nq:
@@ -82,8 +82,8 @@ def geodesic_motion(solution: Solution, robot: Robot) -> Motion:
 def geodesic_configurations(solution: Solution, t: ArrayLike) -> np.ndarray:
     """Return configurations at times ``t`` (s) on geodesics between samples, for pictures.
 
-    `Solution.sample` gives the motion itself. A scalar gives (nq,), an array (n,) gives (n, nq). Times
-    outside the motion give its ends; a node shared by two intervals belongs to the later one.
+    `Solution.sample` gives the motion itself. A scalar gives (nq,), an array (n,) gives (n, nq). Times are
+    clipped to the motion; a node shared by two intervals belongs to the later one.
     """
     times, q, nodes = np.asarray(t, dtype=float), solution.q, solution.t
     last = np.clip(np.searchsorted(nodes, times.ravel(), side="right") - 1, 0, solution.n_samples - 2)

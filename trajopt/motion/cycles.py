@@ -1,4 +1,4 @@
-"""A periodic plan cycle after cycle: each is the image of the one before under the plan's periodicity."""
+"""Repeated cycles of a periodic plan: each pass is the periodic image of the previous one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from trajopt.solution.solution import Solution
 
 
 def passes_of(plan: Solution, cycles: int) -> int:
-    """How often a plan is gone through in ``cycles`` cycles: half a cycle and its mirror image are two.
+    """Return how many passes of a plan make ``cycles`` cycles: two per cycle if the plan is half of one.
 
     Raises `InputError` for several cycles of a plan that is not periodic.
     """
@@ -27,11 +27,11 @@ def passes_of(plan: Solution, cycles: int) -> int:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CycleImage:
-    """The map from a periodic plan's samples to those one pass later; arrays have one row a sample.
+    """The map from a periodic plan's samples to those one pass later; arrays have one row per sample.
 
-    described: of a state. duration: of a pass, s. index, sign: (nv,) for each row of v
-    the one that it comes from. contacts: for each contact the one whose image it is. actuated: rows (nu,)
-    with a torque. to_force, to_moment: (3, 3) maps of contact forces and moments, world axes.
+    described: periodicity of the state. duration: of a pass, s. index, sign: (nv,) for each row of v, the
+    row that it is the image of, and its sign. contacts: for each contact, the one that it is the image of.
+    actuated: rows (nu,) with a torque. to_force, to_moment: (3, 3) maps of forces and moments, world axes.
     """
 
     model: pin.Model
@@ -46,7 +46,7 @@ class CycleImage:
 
     @classmethod
     def of(cls, plan: Solution) -> CycleImage:
-        """The map of a plan that is periodic."""
+        """Return the map for a plan; raises `InputError` if it is not periodic."""
         described = plan.description.periodicity
         if described is None:
             raise InputError("the solution is not periodic", "allowed: a plan with a periodicity")
@@ -87,19 +87,19 @@ class CycleImage:
         )
 
     def of_contacts(self, active: np.ndarray) -> np.ndarray:
-        """Images of what is known of each contact (n, nc)."""
+        """Images of flags of the contacts (n, nc)."""
         return active[:, self.contacts]
 
 
 def image_of_contacts(plan: Solution, described: PeriodicImage) -> list[int]:
-    """For each contact, the one whose image it is: the rows of v that move it map to the rows of that one."""
+    """Return for each contact the one it is the image of: the rows of v that move one map to the other's."""
     index = described.index
     moved = [moving_rows(plan.model, frame) for frame in plan.contact_frames]
     return [moved.index({int(index[row]) for row in rows}) for rows in moved]
 
 
 def moving_rows(model: pin.Model, frame: str) -> set[int]:
-    """Rows of v that move a frame."""
+    """Return the rows of v that move a frame."""
     rows: set[int] = set()
     for joint in list(model.supports[model.frames[model.getFrameId(frame)].parentJoint])[1:]:
         first = model.joints[joint].idx_v
@@ -110,7 +110,7 @@ def moving_rows(model: pin.Model, frame: str) -> set[int]:
 def periodic_image(
     model: pin.Model, described: PeriodicImage, q: np.ndarray, v: np.ndarray, duration: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Image of a state (nq,), (nv,), or of n (n, nq), (n, nv), under a described periodicity."""
+    """Return the image of a state (nq,), (nv,), or of n states (n, nq), (n, nv), under a periodicity."""
     index, sign = described.index, described.sign
     moved = described.moved(duration)
     turn, origin = described.turn, described.origin
@@ -138,9 +138,9 @@ def periodic_image(
 
 
 def periodicity_error(plan: Solution) -> float | None:
-    """Largest difference (m, rad, m/s, rad/s) of the last state from the first's image; None if not periodic.
+    """Return the largest difference (m, rad, m/s, rad/s) of the last state from the image of the first.
 
-    What the image is, `PeriodicImage` says.
+    `PeriodicImage` defines the image. None if the plan is not periodic.
     """
     described = plan.description.periodicity
     if not described:
@@ -151,6 +151,6 @@ def periodicity_error(plan: Solution) -> float | None:
 
 
 def _turning(turn: float) -> np.ndarray:
-    """Matrix (4, 4) that turns quaternions (x, y, z, w) by ``turn`` rad about the world's vertical."""
+    """Return the matrix (4, 4) that turns quaternions (x, y, z, w) by ``turn`` rad about the vertical."""
     c, s = np.cos(turn / 2), np.sin(turn / 2)
     return np.array([[c, -s, 0.0, 0.0], [s, c, 0.0, 0.0], [0.0, 0.0, c, s], [0.0, 0.0, -s, c]])

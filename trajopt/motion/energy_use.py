@@ -1,4 +1,4 @@
-"""Energy that the drives of a solution draw, and its cost of transport."""
+"""Energy drawn by the drives of a solution, and its cost of transport."""
 
 import math
 
@@ -16,14 +16,14 @@ from trajopt.terms.drives import heat_coefficients, require_recovered
 def energy(solution: Solution, *, recovered: float = -1.0) -> float:
     """Return the energy in J that the drives draw: the integral of `power` by the scheme's quadrature.
 
-    Torques, rates and drives at the collocation points are the file's.
+    It uses the torques, rates and drives of the solution at its collocation points.
 
     Args:
-        solution: the motion.
-        recovered: fraction of negative mechanical power that is recovered, -1 to 1.
+        solution: The motion.
+        recovered: Fraction of negative mechanical power that is recovered, -1 to 1.
 
     Raises:
-        InputError: for ``recovered`` outside that range.
+        InputError: If ``recovered`` is outside that range.
     """
     require_recovered(recovered)
     torque = solution.drive_torque
@@ -34,12 +34,12 @@ def energy(solution: Solution, *, recovered: float = -1.0) -> float:
 
 
 def integral(solution: Solution, values: np.ndarray) -> float:
-    """Integral over time of values (K,) at the samples, by the quadrature of the transcription."""
+    """Integrate values (K,) at the samples over time by the quadrature of the transcription."""
     return float(np.dot(_quadrature(solution), values))
 
 
 def _quadrature(solution: Solution) -> np.ndarray:
-    """Weight of every sample (K,), s: zero at samples that are not collocation points."""
+    """Return the weight of every sample (K,), s, which is zero except at collocation points."""
     weights = np.zeros(solution.n_samples)
     schemes = interval_schemes(solution)
     for rows, (start, end), method in zip(solution.intervals, solution.interval_t, schemes, strict=True):
@@ -52,11 +52,11 @@ def cost_of_transport(solution: Solution, *, recovered: float = -1.0) -> float:
     """Return energy over weight times horizontal displacement of the centre of mass, dimensionless.
 
     The displacement is the straight line from the first sample to the last. The result is infinite without
-    displacement, with a fixed base, and without contacts.
+    displacement or contacts, and for a fully actuated robot, such as one with a fixed base.
 
     Args:
-        solution: the motion.
-        recovered: see `energy`.
+        solution: The motion.
+        recovered: See `energy`.
     """
     model = solution.model
     if not (solution.n_unactuated and solution.contact_frames):

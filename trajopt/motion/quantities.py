@@ -1,4 +1,4 @@
-"""All quantities along a motion by numeric Pinocchio, each computed when it is first asked for."""
+"""All quantities along a motion by numeric Pinocchio, each computed on first use."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class MotionQuantities:
     """Quantities along a solution with K samples, I intervals and nc contacts, SI units.
 
     Args:
-        solution: the motion, with rotations of unit norm.
-        bodies: those whose distances are measured; default: those of the solution.
-        rolled: how far contacts have rolled; default: by the solution's velocities.
+        solution: The motion, with unit quaternions.
+        bodies: The bodies whose distances are measured; default: those of the solution.
+        rolled: The distances that contacts have rolled; default: from the solution's velocities.
     """
 
     def __init__(
@@ -53,25 +53,25 @@ class MotionQuantities:
 
     @classmethod
     def normalized(cls, solution: Solution) -> MotionQuantities:
-        """Quantities of a solution whose rotations may be of another norm."""
+        """Return the quantities of a solution after normalising its rotations."""
         return cls(solution.normalized())
 
     def between(self, numbers: np.ndarray, fractions: np.ndarray) -> MotionQuantities:
-        """The same motion with samples at fractions (n,) of intervals (n,), see `samples_at`."""
+        """Return the same motion sampled at fractions (n,) of intervals (n,), see `samples_at`."""
         samples = self.polynomials.at(numbers, fractions)
         solution = samples_at(self.solution, numbers, fractions, samples)
         return MotionQuantities(solution, self.bodies, self.rolled_paths)
 
     @property
     def polynomials(self) -> InterpolatedMotion:
-        """The motion at any time."""
+        """The motion at any time, by polynomials."""
         return self.solution.polynomials
 
     @cached_property
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Polynomials (s, nu) over each interval's fraction of its torques, or rates of velocity sources.
+        """Polynomials (s, nu) of the torques, or of the rates of velocity sources, for each interval.
 
-        Coefficients, lowest power first, through the collocation points.
+        They interpolate the collocation points over the interval's fraction; lowest power first.
         """
         plan = self.solution
         values, arrays = plan.v if self.moved_by_rates else plan.tau, plan.arrays
@@ -90,17 +90,17 @@ class MotionQuantities:
 
     @cached_property
     def gravity(self) -> float:
-        """Norm of gravity, m/s^2; of a model without, that of the earth."""
+        """Norm of gravity, m/s^2; for a model without gravity, the standard value."""
         return gravity_of(self.solution.model)
 
     @cached_property
     def weight(self) -> float:
-        """Weight of the robot without what it carries, N."""
+        """Weight of the robot without payloads, N."""
         return mass_of(self.solution.model) * self.gravity
 
     @cached_property
     def reach(self) -> float:
-        """Reach of the robot, m; 0 where it has none."""
+        """Reach of the robot, m; 0 if it has none."""
         return reach(self.solution.model)
 
     @cached_property
@@ -115,13 +115,13 @@ class MotionQuantities:
 
     @cached_property
     def models(self) -> dict[int, pin.Model]:
-        """By phase, the model with everything that is carried in it."""
+        """The model with everything that is carried, by phase."""
         plan = self.solution
         return {phase: carrying_model(plan, phase) for phase in np.unique(plan.phase).tolist()}
 
     @cached_property
     def masses(self) -> dict[int, float]:
-        """By phase, the mass of the robot with everything that it carries, kg."""
+        """Mass of the robot with everything that it carries, by phase, kg."""
         return {phase: mass_of(model) for phase, model in self.models.items()}
 
     @cached_property
@@ -131,56 +131,56 @@ class MotionQuantities:
 
     @cached_property
     def places(self) -> ContactPlaces:
-        """Placements and velocities of the contacts: part of `samples`, at a fraction of its time."""
+        """Placements and velocities of the contacts: a part of `samples` that is cheaper to compute."""
         return vars(self).get("samples") or contact_places(self.solution)
 
     @cached_property
     def surfaces(self) -> TouchedSurfaces:
-        """What contacts touch."""
+        """The surfaces that contacts touch."""
         return touched_surfaces(self.solution, self.places.position)
 
     @cached_property
     def rolled_paths(self) -> RolledPaths | None:
-        """How far contacts have rolled at any time; None where none rolls."""
+        """Displacements by rolling of the contacts at any time; None if none rolls."""
         if self._given_paths is not None or not self.solution.description.rolling.any():
             return self._given_paths
         return RolledPaths.of(self.solution, self.places.velocity, self.surfaces)
 
     @cached_property
     def held_position(self) -> np.ndarray:
-        """Positions (K, nc, 3) of the contacts, m, without what they have rolled.
+        """Positions (K, nc, 3) of the contacts, m, without their displacement by rolling.
 
-        Of sliding ones only along the normal.
+        For sliding contacts, only the component along the normal.
         """
         paths, position = self.rolled_paths, self.places.position
         return held_part(position if paths is None else position - paths.at(self.solution), self.surfaces)
 
     @cached_property
     def held_velocity(self) -> np.ndarray:
-        """Velocities (K, nc, 3) of the contacts, m/s, without what they roll.
+        """Velocities (K, nc, 3) of the contacts, m/s, without rolling.
 
-        Of sliding ones only along the normal.
+        For sliding contacts, only the component along the normal.
         """
         return held_part(without_rolling(self.places.velocity, self.surfaces), self.surfaces)
 
     @cached_property
     def surface_distance(self) -> np.ndarray:
-        """Signed distance (K, nc) of the contacts from what they touch, m; NaN where that is not known."""
+        """Signed distance (K, nc) of the contacts from their surfaces, m; NaN where unknown."""
         return self.surfaces.distance(self.places.position)
 
     @cached_property
     def residuals(self) -> DynamicsRows:
-        """Residuals of the dynamics and of the motion of contacts."""
+        """Residuals of the dynamics and of the contact constraints."""
         return dynamics_rows(self.solution, self.samples, self.surfaces)
 
     @cached_property
     def dynamics_traces(self) -> Traces:
-        """Figures of `residuals` at the collocation points."""
+        """Traces of `residuals` at the collocation points."""
         return dynamics_traces(self.solution, self.residuals)
 
     @cached_property
     def limit_traces(self) -> Traces:
-        """Figures of torques, velocities, positions and drives against their limits."""
+        """Traces of torques, velocities, positions and drives relative to their limits."""
         return {**limit_traces(self.solution), **drive_traces(self.solution)}
 
     @cached_property
@@ -196,42 +196,42 @@ class MotionQuantities:
 
     @property
     def body_traces(self) -> Traces:
-        """Depth in the ground, and distances, of `bodies`."""
+        """Traces of the depth in the ground and the distances of `bodies`."""
         return self._bodies_and_traces[1]
 
     @property
     def missing_shapes(self) -> tuple[str, ...]:
-        """What is not known of the motion because its file lacks shapes of links."""
+        """What is unknown about the motion because link shapes in its file are missing or doubtful."""
         return missing_shapes(self.solution)
 
     @cached_property
     def integration_gaps(self) -> IntegrationGaps:
-        """Whether q, v and a belong to one motion."""
+        """Mismatch between q, v and a over an interval."""
         return interval_gaps(self.solution)
 
     @property
     def periodicity_error(self) -> float | None:
-        """Difference of the last state from the image of the first; None if the motion is not periodic."""
+        """Largest difference of the last state from the image of the first; None if not periodic."""
         return periodicity_error(self.solution)
 
     @property
     def gimbal_margin(self) -> float | None:
-        """Least margin of a virtual base from gimbal lock; None for other bases."""
+        """Smallest margin of a virtual base from gimbal lock; None for other bases."""
         plan = self.solution
         return gimbal_margin_along(plan.model, plan.t, plan.q, plan.v)
 
     def distance_from(self, row: int, reached: np.ndarray) -> np.ndarray:
-        """Distance (3,) of a configuration (nq,) from that of a sample, see `state_distance`."""
+        """Return the distance (3,) of a configuration (nq,) from that of a sample, see `state_distance`."""
         return state_distance(self.solution.model, self.solution.q[row], reached)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DynamicsRows:
-    """Residuals of the rows that hold at the collocation points, at K samples, in SI units.
+    """Residuals at K samples of the rows imposed at collocation points, SI units.
 
     base (K, n_unactuated), actuated (K, nu): N and N m. contact (K, nc, 6), linear rows first: classical
-    acceleration of active contacts, with velocity sources, their velocity, of contacts that roll without what
-    they roll; zero where there is no such row.
+    acceleration of the active contacts, or their velocity if joints are velocity sources, without the part
+    due to rolling; zero where there is no row.
     """
 
     base: np.ndarray
@@ -240,10 +240,10 @@ class DynamicsRows:
 
 
 def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> DynamicsRows:
-    """Residuals at every sample; base rows of velocity sources are statics, RNEA(q, 0, 0) - sum J^T f."""
+    """Return the residuals at every sample; velocity inputs have base rows RNEA(q, 0, 0) - sum J^T f."""
     free, force = plan.unactuated_rows, plan.actuation.unmade(samples.generalized_force, plan.tau)
     balance, held = force[:, free], samples.acceleration
-    if plan.description.velocity_input:  # rows of statics and of velocities, not of motion
+    if plan.description.velocity_input:  # rows of statics and of contact velocities
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))
         balance = sample_quantities(still).generalized_force[:, free] if len(free) else balance
         held = samples.velocity
@@ -254,9 +254,9 @@ def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSu
 
 
 def dynamics_traces(plan: Solution, rows: DynamicsRows) -> Traces:
-    """Largest residuals at the collocation points, over the weight (moments: times 1 m) and over g.
+    """Return traces of residuals at collocation points, over the weight (moments: times 1 m) and over g.
 
-    With velocity sources, the contacts' velocities are over sqrt(g 1 m).
+    With velocity sources, contact velocities are over sqrt(g 1 m).
     """
     points, gravity = plan.collocation[:, None], gravity_of(plan.model)
     weight = mass_of(plan.model) * gravity
@@ -270,24 +270,24 @@ def dynamics_traces(plan: Solution, rows: DynamicsRows) -> Traces:
     }
 
 
-# Samples closer than this fraction of the interval count as one point of the quadrature.
+# Samples closer than this fraction of the interval count as one quadrature point.
 SAME_POINT = 1e-9
 
 
 @dataclass(frozen=True)
 class IntegrationGaps:
-    """Worst mismatch of position (m, rad) and of velocity (m/s, rad/s) over one interval."""
+    """Worst mismatch of position (m, rad) and velocity (m/s, rad/s) over one interval."""
 
     position: float
     velocity: float
 
 
 def interval_gaps(solution: Solution) -> IntegrationGaps:
-    """Return the worst difference between ends of an interval and what integration gives.
+    """Return the worst difference between the change over an interval and the integral of its rate.
 
     position: end minus start minus the integral of the velocity polynomial through all samples.
     velocity: end minus start minus the integral of the acceleration polynomial through the
-    collocation points. Both vanish up to rounding for collocation of the acceleration; schemes
+    collocation points. Both vanish up to rounding for collocation of the acceleration. Schemes
     that are inconsistent within an interval (semi-implicit Euler) show their step error.
     """
     counts = np.array([len(rows) for rows in solution.intervals])
@@ -297,7 +297,7 @@ def interval_gaps(solution: Solution) -> IntegrationGaps:
 
 
 def _intervals(solution: Solution, numbers: np.ndarray) -> IntegrationGaps:
-    """Gaps of intervals with the same number of samples."""
+    """Return the gaps of intervals that all have the same number of samples."""
     rows = np.array([solution.intervals[number] for number in numbers])
     start, step = solution.interval_t[numbers, :1], np.diff(solution.interval_t[numbers], axis=1)
     fractions, points = (solution.t[rows] - start) / step, solution.collocation[rows]
@@ -323,10 +323,13 @@ def quadrature_weights(fractions: np.ndarray) -> np.ndarray:
 
 
 def limit_traces(plan: Solution) -> Traces:
-    """Torques and velocities over their limits minus one, positions beyond theirs over the range."""
+    """Return the excess over limits of torques, velocities and positions, and the errors of mimic joints.
+
+    Torques and velocities are over their limits minus one, positions beyond their limits over the range.
+    """
     rows = names_of_rows(plan)
     driven, least = names_of_inputs(plan), [thruster.least for thruster in plan.description.thrusters]
-    # Rates that are control inputs have values at collocation points only, others everywhere.
+    # Rates that are control inputs have values only at collocation points, others everywhere.
     moving = plan.collocation[:, None] if plan.description.velocity_input else True
     lower, upper = position_limits(plan.model)
     beyond = np.maximum(plan.q - upper, lower - plan.q)
@@ -352,7 +355,7 @@ def _beyond(
     counts: np.ndarray | bool = True,
     least: Sequence[float] = (),
 ) -> Trace:
-    """|x| / limit - 1 of the limited columns; where the limit is zero, |x| itself."""
+    """Return |x| / limit - 1, or |x| for a limit of zero; the last columns have lower bounds ``least``."""
     bound = np.full(values.shape[1], np.inf) if limit is None else limit
     limited = np.isfinite(bound)
     unit, most = np.where(limited & (bound > 0), bound, 1.0), np.where(limited, bound, 0.0)
@@ -363,7 +366,7 @@ def _beyond(
 
 
 def drive_traces(plan: Solution) -> Traces:
-    """Motor torque and voltage over their limits, minus one, from ``tau``, ``v`` and the drives."""
+    """Return motor torque and voltage over their limits, minus one, from ``tau``, ``v`` and the drives."""
     rates, torque = plan.actuation.rates(plan.v), plan.drive_torque
     names = names_of_inputs(plan)
     current, voltage = np.zeros(torque.shape), np.zeros(torque.shape)
@@ -381,14 +384,14 @@ def drive_traces(plan: Solution) -> Traces:
 
 @dataclass(frozen=True, kw_only=True)
 class RolledPaths:
-    """By interval polynomials over its fraction, lowest power first, and where they begin (nc, 3), m."""
+    """Displacements by rolling: polynomials of each interval's fraction, and initial values (nc, 3), m."""
 
     coefficients: tuple[np.ndarray, ...]
     begins: tuple[np.ndarray, ...]
 
     @classmethod
     def of(cls, plan: Solution, velocity: np.ndarray, surfaces: TouchedSurfaces) -> RolledPaths:
-        """Integrate omega x lever of twists (K, nc, 6), through the collocation points of each interval."""
+        """Integrate omega x lever of the twists (K, nc, 6) through each interval's collocation points."""
         rates = np.cross(velocity[..., 3:], surfaces.lever)
         coefficients, begins = [], [np.zeros(rates.shape[1:])]
         for number, (begin, end) in enumerate(plan.interval_t):
@@ -400,7 +403,7 @@ class RolledPaths:
         return cls(coefficients=tuple(coefficients), begins=tuple(begins))
 
     def at(self, plan: Solution) -> np.ndarray:
-        """Paths (K, nc, 3) m at the samples of a plan with the same intervals."""
+        """Return the displacements (K, nc, 3) m at the samples of a plan with the same intervals."""
         begin, end = plan.interval_t[plan.interval].T
         fractions, paths = (plan.t - begin) / (end - begin), []
         for number, fraction in zip(plan.interval.tolist(), fractions, strict=True):

@@ -1,4 +1,4 @@
-"""The same motion with other samples: at fractions of its intervals, for figures and plots."""
+"""The same motion resampled at fractions of its intervals, for figures and plots."""
 
 from collections.abc import Callable
 
@@ -12,7 +12,7 @@ Sampler = Callable[[Solution, int, np.ndarray], MotionSample]
 
 
 def sample_interval(plan: Solution, number: int, fractions: np.ndarray) -> MotionSample:
-    """Return the motion of one interval at ``fractions`` (n,) of it."""
+    """Return the motion of one interval at fractions (n,) of it."""
     polynomials = MotionPolynomials.of(plan.model, plan.arrays, plan.order, np.array([number]))
     return polynomials.at(np.zeros(len(fractions), dtype=int), np.asarray(fractions, dtype=float))
 
@@ -21,9 +21,9 @@ def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler | None = No
     """Return the same motion with samples at fractions of every interval, see `samples_at`.
 
     Args:
-        plan: the motion, with unit rotations.
-        fractions: (n,) from 0 to 1, including both so that the samples start and end at nodes.
-        sample: gives the samples of one interval; default: its polynomials.
+        plan: The motion, with unit quaternions.
+        fractions: (n,) from 0 to 1, including both, so that the samples start and end at nodes.
+        sample: Function that samples one interval; default: its polynomials.
     """
     numbers = np.repeat(np.arange(plan.n_intervals), len(fractions))
     every = np.tile(fractions, plan.n_intervals)
@@ -34,10 +34,10 @@ def resampled(plan: Solution, fractions: np.ndarray, sample: Sampler | None = No
 
 
 def samples_at(plan: Solution, numbers: np.ndarray, fractions: np.ndarray, motion: MotionSample) -> Solution:
-    """Return ``plan`` with samples at ``fractions`` (n,) of intervals ``numbers`` (n,), marked as points.
+    """Return ``plan`` with samples at ``fractions`` (n,) of intervals ``numbers`` (n,), for figures only.
 
-    It serves figures only: it has no impulses and no multipliers, and rows of the dynamics do not vanish at
-    its points.
+    Samples are marked as collocation points, although the dynamics do not hold there; it has no impulses and
+    no multipliers.
     """
     first = np.array([rows.start for rows in plan.intervals])[numbers]
     steps = np.diff(plan.interval_t, axis=1)[numbers, 0]

@@ -1,4 +1,4 @@
-"""Numeric Pinocchio at every sample of a solution: generalised forces and motion of the contacts."""
+"""Numeric Pinocchio at every sample of a solution: generalised forces and contact motion."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -26,11 +26,11 @@ class ContactPlaces:
 
 @dataclass(frozen=True, kw_only=True)
 class SampleQuantities(ContactPlaces):
-    """What the robot does at K samples.
+    """Forces and contact motion at K samples.
 
-    generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f, of the robot with what it carries, without what
-    springs and friction of joints give. acceleration (K, nc, 6, classical): of the contact frames, like their
-    velocity.
+    generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f of the robot with its payload, minus the forces of
+    joint springs and friction. acceleration: (K, nc, 6) of the contact frames, classical, at the same points
+    and in the same axes as their velocity.
     """
 
     generalized_force: np.ndarray
@@ -38,14 +38,14 @@ class SampleQuantities(ContactPlaces):
 
 
 def contact_places(solution: Solution) -> ContactPlaces:
-    """The contact frames at every sample of ``solution``."""
+    """Return the contact frames at every sample of ``solution``."""
     still, unloaded = np.zeros_like(solution.v), np.zeros_like(solution.f)
     _, moved = _sampled(solution.model, solution, slice(None), still, unloaded)
     return ContactPlaces(position=moved[..., 9:12], rotation=_rotations(moved), velocity=moved[..., 12:18])
 
 
 def sample_quantities(solution: Solution) -> SampleQuantities:
-    """Evaluate every sample of ``solution``."""
+    """Evaluate forces and contact motion at every sample of ``solution``."""
     parts = [
         _sampled(
             carrying_model(solution, int(solution.phase[rows.start])), solution, rows, solution.a, solution.f
@@ -65,7 +65,7 @@ def sample_quantities(solution: Solution) -> SampleQuantities:
 def _sampled(
     model: pin.Model, plan: Solution, rows: slice, a: np.ndarray, f: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Forces (k, nv) and the motion of the contact frames (k, nc, 24): see `_numeric.sampled`."""
+    """Return forces (k, nv) and the motion of the contact frames (k, nc, 24), see `_numeric.sampled`."""
     frames = [model.getFrameId(frame) for frame in plan.contact_frames]
     q, v = plan.q[rows], plan.v[rows]
     force, moved = _numeric.sampled(model, frames, q, v, a[rows], f[rows].reshape(len(q), 6 * len(frames)))
@@ -77,28 +77,28 @@ def _rotations(moved: np.ndarray) -> np.ndarray:
 
 
 def largest(values: np.ndarray) -> float | None:
-    """Return the largest value, None where there is none."""
+    """Return the largest value, or None if there is none."""
     return float(np.max(values)) if values.size else None
 
 
 def least(values: np.ndarray) -> float | None:
-    """Return the least value, None where there is none."""
+    """Return the smallest value, or None if there is none."""
     return float(np.min(values)) if values.size else None
 
 
 def largest_known(values: Iterable[float | None]) -> float | None:
-    """Return the largest of the values that are not None, None without any."""
+    """Return the largest value that is not None, or None if there is none."""
     return max((value for value in values if value is not None), default=None)
 
 
 def state_distance(model: pin.Model, planned: np.ndarray, reached: np.ndarray) -> np.ndarray:
-    """Distance of base position (m), base orientation (rad) and worst joint (rad or m)."""
+    """Return the distance (3,) of base position (m), base orientation (rad) and worst joint (rad or m)."""
     base = base_of(model)
     rows = BASE_ROWS[base]
     difference = pin.difference(model, planned, reached)
     position = BASE_POSITION[base]
     turn = difference[position:rows]
-    if base == "virtual":  # differences of its angles are not a rotation
+    if base == "virtual":  # the difference of its angles is not a rotation vector
         joint = BASE_JOINT[base]
         turn = pin.log3(_rotation(model, joint, planned).T @ _rotation(model, joint, reached))
     return np.array(

@@ -1,4 +1,4 @@
-"""Surface that every contact of a solution touches, sample by sample: from its description to arrays."""
+"""The surface that every contact of a solution touches, sample by sample, as arrays."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from trajopt.terrain.surface import UP, Surface
 
 @dataclass(frozen=True, kw_only=True)
 class TouchedSurfaces:
-    """Planes at K samples of nc contacts: the terrain's under it, or the one that its phase states.
+    """Planes on which nc contact frames lie at K samples: parts of the terrain, or surfaces of the phases.
 
-    A plane is the one on which the contact's frame lies: of a contact with a radius the plane parallel to
-    what it touches, which is `ground`. point, normal (K, nc, 3) m; radius, friction (K, nc); lever (K, nc, 3)
-    m: from where a contact that rolls touches to its frame, zero of others; bilateral (K,
-    nc): transmits any wrench; known (K, nc): whether there is a plane (in a hole, or without terrain, normals
-    are up, and heights unknown). slip (K, nc): slip speed, m/s, of a surface along which the contact slides,
-    NaN where it is held.
+    A contact with a radius has the plane parallel to what it touches, which is `ground`.
+    point, normal: (K, nc, 3) m; without a plane the normal is up. radius, friction: (K, nc), radius in m.
+    lever: (K, nc, 3) m from the touching point of a rolling contact to its frame; zero for other contacts.
+    bilateral: (K, nc) whether the surface transmits any wrench.
+    known: (K, nc) whether there is a plane, which is not the case in a hole or without terrain.
+    slip: (K, nc) slip speed, m/s, on surfaces along which contacts slide; NaN for contacts that are held.
     """
 
     point: np.ndarray
@@ -34,34 +34,34 @@ class TouchedSurfaces:
 
     @property
     def ground(self) -> TouchedSurfaces:
-        """The planes that contacts touch, as of contacts without a radius."""
+        """The touched planes themselves, as for contacts without a radius."""
         return replace(self, point=self.touching(self.point), radius=np.zeros_like(self.radius))
 
     def touching(self, position: np.ndarray) -> np.ndarray:
-        """Points (K, nc, 3) m where contacts with frames at ``position`` (K, nc, 3) m touch, or would."""
+        """Return the touching points (K, nc, 3) m of contacts with frames at ``position`` (K, nc, 3) m."""
         return np.asarray(position - self.radius[..., None] * self.normal)
 
     @property
     def slides(self) -> np.ndarray:
-        """Which contacts slide (K, nc)."""
+        """Whether contacts slide (K, nc)."""
         return np.isfinite(self.slip)
 
     def along_normal(self, vectors: np.ndarray) -> np.ndarray:
-        """Components (K, nc) of vectors (K, nc, 3) along the normals."""
+        """Return the components (K, nc) of vectors (K, nc, 3) along the normals."""
         return np.asarray(np.sum(self.normal * vectors, axis=-1))
 
     def distance(self, position: np.ndarray) -> np.ndarray:
-        """Signed distance (K, nc) in m of positions (K, nc, 3); NaN where there is no plane."""
+        """Return the signed distance (K, nc) in m of positions (K, nc, 3); NaN without a plane."""
         return np.where(self.known, self.along_normal(position - self.point), np.nan)
 
 
 def touched_surfaces(
     plan: Solution, position: np.ndarray, phases: np.ndarray | None = None
 ) -> TouchedSurfaces:
-    """Read terrain, friction and surfaces of a consistent solution. Raises `SolutionFileError`.
+    """Return the touched surfaces of a consistent solution. Raises `SolutionFileError`.
 
-    ``position`` (K, nc, 3) m: of the contacts' frames; ground that is not a plane is taken under them.
-    ``phases`` (K,): of these positions if they are not those of the samples.
+    ``position`` (K, nc, 3) m: contact frames, under which uneven ground is evaluated.
+    ``phases`` (K,): phases of these positions; default: those of the samples.
     """
     frames, rows = list(plan.contact_frames), plan.phase if phases is None else phases
     radii = plan.description.radii
@@ -92,7 +92,7 @@ def touched_surfaces(
 def _ground(
     terrain: GroundShape | None, position: np.ndarray, radii: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Point, normal (K, nc, 3) of the ground's parallel surface under contacts, and where it is known."""
+    """Return point and normal (K, nc, 3) of the parallel ground surface under contacts, and where known."""
     point, normal = position.copy(), np.empty_like(position)
     known = np.full(position.shape[:2], terrain is not None)
     if terrain is None or isinstance(terrain, Surface):
@@ -111,7 +111,7 @@ def _ground(
 
 
 def held_samples(plan: Solution) -> np.ndarray:
-    """Where contacts are on bilateral surfaces (K, nc). Raises `SolutionFileError`."""
+    """Return where contacts are on bilateral surfaces (K, nc). Raises `SolutionFileError`."""
     held, frames = np.zeros(plan.active.shape, dtype=bool), list(plan.contact_frames)
     for phase, surfaces in enumerate(plan.description.surfaces):
         for frame, surface in surfaces.items():
@@ -120,11 +120,11 @@ def held_samples(plan: Solution) -> np.ndarray:
 
 
 def without_rolling(motion: np.ndarray, surfaces: TouchedSurfaces) -> np.ndarray:
-    """Linear part (K, nc, 3) of twists or accelerations (K, nc, 6); of contacts that roll without rolling."""
+    """Return the linear part (K, nc, 3) of twists or accelerations (K, nc, 6) without the rolling motion."""
     return np.asarray(motion[..., :3] - np.cross(motion[..., 3:], surfaces.lever))
 
 
 def held_part(vectors: np.ndarray, surfaces: TouchedSurfaces) -> np.ndarray:
-    """Motion vectors (K, nc, 3); of sliding contacts only the normal component."""
+    """Return motion vectors (K, nc, 3), for sliding contacts only their normal component."""
     normal = surfaces.along_normal(vectors)[..., None] * surfaces.normal
     return np.where(surfaces.slides[..., None], normal, vectors)

@@ -1,4 +1,4 @@
-"""Figures along a motion, for every joint or contact at every sample; their worst value and its place."""
+"""Figures along a motion for every joint or contact at every sample, with their worst values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from trajopt.solution.solution import Solution
 class Trace:
     """Values (K, n) of a figure at K samples for n joints or contacts ``names``.
 
-    counts: (K, n) where the figure applies. margin: the least value is the worst, otherwise the largest.
+    counts: (K, n) where the figure applies. margin: whether the smallest value is the worst.
     """
 
     values: np.ndarray
@@ -28,21 +28,21 @@ class Trace:
     def of(
         cls, values: np.ndarray, counts: np.ndarray | bool, names: Sequence[str], *, margin: bool = False
     ) -> Trace:
-        """A trace; ``counts`` is spread over all values."""
+        """Return a trace; ``counts`` is broadcast to all values."""
         where = np.broadcast_to(np.asarray(counts, dtype=bool), values.shape)
         return cls(values=values, counts=where, names=tuple(names), margin=margin)
 
     def at(self, rows: np.ndarray) -> Trace:
-        """The trace where ``rows`` (K,) are true."""
+        """Return the trace restricted to samples where ``rows`` (K,) is true."""
         return Trace.of(self.values, self.counts & rows[:, None], self.names, margin=self.margin)
 
     @property
     def badness(self) -> np.ndarray:
-        """Values (K, n), larger for worse ones, -inf where the figure does not apply."""
+        """Values (K, n) that are larger the worse they are; -inf where the figure does not apply."""
         return np.where(self.counts, -self.values if self.margin else self.values, -np.inf)
 
     def worst(self) -> tuple[float, int, int] | None:
-        """The worst value with its row and column, a NaN before all; None where the figure does not apply."""
+        """Return the worst value (NaN first) with its row and column, or None if the figure never applies."""
         if not self.counts.any():
             return None
         row, column = np.unravel_index(int(np.argmax(self.badness)), self.values.shape)
@@ -54,14 +54,14 @@ Traces = dict[str, Trace]
 
 @dataclass(frozen=True, kw_only=True)
 class Occurrence:
-    """Where a figure is worst: time in s, phase, and joint, contact or frame (empty: the whole robot)."""
+    """Place of a figure's worst value: time in s, phase, and joint, contact or frame (empty: whole robot)."""
 
     time: float
     phase: str
     name: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able."""
+        """Return JSON-able entries."""
         return asdict(self)
 
     def __str__(self) -> str:
@@ -69,16 +69,16 @@ class Occurrence:
 
 
 def joints_of(plan: Solution) -> list[tuple[Any, str]]:
-    """The joints of a plan's model but the universe, with their names."""
+    """Return the joints of a plan's model without the universe, with their names."""
     return list(zip(list(plan.model.joints)[1:], list(plan.model.names)[1:], strict=True))
 
 
 def names_of_rows(plan: Solution) -> list[str]:
-    """Joint of every row of v (nv,)."""
+    """Return the joint of every row of v (nv,)."""
     return joints_of_rows(plan.model)
 
 
 def names_of_inputs(plan: Solution) -> list[str]:
-    """Joint or thruster of every column of ``tau`` (nu,)."""
+    """Return the joint or thruster of every column of ``tau`` (nu,)."""
     names = names_of_rows(plan)
     return [names[row] for row in plan.actuated_rows] + [one.name for one in plan.description.thrusters]

@@ -1,7 +1,7 @@
-"""Steering while the robot moves: commands to horizons, horizons to motions, motions to torques.
+"""Model predictive control: commands to horizons, horizons to motions, motions to torques.
 
-`Controller.step` and `ArmController.step` know no simulator; `drive` and the command ``trajopt drive`` run
-them.
+`Controller.step` and `ArmController.step` need no simulator; `drive` and the command ``trajopt drive`` run
+them in one.
 """
 
 import lazy_loader

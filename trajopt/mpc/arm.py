@@ -1,16 +1,15 @@
-"""Manipulators: a tool follows a target that moves, with limits, links and obstacles kept, plan after plan.
+"""Receding-horizon control of manipulators: the tool follows a moving target, without collisions.
 
-The cost of a horizon, over natural units, e the error of the tool's frame against the target that goes on at
-its
-velocity, is
+The target moves at constant velocity over the horizon. With the tool's position error e_p and rotation error
+e_r, the running cost in natural units is
 
-    sum over the horizon of  w_p |e_p / l|^2 + w_r |e_r|^2 + w_v |q' sqrt(l / g)|^2 + costs of torques,
-    accelerations
+    w_p |e_p / l|^2 + w_r |e_r|^2 + w_v |q' sqrt(l / g)|^2 + w_q |q - q_ref|^2
 
-Pairs of bodies keep apart by rows n . (x_i(q) - x_j(q)) >= margin along the normal n between the points x_i,
-x_j at
-which they come nearest in the last plan (Schulman et al., Int. J. Robotics Research 33, 2014, sec. V), at
-all points.
+plus costs of torques and accelerations. Limits of positions, rates and torques are rows.
+
+Rows n . (x_i(q) - x_j(q)) >= margin keep pairs of bodies apart at all points of the horizon. The points x_i
+and x_j are where the pair comes closest in the last plan, and n is the normal between them (Schulman et al.,
+Int. J. Robotics Research 33, 2014, sec. V).
 """
 
 from __future__ import annotations
@@ -46,9 +45,9 @@ from trajopt.terms.interfaces import Cost, PointConstraint, Rows
 from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 
 TARGET, NEAR = "target", "near"
-# A point's pair of bodies: normal, nearest point of the first and of the second in its frame, least distance.
+# Numbers of a pair at one point: normal (3), closest point of each body in its frame (3 + 3), least distance.
 PAIR = 10
-# Pairs farther apart than this part of the robot's length have no row at a tick.
+# At a tick only pairs closer than this fraction of the robot's length are constrained.
 WITHIN = 0.1
 
 
@@ -58,21 +57,21 @@ class ArmSettings:
     """Settings of an arm's controller.
 
     Args:
-        period: of plans, s.
-        delay: after which a plan is ready, s.
-        span: of the horizon, s.
-        intervals: of the horizon.
-        scheme: of the transcription.
-        solver: its steps at each tick.
-        live: as of `ControllerSettings`.
+        period: time between plans, s.
+        delay: time after which a plan is ready, s.
+        span: duration of the horizon, s.
+        intervals: number of intervals of the horizon.
+        scheme: scheme of the transcription.
+        solver: solver steps at each tick.
+        live: whether a thread makes the plans, as in `ControllerSettings`.
         margin: least distance of links from each other and from obstacles, m.
-        position: weight of the tool's error of position.
-        rotation: weight of its error of rotation.
-        rates: weight of rates of joints.
-        posture: weight of their distance from the reference.
+        position: weight of the tool's position error.
+        rotation: weight of the tool's rotation error.
+        rates: weight of joint rates.
+        posture: weight of the joints' distance from the reference posture.
         torque: weight of torques.
         acceleration: weight of accelerations.
-        bandwidth: of the feedback of joints, 1/s.
+        bandwidth: bandwidth of the joint feedback, 1/s.
     """
 
     period: Positive = 0.01
@@ -94,9 +93,12 @@ class ArmSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ToolTarget:
-    """Where the tool should be: position (3,) m and rotation (3, 3) in the world, and its velocity (3,) m/s.
+    """Target of the tool, world axes.
 
-    Without a rotation the tool may turn.
+    Args:
+        position: (3,), m.
+        rotation: (3, 3); None leaves the orientation free.
+        velocity: (3,), m/s; None is a target at rest.
     """
 
     position: np.ndarray
@@ -114,7 +116,7 @@ class ToolTarget:
 
 @dataclass(frozen=True, kw_only=True)
 class TargetCost(Cost):
-    """The cost of the module on a frame; its `Numbers` are p (3,), R (9,) by columns and a factor of e_r."""
+    """The module's cost of a frame; its `Numbers` are p (3,), R (9,) column by column and a factor on e_r."""
 
     frame: str
     settings: ArmSettings
@@ -144,7 +146,11 @@ class TargetCost(Cost):
 
 @dataclass(frozen=True, kw_only=True)
 class NearLinks(PointConstraint):
-    """Rows of pairs of bodies, see the module. carriers: frames of each pair; None for what does not move."""
+    """Distance rows of body pairs, see the module.
+
+    Args:
+        carriers: the frames that carry the two bodies of each pair; None for a body that does not move.
+    """
 
     carriers: tuple[tuple[str | None, str | None], ...]
 
@@ -166,16 +172,16 @@ class NearLinks(PointConstraint):
 
 
 class ArmController:
-    """Receding-horizon control of a robot on a fixed base whose tool follows a target.
+    """Receding-horizon control of a fixed-base robot whose tool follows a target.
 
     Args:
-        robot: with a fixed base.
-        tool: the frame that follows; default the last frame of the model.
-        obstacles: placed in the world.
-        settings: of plans and feedback.
+        robot: a robot with a fixed base.
+        tool: name of the frame that follows the target; default: the last frame of the model.
+        obstacles: obstacles, placed in the world.
+        settings: settings of the plans and of the feedback.
 
     Raises:
-        InputError: for another base or frame.
+        InputError: if the base is not fixed, or the frame is unknown.
     """
 
     def __init__(
@@ -216,14 +222,14 @@ class ArmController:
         self._range = JointRange(limited, rows, robot.velocity_limit, HORIZON)
 
     def _margins(self) -> np.ndarray:
-        """Least distance (n,) of each pair, m: of links no more than in the reference posture."""
+        """Least distance (n,) of each pair, m; of two links at most that in the reference posture."""
         usual = np.full(len(self.pairs), self.settings.margin)
         own = slice(self.scene.n_outer, None)
         usual[own] = np.minimum(usual[own], self.scene.distances(self.robot.reference)[0, own])
         return usual
 
     def step(self, time: float, q: np.ndarray, v: np.ndarray, target: ToolTarget) -> np.ndarray:
-        """Torques (nu,) for a tick at ``time`` s and the measured state (nq,), (nv,). Raises `InputError`."""
+        """Torques (nu,) of the tick at ``time`` s in the measured state (nq,), (nv,). Raises `InputError`."""
         require_state(self.robot, time, q, v)
         motion = self.plans.motion
 
@@ -246,7 +252,7 @@ class ArmController:
 
     @property
     def report(self) -> ControllerReport:
-        """What happened until now."""
+        """Times and counts of all ticks so far."""
         return self.plans.report
 
     def _plan(
@@ -282,7 +288,7 @@ class ArmController:
         return rows
 
     def _near(self, times: np.ndarray, begin: float, q: np.ndarray, last: HorizonMotion | None) -> np.ndarray:
-        """Rows of pairs (n, PAIR times the pairs) at times (n,) of the next plan, from the last one."""
+        """`Numbers` of all pairs (n, PAIR times pairs) at times (n,) of the next plan, from the last plan."""
         if last is None:
             configurations = np.tile(q, (len(times), 1))
         else:

@@ -1,4 +1,4 @@
-"""Clocks of contact modes: which contacts stand now and next, and for how long; gaits, and finite motions."""
+"""Clocks of contact modes, for gaits and finite motions: which contacts stand, now and next, and how long."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from typing_extensions import override
 from trajopt.mpc.commands import STAND
 from trajopt.schedule.gaits import Gait
 
-# Between two gaits the robot stands, and before its first swing, for this part of the longest period.
+# Between two gaits and before the first swing the robot stands for this fraction of the longest period.
 SETTLE = 0.3
-# A mode lasts longer or less long by at most this part of it.
+# A mode is lengthened or shortened by at most this fraction of its duration.
 MOST_STRETCH = 0.35
-# Modes looked at after now: more than any horizon has, so that every swing's end is known.
+# Number of modes in which swings are searched: more than any horizon has, so that every swing's end is known.
 AHEAD = 24
 
 
 @dataclass(frozen=True)
 class Mode:
-    """Contacts that stand for a duration in s; without end where the robot stands."""
+    """Contacts that stand for a duration in s, which is infinite while the robot stands still."""
 
     contacts: tuple[str, ...]
     duration: float
@@ -32,7 +32,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class Swing:
-    """A swing of one contact from ``begin`` to ``end``, s from now; the begin may be past."""
+    """A swing of one contact from ``begin`` to ``end``, s from now; ``begin`` is negative if it has begun."""
 
     begin: float
     end: float
@@ -40,23 +40,23 @@ class Swing:
 
 @dataclass(frozen=True)
 class Stretch:
-    """How much longer than planned the mode of this number should last, s."""
+    """By how much the mode with this number should outlast its plan, s."""
 
     number: int
     wanted: float
 
 
 class ModeClock:
-    """Contact modes from now on: some that are left, then a cycle without end.
+    """Contact modes from now on: a queue, followed by a cycle that repeats for ever.
 
     Args:
         contacts: names of all feet.
         queue: modes from now on.
-        cycle: what follows them, again and again.
-        period: the natural duration of a cycle, s, by which horizons are measured.
+        cycle: modes that repeat after the queue.
+        period: natural duration of a cycle, s; horizons are measured in it.
 
-    number: of the present mode, from 0 on. keeps_time: the next mode lasts longer by what is left of one that
-    ended early; otherwise all that follows is earlier.
+    ``number`` counts the modes from 0. If a mode ends early, a clock that ``keeps_time`` adds the remaining
+    time to the next mode; other clocks advance all that follows.
     """
 
     keeps_time = False
@@ -66,11 +66,11 @@ class ModeClock:
     ) -> None:
         self.contacts, self._queue, self._cycle = tuple(contacts), list(queue), tuple(cycle)
         self.remaining, self._period, self._index = self._queue[0].duration, period, 0
-        self._lifted = dict.fromkeys(self.contacts, 0.0)  # how long each has been in the air, s
+        self._lifted = dict.fromkeys(self.contacts, 0.0)  # time that each has been in the air, s
         self.number, self._stretched = 0, 0.0
 
     def copy(self) -> Self:
-        """A clock that goes on from here, apart."""
+        """An independent copy of the clock."""
         twin = copy.copy(self)
         twin._queue, twin._lifted = list(self._queue), dict(self._lifted)
         return twin
@@ -82,16 +82,16 @@ class ModeClock:
 
     @property
     def whole(self) -> float:
-        """Duration of the present mode from its begin, s."""
+        """Whole duration of the present mode, s."""
         return self._queue[0].duration
 
     @property
     def state(self) -> tuple[object, ...]:
-        """What decides which modes may follow, apart from the time that remains of the present one."""
+        """What determines the modes that may follow, apart from the remaining time of the present one."""
         return self._index, tuple(self._queue), math.isinf(self.remaining)
 
     def branches(self) -> list[Self]:
-        """Clocks that may follow: at the end of the present mode, and as its next begins."""
+        """Clocks that may follow this one: at the end of the present mode, and at the start of the next."""
         late, after = self.copy(), self.copy()
         if math.isfinite(late.remaining):
             late.remaining = 0.0
@@ -99,7 +99,7 @@ class ModeClock:
         return [late, after]
 
     def modes(self) -> Iterator[Mode]:
-        """Modes from now on, the first with what remains of it."""
+        """Modes from now on, the first with its remaining duration."""
         yield Mode(self._queue[0].contacts, self.remaining)
         yield from self._queue[1:]
         index = self._index
@@ -108,9 +108,9 @@ class ModeClock:
             index = (index + 1) % len(self._cycle)
 
     def horizon(self, span: float) -> tuple[Mode, ...]:
-        """Modes from now on, until those after the present one last ``span`` s or longer.
+        """Modes from now on, until those after the present mode last at least ``span`` s in total.
 
-        A present mode that goes on for longer than that is all of it.
+        A present mode that lasts longer than ``span`` is returned alone. Durations are cut to ``span``.
         """
         taken: list[Mode] = []
         total = 0.0
@@ -145,9 +145,9 @@ class ModeClock:
         return tuple(name for name in following if name not in self._queue[0].contacts)
 
     def advance(self, time: float, touching: Mapping[str, bool]) -> None:
-        """Let ``time`` s pass.
+        """Advance the clock by ``time`` s.
 
-        The present mode ends early where all that land with its end touch in its last third.
+        The present mode ends early if all contacts that land at its end touch during its last third.
         """
         mode, landing = self._queue[0], self.landing()
         for name in self.contacts:
@@ -163,7 +163,7 @@ class ModeClock:
             self._next(self.remaining if self.keeps_time else 0.0)
 
     def stretch(self, by: Stretch, share: float) -> None:
-        """Let the present mode last longer or less long, by a share of what is still wanted, in bounds."""
+        """Lengthen or shorten the present mode by a share of the change still wanted, within bounds."""
         if by.number != self.number or math.isinf(self.remaining):
             return
         most = MOST_STRETCH * self.whole
@@ -172,12 +172,12 @@ class ModeClock:
         self.remaining, self._stretched = self.remaining + moved, self._stretched + moved
 
     def skip(self) -> None:
-        """Go to the begin of the next mode; a stance without end stays."""
+        """Go to the start of the next mode, unless the present one never ends."""
         if math.isfinite(self.remaining):
             self._next(0.0)
 
     def _next(self, left: float) -> None:
-        """The next mode, which lasts longer by what is left of the present one, s."""
+        """Go to the next mode and lengthen it by ``left`` s."""
         self.number, self._stretched = self.number + 1, 0.0
         self._queue.pop(0)
         if not self._queue:
@@ -187,11 +187,11 @@ class ModeClock:
 
 
 class GaitClock(ModeClock):
-    """Modes of a commanded gait from now on; it stands at first.
+    """Modes of a commanded gait from now on; at first the robot stands.
 
     Args:
         contacts: names of all feet.
-        gaits: by name, with their periods in s.
+        gaits: gaits and their periods in s, by name.
     """
 
     def __init__(self, contacts: Sequence[str], gaits: Mapping[str, tuple[Gait, float]]) -> None:
@@ -202,7 +202,7 @@ class GaitClock(ModeClock):
     @property
     @override
     def period(self) -> float:
-        """Period of the gait, s; of a stance, the shortest of the gaits."""
+        """Period of the gait, s; of a stance, the shortest period of the gaits."""
         return self.gaits[self.gait][1] if self.gait in self.gaits else self._period
 
     @property
@@ -219,7 +219,7 @@ class GaitClock(ModeClock):
         return [*super().branches(), *changed]
 
     def request(self, gait: str) -> None:
-        """Change to another gait, or to a stance, after the present mode."""
+        """Change to another gait or to a stance after the present mode."""
         if gait == self.gait:
             return
         standing = len(self._queue[0].contacts) == len(self.contacts)
@@ -234,7 +234,7 @@ class GaitClock(ModeClock):
             self._queue.append(settle)
 
     def cycle_of(self, gait: str) -> tuple[Mode, ...]:
-        """Modes of a gait's period from the one with most contacts on; of a stance one without end."""
+        """Modes of one period of a gait, from the one with most contacts on; of a stance one endless mode."""
         if gait == STAND:
             return (self._stance(math.inf),)
         pattern, period = self.gaits[gait]

@@ -1,4 +1,4 @@
-"""Commands of a driver: gait, speeds and height, and scripts of them over time."""
+"""Commands of a driver (gait, speeds and height), and scripts of commands over time."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ TIME = "time"
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """What a robot on legs is asked to do from now on.
+    """The command to a legged robot from now on.
 
     Args:
         gait: name of a gait of the robot, or "stand".
-        speed: forward, m/s, in the direction in which the base heads.
-        lateral: to the left, m/s.
-        turn_rate: to the left, rad/s.
-        height: of the base above that of the reference posture, m.
+        speed: forward speed along the heading of the base, m/s.
+        lateral: speed to the left, m/s.
+        turn_rate: turn rate, positive to the left, rad/s.
+        height: height of the base above its height in the reference posture, m.
     """
 
     gait: str = STAND
@@ -40,14 +40,14 @@ class Command:
 @checked
 @dataclass(frozen=True)
 class CommandScript:
-    """Commands, each from its time on.
+    """Commands, each valid from its time on.
 
     Args:
-        times: s, the first 0, increasing.
-        commands: as many.
+        times: start time of each command, s; increasing from 0.
+        commands: one command for each time.
 
     Raises:
-        InputError: for times that do not increase from 0, and another number of commands.
+        InputError: for times that do not increase from 0, or a different number of commands.
     """
 
     times: tuple[float, ...]
@@ -61,15 +61,15 @@ class CommandScript:
             _require_next(self.times[max(number - 1, 0) : number], time, "a script")
 
     def at(self, time: float) -> Command:
-        """The command at a time in s."""
+        """The command at ``time`` s."""
         return self.commands[max(bisect_right(self.times, time) - 1, 0)]
 
 
 def read_commands(path: Path, gaits: Sequence[str]) -> CommandScript:
-    """Read a script: a CSV file with the columns time and any of gait, speed, lateral, turn_rate, height.
+    """Read a script from a CSV file with the column time and any of gait, speed, lateral, turn_rate, height.
 
-    A field that is empty keeps the value before. Raises `InputError` with the line for times that do not
-    increase from 0, unknown columns or gaits, and what is not a finite number.
+    An empty field keeps the previous value. Raises `InputError` with the line for times that do not increase
+    from 0, unknown columns or gaits, and values that are not finite numbers.
     """
     known = [field.name for field in fields(Command)]
     try:
@@ -104,7 +104,7 @@ def read_commands(path: Path, gaits: Sequence[str]) -> CommandScript:
 
 
 def unreadable(path: Path, error: Exception, allowed: str) -> InputError:
-    """What to raise for a script that is missing, or no text."""
+    """The error to raise for a script that is missing or is not text."""
     why = (error.strerror if isinstance(error, OSError) else "") or "it is no text"
     return InputError(f"{path} cannot be read: {why}", allowed)
 

@@ -1,4 +1,4 @@
-"""The controller: measured state and command in, torques out, at each tick; it knows no simulator."""
+"""The controller of a commanded robot: torques from the measured state and the command, at each tick."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.gaits import Gait, gait_of
 
-# Periods of gaits over sqrt(l / g), and that of others.
+# Periods of gaits over sqrt(l / g), and the period of any other gait.
 PERIODS, PERIOD = {"walk": 3.2, "trot": 2.0, "pace": 1.6, "bound": 1.6, "pronk": 2.0}, 2.6
-# Duty factors other than those of `trajopt.schedule.gaits`: a bound without flight.
+# Duty factors that differ from `trajopt.schedule.gaits`: a bound without flight.
 DUTIES = {"bound": 0.5}
-# Speeds follow commands at this part of g, and turns at this over l / g.
+# Largest accelerations towards a command: of speeds over g, of the turn rate over g / l.
 FASTEST, FASTEST_TURN = 0.3, 0.4
-# What speeds lack is integrated at this rate over sqrt(l / g), where it is less than a part of sqrt(g l).
+# Rate of the velocity integral times sqrt(l / g); largest error that is integrated and largest integral, over
+# sqrt(g l).
 STEADY, SMALL, MOST = 0.3, 0.2, 0.15
-# The commanded heading leads that of the base by at most so much, rad.
+# Largest angle by which the commanded heading leads that of the base, rad.
 FARTHEST = 0.3
 
 
 class Controller(LegsController[GaitClock]):
-    """Whole-body receding-horizon control of a robot on legs by commands.
+    """Whole-body receding-horizon control of a legged robot that follows commands.
 
     Args:
-        robot: with a free base and 1, 2 or 4 feet.
-        gaits: names of the gaits that it may be asked for; their horizons are made here.
-        settings: of plans and of what follows them.
+        robot: a robot with a free base and 1, 2 or 4 feet.
+        gaits: names of the gaits that may be commanded; their horizons are built here.
+        settings: settings of the plans and of the feedback.
     """
 
     def __init__(
@@ -61,15 +62,15 @@ class Controller(LegsController[GaitClock]):
         """Torques (nu,) for a tick.
 
         Args:
-            time: s, increasing.
+            time: time of the tick, s, increasing.
             q: measured configuration (nq,).
             v: measured velocity (nv,).
-            contacts: which touch (nc,), in the robot's order.
-            command: from now on.
+            contacts: which contacts touch (nc,), in the robot's order.
+            command: the command from now on.
 
         Raises:
-            InputError: for a gait that was not named, a time that is not finite or runs back, and a state
-                that is not finite or has another shape.
+            InputError: for a gait that was not prepared, a time that is not finite or decreases, and a state
+                that is not finite or has the wrong shape.
         """
         if command.gait != STAND and command.gait not in self.clock.gaits:
             allowed = ", ".join((STAND, *self.clock.gaits))
@@ -90,7 +91,7 @@ class Controller(LegsController[GaitClock]):
         return self._follow(passed, q, v, self._refer)
 
     def _refer(self) -> Callable[[GaitClock, np.ndarray], Reference]:
-        """What a plan follows: the command as it is now, on the ground as it is believed now."""
+        """A function that makes a plan's reference from the present command and estimate of the ground."""
         command, heading, ground = self._corrected, self._heading or 0.0, self.ground.copy()
         lifts = self.robot.length * self.settings.lift, self.robot.length * self.settings.sole_lift
 
@@ -109,7 +110,7 @@ class Controller(LegsController[GaitClock]):
         return refer
 
     def _integrate(self, passed: float, level: np.ndarray, yaw: float) -> None:
-        """What the level velocity (2,) of a gait, world, lacks on average, by errors of the model."""
+        """Integrate the error of the level velocity (2,), world, which model errors leave in a gait."""
         turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
         lacks = np.array([self._asked.speed, self._asked.lateral]) - turn @ level
         unit = self.robot.length / self.unit
@@ -121,12 +122,12 @@ class Controller(LegsController[GaitClock]):
 
     @property
     def _corrected(self) -> Command:
-        """What is asked for, with what was lacking."""
+        """The rate-limited command plus the integral of the velocity error."""
         speed, lateral = self._asked.speed + self._lacking[0], self._asked.lateral + self._lacking[1]
         return replace(self._asked, speed=float(speed), lateral=float(lateral))
 
     def _nearer(self, now: Command, command: Command, passed: float) -> Command:
-        """What is asked for after some time on the way to a command: speeds change at bounded rates."""
+        """The present command ``passed`` s later: it approaches ``command`` at bounded rates."""
         length = self.robot.length
         rates = {
             "speed": FASTEST * length / self.unit**2,
@@ -142,6 +143,6 @@ class Controller(LegsController[GaitClock]):
 
 
 def _gait(robot: Robot, name: str) -> Gait:
-    """A gait of a robot, with the duty factor that it has here."""
+    """A gait of a robot, with its duty factor from `DUTIES`."""
     gait = gait_of(robot, name)
     return gait.with_duty(DUTIES[name]) if name in DUTIES else gait

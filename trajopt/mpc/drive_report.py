@@ -1,4 +1,4 @@
-"""The figures of a drive: times of ticks, plans, relaxations, tracking of commands, falls."""
+"""Figures of a drive: times of ticks and plans, relaxed rows, tracking of commands, falls."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from trajopt.simulation.figures import Fall
     from trajopt.simulation.record import SimulationRecord
 
-# Tracking is judged from this time after a change of command on, s.
+# Tracking errors count from this time after each change of command, s.
 SETTLED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimeFigures:
-    """Mean, median, 95th and 99th percentile of times, s."""
+    """Mean, median, 95th and 99th percentile of a set of times, s."""
 
     mean: float
     median: float
@@ -33,7 +33,7 @@ class TimeFigures:
 
     @classmethod
     def of(cls, times: Sequence[float]) -> TimeFigures:
-        """Figures of times, s; zeros without any."""
+        """Figures of times in s; zeros if there are none."""
         values = np.array(times or [0.0])
         median, p95, p99 = np.percentile(values, [50, 95, 99])
         return cls(mean=float(values.mean()), median=float(median), p95=float(p95), p99=float(p99))
@@ -45,9 +45,9 @@ class TimeFigures:
 
 @dataclass(frozen=True, kw_only=True)
 class CommandErrors:
-    """Rms of speed forward and to the left, m/s, and turn rate, rad/s, minus the commanded ones.
+    """Rms errors of forward speed and speed to the left, m/s, and of turn rate, rad/s.
 
-    They are over the time in which the robot walks, from `SETTLED` s after each change of command on.
+    They cover the time in which the robot walks, from `SETTLED` s after each change of command on.
     """
 
     speed: float
@@ -56,7 +56,7 @@ class CommandErrors:
 
     @classmethod
     def of(cls, errors: np.ndarray) -> CommandErrors | None:
-        """Of errors (n, 3); None without any."""
+        """Rms of errors (n, 3); None if there are none."""
         if not len(errors):
             return None
         speed, lateral, turn_rate = np.sqrt((errors**2).mean(axis=0)).tolist()
@@ -69,13 +69,13 @@ class CommandErrors:
 def command_errors(
     script: CommandScript, velocity: np.ndarray, period: float, periods: Mapping[str, float]
 ) -> tuple[CommandErrors | None, CommandErrors | None]:
-    """Errors of the mean over a period of the gait, and of the values themselves.
+    """Errors of the velocity averaged over a period of the gait, and of the velocity itself.
 
     Args:
         script: commands over time.
-        velocity: (n, 3) forward m/s, to the left m/s, turn rate rad/s, at ticks.
-        period: of ticks, s.
-        periods: of the gaits, s.
+        velocity: forward speed, speed to the left, m/s, and turn rate, rad/s, at ticks (n, 3).
+        period: period of the ticks, s.
+        periods: periods of the gaits by name, s.
     """
     ends = [*script.times[1:], len(velocity) * period]
     means, values = [np.zeros((0, 3))], [np.zeros((0, 3))]
@@ -94,14 +94,14 @@ def command_errors(
 
 @dataclass(frozen=True, kw_only=True)
 class PlanFigures:
-    """Figures of all drives, of legs and of arms.
+    """Figures of any drive, with legs or arms.
 
-    simulated: s, less after a fall. fell, fall_time s, fall_reason: how it ended, if it did. saturated: share
-    of torques that were clipped. plans: number; deadline: s; missed: plans that took longer, which is counted
-    and changes nothing in lockstep; begun_anew: those that did not go on from the last one; plans_relaxed:
-    those with violated rows, by their names; violations: the largest by name, scaled, see
-    `trajopt.mpc.plans.ControllerReport`. plan_times, solver_times, tick_times: of whole plans, of their
-    solver, and of torques; without the first plan, for which the robot waits. settings: of the controller.
+    ``simulated``: s, less after a fall; ``fall_time``: s. ``saturated``: share of torques that were clipped.
+    ``missed``: plans that took longer than the ``deadline`` in s, which has no effect in lockstep.
+    ``begun_anew``: plans that were lost, after which the next one starts afresh. ``plans_relaxed``: plans
+    with violated rows, and ``violations``: the largest scaled violation, by the name of the rows, see
+    `trajopt.mpc.plans.ControllerReport`. ``plan_times``, ``solver_times``, ``tick_times``: of whole plans, of
+    their solver, and of a tick's torques; the first plan, for which the robot waits, is left out.
     """
 
     robot: str
@@ -123,16 +123,16 @@ class PlanFigures:
 
     @property
     def passed(self) -> bool:
-        """Whether it did not fall, and was simulated to its end."""
+        """Whether the robot did not fall and was simulated to the end."""
         return not self.fell
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able figures."""
+        """The figures as JSON-able values."""
         return jsonable({"passed": self.passed, **asdict(self)})
 
     @property
     def _lines(self) -> list[tuple[str, str]]:
-        """Of plans: names and values."""
+        """Names and values of the figures about plans."""
         rows = [f"{name} in {n} ({self.violations[name]:.2g})" for name, n in self.plans_relaxed.items()]
         return [
             ("plans", f"{self.plans}, {self.missed} longer than {1e3 * self.deadline:g} ms"),
@@ -148,7 +148,7 @@ class PlanFigures:
 def plan_figures(
     controller: Controller | ArmController, record: SimulationRecord, period: float, fall: Fall | None
 ) -> dict[str, Any]:
-    """Fields of `PlanFigures` by what a controller counted and a simulation with ticks of a period in s."""
+    """Fields of `PlanFigures` from a controller's counts and a simulation with ticks of ``period`` s."""
     counts, settings = controller.report, controller.settings
     return {
         "robot": controller.robot.name,
@@ -172,13 +172,17 @@ def plan_figures(
 
 @dataclass(frozen=True, kw_only=True)
 class DriveReport(PlanFigures):
-    """Figures of a drive in simulated time, and times of this machine.
+    """Figures of a drive; `trajopt.simulation.figures.fall_of` judges falls at the commanded height.
 
-    duration: s asked for. A fall: see `trajopt.simulation.figures.fall_of`, compared with a base that is
-    upright at the height asked for. distance: m that the base has moved along the ground. mean_errors,
-    errors: of commands, see `command_errors`; None where no time counts. relaxed: ticks by what was relaxed,
-    see `trajopt.control.inverse_dynamics.RELAXED`; slack: their largest violation, natural units.
-    gaits: periods by name, s. script: the commands.
+    Args:
+        duration: requested duration, s.
+        distance: distance that the base moved along the ground, m.
+        mean_errors: velocity errors averaged over gait periods, see `command_errors`; None if no time counts.
+        errors: errors of the velocity itself, likewise.
+        relaxed: ticks by what was relaxed, see `trajopt.control.inverse_dynamics.RELAXED`.
+        slack: largest violation in these ticks, natural units.
+        gaits: periods of the gaits by name, s.
+        script: the commands.
     """
 
     duration: float
@@ -191,7 +195,7 @@ class DriveReport(PlanFigures):
     script: CommandScript
 
     def table(self) -> str:
-        """Figures for people, one a line."""
+        """The figures as readable text, one a line."""
         relaxed = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
         lines = [
             ("driven", f"{self.simulated:.3f} s of {self.duration:.3f} s, {self.distance:.2f} m"),

@@ -1,4 +1,4 @@
-"""From the motion of a horizon to torques at each tick of the drives: a quadratic program that follows it."""
+"""Torques that follow the motion of a horizon, by a quadratic program at each tick."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from trajopt.robot.robot import Robot
 
 SMALL = 1e-8
 UP = np.array([0.0, 0.0, 1.0])
-# A contact that should stand but does not touch is pressed down at this part of sqrt(g l), with this weight.
+# A contact that should stand but does not touch moves down at this fraction of sqrt(g l), with this weight.
 PRESSED, PRESSING = 0.15, 10.0
-# Joints are braked towards their limits over this time, s.
+# Time over which joints brake before their limits, s.
 HORIZON = 0.02
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class FollowerGains:
-    """Bandwidths in 1 / sqrt(l / g), l the robot's reach, and weights, of what follows a horizon's motion.
+    """Gains of a `Follower`: bandwidths in 1 / sqrt(l / g), with l the robot's reach, and weights.
 
-    base, joint: bandwidths of base and joints. base_weight, joint_weight, swing_weight, force_weight: of the
-    base, of joints of legs that stand and that swing, and of contact forces.
+    ``base`` and ``joint`` are bandwidths. Weights are of the base, of the joints of standing legs
+    (``joint_weight``) and of swinging legs (``swing_weight``), and of contact forces.
     """
 
     base: NonNegative = 6.0
@@ -45,13 +45,13 @@ class FollowerGains:
 
 
 class Follower:
-    """Torques that follow samples of a motion; units, limits and drives are those of the robot.
+    """Torques that follow samples of a motion, within the limits of the robot and its drives.
 
     Args:
-        robot: with a free base.
-        gains: of the feedback.
+        robot: a robot with a free base.
+        gains: gains of the feedback.
         friction: Coulomb's coefficient.
-        solver: of the quadratic programs.
+        solver: solver of the quadratic programs.
     """
 
     def __init__(
@@ -81,12 +81,12 @@ class Follower:
         return np.array([row for each in chain for row in range(each.idx_v, each.idx_v + each.nv)])
 
     def carry(self, payload: np.ndarray) -> None:
-        """Count on what the base carries, `payload_numbers` (4,)."""
+        """Set the payload of the base, `payload_numbers` (4,)."""
         self.state.model = carrying(self.robot.model, payload)
         self.state.data = self.state.model.createData()
 
     def bandwidths(self, active: np.ndarray) -> np.ndarray:
-        """Bandwidths (nv,) in 1/s with which errors vanish: of legs that stand, that of the base."""
+        """Bandwidths (nv,) of the feedback, 1/s; standing legs have that of the base."""
         rates = np.full(self.state.model.nv, self.gains.base)
         for leg, stands in zip(self._legs, active, strict=True):
             if not stands:
@@ -94,7 +94,7 @@ class Follower:
         return rates / self.units.time
 
     def torque(self, wanted: FollowedSample, q: np.ndarray, v: np.ndarray, active: np.ndarray) -> np.ndarray:
-        """Torques (nu,) for a measured state, with the contacts (nc,) that transmit forces."""
+        """Torques (nu,) that follow a sample in the measured state; ``active`` contacts (nc,) carry force."""
         self.state.update(q, v)
         robot, standing = self.robot, np.flatnonzero(active)
         contacts = [standing_contact(robot, robot.contacts[i], self.friction) for i in standing]
@@ -146,7 +146,7 @@ class Follower:
         ]
 
     def _pressing(self, number: int) -> FrameTask:
-        """A contact that is late moves down."""
+        """The task by which a late contact moves down."""
         frame, speed = self.robot.contacts[number].frame, PRESSED * self.units.length / self.units.time
         return FrameTask(
             frame=frame,

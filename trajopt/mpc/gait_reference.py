@@ -1,4 +1,4 @@
-"""From a command to the reference of a horizon: speeds and heading of the base, and footholds of a gait."""
+"""The reference of a horizon from a command: speeds and heading of the base, and footholds of a gait."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from trajopt.mpc.reference import reference_layout
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
-# A foot in the air is drawn to where it should land by this factor at the end of its swing, over its height.
+# Factor on a foot's level error at the end of its swing, relative to the error of its height.
 PULL = 0.2
 
 
@@ -24,11 +24,11 @@ class RestingFeet:
     """Feet of a robot in its reference posture.
 
     Args:
-        robot: with a free base.
-        names: of the contacts that are its feet.
+        robot: a robot with a free base.
+        names: names of the contacts that are its feet.
 
-    hips (n, 3): their places from the base, m. radius (n,) m. numbers: of the contacts. standing: height of
-    the base above the ground, m.
+    ``hips`` (n, 3) are the positions of the feet relative to the base, m, ``radius`` (n,) their radii, m,
+    ``numbers`` their indices among the contacts; ``standing`` is the height of the base above the ground, m.
     """
 
     def __init__(self, robot: Robot, names: Sequence[str]) -> None:
@@ -44,10 +44,10 @@ class RestingFeet:
 
 @dataclass(frozen=True, kw_only=True)
 class GaitReference:
-    """What a plan of a gait follows, from now on.
+    """The reference of a gait's plan, from now on.
 
-    feet: of the robot. base: its configuration (nq,) now. command, heading: of the base, rad. ground: as it
-    is believed. swings: of all feet. half_stance: s. lifts: heights of swings of points and of soles, m.
+    ``base`` is the present configuration (nq,), ``heading`` that of the base, rad, ``ground`` the estimate of
+    the ground, ``half_stance`` in s; ``lifts`` are the heights of swings of point feet and of soles, m.
     """
 
     feet: RestingFeet
@@ -60,14 +60,14 @@ class GaitReference:
     lifts: tuple[float, float]
 
     def landing_height(self, name: str, time: float) -> float:
-        """Height of a contact's frame that lands about ``time`` s from now, m."""
+        """Height of the frame of a contact that lands about ``time`` s from now, m."""
         number = self.feet.names.index(name)
         ends = np.array([swing.end for swing in self.swings[name]])
         place = self.foothold(number, float(ends[np.abs(ends - time).argmin()]))
         return float(self.ground.height(*place) + self.feet.radius[number])
 
     def foothold(self, number: int, time: float) -> np.ndarray:
-        """Where (2,) a foot should land at a time from now, m: below its place at the base in mid stance."""
+        """Foothold (2,) of a foot that lands ``time`` s from now, m: below its hip in mid stance."""
         along, left = self._axes(np.array(time))
         level = self.command.speed * along + self.command.lateral * left
         hip = self.feet.hips[number]
@@ -104,20 +104,20 @@ class GaitReference:
         return rows
 
     def _axes(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Level axes forward and to the left (..., 2) at times (...) from now, s."""
+        """Level unit vectors forward and to the left (..., 2) at times (...) from now, s."""
         angle = self.heading + self.command.turn_rate * times
         along = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         return along, np.stack([-along[..., 1], along[..., 0]], axis=-1)
 
     @cached_property
     def _tilt(self) -> np.ndarray:
-        """Quaternion (4,) from the vertical to the normal of the ground."""
+        """Quaternion (4,) that turns the vertical to the normal of the ground."""
         normal = np.append(-self.ground.slope, 1.0)
         turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), normal / np.linalg.norm(normal))
         return np.asarray(turn.coeffs())
 
     def _quaternions(self, times: np.ndarray) -> np.ndarray:
-        """Orientations of the base (n, 4): along the ground, ahead."""
+        """Quaternions of the base (n, 4) at times (n,): parallel to the ground, in the commanded heading."""
         angle = 0.5 * (self.heading + self.command.turn_rate * times)
         x, y, _, w = self._tilt
         sin, cos = np.sin(angle), np.cos(angle)
@@ -125,6 +125,6 @@ class GaitReference:
 
 
 def half_stance(clock: GaitClock) -> float:
-    """Half of the time for which a foot of the present gait stands, s; 0 of a stance."""
+    """Half the stance time of a foot in the present gait, s; 0 while the robot stands."""
     gait = clock.gaits.get(clock.gait)
     return 0.0 if gait is None else 0.5 * gait[0].duty_of(gait[0].feet[0]) * gait[1]

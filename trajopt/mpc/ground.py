@@ -1,4 +1,4 @@
-"""The ground as a robot feels it: a plane through the places where its feet last touched."""
+"""An estimate of the ground: a plane through the points where the feet last touched."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import copy
 
 import numpy as np
 
-# Steepest plane that is believed, rise over run; beyond, feet stand on different things.
+# Largest slope of the plane, rise over run; steeper ones mean that the feet stand on different objects.
 STEEPEST = 0.6
-# Weight of a level plane against the feet, over the square of their distances.
+# Weight of a level plane in the least-squares fit, over the square of the robot's length.
 LEVEL = 0.05
-# Of a new place against what was believed, at each touch.
+# Share of the new fit in the estimated slope, at each update.
 NEW = 0.1
 
 
 class GroundEstimate:
-    """Heights under feet, and the plane near them; level at height 0 before anything touches.
+    """Heights under the feet and the plane near them; level at height 0 before a foot touches.
 
     Args:
         count: number of feet.
-        length: of the robot, m.
+        length: length of the robot, m.
     """
 
     def __init__(self, count: int, length: float) -> None:
@@ -29,11 +29,11 @@ class GroundEstimate:
         self.point, self.slope = np.zeros(3), np.zeros(2)
 
     def copy(self) -> GroundEstimate:
-        """The same estimate, which goes on apart."""
+        """An independent copy of the estimate."""
         return copy.deepcopy(self)
 
     def touch(self, places: np.ndarray, touching: np.ndarray) -> None:
-        """Feet at ``places`` (nc, 3) m, world, of which those that touch (nc,) tell the ground."""
+        """Update the plane with the ``touching`` (count,) feet, at ``places`` (count, 3), m, world."""
         self.places[touching] = places[touching]
         self.known |= touching
         if not self.known.any():
@@ -48,6 +48,6 @@ class GroundEstimate:
         self.slope += NEW * (slope - self.slope)
 
     def height(self, x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
-        """Height of the plane (...), m."""
+        """Height of the plane (...) at x and y (...), m."""
         rise = self.slope[0] * (x - self.point[0]) + self.slope[1] * (y - self.point[1])
         return np.asarray(self.point[2] + rise)

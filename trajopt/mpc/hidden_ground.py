@@ -1,4 +1,4 @@
-"""Ground in front of a robot that its controller is not told of: a slope, or boxes of random heights."""
+"""Ground ahead of a robot that its controller does not know: a slope, or boxes of random height."""
 
 import math
 
@@ -10,20 +10,20 @@ from trajopt.robot.robot import Robot
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import REACH, PiecewiseTerrain
 
-# Level ground in front of the robot's origin, m.
+# Length of the level ground in front of the robot's origin, m.
 AHEAD = 0.5
-# Steepest slope, degrees: far beyond what friction of 0.7 holds.
+# Steepest slope, degrees: far steeper than a coefficient of friction of 0.7 allows.
 STEEPEST = 60.0
-# Boxes along and across; their sides: this part of the robot's length, at least so many m; gaps over sides.
+# Numbers of boxes along and across; their side over the robot's length, its minimum in m; gaps over the side.
 ALONG, ACROSS, SIDE, LEAST_SIDE, GAP = 10, 6, 0.8, 0.25, 0.2
 
 
 @checked
 def slope_ahead(degrees: float) -> PiecewiseTerrain:
-    """Level ground, and from `AHEAD` m on a slope about the lateral axis.
+    """Level ground, followed from `AHEAD` m on by a slope about the lateral axis.
 
     Args:
-        degrees: of the slope, negative downwards.
+        degrees: inclination of the slope, degrees, negative downwards.
 
     Raises:
         InputError: for a slope steeper than `STEEPEST`.
@@ -36,12 +36,12 @@ def slope_ahead(degrees: float) -> PiecewiseTerrain:
 
 @checked
 def boxes_ahead(robot: Robot, part: Fraction, seed: Count = 0) -> PiecewiseTerrain:
-    """Level ground, and from `AHEAD` m on, for 3 m or more, boxes in rows.
+    """Level ground with rows of boxes from `AHEAD` m on, over at least 3 m.
 
     Args:
-        robot: which walks over them.
-        part: of the robot's length, up to which heights are drawn.
-        seed: of the heights.
+        robot: the robot that walks over the boxes.
+        part: greatest height of a box, as a fraction of the robot's length.
+        seed: seed of the random heights.
     """
     side = max(SIDE * robot.length, LEAST_SIDE)
     pitch = (1 + GAP) * side

@@ -1,8 +1,9 @@
-"""One horizon: the NLP of a pattern of contact modes, its numbers in place of building it anew.
+"""One horizon: the NLP of a pattern of contact modes, built once and updated at each tick.
 
-Durations of its phases, the start, the reference and heights of footholds are numbers of one fixed structure.
-The collocation map depends on the step h of an interval by powers of h (docs/mathematics.md, section 2): what
-was transcribed for nominal durations is multiplied by powers of the ratio, entry by entry.
+The structure is fixed; durations of phases, the start, the reference and heights of footholds are numbers in
+it. Each entry of the collocation map is proportional to a power of the step h of its interval
+(docs/mathematics.md, section 2), so the entries for other durations are those for the nominal ones times that
+power of the ratio of durations.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.nlp import Nlp, assemble
 from trajopt.transcription.transcription import Transcription, transcribe
 
-# Of violations of rows that may be relaxed: one over the weight of their squares, by the name of the row.
+# Compliance of rows that may be violated, by name: one over the weight of the squared violation.
 COMPLIANCE: Mapping[str, float] = MappingProxyType(
     {
         "near_links": 1e-4,
@@ -42,16 +43,17 @@ COMPLIANCE: Mapping[str, float] = MappingProxyType(
 )
 
 
+# Largest compliance of the rows of a landing.
 SOFTEST = 1.0
-# Part of the shortest duration by which durations differ.
+# Step of the finite differences of durations, as a fraction of the shortest one.
 DIFFERENCE = 1e-4
-# Of a step in an entry of the Hessian: two positions, each with the square, and the one before.
+# Powers of the step h, from 0 to 4: an entry of the Hessian has two positions, each with h^2.
 POWERS = 5
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """What is fixed in a horizon: contacts of its phases, and the number of their intervals."""
+    """The fixed structure of a horizon: contacts and number of intervals of each phase."""
 
     contacts: tuple[tuple[str, ...], ...]
     intervals: tuple[int, ...]
@@ -59,7 +61,7 @@ class Pattern:
 
 @dataclass(frozen=True)
 class Numbers:
-    """A parameter of terms that a horizon replaces at each tick, by name: zero until then."""
+    """A named parameter of terms, of ``size`` numbers, which a horizon sets at each tick; zero at first."""
 
     name: str
     size: int
@@ -71,14 +73,14 @@ class Numbers:
 
 @dataclass(frozen=True)
 class _Entries:
-    """Entries for nominal durations, and where in `powers_of` the factor of each is."""
+    """Entries for nominal durations, and the index of each one's factor in `powers_of`."""
 
     base: np.ndarray
     place: np.ndarray
 
     @classmethod
     def of(cls, base: np.ndarray, doubled: np.ndarray, phase: np.ndarray | int) -> _Entries:
-        """From entries for nominal and for doubled durations, each a monomial."""
+        """The monomials from their values at nominal and at doubled durations."""
         with np.errstate(divide="ignore", invalid="ignore"):
             power = np.where(base == 0, 0.0, np.rint(np.log2(np.abs(doubled / base))))
         return cls(base, phase * POWERS + np.nan_to_num(power).astype(int))
@@ -98,12 +100,12 @@ class Horizon:
 
     Args:
         robot: the robot.
-        pattern: of its contacts.
-        terms: costs and constraints, with `Numbers` as parameters that vary.
-        friction: Coulomb's coefficient of the ground, for which it is transcribed, > 0.
-        scheme: of the transcription.
-        nominal: duration of each phase, s, for which it is transcribed; any may be given later.
-        balance: rows in place of `BaseDynamics`.
+        pattern: pattern of its contacts.
+        terms: costs and constraints, with `Numbers` as varying parameters.
+        friction: Coulomb's coefficient of the ground for the transcription, > 0; see `set_friction`.
+        scheme: scheme of the transcription.
+        nominal: duration of each phase for the transcription, s; see `set_durations`.
+        balance: rows that replace `BaseDynamics`.
     """
 
     def __init__(
@@ -137,7 +139,7 @@ class Horizon:
     def _transcription(
         self, terms: Sequence[Term], factor: float, scheme: str, balance: PointConstraint | None
     ) -> Transcription:
-        """For multiples of the nominal durations and friction."""
+        """The transcription for ``factor`` times the nominal durations and friction."""
         robot, pattern = self.robot, self.pattern
         phases = tuple(
             Phase(name=f"phase_{i}", duration=factor * self.nominal, contacts=contacts)
@@ -157,7 +159,7 @@ class Horizon:
         return transcribe(problem, mesh=Mesh(phases=tuple(meshes)))
 
     def _find_numbers(self, nlp: Nlp, doubled: Nlp) -> None:
-        """Which entries depend on the duration of which phase, and how; which parameters are friction's."""
+        """Find how entries depend on the durations of phases, and which parameters scale with friction."""
         layout, t = self.layout, self.transcription
         of_stage = np.append(layout.phase_of, layout.phase_of[-1])
         self._groups: list[dict[str, _Entries]] = []
@@ -175,22 +177,22 @@ class Horizon:
 
     @property
     def layout(self) -> Layout:
-        """Where the variables are."""
+        """Layout of the variables."""
         return self.transcription.layout
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Bounds of variables and rows, scaled: lower and upper of each."""
+        """Scaled lower and upper bounds of the variables, then of the rows."""
         return self.lower_x, self.upper_x, self.lower_g, self.upper_g
 
     @cached_property
     def units(self) -> Units:
-        """Scales of the robot."""
+        """Natural units of the robot."""
         return Units(self.robot)
 
     @cached_property
     def places(self) -> dict[str, list[tuple[int, np.ndarray, float, slice]]]:
-        """Where `Numbers` go, by name: group, its stages, fraction of the intervals, columns."""
+        """Places of `Numbers` by name: group, its stages, fraction of the interval, columns."""
         result: dict[str, list[tuple[int, np.ndarray, float, slice]]] = {}
         for number, group in enumerate(self.transcription.groups):
             for function, columns in group.varying:
@@ -201,7 +203,7 @@ class Horizon:
 
     @cached_property
     def landings(self) -> list[tuple[int, np.ndarray]]:
-        """For each landing, its phase and the rows of the heights of its contacts, in their order."""
+        """For each landing, its phase and the rows of its contacts' heights, in the order of the contacts."""
         rows = self.transcription.rows
         name = rows.names.index("contact_landing") if "contact_landing" in rows.names else -1
         result = []
@@ -215,7 +217,7 @@ class Horizon:
 
     @cached_property
     def first_landing(self) -> np.ndarray:
-        """Rows of the landing with which the second phase begins."""
+        """Rows of the landing at the start of the second phase; none if nothing lands there."""
         rows = self.transcription.rows
         if len(self.pattern.contacts) < 2 or "contact_landing" not in rows.names:
             return np.zeros(0, dtype=int)
@@ -223,7 +225,7 @@ class Horizon:
         return np.flatnonzero((rows.block == rows.names.index("contact_landing")) & (rows.stage == stage))
 
     def set_durations(self, durations: np.ndarray) -> None:
-        """Durations (n_phases,) of the phases, s."""
+        """Set the durations (n_phases,) of the phases, s, and hand all numbers to the engine."""
         self.durations = np.array(durations, dtype=float)
         powers = powers_of(self.durations / self.nominal)
         for number, numbers in enumerate(self._groups):
@@ -232,10 +234,10 @@ class Horizon:
         self.nlp.engine.set_linear(self._linear.at(powers), self._constant.at(powers))
 
     def duration_gradient(self, x: np.ndarray, y: np.ndarray) -> float:
-        """Rate of the optimal cost with the duration of the first phase, at the expense of the last, 1/s.
+        """Derivative of the optimal cost when time moves from the last phase to the first, 1/s.
 
-        By the envelope theorem that of the Lagrangian, by central differences, at scaled variables x
-        (n_unknowns,) and multipliers y (n_rows,) of an optimum.
+        By the envelope theorem it is that of the Lagrangian, here by central differences at an optimum with
+        scaled variables x (n_unknowns,) and multipliers y (n_rows,).
         """
         durations, engine, values = self.durations, self.nlp.engine, []
         moved = DIFFERENCE * durations.min()
@@ -258,45 +260,45 @@ class Horizon:
         return np.concatenate([[0.0], np.cumsum(self.steps)])
 
     def point_times(self, name: str) -> np.ndarray:
-        """Times (n,) of all points at which `Numbers` are needed, s."""
+        """Times (n,) of all points at which the `Numbers` of that name act, s from the start."""
         begin, step = self.node_times, self.steps
         return np.concatenate([begin[at] + part * step[at] for _, at, part, _ in self.places[name]])
 
     def set_numbers(self, name: str, rows: np.ndarray) -> None:
-        """`Numbers` (n, size) at the times of `point_times`; they take effect with `set_durations`."""
+        """Set `Numbers` (n, size) at the times of `point_times`; they take effect with `set_durations`."""
         first = 0
         for number, stages, _, columns in self.places[name]:
             self._parameters[number][:, columns] = rows[first : first + len(stages)]
             first += len(stages)
 
     def set_friction(self, friction: float) -> None:
-        """Coulomb's coefficient of the ground, > 0; it takes effect with `set_durations`."""
+        """Set Coulomb's coefficient of the ground, > 0; it takes effect with `set_durations`."""
         groups = zip(self.transcription.groups, self._parameters, self._of_friction, strict=True)
         for group, own, places in groups:
             own[places] = group.parameters[places] * (friction / self._friction)
 
     def set_start(self, state: np.ndarray) -> None:
-        """The first node's state, unscaled, which is fixed."""
+        """Fix the state of the first node, unscaled."""
         node = self.layout.node(0)
         self.lower_x[node] = self.upper_x[node] = state / self.transcription.scale[node]
 
     def set_heights(self, heights: Sequence[Mapping[str, float]]) -> None:
-        """Heights of the frames of contacts that land, m, by name, for each of `landings`."""
+        """Set the heights of the frames of landing contacts, m, by name, for each of `landings`."""
         for (phase, rows), named in zip(self.landings, heights, strict=True):
             given = np.array([named[name] for name in self.new_contacts(phase)])
             self.lower_g[rows] = self.upper_g[rows] = given / self.units.length
 
     def new_contacts(self, phase: int) -> tuple[str, ...]:
-        """Contacts that land as a phase begins."""
+        """Contacts that land at the start of a phase."""
         return self.transcription.problem.schedule.new_contacts(phase)
 
     def soften_landing(self, share: float) -> None:
-        """Soften the rows of the first landing where the present mode lasts less than that share of 1."""
+        """Soften the rows of the first landing if ``share`` < 1: their compliance grows with 1 / share^3."""
         usual = COMPLIANCE["contact_landing"]
         self.compliance[self.first_landing] = min(usual * max(1.0, 1.0 / share) ** 3, SOFTEST)
 
     def violations(self, x: np.ndarray) -> dict[str, float]:
-        """Largest violation of each kind of rows at scaled variables x (n_unknowns,), over their units."""
+        """Largest scaled violation of rows by name, at scaled variables x (n_unknowns,)."""
         rows, g = self.transcription.rows, self.nlp.engine.g(x)
         beyond = np.maximum(np.maximum(self.lower_g - g, g - self.upper_g), 0.0)
         worst = np.zeros(len(rows.names))
@@ -304,5 +306,5 @@ class Horizon:
         return dict(zip(rows.names, worst.tolist(), strict=True))
 
     def guess(self) -> np.ndarray:
-        """Scaled variables of the robot at rest in its reference."""
+        """Scaled variables of the robot at rest in its reference posture."""
         return initial_guess(self.transcription)

@@ -1,7 +1,7 @@
-"""A drive in lockstep: commands over time, a controller, and MuJoCo, whose time waits for the solver.
+"""A drive in lockstep: a controller follows commands in MuJoCo, whose time waits for the solver.
 
-A plan is used from the controller's delay on, however long it took: a drive is the same each time, but for
-the times in its report.
+A plan takes effect after the controller's delay, however long the solver took. Repeated drives are therefore
+identical, except for the computation times in their reports.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from trajopt.solving.rest import rest
 from trajopt.solving.solving import solve
 from trajopt.terrain.piecewise import PiecewiseTerrain
 
-# After its last command a drive goes on for this time, s.
+# Time that a drive lasts after its last command, s.
 LAST = 2.0
-# Whether the robot has fallen is tested after every stretch of so many s.
+# Interval between tests for a fall, s.
 STRETCH = 0.1
-# Ground under the feet at the start is this near to the height 0, m: rounding.
+# Largest height of the ground under the feet at the start, m: rounding.
 LEVEL = 1e-9
-# Settings of the simulation that a drive takes.
+# Settings of the simulation that a drive accepts.
 HARDWARE = (
     *("timestep", "control_rate", "friction_scale", "mass_scale", "com_offset", "ground_offsets", "rolling"),
     *("noise", "sensor_noise", "seed", "delay", "torque_step", "torque_rate"),
@@ -53,9 +53,9 @@ HARDWARE = (
 
 @dataclass(frozen=True, kw_only=True)
 class DrivenMotion:
-    """A robot that was driven: report, commands, and everything that was recorded.
+    """A drive: report, commands, and everything that was recorded.
 
-    stand: the robot at rest at the start. reference: at every tick the base upright where it was.
+    ``stand`` is the robot at rest at the start; ``reference`` has the base upright at its place of each tick.
     """
 
     robot: Robot
@@ -78,13 +78,13 @@ class DrivenMotion:
 
     @property
     def commanded(self) -> np.ndarray:
-        """Commands (n, 3) at ticks: speed forward and to the left, m/s, and turn rate, rad/s."""
+        """Commands (n, 3) at ticks: forward speed, speed to the left, m/s, and turn rate, rad/s."""
         given = [self.script.at(t) for t in self.reference.t[: len(self.record.feet)].tolist()]
         return np.array([[each.speed, each.lateral, each.turn_rate] for each in given])
 
     @cached_property
     def velocity(self) -> np.ndarray:
-        """What the base did (n, 3), as of `commanded`, in the direction in which it heads."""
+        """Measured velocity of the base (n, 3), with the columns of `commanded`, along its heading."""
         return base_velocity(self.world, self.stand, self.record)
 
 
@@ -101,20 +101,20 @@ def drive(
     ground: PiecewiseTerrain | None = None,
     **hardware: Any,
 ) -> DrivenMotion:
-    """Drive a robot by a script in MuJoCo; it ends early after a fall.
+    """Drive a robot by a script in MuJoCo; the drive ends early if the robot falls.
 
     Args:
-        robot: with a free base, on feet.
+        robot: a robot with a free base and feet.
         script: commands over time.
-        duration: s; default: `LAST` s after the last command.
+        duration: duration of the drive, s; default: until `LAST` s after the last command.
         gaits: names of the gaits that the controller prepares; default: those of the script.
-        settings: of the controller.
-        controller: a new one that drives, with gaits and settings of its own, of this robot or of one with
-            other masses; default: one is made.
+        settings: settings of the controller.
+        controller: a new controller with its own gaits and settings, for this robot or one with other
+            masses; default: one is made.
         pushes: level impulses on the base.
-        ground: what feet and links touch, of which the controller knows nothing, with level faces at the
-            height 0 where the robot stands. Default: level ground.
-        hardware: any of `HARDWARE`, fields of `SimulationSettings`; feet with a radius roll by default.
+        ground: ground that feet and links touch and the controller does not know, with level faces at height
+            0 where the robot stands; default: level ground.
+        hardware: fields of `SimulationSettings` among `HARDWARE`; feet with a radius roll by default.
 
     Raises:
         InputError: for a robot without a free base or feet, a gait that it does not have, and settings that
@@ -167,9 +167,9 @@ def drive(
 
 
 class Steering:
-    """A controller that follows a script, as a simulation asks it for torques.
+    """A controller that follows a script, with the interface of a simulation's controller.
 
-    slack: largest violation of what was relaxed in a tick, natural units.
+    ``slack`` is the largest violation of relaxed rows in any tick, natural units.
     """
 
     def __init__(self, controller: Controller, script: CommandScript) -> None:
@@ -184,7 +184,7 @@ class Steering:
 
 
 def stand_of(robot: Robot, ground: PiecewiseTerrain | None) -> Solution:
-    """The robot at rest in its reference posture, on ground that differs elsewhere. Raises `InputError`."""
+    """The robot at rest in its reference posture on the given ground. Raises `InputError`."""
     stand = solve(rest(robot))
     about = replace(stand.description, problem="drive")
     if ground is not None:
@@ -198,7 +198,7 @@ def stand_of(robot: Robot, ground: PiecewiseTerrain | None) -> Solution:
 
 
 def _driven(run: SimulationRun, script: CommandScript) -> tuple[SimulationRecord, Fall | None]:
-    """The record up to a fall, if there is one; the reference becomes the base upright where it was."""
+    """The record up to a fall, if any; sets the reference to the base upright at its place of each tick."""
     record, count = run.start(), len(run.reference.t)
     stretch = max(1, round(STRETCH / run.reference.period))
     for first in range(0, count, stretch):
@@ -217,7 +217,7 @@ def _driven(run: SimulationRun, script: CommandScript) -> tuple[SimulationRecord
 
 
 def upright(stand: Solution, q: np.ndarray, heights: Sequence[float]) -> np.ndarray:
-    """Configurations (n, nq) of the start, placed and heading as in q (n, nq), at heights (n,) m above it."""
+    """The start's posture (n, nq) with place and heading of q (n, nq), raised by heights (n,) in m."""
     result, ground = np.repeat(stand.q[:1], len(q), axis=0), stand.description.ground
     result[:, :2] = q[:, :2]
     result[:, 2] += heights
@@ -231,7 +231,7 @@ def upright(stand: Solution, q: np.ndarray, heights: Sequence[float]) -> np.ndar
 
 
 def base_velocity(world: World, stand: Solution, record: SimulationRecord) -> np.ndarray:
-    """What the base does at ticks (n, 3): forward and to the left, m/s, and turn rate, rad/s."""
+    """Velocity of the base at ticks (n, 3): forward, to the left, m/s, and turn rate, rad/s."""
     qpos, qvel = (rows[: len(record.feet)] for rows in (record.qpos, record.qvel))
     v = world.coordinates.rates_from_mujoco(qpos, qvel)
     turns = base_poses(stand.model, world.coordinates.from_mujoco(qpos))[:, :, :3]
@@ -252,11 +252,11 @@ def report_of(
     """Figures of a drive.
 
     Args:
-        steering: what drove, with what it counted.
-        reference: at ticks, as long as was asked for.
-        record: of the ticks that were simulated.
-        fall: how it ended, if it fell.
-        velocity: of `base_velocity`.
+        steering: the controller and its counts.
+        reference: reference at the ticks of the requested duration.
+        record: record of the simulated ticks.
+        fall: the fall, if the robot fell.
+        velocity: velocity of the base at ticks (n, 3), see `base_velocity`.
     """
     controller, script = steering.controller, steering.script
     periods = {name: period for name, (_, period) in controller.clock.gaits.items()}

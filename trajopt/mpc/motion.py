@@ -1,4 +1,4 @@
-"""The motion of a horizon: at any time of it, state, acceleration, torques and contact forces."""
+"""The motion of a horizon: state, acceleration, torques and contact forces at any time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from trajopt.robot.robot import Robot
 
 @dataclass(frozen=True, kw_only=True)
 class FollowedSample:
-    """Pinocchio's q (nq,), v and a (nv,); torque (nu,); forces (nc, 6), world axes; active (nc,)."""
+    """Pinocchio's q (nq,), v and a (nv,); torque (nu,); contact forces (nc, 6), world axes; active (nc,)."""
 
     q: np.ndarray
     v: np.ndarray
@@ -26,7 +26,7 @@ class FollowedSample:
 
 
 class HorizonMotion:
-    """Variables of a horizon as a motion from ``begin`` s on, whatever the horizon becomes later."""
+    """The motion of a horizon's scaled variables x from ``begin`` s on; it is independent of the horizon."""
 
     def __init__(self, horizon: Horizon, x: np.ndarray, begin: float) -> None:
         layout, unscaled = horizon.layout, x * horizon.transcription.scale
@@ -49,11 +49,11 @@ class HorizonMotion:
 
     @property
     def duration(self) -> float:
-        """Its length, s."""
+        """Duration of the motion, s."""
         return float(self.times[-1])
 
     def _state(self, time: float) -> tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Phase, Pinocchio's q, v, a and the wrenches at a time, s."""
+        """Phase, Pinocchio's q, v, a and the wrenches at ``time`` s."""
         t = min(max(time - self.begin, 0.0), self.duration)
         k = min(int(np.searchsorted(self.times, t, side="right")) - 1, len(self.steps) - 1)
         phase, h, node = int(self.phase_of[k]), float(self.steps[k]), self.nodes[k]
@@ -70,11 +70,11 @@ class HorizonMotion:
         return phase, q, v, a, weights @ self.wrenches[k]
 
     def configuration(self, time: float) -> np.ndarray:
-        """The configuration (nq,) at a time, s."""
+        """The configuration (nq,) at ``time`` s."""
         return self._state(time)[1]
 
     def sample(self, time: float) -> FollowedSample:
-        """The motion at a time, s; before its begin its first state, beyond its end its last."""
+        """The motion at ``time`` s; its first sample before its begin, and its last one after its end."""
         phase, q, v, a, wrench = self._state(time)
         nv = self.coordinates.nv
         forces, active = np.zeros((len(self.robot.contacts), 6)), np.zeros(len(self.robot.contacts), bool)
@@ -102,9 +102,10 @@ def predicted(
     state: tuple[np.ndarray, np.ndarray],
     bandwidth: np.ndarray | float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The state (nq,), (nv,) a delay in s after ``time``: a motion's, with what is left of the error of now.
+    """The state (nq,), (nv,) ``delay`` s after ``time``: the motion's, plus what remains of the error.
 
-    Feedback takes errors out as dd e = -2 w de - w^2 e, with the bandwidth w of each row, 1/s.
+    The error of the measured ``state`` decays as dd e = -2 w de - w^2 e under feedback with the ``bandwidth``
+    w, one for all rows or one for each (nv,), 1/s.
     """
     model, w = motion.model, bandwidth
     now, then = motion.sample(time), motion.sample(time + delay)
@@ -115,7 +116,7 @@ def predicted(
 
 
 def require_state(robot: Robot, time: float, q: np.ndarray, v: np.ndarray) -> None:
-    """Raise `InputError` for a time or a measured state that is not finite, or has another shape."""
+    """Raise `InputError` for a time or a measured state that is not finite, or a state of the wrong shape."""
     if not math.isfinite(time):
         raise InputError(f"time of a tick is {time}", "allowed: finite, s")
     for name, given, size in (("q", q, robot.nq), ("v", v, robot.nv)):

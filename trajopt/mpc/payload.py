@@ -1,10 +1,10 @@
-"""A mass that a robot on legs carries on its base, as numbers of its horizons.
+"""A mass that a legged robot carries on its base, as numbers of its horizons.
 
-A point mass m at c in the base's axes moves the balance of the base alone, the joints' rows are as before:
+A point mass m at c in the base's axes changes the balance of the base and no other rows. It adds
 
     force  m (a + w x v + dw x c + w x (w x c) - R^T g),      moment  c x force
 
-with v, w the base's velocity in its axes and a, dw their rates (Newton's law of a point of a moving body).
+with v, w the base's velocity in its axes and a, dw their rates (Newton's law for a point of a moving body).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PAYLOAD = "payload"
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedBaseDynamics(BaseDynamics):
-    """Rows of `BaseDynamics` with a point mass on the base: `Numbers` m, c of that name."""
+    """Rows of `BaseDynamics` with a point mass on the base; m and c are the `Numbers` named `PAYLOAD`."""
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
@@ -48,12 +48,12 @@ class LoadedBaseDynamics(BaseDynamics):
 
 
 def payload_numbers(mass: float, place: Any) -> np.ndarray:
-    """Numbers (4,) of a mass in kg at a place (3,) in the base's axes, m. Raises `InputError`."""
+    """Numbers (4,) for a mass in kg at a place (3,) in the base's axes, m. Raises `InputError`."""
     require_not_negative("mass on the base", mass, "kg")
     return np.append(mass, finite_array("place on the base", place, (3,), unit="m"))
 
 
 def carrying(model: pin.Model, numbers: np.ndarray) -> pin.Model:
-    """A copy of a model with a free base that carries the mass of `payload_numbers`."""
+    """A copy of a model with a free base, with the mass of `payload_numbers` on the base."""
     body = pin.Inertia(float(numbers[0]), np.array(numbers[1:]), np.zeros((3, 3)))
     return loaded_model(model, model.names[1], body)

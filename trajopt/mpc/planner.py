@@ -1,8 +1,8 @@
-"""Plans a horizon at each of its ticks: from the measured state, with a few steps from the last plan.
+"""Plan a horizon from the measured state, with a few solver steps that start from the last plan.
 
-Each pattern of contact modes has one `Horizon`, made before it is needed. The variables of the last plan are
-moved on by the time that has passed, on the nodes of the present mode; where a mode has ended, those of the
-others move up by one, and the mode that is new at the end stands still at first.
+Each pattern of contact modes has one `Horizon`, built before it is needed. Within a mode the last plan's
+variables are shifted in time on the nodes of the present mode. After a mode has ended, the variables of the
+other modes move up by one, and those of the new last mode start from a motion with joints at rest.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from trajopt.mpc.reference import REFERENCE, HorizonWeights, Reference, leg_term
 from trajopt.mpc.shifting import IterateMap, resampled
 from trajopt.robot.robot import Robot
 
-# A mode that lasts less than this part of a period is planned as if it lasted that long.
+# Shortest duration of a mode in a plan, as a fraction of a period.
 SHORTEST = 0.01
-# Weight of changes of durations, of point feet.
+# Default weight of changes of durations, for robots with point feet.
 TIMING = 1.0
-# Feet land at this part of the robot's length below the ground: they arrive with some velocity.
+# Feet land this far below the ground in plans, over the robot's length, and so arrive with some velocity.
 SUNK = 0.01
-# In this part of a period before a touchdown its rows become softer: what is left cannot be braked.
+# In this fraction of a period before a touchdown its rows soften: errors can no longer be corrected.
 SOFT = 0.1
 
 
@@ -42,14 +42,14 @@ class PlannerSettings:
     """Settings of a planner.
 
     Args:
-        scheme: of the transcription, collocation of the acceleration ("legendre:2", "radau:3").
-        intervals: of a whole period of a gait.
-        span: the least length of what follows the present mode, in periods.
-        solver: its steps at each tick.
-        torque_rows: limits of torques are rows, at every point.
-        timing: weight of the square of what the present mode lasts longer than the gait says, over
-            sqrt(l / g), in the cost; 0: durations are those of the gait. Default: `TIMING`, on soles 0.
-        weights: of the cost.
+        scheme: transcription scheme, collocation of the acceleration ("legendre:2", "radau:3").
+        intervals: number of intervals in a whole period of a gait.
+        span: least duration of the modes after the present one, in periods.
+        solver: solver steps at each tick.
+        torque_rows: whether torque limits are rows, at every point.
+        timing: weight of the squared change of the present mode's duration against the gait, over
+            sqrt(l / g); 0 keeps the durations of the gait. Default: `TIMING`, and 0 for robots with soles.
+        weights: weights of the cost.
     """
 
     scheme: str = "legendre:2"
@@ -62,17 +62,17 @@ class PlannerSettings:
 
 
 class HorizonPlanner:
-    """Plans motions of a robot on legs with a free base.
+    """Plans motions of a legged robot with a free base.
 
     Args:
         robot: the robot.
-        clock: of its gaits; the planner reads it.
-        settings: of the plans.
-        friction: Coulomb's coefficient that plans count on.
+        clock: clock of its contact modes, which the planner reads.
+        settings: settings of the plans.
+        friction: Coulomb's coefficient in the plans.
 
     Attributes:
-        friction: as given; the next plan takes it as it is then.
-        payload: numbers (4,) of what the base carries, likewise.
+        friction: Coulomb's coefficient in later plans.
+        payload: `payload_numbers` (4,) in later plans.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class HorizonPlanner:
         self.timing = usual if settings.timing is None else settings.timing
 
     def pattern(self, modes: Sequence[Mode], whole: Sequence[Mode]) -> Pattern:
-        """Contacts and intervals of modes; ``whole``: those of the gait, not what remains of them."""
+        """The pattern of modes; the durations of the ``whole`` modes set the numbers of intervals."""
         step = self.clock.period / self.settings.intervals
         counts = tuple(max(1, round(min(mode.duration, self._span) / step)) for mode in whole)
         return Pattern(tuple(mode.contacts for mode in modes), counts)
@@ -102,7 +102,7 @@ class HorizonPlanner:
         return self.settings.span * self.clock.period
 
     def prepare(self) -> int:
-        """Make the horizons of all that may be asked for, whenever; returns their number."""
+        """Build the horizons of all commands that may come, at any time; returns their number."""
         own, seen, waiting = self.clock, set(), [self.clock]
         while waiting:
             self.clock = waiting.pop()
@@ -115,7 +115,7 @@ class HorizonPlanner:
         return len(self.horizons)
 
     def horizon(self) -> tuple[Horizon, tuple[Mode, ...]]:
-        """The horizon of the clock as it is now, and its modes."""
+        """The horizon for the present state of the clock, and its modes."""
         modes = self.clock.horizon(self._span)
         whole = (Mode(modes[0].contacts, self.clock.whole), *modes[1:])
         pattern = self.pattern(modes, whole)
@@ -140,9 +140,9 @@ class HorizonPlanner:
         reference: Reference,
         last: HorizonMotion | None = None,
     ) -> HorizonMotion:
-        """The motion from a state at ``time`` s on; the clock is at that time.
+        """The motion from the state (q, v) at ``time`` s on, which must be the clock's time.
 
-        reference: what it follows. last: the plan in use, for where this one fails.
+        It follows ``reference``. If the new plan is lost, ``last``, the plan in use, is returned.
         """
         horizon, modes = self.horizon()
         least = SHORTEST * self.clock.period
@@ -173,7 +173,7 @@ class HorizonPlanner:
         return HorizonMotion(horizon, iterate["x"], time)
 
     def _held(self, horizon: Horizon, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The velocity nearest to v, by kinetic energy, with which the contacts that stand do not move."""
+        """The velocity nearest to v, in kinetic energy, at which the standing contacts do not move."""
         contacts, levers = horizon.pattern.contacts[0], horizon.transcription.problem.levers[0]
         if not contacts:
             return v
@@ -186,7 +186,7 @@ class HorizonPlanner:
         return np.asarray(v - spread @ inverse)
 
     def _gliding(self, horizon: Horizon, start: np.ndarray, begin: int) -> np.ndarray:
-        """Scaled variables that go on from node ``begin`` at the base's velocity, with joints at rest."""
+        """Scaled variables from node ``begin`` on: the base keeps its linear velocity, joints are at rest."""
         x, nv = horizon.guess() * horizon.transcription.scale, self.robot.nv
         glide = start.copy()
         glide[-nv + 3 :] = 0.0
@@ -199,9 +199,9 @@ class HorizonPlanner:
         return np.asarray(x / horizon.transcription.scale)
 
     def _start(self, horizon: Horizon, before: float) -> tuple[_engine.Iterate | None, int]:
-        """The last iterate moved on to this horizon, if there is one, and how many steps to take at most.
+        """The last iterate mapped to this horizon, None if there is none, and the largest number of steps.
 
-        before: duration of the first phase when the horizon was last planned, s.
+        ``before`` is the duration of the first phase when the horizon was last planned, s.
         """
         solver = self.settings.solver
         if self._last is None:
@@ -223,7 +223,7 @@ class HorizonPlanner:
     def _landing_heights(
         self, horizon: Horizon, reference: Reference, durations: np.ndarray
     ) -> list[dict[str, float]]:
-        """Heights at which frames of contacts land, m, by name: a little below the ground."""
+        """Heights at which frames of contacts land, m, by name for each landing: just below the ground."""
         begins, sunk = np.cumsum(durations), SUNK * self.robot.length
         return [
             {

@@ -1,4 +1,4 @@
-"""When plans are made and used, and the steps of the solver that make them; shared by legs and arms."""
+"""When plans are made and used, and the solver steps that make them, for legs and arms alike."""
 
 from __future__ import annotations
 
@@ -15,28 +15,27 @@ from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.mpc.horizon import Horizon
 from trajopt.mpc.motion import HorizonMotion
 
-# Multipliers or variables above this, over their units, count as a start that was lost: the next plan begins
-# anew.
+# A plan with scaled multipliers or variables above this is lost, and the next one starts afresh.
 LOST = 1e6
-# Rows that are missed by more than this of their units after the last step: a plan that is not used.
+# So is a plan whose scaled row residual is above this after its last step.
 UNUSABLE = 1.0
-# A fresh start is this far inside its bounds, over their units, and takes this many times the steps.
+# Distance of a fresh start from its bounds, scaled, and factor on the number of its steps.
 PUSH, FRESH = 1e-2, 4
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class SolverSettings:
-    """Steps of the interior point at a tick.
+    """Steps of the interior-point method at a tick.
 
     Args:
-        steps: at least.
-        most_steps: where residuals stay above ``tolerance``.
-        changed_steps: at most, where the pattern of contacts is another than that of the last tick.
-        tolerance: of rows and optimality, over their units, with which a tick ends.
-        barrier: the least.
-        most_barrier: to which short steps raise it.
-        seconds: no step begins after so many; 0 is no limit.
+        steps: least number of steps.
+        most_steps: largest number of steps, taken while residuals are above ``tolerance``.
+        changed_steps: largest number of steps after the pattern of contacts has changed.
+        tolerance: scaled residual of rows and optimality at which a tick ends.
+        barrier: least barrier parameter.
+        most_barrier: largest barrier parameter, up to which short steps raise it.
+        seconds: time after which no further step begins, s; 0 is no limit.
     """
 
     steps: PositiveCount = 2
@@ -48,14 +47,14 @@ class SolverSettings:
     seconds: float = 0.0
 
     def fresh(self, horizon: Horizon, x: np.ndarray) -> _engine.Iterate:
-        """An iterate from scaled variables alone."""
+        """An iterate from scaled variables, with fresh multipliers and slacks."""
         zero = np.zeros(len(horizon.compliance))
         return horizon.solver.complete(x, zero, *horizon.bounds, self.barrier, PUSH)
 
     def solve(
         self, horizon: Horizon, iterate: _engine.Iterate, most: int
     ) -> tuple[_engine.Iterate, list[_engine.StepReport]]:
-        """The iterate after at most so many steps, from the start that the horizon fixes."""
+        """The iterate after at most ``most`` steps, and their reports; sets the horizon's fixed start."""
         node = horizon.layout.node(0)
         iterate["x"][node] = horizon.lower_x[node]
         return horizon.solver.steps(
@@ -72,7 +71,7 @@ class SolverSettings:
 
 
 def is_lost(iterate: _engine.Iterate, reports: list[_engine.StepReport]) -> bool:
-    """Whether a plan is not to be used, and the next one begins anew."""
+    """Whether a plan must not be used, and the next one has to start afresh."""
     worst = max(float(np.abs(iterate["y"]).max()), float(np.abs(iterate["x"]).max()))
     kept = math.isfinite(worst) and worst < LOST and reports[-1]["after"] < UNUSABLE
     return not (kept and reports[-1]["primal_step"] > 0)
@@ -80,11 +79,18 @@ def is_lost(iterate: _engine.Iterate, reports: list[_engine.StepReport]) -> bool
 
 @dataclass
 class ControllerReport:
-    """Of all ticks: seconds of plans, of their solver alone and of torques; what happened to plans.
+    """Times and counts of all ticks.
 
-    steps: of the solver. primal: residuals of the rows of plans. missed: plans that were
-    not ready in time. anew: plans that lost their start. relaxed: plans whose rows are violated by more than
-    `RELAXED` of their units, by the name of the rows; violations: the largest.
+    Args:
+        planning: computation time of each plan, s.
+        solving: time of the solver alone, s.
+        following: time of each tick's torques, s.
+        steps: solver steps of each plan.
+        primal: row residual of each plan.
+        missed: plans that were not ready in time.
+        anew: plans that were lost, see `is_lost`.
+        relaxed: plans with scaled violations above `RELAXED`, by the name of the rows.
+        violations: largest scaled violation, by the name of the rows.
     """
 
     planning: list[float] = field(default_factory=list)
@@ -100,7 +106,7 @@ class ControllerReport:
     def solved(
         self, solver: SolverSettings, horizon: Horizon, iterate: _engine.Iterate, most: int
     ) -> tuple[_engine.Iterate, bool]:
-        """The iterate of a plan after at most so many steps, counted, and whether it is lost."""
+        """The iterate of a plan after at most ``most`` steps, and whether it is lost; counts both."""
         begun = clocks.perf_counter()
         iterate, reports = solver.solve(horizon, iterate, most)
         self.solving.append(clocks.perf_counter() - begun)
@@ -114,24 +120,21 @@ class ControllerReport:
         return iterate, lost
 
 
-# Violations of this part of a row's unit count as relaxed.
-RELAXED = 1e-2
-
-# A plan from the time on that it is given.
+RELAXED = 1e-2  # scaled violation above which a row counts as relaxed
+# Makes the plan that is valid from a given time on, s.
 Make = Callable[[float], HorizonMotion]
 
 
 class Plans:
-    """The plan in use, and the next one.
+    """The plan in use and the next one.
 
-    A plan begins ``delay`` s after the state that it is made from was measured, and is used from then on. In
-    lockstep it is made at once, and the simulation waits; ``live``, a thread makes it, and the last plan
-    goes on until it is ready.
+    A plan takes effect ``delay`` s after its initial state was measured. In lockstep the simulation waits for
+    it; if ``live``, a thread computes it, and the last plan stays in use until it is ready.
 
     Args:
-        period: between begins of plans, s.
-        delay: s.
-        live: made by a thread.
+        period: time between plans, s.
+        delay: time from measurement to effect, s.
+        live: whether a thread makes the plans.
     """
 
     def __init__(self, period: float, delay: float, *, live: bool = False) -> None:
@@ -143,7 +146,7 @@ class Plans:
         self._thread = ThreadPoolExecutor(1, "plans") if live else None
 
     def update(self, time: float, maker: Callable[[], Make]) -> HorizonMotion:
-        """The plan for a tick at ``time`` s; where one begins, ``maker`` is asked for what makes it."""
+        """The plan for the tick at ``time`` s; ``maker`` is called when a new plan is due."""
         pending = self._pending
         if pending is not None and time >= self._begin - 1e-9:
             ready = not isinstance(pending, Future) or pending.done()
@@ -174,6 +177,6 @@ class Plans:
         return motion
 
     def close(self) -> None:
-        """Wait for the thread, and end it."""
+        """Wait for the thread and end it."""
         if self._thread is not None:
             self._thread.shutdown(wait=True, cancel_futures=True)

@@ -1,4 +1,4 @@
-"""What every controller of a robot on legs does at a tick: plan ahead from the measured state, and follow."""
+"""The common part of controllers of legged robots: plan from the measured state, and follow the plan."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from trajopt.mpc.reference import Reference
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 
-# A contact that is lost for less than this part of sqrt(l / g) goes on transmitting forces.
+# A contact that is lost for less than this, over sqrt(l / g), still counts as transmitting forces.
 CHATTER = 0.05
-# Durations follow what plans want within this part of sqrt(l / g).
+# Time constant with which durations of modes follow those of plans, over sqrt(l / g).
 ADAPTED = 0.15
 AnyClock = TypeVar("AnyClock", bound=ModeClock)
 
@@ -35,16 +35,16 @@ class ControllerSettings:
     """Settings of a controller.
 
     Args:
-        period: of plans, s.
-        delay: after which a plan is ready, s; the state is predicted over it.
-        measured: plans begin from the measured state; otherwise each goes on from the last one, for
+        period: time between plans, s.
+        delay: time after which a plan takes effect, s; the initial state is predicted over it.
+        measured: whether plans start from the measured state; if not, each continues the last one, for
             comparison.
-        live: plans are made by a thread, and used when they are ready; otherwise each tick waits for its own.
-        planner: settings of plans.
-        gains: of what follows them.
-        friction: Coulomb's coefficient that it counts on.
-        lift: height of swings of point feet in gaits over the robot's length.
-        sole_lift: likewise of soles.
+        live: whether a thread makes the plans, which are used when ready; if not, ticks wait for them.
+        planner: settings of the plans.
+        gains: gains of the feedback that follows the plans.
+        friction: Coulomb's coefficient that plans and feedback assume.
+        lift: swing height of point feet in gaits, over the robot's length.
+        sole_lift: swing height of soles in gaits, over the robot's length.
     """
 
     period: Positive = 0.01
@@ -59,12 +59,12 @@ class ControllerSettings:
 
 
 class LegsController(Generic[AnyClock]):
-    """Whole-body receding-horizon control of a robot on legs by a clock of contact modes.
+    """Whole-body receding-horizon control of a legged robot with a clock of contact modes.
 
     Args:
-        robot: with a free base.
-        clock: of its contacts.
-        settings: of plans and of what follows them.
+        robot: a robot with a free base.
+        clock: clock of its contact modes.
+        settings: settings of the plans and of the feedback.
     """
 
     def __init__(self, robot: Robot, clock: AnyClock, settings: ControllerSettings) -> None:
@@ -80,29 +80,29 @@ class LegsController(Generic[AnyClock]):
         self._feet = [robot.contacts.index(robot.contact(name)) for name in clock.contacts]
 
     def carry(self, mass: float, place: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> None:
-        """Count on a mass in kg on the base, at a place (3,) in its axes, m, in place of the one before.
+        """Set the payload: a mass in kg on the base, at a place (3,) in its axes, m.
 
         Raises:
-            InputError: for numbers that are not finite, and a negative mass.
+            InputError: for numbers that are not finite, or a negative mass.
         """
         payload = payload_numbers(mass, place)
         self.planner.payload = payload
         self.follower.carry(payload)
 
     def count_on(self, friction: float) -> None:
-        """Count on Coulomb's coefficient of the ground from the next plan on, > 0. Raises `InputError`."""
+        """Set Coulomb's coefficient of the ground, > 0, for later plans and ticks. Raises `InputError`."""
         require_positive("friction", friction)
         self.planner.friction = self.follower.friction = friction
 
     @property
     def report(self) -> ControllerReport:
-        """What happened until now."""
+        """Times and counts of all ticks so far."""
         return self.plans.report
 
     def _passed(
         self, time: float, q: np.ndarray, v: np.ndarray, contacts: np.ndarray | Sequence[bool]
     ) -> float:
-        """Let time pass for the clock and what touches; returns how much, s. Raises `InputError`."""
+        """Advance clock and contacts to ``time``; returns the elapsed time, s. Raises `InputError`."""
         require_state(self.robot, time, q, v)
         if not time >= self._now:
             raise InputError(f"time is {time:g} s after {self._now:g} s", "allowed: increasing")
@@ -123,10 +123,10 @@ class LegsController(Generic[AnyClock]):
         v: np.ndarray,
         refer: Callable[[], Callable[[AnyClock, np.ndarray], Reference]],
     ) -> np.ndarray:
-        """Torques (nu,) now, ``passed`` s after the last ones.
+        """Torques (nu,) of the present tick, ``passed`` s after the last one.
 
-        Where a plan begins, ``refer`` is asked for what makes its reference, of the clock and the
-        configuration (nq,) at its begin.
+        When a new plan is due, ``refer`` returns a function that makes its reference from the clock and the
+        configuration (nq,) at its start.
         """
         time = self._now
         motion = self.plans.update(time, lambda: self._maker(q, v, refer()))
@@ -141,7 +141,7 @@ class LegsController(Generic[AnyClock]):
     def _maker(
         self, q: np.ndarray, v: np.ndarray, refer: Callable[[AnyClock, np.ndarray], Reference]
     ) -> Make:
-        """What makes a plan from the state of now, apart from all that goes on meanwhile."""
+        """A function that makes a plan from the present state; it uses a copy of the clock, for threads."""
         time, clock, motion = self._now, self.clock.copy(), self.plans.motion
 
         def make(begin: float) -> HorizonMotion:
@@ -155,7 +155,7 @@ class LegsController(Generic[AnyClock]):
     def _predicted(
         self, motion: HorizonMotion | None, time: float, q: np.ndarray, v: np.ndarray, delay: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The state after a delay: the plan's, with what the follower leaves of the error of now."""
+        """The state after a delay: that of the plan, plus the error that the feedback leaves by then."""
         if motion is None:
             return q, v
         if not self.settings.measured:

@@ -1,12 +1,12 @@
 """The reference of a horizon: motion of the base, joints and feet at its points, as parameters of one cost.
 
-Weights are over natural units (see `trajopt.robot.Units`); the running cost of a horizon is
+In natural units (see `trajopt.robot.Units`) the running cost of a horizon is
 
     sum_i w_i e_i^2,      e = (p - p*) / l,  turn(R*, R),  (p' - v*) / sqrt(g l),  (omega - w*) sqrt(l / g),
-                              q_j - q_j*,  q_j' sqrt(l / g),  s (p_f - p_f*) / l of feet in the air, and of
-                              soles what keeps them level, along the base
+                              q_j - q_j*,  q_j' sqrt(l / g),  s (p_f - p_f*) / l of feet in the air, and the
+                              tilt of soles in the air and their heading relative to R*
 
-with s a factor for each axis of each foot, and the cost of torques, forces and accelerations.
+plus the costs of torques, forces and accelerations, with a factor s for each axis of each foot.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ REFERENCE = "reference"
 
 
 class Reference(Protocol):
-    """What a plan follows, from now on."""
+    """The reference that a plan follows, from now on."""
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """The reference (n, `ReferenceLayout.size`) at times (n,) from now, s."""
         ...
 
     def landing_height(self, name: str, time: float) -> float:
-        """Height of a contact's frame that lands about ``time`` s from now, m."""
+        """Height of the frame of a contact that lands about ``time`` s from now, m."""
         ...
 
 
@@ -51,10 +51,10 @@ class Reference(Protocol):
 class HorizonWeights:
     """Weights of a horizon's cost, dimensionless.
 
-    position, height, tilt, heading, velocity, rise, spin: of the base's level place and height, of roll and
-    pitch, of yaw, of its level and vertical velocity, of its angular velocity. joints, rates: of posture and
-    rates of joints. feet: of feet in the air; soles: of their tilt and heading. torque, wrench, acceleration:
-    of torques, contact forces and accelerations of joints.
+    For the base, ``position`` and ``height`` weigh its level position and height, ``tilt`` roll and pitch,
+    ``heading`` yaw, ``velocity`` and ``rise`` the level and vertical velocity, ``spin`` the angular velocity.
+    ``joints`` and ``rates`` weigh joint positions and rates, ``feet`` the positions of feet in the air,
+    ``soles`` their tilt and heading, and ``acceleration`` only the accelerations of joints.
     """
 
     position: NonNegative = 0.0
@@ -75,14 +75,14 @@ class HorizonWeights:
 
 @dataclass(frozen=True)
 class ReferenceLayout:
-    """Places of a point's reference: base (13,), joints (nj,), feet (nc, 3) and their factors (nc, 3)."""
+    """Layout of the reference at one point: base (13,), joints (nj,), place and factors (6,) of each foot."""
 
     joints: int
     contacts: int
 
     @cached_property
     def size(self) -> int:
-        """Numbers of one point."""
+        """Size of the reference at one point."""
         return 13 + self.joints + 6 * self.contacts
 
     position = slice(0, 3)
@@ -92,18 +92,18 @@ class ReferenceLayout:
 
     @property
     def posture(self) -> slice:
-        """Of the joints."""
+        """The posture of the joints."""
         return slice(13, 13 + self.joints)
 
     def foot(self, contact: int) -> slice:
-        """Place of a foot, then its factors."""
+        """Place and factors of a foot."""
         first = 13 + self.joints + 6 * contact
         return slice(first, first + 6)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceCost(Cost):
-    """Weighted squares of distances from the reference of the module, `Numbers` of that name."""
+    """The module's weighted squared errors; the reference is the `Numbers` named `REFERENCE`."""
 
     weights: HorizonWeights
 
@@ -150,7 +150,7 @@ def leg_terms(
     *,
     torque_rows: bool = True,
 ) -> tuple[Term, ...]:
-    """Costs and hard limits of a robot on legs, whose contacts in each phase are these."""
+    """Costs and hard limits of a legged robot, with the names of the ``contacts`` of each phase."""
     touching = [robot.contact(name) for names in contacts for name in names]
     return (
         ReferenceCost(weight=1.0, weights=weights),
@@ -165,5 +165,5 @@ def leg_terms(
 
 
 def reference_layout(robot: Robot) -> ReferenceLayout:
-    """Places of the reference of a robot with a free base."""
+    """Layout of the reference of a robot with a free base."""
     return ReferenceLayout(robot.nv - 6, len(robot.contacts))

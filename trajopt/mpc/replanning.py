@@ -1,7 +1,7 @@
-"""A motion that was planned, such as a jump: at each tick what is left of it is planned anew from the state.
+"""Replanning of a finite motion, such as a jump: its remainder is planned again and again as the robot moves.
 
-The plan gives the contact modes, the reference of base, joints and feet, and heights of landings. A contact
-that lands early ends its mode, and the next one is longer: the reference keeps the time of the plan.
+The plan provides the contact modes, the reference of base, joints and feet, and the heights of landings. If
+contacts land early, their mode ends and the next one is longer: the reference keeps the time of the plan.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ from trajopt.solution.solution import Solution
 
 # Rate at which the plan is sampled, Hz.
 RATE = 1000.0
-# Cycles of a periodic plan that horizons look ahead at after the last one.
+# Cycles of a periodic plan after the last one, for horizons to look ahead.
 BEYOND = 2
-# A period of the horizons of finite motions, over sqrt(l / g).
+# Period of the horizons of finite motions, over sqrt(l / g).
 PERIOD = 2.6
-# Ground whose normal has a vertical part of 1 less than this is level.
+# Ground is level if the vertical part of its normal is above 1 minus this.
 LEVEL = 1e-6
-# Masses that differ by less than this part are the same.
+# Relative difference up to which masses are the same.
 SAME = 1e-9
-# Weights with which a plan is followed.
+# Weights of the cost with which a plan is followed.
 WEIGHTS = HorizonWeights(position=20.0, velocity=5.0, rise=5.0, joints=1.0, rates=0.0, feet=20.0)
 USUAL = ControllerSettings(planner=PlannerSettings(span=1.0, timing=0.0, weights=WEIGHTS))
 
 
 class PlanClock(ModeClock):
-    """The modes of a plan, after which its last contacts stand.
+    """The modes of a plan, after which the contacts of the last one stand for ever.
 
     Args:
         contacts: names of all feet.
-        modes: of the plan.
-        period: the natural duration of a step, s.
+        modes: modes of the plan.
+        period: natural duration of a step, s.
     """
 
     keeps_time = True
@@ -60,23 +60,23 @@ class PlanClock(ModeClock):
 
     @property
     def time(self) -> float:
-        """Time of the plan, s; its end where it has ended."""
+        """Present time in the plan, s; after the plan, its end."""
         left = len(self._queue) if math.isfinite(self.remaining) else 0
         return float(self._ends[-left] - self.remaining) if left else self._ends[-1]
 
 
 class ReplanningController(LegsController[PlanClock]):
-    """Follows a plan that is planned anew from the measured state; a controller of `simulate`.
+    """Follows a plan by replanning it from the measured state; a controller for `simulate`.
 
     Args:
-        robot: with a free base.
-        plan: of it, on level surfaces, at any heights.
-        settings: of plans and of what follows them; default `USUAL` with the friction of the plan.
-        cycles: of a periodic plan.
+        robot: a robot with a free base.
+        plan: a plan of this robot on level surfaces, at any heights.
+        settings: settings of the plans and of the feedback; default: `USUAL` with the friction of the plan.
+        cycles: number of cycles of a periodic plan.
 
     Raises:
-        InputError: for another base, ground or control input, a robot that carries something, and the plan
-            of another robot.
+        InputError: if the base is not free, the ground is not level, contacts hold on or slide, inputs are
+            not torques of all joints, the plan has payloads or no contacts, or it is of another robot.
     """
 
     @checked
@@ -103,7 +103,7 @@ class ReplanningController(LegsController[PlanClock]):
         ]
 
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        """Torques (nu,) at ``t`` s, as of `TorqueController`: contacts (nc,) in the order of the plan."""
+        """Torques (nu,) at ``t`` s, see `TorqueController`; ``touching`` (nc,) is in the plan's order."""
         count = len(self.plan.contact_frames)
         if np.shape(touching) != (count,):
             raise InputError(
@@ -118,7 +118,7 @@ class ReplanningController(LegsController[PlanClock]):
 
 @dataclass(frozen=True, kw_only=True)
 class PlanReference:
-    """The plan from ``time`` s of it on: its rows (n, size), each for a ``period`` in s."""
+    """The plan from its time ``time`` s on; ``rows_of_plan`` (n, size) has a row for each ``period`` s."""
 
     robot: Robot
     rows_of_plan: np.ndarray
@@ -126,7 +126,7 @@ class PlanReference:
     time: float
 
     def rows(self, times: np.ndarray) -> np.ndarray:
-        """The reference (n, size) at times (n,) from now, s; at rest after the end of the plan."""
+        """The reference (n, size) at times (n,) from now, s; after the plan it is at rest."""
         at, last = reference_layout(self.robot), len(self.rows_of_plan) - 1
         place = np.rint((self.time + times) / self.period).astype(int)
         rows = self.rows_of_plan[np.minimum(place, last)]
@@ -141,7 +141,7 @@ class PlanReference:
 
 
 def _require_fitting(robot: Robot, plan: Solution) -> None:
-    """Raise `InputError` for a plan that cannot be followed so, or of another robot."""
+    """Raise `InputError` for a plan that cannot be replanned, or is of another robot."""
     if robot.base != "freeflyer":
         raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free one")
     about, what = plan.description, f"the plan of '{plan.description.problem}' cannot be planned anew"
@@ -162,7 +162,7 @@ def _require_fitting(robot: Robot, plan: Solution) -> None:
 
 
 def _modes(trajectory: ReferenceTrajectory, contacts: list[str]) -> list[Mode]:
-    """Stretches of a plan whose contacts are the same."""
+    """The modes of a plan: intervals with constant contacts."""
     return [
         Mode(tuple(compress(contacts, trajectory.active[begin])), (end - begin) * trajectory.period)
         for begin, end in trajectory.modes
@@ -170,7 +170,7 @@ def _modes(trajectory: ReferenceTrajectory, contacts: list[str]) -> list[Mode]:
 
 
 def _reference_rows(robot: Robot, trajectory: ReferenceTrajectory) -> np.ndarray:
-    """What plans follow (n, size): base, joints and feet of a plan."""
+    """The reference (n, size) at the samples of a plan: base, joints and feet."""
     at = reference_layout(robot)
     rows = np.zeros((len(trajectory.t), at.size))
     rows[:, at.position], rows[:, at.quaternion] = trajectory.q[:, :3], trajectory.q[:, 3:7]

@@ -1,7 +1,7 @@
-"""Where the solver of a horizon begins: the iterate of the last one, moved on in time.
+"""Warm starts of a horizon: the last iterate, shifted in time.
 
-Within a pattern of contacts the variables of the present mode are taken at the new times of its nodes. Where
-the pattern changes, those of the modes that stay go to their new places, multipliers and slacks too.
+Within a pattern of contacts the variables of the present mode are resampled at the new times of its nodes.
+When the pattern changes, variables, multipliers and slacks of the modes that remain move to their new places.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from trajopt.mpc.plans import SolverSettings
 
 
 def resampled(horizon: Horizon, x: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Variables of the first intervals, whose nodes were at times ``old`` (n + 1,), at times ``new``.
+    """Resample the variables of the first n intervals from node times ``old`` to ``new`` (n + 1,), s.
 
-    Linear between nodes, and where new times are beyond the last old one as there; what that misses, a step
-    mends.
+    All nodes but the last are interpolated linearly, and held after the last old time. An interval takes its
+    other variables from the old interval at its midpoint. The next solver step removes the remaining defects.
     """
     layout, count, moved = horizon.layout, len(old) - 1, x.copy()
     nodes = np.array([x[layout.node(k)] for k in range(count + 1)])
@@ -41,7 +41,7 @@ def resampled(horizon: Horizon, x: np.ndarray, old: np.ndarray, new: np.ndarray)
 
 @dataclass(frozen=True)
 class IterateMap:
-    """From the iterate of one horizon to another's: which variables, rows and slacks go where."""
+    """Map of variables, rows and slacks from one horizon to another, as indices of source and target."""
 
     variables: tuple[np.ndarray, np.ndarray]
     rows: tuple[np.ndarray, np.ndarray]
@@ -50,7 +50,7 @@ class IterateMap:
 
     @classmethod
     def of(cls, last: Horizon, horizon: Horizon) -> IterateMap:
-        """Phases of the last horizon from the second on are those of this one, as far as they are alike."""
+        """Map the leading phases that equal those of the last horizon from its second on, else its first."""
         kept, shift = 0, 1
         old, new = last.pattern, horizon.pattern
         for shift in (1, 0):
@@ -88,7 +88,7 @@ class IterateMap:
         solver: SolverSettings,
         gliding: Callable[[Horizon, np.ndarray, int], np.ndarray],
     ) -> _engine.Iterate:
-        """The iterate of the horizon: what is new goes on from the end of what was kept."""
+        """The iterate of the new horizon; its new part starts from ``gliding`` at the end of what is kept."""
         scale = horizon.transcription.scale
         old = np.zeros(len(scale))
         old[self.variables[1]] = iterate["x"][self.variables[0]]
@@ -111,7 +111,7 @@ class IterateMap:
 
 
 def _rows_alike(last: Horizon, horizon: Horizon, first: int, stages: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the last horizon's stages from ``first`` on, and the rows of this one that are alike."""
+    """Matching rows of the last horizon, from stage ``first`` on, and of this one, up to ``stages``."""
 
     def blocks(each: Horizon, shift: int) -> dict[tuple[int, int, str], np.ndarray]:
         rows = each.transcription.rows

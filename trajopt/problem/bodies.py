@@ -23,12 +23,12 @@ from trajopt.terms.terminal import TerminalPosture
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.smooth import SmoothTerrain
 
-# Shapes this near to the ball of a contact, or to a corner of its sole, m, touch with it.
+# Shapes within this distance of a contact's ball, or of a corner of its sole, m, touch the ground with it.
 TOUCHING = 0.01
-# Links that touch the ground may be this deep in it, m, and deeper where the robot stands so at first, by
-# this much more: in stance other rows hold them on the ground.
+# Links that touch the ground may be this deep in it, m, or this much deeper than in the reference or initial
+# posture: in stance other rows hold them on the ground.
 GIVE, DEEPER = 4e-4, 1e-4
-# A pair this much nearer than it may be, m, is too near: what a solver and a look between moments leave.
+# A pair nearer than allowed by this much, m, is too near; a solver and the checks between moments leave less.
 TOO_NEAR = 5e-4
 # A ball of this radius, m, stands for the origin of a frame.
 POINT = 1e-4
@@ -60,7 +60,8 @@ class ProblemBodies:
     def is_foot(self, shape: LinkShape, contact: Contact) -> bool:
         """Whether a shape on a contact's link cannot get deeper, however the link turns about the contact.
 
-        It is a ball around a point, or close to the contact's own; turns about a sole there are none.
+        This holds for a ball around a point contact, and for a shape that hardly extends beyond the contact's
+        own ball. A link with a sole does not turn about it.
         """
         if contact.kind == "surface":
             return True
@@ -79,13 +80,14 @@ class ProblemBodies:
         within: float,
         feet: Sequence[PlacedBody | None],
     ) -> list[tuple[SeparatingPlane, ...]]:
-        """Planes that keep pairs apart near configurations (K, nq): several where the ground has faces.
+        """Planes that keep pairs apart near configurations (K, nq); several where the ground has faces.
 
         Args:
-            configurations: where planes are laid.
-            wanted: of each the configuration's number and the pair.
+            configurations: configurations (K, nq) at which the planes are determined.
+            wanted: for each result, the index of the configuration and the pair.
             within: faces of the ground farther away than this, m, get no plane, except for the nearest one.
-            feet: of each the contacts of the pair's first link: where these are clear, planes leave them so.
+            feet: for each result, the contacts of the pair's first link, which the planes keep clear if they
+                can; None for none.
         """
         margins = self.margin_of
         by_pair = self.scene.approaches(configurations, wanted, within)
@@ -134,9 +136,9 @@ def bodies_of(problem: Problem) -> ProblemBodies:
 
 
 def _margins(robot: Robot, scene: CollisionScene, margin: float, start: np.ndarray | None) -> np.ndarray:
-    """Least distance (n_pairs,) m of each pair; two links keep no more than in the reference posture.
+    """Least distance (n_pairs,) in m of each pair; for two links at most that in the reference posture.
 
-    start: distances (n_pairs,) m at a fixed start.
+    ``start`` holds the distances (n_pairs,) in m at a fixed start.
     """
     margins = np.full(len(scene.pairs), margin)
     if scene.n_ground:
@@ -152,7 +154,7 @@ def _margins(robot: Robot, scene: CollisionScene, margin: float, start: np.ndarr
 
 
 def self_margins(robot: Robot, scene: CollisionScene, margin: float) -> np.ndarray:
-    """Least distance (n,) m of each pair of two links: ``margin``, or theirs in the reference posture."""
+    """Least distance (n,) in m of each pair of links: ``margin``, at most that in the reference posture."""
     apart = scene.distances_at(robot.reference)[scene.n_outer :]
     return np.asarray(np.minimum(margin, np.maximum(apart, 0.0)))
 
@@ -166,7 +168,7 @@ def contacts_by_shape(robot: Robot, shapes: Sequence[LinkShape]) -> dict[str, li
 
 
 def _touching(robot: Robot, shapes: Sequence[LinkShape]) -> np.ndarray:
-    """Which shapes (n,) are around a contact: within `TOUCHING` of its ball or of a corner of its sole."""
+    """Mask (n,) of shapes around a contact: within `TOUCHING` of its ball or of a corner of its sole."""
     balls = {
         contact.name: [
             LinkShape.sphere(
@@ -188,10 +190,9 @@ def _touching(robot: Robot, shapes: Sequence[LinkShape]) -> np.ndarray:
 def _require_clear(
     bodies: ProblemBodies, what: str, pairs: Sequence[ShapePair], distances: np.ndarray, slack: float = 0.0
 ) -> None:
-    """Raise `InputError` where bodies are nearer to each other, by more than ``slack`` m, than they may be.
+    """Raise `InputError` if bodies are nearer to each other than allowed, by more than ``slack`` in m.
 
-    ``what`` says where the first of a pair is this near; ``pairs``, some of the bodies', have ``distances``
-    (n,) in m.
+    ``what`` is the part of the message that says where; ``pairs`` have the ``distances`` (n,) in m.
     """
     margins = bodies.margin_of
     short = [float(distance) - margins[pair] for pair, distance in zip(pairs, distances, strict=True)]
@@ -205,12 +206,12 @@ def _require_clear(
 
 
 def _require_clear_goals(problem: Problem, bodies: ProblemBodies) -> None:
-    """Raise `InputError` where bodies overlap at a goal, as far as it is known before solving.
+    """Raise `InputError` if bodies overlap at a goal, as far as this is known before solving.
 
-    Of a configuration all pairs are; of one that is placed where a contact lands, those of two links; of a
-    frame's pose, its link with ground and obstacles. Of a position the link may turn about it.
+    For a configuration all pairs are known. For a posture placed where a contact lands, pairs of links are;
+    for a frame's pose, its link with ground and obstacles. About a mere position the link may turn.
     """
-    # Contacts may be this far from where they are in a goal, and its other links with them.
+    # Contacts, and other links with them, may be this far from where the goal has them.
     stands = any(phase.contacts for phase in problem.schedule.phases)
     slack = max(CONTACT_GAP, PLACE_SLACK * problem.robot.length) if stands else 0.0
     scene = bodies.scene
@@ -232,11 +233,11 @@ def _require_clear_goals(problem: Problem, bodies: ProblemBodies) -> None:
 def placed_link(scene: CollisionScene, target: Target) -> dict[ShapePair, float]:
     """Signed distances in m of the link that carries a target's frame from ground and obstacles, by pair.
 
-    Where the target leaves its rotation free they are upper bounds for all rotations. With ``d`` the distance
+    If the target leaves its rotation free, they are upper bounds over all rotations. With ``d`` the distance
     of the frame's origin from a shape of its link, negative inside, and ``e`` that of the target from another
-    body, the shape has a point within ``d`` of the target, or all points within ``-d``: so its distance from
-    the body is at most ``d + e``. Smooth ground, whose distances are those from tangent planes, is left out
-    then.
+    body, the shape has a point within ``d`` of the target, or all points within ``-d``, so that its distance
+    from the body is at most ``d + e``. Smooth ground, whose distances are those from tangent planes, is then
+    left out.
     """
     if target.frame is None or target.position is None:
         return {}

@@ -44,7 +44,7 @@ def families() -> dict[str, Family]:
         try:
             with _loading(entry):
                 offered = entry.load().families()
-        except TrajoptError as error:  # in one package must not affect the others
+        except TrajoptError as error:  # one package's error must not affect the others
             if len(entries) == 1 or isinstance(error, VersionMismatchError):
                 raise
             warnings.warn(str(error), stacklevel=2)
@@ -62,9 +62,9 @@ def families() -> dict[str, Family]:
 
 @checked
 def family(name: str) -> Family:
-    """The family of that name; where one package alone offers any, its others are not loaded.
+    """The family of that name; if only one package offers families, the others are not loaded.
 
-    Raises `InputError` that lists the known names, `TrajoptError` where that package cannot be loaded.
+    Raises `InputError` that lists the known names, or `TrajoptError` if that package cannot be loaded.
     """
     entries = offers(GROUP)
     if len(entries) == 1:
@@ -77,7 +77,7 @@ def family(name: str) -> Family:
 
 @contextlib.contextmanager
 def _loading(entry: EntryPoint, *passed: type[Exception]) -> Iterator[None]:
-    """Errors of a package become a `TrajoptError` that names it, but for those that are passed on."""
+    """Turn errors into a `TrajoptError` that names the package, except version mismatches and ``passed``."""
     try:
         yield
     except Exception as error:
@@ -87,9 +87,9 @@ def _loading(entry: EntryPoint, *passed: type[Exception]) -> Iterator[None]:
 
 
 def listing() -> tuple[dict[str, Family], dict[str, str]]:
-    """The families, as `families`, to be shown rather than built, and the kinds of their robots.
+    """All `families`, to be listed rather than built, and the kinds of their robots.
 
-    They are found in the cache unless a module that was loaded for them, or its folder, has changed since.
+    They are read from the cache unless a module that was loaded for them, or its folder, has changed since.
     """
     begun, entries = time.time_ns(), offers(GROUP)
     key = repr((sys.path, [entry.value for entry in entries]))
@@ -117,7 +117,7 @@ def listing() -> tuple[dict[str, Family], dict[str, str]]:
 
 
 def _state(place: str) -> int | str:
-    """When a file changed, ns, or what modules and packages a folder has."""
+    """Modification time of a file in ns, or names of the modules and packages in a folder."""
     if not os.path.isdir(place):
         return os.stat(place).st_mtime_ns
     inside = (name for name in os.listdir(place) if name.endswith(".py") or "." not in name)
@@ -125,7 +125,7 @@ def _state(place: str) -> int | str:
 
 
 def _fields(thing: Any) -> dict[str, Any] | None:
-    """What is shown of a family or of a parameter; nothing of a function."""
+    """Fields of a family or parameter that are listed; None for a function."""
     if callable(thing):
         return None
     names = ("takes_robot",) if isinstance(thing, Family) else ("name", "meaning", "unit", "lower", "upper")

@@ -14,12 +14,12 @@ from trajopt.errors import InputError, TrajoptError, in_file, not_among, shown
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
 
-# A name of a robot that is looked up: no file.
+# Name of a robot to look up, as opposed to a file.
 PLAIN_NAME = re.compile(r"[\w+-]+")
-# Parameters as solution files of earlier versions name them, and their names of today.
+# Names of parameters in solution files of earlier versions, and their current names.
 RENAMED = {"effort": "torque_limit", "effort_share": "torque_share", "minimise": "goal"}
 
-# Unit -> how it and its rate per second may be written, and the size of each in that unit.
+# Unit -> suffixes in which it, and its rate per second, may be written, and their sizes in that unit.
 _SUFFIXES = {
     "rad": {"deg": math.pi / 180, "rad": 1.0},
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001},
@@ -33,9 +33,9 @@ class Parameter:
     """A numeric parameter of a family.
 
     Args:
-        name: of the parameter.
+        name: name of the parameter.
         default: None means that it is derived from others.
-        unit: of the value and its bounds.
+        unit: unit of the value and its bounds.
         lower: least value.
         upper: largest value.
         meaning: one line of help.
@@ -74,7 +74,7 @@ class Parameter:
         return number
 
     def _sizes(self) -> dict[str, float]:
-        """Suffix that a value may carry -> its size in the unit; a rate may leave out its /s."""
+        """Suffix that a value may carry -> its size in the unit; the /s of a rate may be left out."""
         kind = self.unit.removesuffix("/s")
         sizes = {"": 1.0, self.unit: 1.0} | _SUFFIXES.get(kind, {})
         if kind != self.unit:
@@ -107,7 +107,7 @@ class Choice:
 class RobotName:
     """The parameter ``robot``: a robot by name (or a file that builds one), which the family looks up.
 
-    `Family.load` also takes a `Robot`; the problem's parameter is then a text that no robot is found by.
+    `Family.load` also takes a `Robot`; the problem's parameter is then a text by which no robot is found.
     """
 
     default: str
@@ -134,7 +134,7 @@ class Family:
     A family for several robots has a parameter ``robot``, which may be any other robot that suits it.
 
     Args:
-        name: of the family.
+        name: name of the family.
         phases: names of the phases, for tables.
         summary: one line of help.
         parameters: what may be chosen.
@@ -170,9 +170,9 @@ class Family:
         return any(isinstance(parameter, RobotName) for parameter in self.parameters)
 
     def of_file(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Values of a solution, of any version, of parameters that the family has.
+        """Values of the family's parameters in a solution file of any version.
 
-        Raises `InputError` where the robot is a file: what a solution names is looked up, never run.
+        Raises `InputError` if the robot is a file: what a solution names is looked up, never run.
         """
         robot = given.get("robot")
         if robot is not None and not PLAIN_NAME.fullmatch(str(robot)):
@@ -185,7 +185,7 @@ class Family:
         return {name: value for name, value in named.items() if name in known and value is not None}
 
     def parameter(self, name: str) -> Parameter | Choice | RobotName:
-        """The parameter of that name; raises `InputError` that names the one that may be meant."""
+        """The parameter of that name; raises `InputError` that suggests a known name."""
         known = {parameter.name: parameter for parameter in self.parameters}
         if name in known:
             return known[name]

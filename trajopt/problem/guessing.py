@@ -1,4 +1,4 @@
-"""The guess of a problem that gives none: from goal to goal, feet where they stand, parabolas in flight."""
+"""The default guess of a problem: from goal to goal, with feet where they stand and parabolas in flight."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_paths import smooth_step, swing_profile
 from trajopt.terrain.terrain import Terrain
 
-# Height of swings over the robot's length, more than terms usually require.
+# Height of swings as a fraction of the robot's length; more than terms usually require.
 SWING = 0.15
-# Times of goals that differ by less than this fraction of the schedule are one.
+# Times of goals that differ by less than this fraction of the schedule's duration count as one.
 SAME_TIME = 1e-9
 # Cached configurations: a guess is evaluated three times at every point.
 CACHED_POSTURES = 4096
@@ -45,10 +45,10 @@ def default_guess(
 ) -> Motion:
     """Return a guess ``t -> q`` (nq,) through the goals of the terms, each at its nominal time.
 
-    Configurations between goals are interpolated, at rest at each. A contact stands on its foothold, else on
-    its ground below where the motion brings it, and swings in an arc in between; limbs follow by inverse
-    kinematics. A phase without contacts adds the parabola of a free fall. Without a goal at its end a
-    periodic motion ends at the image of its start, and any other stays at its last goal.
+    Configurations are interpolated between goals, at rest at each goal. A contact stands on its foothold,
+    else on its ground below where the motion brings it, and swings in an arc in between; limbs follow by
+    inverse kinematics. A phase without contacts adds the parabola of a free fall. Without a goal at its end,
+    a periodic motion ends at the image of its start, and any other stays at its last goal.
 
     Args:
         robot: The robot.
@@ -73,7 +73,7 @@ def default_guess(
 
 
 class RememberedMotion:
-    """A motion ``t -> q`` that keeps the postures of times that were asked for; they are not pickled."""
+    """A motion ``t -> q`` with a cache of its postures, which is not pickled."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion, self._at = motion, lru_cache(maxsize=CACHED_POSTURES)(motion)
@@ -83,7 +83,7 @@ class RememberedMotion:
         return self._at(t)
 
     def __reduce__(self) -> tuple[type[RememberedMotion], tuple[Motion]]:
-        """Pickled without the postures."""
+        """Pickle without the cache."""
         return RememberedMotion, (self.motion,)
 
 
@@ -110,7 +110,7 @@ class _Stance:
 
 @dataclass(frozen=True, kw_only=True)
 class _Guess:
-    """A motion through configurations ``knots`` at their times; ``ends`` of the phases, s."""
+    """A motion through ``knots``, (time in s, configuration); ``ends`` are those of the phases, s."""
 
     robot: Robot
     schedule: Schedule
@@ -119,16 +119,16 @@ class _Guess:
     knots: tuple[tuple[float, np.ndarray], ...]
 
     def through(self, time: float, targets: Sequence[Target]) -> _Guess:
-        """The motion that also reaches goals at a time after its last knot."""
+        """The motion extended to goals at a time after its last knot."""
         q = next((np.array(target.q) for target in targets if target.q is not None), None)
         if q is None:
             q = self._reaching(time, targets)
         return replace(self, knots=(*(self.knots if time > 0 else ()), (time, q)))
 
     def _reaching(self, time: float, targets: Sequence[Target]) -> np.ndarray:
-        """Posture (nq,) with frames at their goals, and contacts of that time where they stand.
+        """Posture (nq,) with frames at their goals, and the contacts of that time where they stand.
 
-        The base begins where it is carried by the mean of its contacts.
+        Inverse kinematics begins with the base moved by the mean displacement of its contacts.
         """
         q, n = self.knots[-1][1].copy(), BASE_POSITION[self.robot.base]
         standing = {
@@ -171,7 +171,7 @@ class _Guess:
         }
 
     def _carried(self, t: float) -> np.ndarray:
-        """Configuration between the knots, without regard to contacts."""
+        """Configuration interpolated between the knots, regardless of contacts."""
         for (begin, before), (end, after) in zip(self.knots, self.knots[1:], strict=False):
             if t < end:
                 part = smooth_step((t - begin) / (end - begin))
@@ -191,12 +191,12 @@ class _Guess:
 
     @cached_property
     def stances(self) -> Mapping[str, tuple[_Stance, ...]]:
-        """Of each contact that stands at some time, in order."""
+        """Stances, in time order, of each contact that stands at some time."""
         used = {name for phase in self.schedule.phases for name in phase.contacts}
         return {c.name: tuple(self._stances_of(c)) for c in self.robot.contacts if c.name in used}
 
     def _stances_of(self, contact: Contact) -> Iterator[_Stance]:
-        """Stances of a contact; where it is in the air at an end of the motion, one of no duration there."""
+        """Stances of a contact; one of zero duration at an end of the motion where it is in the air."""
         phases, name = self.schedule.phases, contact.name
         begins = (0.0, *self.ends[:-1])
         pose = contact_poses(self.robot, self.knots[0][1])[name]
@@ -230,7 +230,7 @@ def _at(stances: Sequence[_Stance], t: float, lift: float) -> pin.SE3:
 
 
 def _goal_of(robot: Robot, q: np.ndarray, target: Target) -> pin.SE3 | np.ndarray:
-    """Goal of inverse kinematics: a position, or a pose; a rotation alone is reached where the frame is."""
+    """Goal of inverse kinematics: a position or a pose; for a rotation alone the frame keeps its position."""
     if target.rotation is None:
         return np.asarray(target.position)
     position = target.position

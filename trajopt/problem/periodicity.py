@@ -7,7 +7,7 @@ positions, rates: world linear, body angular velocity) each of these is linear:
     p' = Rz p + t          pdot' = Rz pdot         omega' = omega         q' = q_z q          (turn)
     x' = s_i x_(i)         (y and its like change sign; left and right joints swap)
 
-For unit quaternions the vector parts relative to the start's reference suffice; so all rows are linear,
+For unit quaternions the vector parts relative to the start's reference suffice. So all rows are linear,
 except one for every rotation: its norm at the start.
 """
 
@@ -34,8 +34,8 @@ from trajopt.terms.interfaces import AtMoment, NodeConstraint, NodePlace, Rows
 if TYPE_CHECKING:
     from trajopt.schedule.schedule import Schedule
 
-# Contacts are each other's mirror images within this part of the robot's length: real robots have small
-# offsets from one side to the other, and a half cycle only needs to match the feet.
+# Contacts count as mirror images of each other within this fraction of the robot's length: the sides of real
+# robots have small offsets, and a half cycle only needs to match the feet.
 PAIRED = 5e-2
 
 
@@ -45,9 +45,9 @@ class Periodicity:
     """The final state equals the initial one up to a translation, a turn and a reflection.
 
     Args:
-        translation: of the base over the whole schedule (3,), m, world.
-        velocity: (3,), m/s, instead: the translation is velocity times the duration, which may be free.
-        turn: about the vertical through the start's base, to the left, rad.
+        translation: translation (3,) of the base over the whole schedule, m, world.
+        velocity: mean velocity (3,), m/s, instead of a translation; the duration may then be free.
+        turn: turn to the left about the vertical through the start's base, rad.
         mirror: whether the final state is the mirror image of the initial one in the vertical plane through
             the start's base along x; needs a free-flyer whose left and right sides correspond.
 
@@ -74,7 +74,7 @@ class Periodicity:
         return np.zeros(3) if self.translation is None else np.array(self.translation)
 
     def images(self, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-        """For each rate of the image the index and the sign of the rate (nv,) that it comes from."""
+        """Index and sign (nv,) of the rate from which each rate of the image comes."""
         if self.mirror:
             return mirrored_rows(robot, find_mirror(robot))
         return np.arange(robot.nv), np.ones(robot.nv)
@@ -95,8 +95,8 @@ class UnitRotation(AtMoment, NodeConstraint):
 class ClosingMap:
     """``left z_N = right z_0 + constant``: rows over the rotations, additive positions and rates of a node.
 
-    ``left``, ``right`` (n, n_node) and ``constant`` (n,) at zero translation; ``translated`` (n, 3) is what a
-    translation adds to the constant.
+    ``left``, ``right`` (n, n_node) and ``constant`` (n,) are those at zero translation. ``translated`` (n, 3)
+    maps a translation to its contribution to the constant.
     """
 
     left: np.ndarray
@@ -151,7 +151,7 @@ def _require_base(robot: Robot, rotations: int, periodicity: Periodicity) -> Non
 
 
 def _rotation_rows(origin: np.ndarray, periodicity: Periodicity) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (3 each, 4 each) on final and initial quaternions: vector parts relative to the start's."""
+    """Rows (3, 4) on the final and the initial quaternion: vector parts relative to the start's."""
     if not len(origin):
         return np.zeros((0, 0)), np.zeros((0, 0))
     half = periodicity.turn / 2
@@ -180,12 +180,12 @@ def _block(*parts: np.ndarray) -> np.ndarray:
 
 
 def landing_at_start(robot: Robot, schedule: Schedule, periodicity: Periodicity) -> tuple[str, ...]:
-    """Contacts that begin with the first phase: their image is not in contact at the end.
+    """Contacts that land at the start, because their image is not in contact at the end.
 
     Contacts that hold across the end have landed within the cycle.
 
     Raises:
-        InputError: for a contact that never lands: its position would follow from no row, or from two.
+        InputError: for a contact that never lands, whose position would follow from no row or from two.
     """
     images = {contact.name: contact.name for contact in robot.contacts}
     if periodicity.mirror:

@@ -1,4 +1,4 @@
-"""Whether start, footholds and goals are possible, judged before solving with the tolerances of the check."""
+"""Whether the start, footholds and goals are possible: tested before solving, with the check's tolerances."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,10 +22,10 @@ from trajopt.terms.terminal import TerminalState
 from trajopt.terrain.surface import SAME_PLANE, Surface
 from trajopt.terrain.terrain import Ground
 
-# What a check allows: distance of contacts from their ground where they begin, m; angle of soles on it, rad.
+# Tolerances of the check: distance of contacts from their ground where they begin, m; tilt of soles, rad.
 CONTACT_GAP, SOLE_TILT = 1e-3, 1e-2
-# A goal may have contacts this fraction of the robot's length away from where they stand, and places may be
-# further apart than the links by as much: what a check allows feet to drift, on a robot of a metre.
+# In a goal, contacts may be this fraction of the robot's length away from where they stand, and places may be
+# farther apart than the links reach by as much: the drift of feet that the check allows for a 1 m robot.
 PLACE_SLACK = 1e-3
 
 _Places = Mapping[str, np.ndarray]
@@ -36,8 +36,8 @@ _Goal = tuple[str, Target]  # the name of its term, and the target
 class Stances:
     """Where the contacts of a schedule stand.
 
-    ``grounds`` by phase: what each active contact touches; nothing for a model that holds no contacts.
-    ``places`` by phase: the positions (3,) m of the contacts that are known before solving.
+    For each phase, ``grounds`` holds what each active contact touches, and is empty for a model that holds no
+    contacts; ``places`` holds the positions (3,) in m of the contacts that are known before solving.
     """
 
     robot: Robot
@@ -46,11 +46,11 @@ class Stances:
     places: tuple[_Places, ...]
 
     def index(self, phase: str | None) -> int:
-        """Index of the phase of that name, of the last one for None."""
+        """Index of the phase of that name, or of the last phase for None."""
         return len(self.places) - 1 if phase is None else self.schedule.names.index(phase)
 
     def at(self, moment: Moment) -> _Places:
-        """Positions of the contacts that stand at a moment, on both sides of it between two phases."""
+        """Positions of the contacts that stand at a moment; between two phases, those of both."""
         index, fraction = self.index(moment.phase), moment.fraction
         other = index - 1 if fraction == 0 else index + 1 if fraction == 1 else index
         near = self.places[other] if 0 <= other < len(self.places) else {}
@@ -62,8 +62,8 @@ def require_places(
 ) -> None:
     """Raise `InputError` for a start, a foothold or a goal that no motion can have.
 
-    ``start`` (nq,) is None where it is free; ``rows`` are constraints at collocation points, with the limits.
-    `trajopt.problem.bodies` judges whether bodies are clear there.
+    ``start`` (nq,) is None if it is free; ``rows`` are the constraints at collocation points, among them the
+    limits. `trajopt.problem.bodies` checks whether bodies are clear of each other there.
     """
     require_footholds(stances)
     require_apart(stances)
@@ -79,7 +79,7 @@ def require_places(
 
 
 def require_start_contacts(stances: Stances, q: np.ndarray) -> None:
-    """Contacts of the first phase are on their ground, soles flat on it."""
+    """Require contacts of the first phase to be on their ground, and soles to be flat on it."""
     robot, poses = stances.robot, contact_poses(stances.robot, q)
     allowed = "or a first phase without it"
     for name, ground in stances.grounds[0].items():
@@ -110,7 +110,7 @@ def _side(gap: float) -> str:
 
 
 def require_footholds(stances: Stances) -> None:
-    """Footholds are on their ground; those of contacts that stand already are where they stand."""
+    """Require footholds on their ground; contacts that stand already must have them where they stand."""
     for index, phase in enumerate(stances.schedule.phases):
         for name, foothold in phase.footholds.items():
             what, ground = f"foothold of '{name}' in phase '{phase.name}'", stances.grounds[index].get(name)
@@ -130,10 +130,10 @@ def require_footholds(stances: Stances) -> None:
 
 
 def require_postures(stances: Stances, goals: Sequence[_Goal], rows: Sequence[PointConstraint]) -> None:
-    """Configurations to reach are within limits, with contacts where they stand or on their ground.
+    """Require goal configurations within limits, with contacts where they stand or on their ground.
 
-    Goals constrain only the directions that contacts leave free: a goal that contradicts the contacts would
-    be dropped silently.
+    Goals constrain only the directions that contacts leave free, so a goal that contradicts the contacts
+    would be dropped silently.
     """
     robot = stances.robot
     for term, target in goals:
@@ -159,7 +159,7 @@ def require_postures(stances: Stances, goals: Sequence[_Goal], rows: Sequence[Po
 
 
 def require_apart(stances: Stances) -> None:
-    """Contacts that stand at once are no further apart than the links between them are long."""
+    """Require contacts that stand at once to be no farther apart than the links between them reach."""
     for phase, places in zip(stances.schedule.names, stances.places, strict=True):
         feet = _feet(stances.robot, places)
         for one, other in combinations(places, 2):
@@ -168,9 +168,9 @@ def require_apart(stances: Stances) -> None:
 
 
 def require_reach(stances: Stances, goals: Sequence[_Goal]) -> None:
-    """Places to reach are within reach of contacts where they stand, and of a fixed base.
+    """Require goal positions within reach of standing contacts and of a fixed base.
 
-    Only goals that no posture reaches are rejected, not those out of reach because of limits or other places.
+    Only goals that no posture reaches are rejected, not those out of reach because of limits or other goals.
     """
     robot = stances.robot
     for term, target in goals:
@@ -183,7 +183,7 @@ def require_reach(stances: Stances, goals: Sequence[_Goal]) -> None:
 
 
 def require_heights(stances: Stances, terms: Sequence[Term]) -> None:
-    """The same for heights of frames in phases with contacts."""
+    """Require heights of frames within reach of standing contacts and of a fixed base."""
     robot = stances.robot
     for term in terms:
         if isinstance(term, FrameHeight) and math.isfinite(term.height):
@@ -195,7 +195,7 @@ def require_heights(stances: Stances, terms: Sequence[Term]) -> None:
 
 
 def _anchors(robot: Robot, frame: LinkPoint, places: _Places) -> Iterator[tuple[str, LinkPoint, np.ndarray]]:
-    """What a frame hangs on: contacts where they stand, and the place of its first joint; (3,) m, world."""
+    """Points to which links tie a frame, (3,) in m, world: standing contacts, and its fixed first joint."""
     for name, point in _feet(robot, places).items():
         yield f"contact '{name}'", point, places[name]
     root = frame.root(robot.model)

@@ -59,7 +59,7 @@ class Problem:
     """Everything a transcription needs, independent of how it is transcribed or solved.
 
     Args:
-        name: for reports and files.
+        name: name in reports and files.
         robot: the robot.
         schedule: its contacts over time.
         terrain: the ground, default level at height 0.
@@ -68,20 +68,20 @@ class Problem:
             world.
         initial_v: velocity at the start (nv,), default rest.
         terms: costs and constraints.
-        guess: time in s -> configuration (nq,), a motion that follows the schedule and is defined a little
-            beyond its ends; default from goal to goal, see `default_guess`. Rates follow by differences,
-            contact forces by a distribution that balances it.
+        guess: motion, time in s -> configuration (nq,), that follows the schedule and is defined a little
+            beyond its ends; default from goal to goal, see `default_guess`. Rates follow by differences, and
+            contact forces balance the motion.
         parameters: values of the family's parameters.
         default_intervals: number of intervals if the caller gives none.
         default_transcription: transcription if the caller gives none.
         actuation: the control input: "torque"; "acceleration", where no term may depend on torques; or
             "velocity", where configurations are the state, contacts do not slide and a free base is in static
             balance.
-        dynamics: constraints that hold for every motion of this robot, default those of the actuation; a
-            reduced model has its own.
+        dynamics: constraints that hold for every motion of this robot; default those of the actuation, while
+            a reduced model has its own.
         modes: minimal coordinates of phases, by the phase's name.
         periodicity: makes the final state the image of the start, which is then free.
-        duration_bounds: (lower, upper) in s of the total duration, some of whose phases are free.
+        duration_bounds: bounds (lower, upper) in s on the total duration, if some phases are free.
         payloads: what the robot carries in phases, by the phase's name.
 
     Raises:
@@ -183,7 +183,7 @@ class Problem:
         return Stances(robot=self.robot, schedule=self.schedule, grounds=grounds, places=places)
 
     def _standing(self, phase: int) -> dict[str, np.ndarray]:
-        """Where contacts of a phase are known to stand (3,) m: not those that slide or land anywhere."""
+        """Known positions (3,) in m of a phase's contacts, without those that slide or may land anywhere."""
         phases, places = self.schedule.phases, {}
         for name in phases[phase].contacts:
             begins = self.schedule.beginning(name, phase)
@@ -237,8 +237,8 @@ class Problem:
     def surfaces_of(self, phase: int) -> dict[str, Ground]:
         """Surfaces on which the frames of a phase's contacts lie, by the contact's name.
 
-        What they touch, or its parallel surface at the contact's radius. A contact that stands from the start
-        and for which nothing is stated touches the terrain there.
+        Each is the surface that the contact touches, or the parallel one at the contact's radius. A contact
+        that stands from the start, and for which nothing is stated, touches the terrain there.
         """
         return self._surfaces[phase]
 
@@ -252,7 +252,7 @@ class Problem:
 
     @cached_property
     def levers(self) -> tuple[dict[str, np.ndarray], ...]:
-        """By phase the levers (3,) m of contacts that roll, by the contact's name, see `Contact.lever`."""
+        """Levers (3,) in m of each phase's rolling contacts, by the contact's name, see `Contact.lever`."""
         phases = range(len(self.schedule.phases))
         if not any(contact.rolling for contact in self.robot.contacts):
             return tuple({} for _ in phases)
@@ -262,7 +262,7 @@ class Problem:
 
     @cached_property
     def _starts(self) -> dict[str, np.ndarray]:
-        """Points of the ground under contacts at the start, m; not needed on flat ground or if it is free."""
+        """Ground points under contacts at the start, m; empty on flat ground and for a free start."""
         if isinstance(self.terrain, FlatGround) or self.periodicity is not None:
             return {}
         return footholds_at(self.robot, self.initial_q, self.terrain)
@@ -276,7 +276,7 @@ class Problem:
     def node_constraints(self) -> tuple[NodeConstraint, ...]:
         """Constraints at nodes, with those that follow from the schedule: landings of new contacts.
 
-        Where the dynamics hold no contact (a reduced model without legs), nothing lands.
+        If the dynamics hold no contacts (a reduced model without legs), there are no landings.
         """
         landings = self._start_rows() + tuple(
             ContactLanding(
@@ -297,7 +297,7 @@ class Problem:
 
     @property
     def goals(self) -> list[Target]:
-        """Goals as solutions record them: the terms' targets, then footholds, places of contact frames."""
+        """Goals as solutions record them: the terms' targets, then footholds as places of contact frames."""
         targets = [target for term in self.terms for target in term.targets()]
         for phase in self.schedule.phases:
             for name in phase.footholds:
@@ -310,7 +310,7 @@ class Problem:
     def free_directions(self) -> tuple[int, ...]:
         """Horizontal coordinates of the base along which a periodic motion may be shifted: 0 is x, 1 is y.
 
-        None where footholds, or a terrain that is not a plane, fix the motion's position in the world.
+        Empty if footholds, patches, ground that is not flat or a fixed base determine the motion's position.
         """
         placed = any(phase.footholds or phase.patches for phase in self.schedule.phases)
         if self.periodicity is None or placed or not isinstance(self.terrain, FlatGround):

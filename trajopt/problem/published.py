@@ -13,8 +13,8 @@ from trajopt.problem.problem import Problem
 class PublishedOptimum:
     """A problem with a published optimum.
 
-    name: for tables. build: of the problem. value: what was published, of a solution. quantity: what that is.
-    published: its value. tolerance: relative. source: of the value.
+    ``build`` returns the problem and ``value`` computes the published ``quantity`` from a solution. The
+    ``published`` value is from ``source`` and holds to a relative ``tolerance``. ``name`` is for tables.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Validation of problems: parts that do not fit, starts that are no state, terms that cannot act."""
+"""Validation of problems: inconsistent parts, invalid starts, and terms that cannot act."""
 
 import copy
 import math
@@ -25,8 +25,8 @@ from trajopt.terms.costs import NodeCost
 from trajopt.terms.interfaces import DuringPhases, NodeConstraint, NodePlace, PointConstraint, Term, nodes_of
 from trajopt.terms.limits import PositionLimits
 
-# A start may exceed a limit by what a check allows: this fraction of it, at least this much, rad, m, rad/s,
-# m/s.
+# A start may exceed a limit by as much as the check allows: this fraction of the limit, and at least this
+# much in rad, m, rad/s or m/s.
 LIMIT_SLACK = 1e-6
 # The foothold of a phase and the anchor of its mode agree to rounding, m.
 SAME_PLACE = 1e-9
@@ -41,7 +41,7 @@ NAMES = {
     "frame": "frame",
     "frames": "frame",
 }
-# Intervals of a phase in which a term at nodes is looked for: more than any mesh that is of use.
+# Intervals per phase in the search for nodes at which a term acts; more than any useful mesh has.
 INTERVALS = 200
 # A name that no phase has.
 NO_PHASE = "\0"
@@ -105,7 +105,7 @@ def require_actuation(robot: Robot, schedule: Schedule, actuation: str, initial_
 
 
 def require_following(problem: str, robot: Robot, schedule: Schedule, q: np.ndarray, v: np.ndarray) -> None:
-    """Raise `InputError` for a start at which joints do not follow others, or an impact of such a robot."""
+    """Raise `InputError` if mimic joints do not follow their leaders at the start, or for an impact."""
     apart = np.abs(q - followed(robot.model, robot.mimics, q))
     if (
         apart.max(initial=0.0) > LIMIT_SLACK
@@ -130,8 +130,8 @@ def require_modes(
 ) -> None:
     """Raise `InputError` for a mode whose robot or place is not its phase's, or that the start contradicts.
 
-    ``modes`` by the phase's name; ``contact_place``: contact and index of a phase -> where it stands in the
-    world (3,), m, None if unknown.
+    ``modes`` are given by the phase's name. ``contact_place`` maps a contact and the index of a phase to the
+    contact's position (3,) in the world, m, None if unknown.
     """
     for name, mode in modes.items():
         require_phase(schedule, name, "a mode is given for")
@@ -174,7 +174,7 @@ def require_payloads(
 ) -> None:
     """Raise `InputError` for a payload on a contact in use, or in a phase without the whole robot's dynamics.
 
-    ``whole`` are the names of the phases that have them.
+    ``whole`` names the phases that have these dynamics.
     """
     for name, payload in payloads.items():
         require_phase(schedule, name, "a payload is given for")
@@ -194,7 +194,7 @@ def require_payloads(
 def checked_duration_bounds(
     problem: str, schedule: Schedule, bounds: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return bounds of the total duration, s, as numbers. Raises `InputError` where the phases miss them."""
+    """Return bounds on the total duration in s as numbers. Raises `InputError` if phases cannot meet them."""
     lower, upper = schedule.duration_range
     try:
         low, high = (float(bound) for bound in bounds)
@@ -211,9 +211,9 @@ def checked_duration_bounds(
 def require_start(
     problem: str, robot: Robot, q: np.ndarray, v: np.ndarray, rows: Sequence[PointConstraint]
 ) -> None:
-    """Raise `InputError` for a start that is not a configuration, or beyond limits that the problem imposes.
+    """Raise `InputError` for a start that is not a configuration or exceeds limits of the problem.
 
-    ``rows``: constraints of the first phase; none for a free start, whose limits are rows of the problem.
+    ``rows`` are constraints of the first phase; none for a free start, whose limits are rows of the problem.
     """
     require_configuration(robot.model, q, f"initial_q of problem '{problem}'")
     margin = gimbal_margin(robot.model, q)
@@ -252,7 +252,7 @@ def require_limits(
 def _require_within(
     robot: Robot, what: tuple[str, str, str], values: np.ndarray, bounds: tuple[np.ndarray, ...]
 ) -> None:
-    """Values (nv,) within (lower, upper), both (nv,), up to the slack; ``what``: where, the term, how."""
+    """Require values (nv,) within (lower, upper), up to the slack; ``what`` is the place, term and verb."""
     (where, term, how), (lower, upper) = what, bounds
     room = [LIMIT_SLACK * np.where(np.isfinite(b), np.maximum(np.abs(b), 1.0), 1.0) for b in (lower, upper)]
     for row in np.flatnonzero((values < lower - room[0]) | (values > upper + room[1])):
@@ -267,7 +267,7 @@ def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> N
     """Raise `InputError` for a term that cannot act, or that has an argument it does not use.
 
     The check needs only fields (``at``, ``during``, ``contacts`` ...), ``acts_at`` and `Term.idle`, so it
-    applies to terms of users too.
+    applies to user-defined terms too.
     """
     known = {
         "phase": schedule.names,
@@ -284,7 +284,7 @@ def require_acting(robot: Robot, schedule: Schedule, terms: Sequence[Term]) -> N
 
 
 def _require_names(term: Term, known: Mapping[str, tuple[str, ...]], schedule: Schedule) -> None:
-    """Names in the fields of a term are among those ``known`` of their kind."""
+    """Require the names in a term's fields to be among those ``known`` of their kind."""
     during = getattr(term, "during", None)
     if during is not None and not during:
         what = f"during of {term.name}: {shown(during)}"
@@ -308,7 +308,7 @@ def _names(value: object) -> tuple[str, ...]:
 
 
 def _require_active(term: Term, contact: str, schedule: Schedule) -> None:
-    """A contact of a term is active in some phase; of a term on forces, in a phase in which the term acts."""
+    """Require a term's contact to be active in a phase; for a term on forces, in one where the term acts."""
     where = [phase.name for phase in schedule.phases if contact in phase.contacts]
     if not any(term.acts_in(name) or not term.acts_on_forces for name in where):
         phases = "no phase" if term.phases is None else f"none of the phases {', '.join(term.phases)}"
@@ -317,7 +317,7 @@ def _require_active(term: Term, contact: str, schedule: Schedule) -> None:
 
 
 def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
-    """A term at nodes acts at one at least, in each phase that it names, and ``during`` has an effect."""
+    """Require a term to act at a node, in each phase that it names, and to depend on its ``during``."""
     if not isinstance(term, DuringPhases) or term.phases is None:
         if not term.made_for_schedule and not any(term.acts_at(place) for place in _places(schedule)):
             raise InputError(f"{term.name} acts at no node of any phase", "allowed: terms that act")
@@ -336,7 +336,7 @@ def _require_nodes(term: NodeConstraint | NodeCost, schedule: Schedule) -> None:
 
 
 def _places(schedule: Schedule, name: str = "") -> Iterator[NodePlace]:
-    """Nodes of a fine mesh, in phases renamed to ``name``."""
+    """Nodes of a fine mesh; all phases are renamed to a ``name`` that is not empty."""
     fractions = tuple(k / INTERVALS for k in range(INTERVALS + 1))
     phases = [copy.copy(phase) for phase in schedule.phases]
     for phase in phases:

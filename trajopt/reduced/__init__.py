@@ -1,4 +1,4 @@
-"""Smaller models: two stages, one rigid body, the pendulum."""
+"""Reduced models: two-stage locomotion, the single rigid body, the linear inverted pendulum."""
 
 import lazy_loader
 

@@ -1,9 +1,9 @@
-"""A problem of a free-flyer robot as the same problem on virtual joints.
+"""Convert a problem of a free-flyer robot to the same problem on virtual joints.
 
-Only the base differs: its angles are additive coordinates instead of a rotation. Configurations in
-the problem are mapped, with the angles that continue those of the guess. Velocity and acceleration costs
-keep their meaning, the base's velocity in world axes and its angular velocity in its own axes, not the rates
-of the angles: so both problems have the same optimum up to discretisation error.
+Only the base differs: three angles replace its rotation. Configurations in the problem are mapped to the
+angles that continue those of the guess. Velocity and acceleration costs keep their meaning: they use the
+base's linear velocity in world axes and its angular velocity in its own axes, not the rates of the angles.
+Both problems therefore have the same optimum up to discretisation error.
 """
 
 from collections.abc import Callable
@@ -26,8 +26,8 @@ from trajopt.terms.context import Context
 from trajopt.terms.costs import AccelerationCost, VelocityCost
 from trajopt.terms.interfaces import Term
 
-# Samples at which the guess's angles are made continuous: a base turning once in the whole motion turns by
-# three degrees from one to the next.
+# Samples at which the guess's angles are made continuous: a base that turns once in the whole motion turns by
+# three degrees between samples.
 SAMPLES = 120
 
 
@@ -35,16 +35,16 @@ SAMPLES = 120
 def with_virtual_base(problem: Problem, order: str = DEFAULT_ORDER) -> Problem:
     """Return the problem on the robot `Robot.with_virtual_base`.
 
-    Start, guess and every configuration ``q`` (nq,) of a term are mapped; `VelocityCost` and
+    The start, the guess and every configuration ``q`` (nq,) in a term are mapped. `VelocityCost` and
     `AccelerationCost` become `BaseVelocityCost` and `BaseAccelerationCost`.
 
     Args:
-        problem: of a robot on a free-flyer.
-        order: of the axes of the angles.
+        problem: A problem of a robot on a free-flyer.
+        order: Order of the axes of rotation.
 
     Raises:
-        InputError: for a robot of another base, phases in minimal coordinates, a periodic motion, or a start
-            in gimbal lock.
+        InputError: If the robot has another base, or the problem has phases in minimal coordinates, a
+            periodic motion, or a start in gimbal lock.
     """
     robot = problem.robot.with_virtual_base(order)
     if problem.modes:
@@ -86,7 +86,7 @@ def _converted(term: Term, robot: Robot, mapped: Callable[[np.ndarray], np.ndarr
 
 @dataclass(frozen=True)
 class _ContinuedGuess:
-    """The motion of a guess, its angles without jumps of half a turn where they pass gimbal lock."""
+    """A guess in base angles, without jumps of half a turn at gimbal lock."""
 
     order: str
     motion: Callable[[float], np.ndarray]
@@ -95,7 +95,7 @@ class _ContinuedGuess:
 
     @cached_property
     def angles(self) -> np.ndarray:
-        """Angles (SAMPLES + 1, 3) along the motion, each nearest to those before."""
+        """Angles (SAMPLES + 1, 3) along the motion, each nearest to the previous ones."""
         angles = [self.start]
         for t in np.linspace(0.0, self.duration, SAMPLES + 1):
             quaternion = pin.Quaternion(*self.motion(float(t))[[6, 3, 4, 5]])
@@ -111,7 +111,7 @@ class _ContinuedGuess:
 
 @dataclass(frozen=True, kw_only=True)
 class BaseVelocityCost(VelocityCost):
-    """`VelocityCost` of a virtual base by its motion: world linear and body angular velocity, joint rates."""
+    """`VelocityCost` of a virtual base: linear velocity in world axes, angular in body axes, joint rates."""
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:
@@ -121,7 +121,7 @@ class BaseVelocityCost(VelocityCost):
 
 @dataclass(frozen=True, kw_only=True)
 class BaseAccelerationCost(AccelerationCost):
-    """`AccelerationCost` of a virtual base by its motion: the derivatives of `BaseVelocityCost`'s."""
+    """`AccelerationCost` of a virtual base: the time derivatives of the velocities of `BaseVelocityCost`."""
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:
@@ -130,13 +130,13 @@ class BaseAccelerationCost(AccelerationCost):
 
 
 def _body_rates(context: Context) -> tuple[ca.SX, ca.SX]:
-    """Angular velocity and acceleration (3,) of a virtual base in its own axes."""
+    """Return angular velocity and acceleration (3,) of a virtual base in its own axes."""
     order = virtual_order(context.robot.model)
     if order is None:
         raise InputError(f"robot '{context.robot.name}' has base={context.robot.base!r}", "'virtual'")
     angles, rates, second = (ca.SX.sym(name, 3) for name in ("angles", "rates", "second"))
     omega = ca.SX.zeros(3)
-    # omega = R_k^T (R_j^T (e_i a') + e_j b') + e_k c', from the outer axis inwards.
+    # omega = R_k^T (R_j^T (e_i a') + e_j b') + e_k c', from the outermost axis inwards.
     for axis, angle, rate in zip(order, ca.vertsplit(angles), ca.vertsplit(rates), strict=True):
         omega = ca.mtimes(_turn(axis, angle).T, omega) + ca.DM(np.eye(3)[AXES.index(axis)]) * rate
     change = ca.jtimes(omega, angles, rates) + ca.jtimes(omega, rates, second)
@@ -146,6 +146,6 @@ def _body_rates(context: Context) -> tuple[ca.SX, ca.SX]:
 
 
 def _turn(axis: str, angle: ca.SX) -> ca.SX:
-    """Rotation matrix about one of the axes: Rodrigues' formula."""
+    """Return the rotation matrix about one of the axes by Rodrigues' formula."""
     cross = ca.skew(ca.SX(np.eye(3)[AXES.index(axis)]))
     return ca.SX.eye(3) + ca.sin(angle) * cross + (1 - ca.cos(angle)) * ca.mtimes(cross, cross)

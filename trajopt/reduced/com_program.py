@@ -1,17 +1,17 @@
-"""CoM trajectories from footsteps as a quadratic program with the ZMP inside the feet, solved by OSQP.
+"""CoM trajectories from footsteps: a quadratic program that keeps the ZMP inside the feet, solved by OSQP.
 
-Variables are, for each of N intervals of length h, a state x_k and an input u_k of the linear inverted
-pendulum c'' = omega^2 (c - p) of ``lip``, x_(k+1) = A x_k + B u_k exactly, for both axes:
+For each of N intervals of length h, the variables are a state x_k and an input u_k of the linear inverted
+pendulum c'' = omega^2 (c - p) of ``lip``, with the exact step x_(k+1) = A x_k + B u_k for both axes:
 
-- control "zmp_rate": x = (c, c', p), u = p'. The ZMP is linear in an interval and the CoM hyperbolic, the
-  closed form; a ZMP inside a convex polygon at both ends of an interval stays inside.
-- control "jerk": x = (c, c', c''), u the jerk (Kajita et al. 2003; Wieber 2006). The CoM is cubic and so is
-  the ZMP p = c - c'' / omega^2; its four Bernstein coefficients are held in the polygon, and their hull
-  contains the curve. A ZMP that must be constant (point feet) is not possible.
+- control "zmp_rate": x = (c, c', p), u = p'. Within an interval the ZMP is linear and the CoM hyperbolic, in
+  closed form. A ZMP that is inside a convex polygon at both ends of an interval stays inside.
+- control "jerk": x = (c, c', c''), u the jerk (Kajita et al. 2003; Wieber 2006). The CoM and the ZMP
+  p = c - c'' / omega^2 are cubic. The polygon contains the ZMP's four Bernstein coefficients, and so the
+  whole curve. A ZMP that must be constant (point feet) is not possible.
 
-The polygon is the convex hull of support vertices s_i: each ZMP value is sum_i w_i s_i with w >= 0,
-sum w = 1, which holds for points and segments (point feet) too. Where two consecutive supports share no foot,
-the third state may jump.
+The polygon is the convex hull of support vertices s_i: each ZMP value is sum_i w_i s_i with w >= 0 and
+sum w = 1. This also covers points and segments (point feet). Between consecutive supports without a common
+foot, the third state may jump.
 """
 
 import math
@@ -33,35 +33,35 @@ from trajopt.robot.robot import Robot
 PendulumInput = Literal["zmp_rate", "jerk"]
 EndCondition = Literal["rest", "captured"]
 
-# OSQP's tolerance in m: far below the accuracy of foot placement. Its iterations are cheap.
+# OSQP's tolerance in m: far below the accuracy of foot placement, and cheap to reach.
 QP_TOLERANCE = 1e-9
 QP_ITERATIONS = 100_000
-# Largest violation by OSQP of rows that hold the ZMP in a polygon, m; more is not a solution.
+# Largest violation of the program's rows, m, that is accepted as a solution.
 TRUSTED = 1e-6
-# Rounding error allowed in a number of intervals.
+# Rounding error allowed in the number of intervals.
 COUNT_SLACK = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
 class CenterOfMassProgram:
-    """The quadratic program of a walk; ``solve()`` gives the motion.
+    """The quadratic program of a walk; ``solve()`` returns the motion.
 
     Args:
-        robot: the robot, whose feet stand on the plan's footholds.
-        plan: the supports.
-        pendulum: the centre of mass at its height.
-        com_start: horizontal position of the centre of mass (2,), m, world.
-        velocity_start: its velocity (2,), m/s, world.
-        control: "zmp_rate" or "jerk", the input of this module.
-        terminal: "rest" ends at rest over the ZMP, "captured" with the capture point on the ZMP: the
-            pendulum comes to rest if that stays.
-        step: longest interval, s.
-        smoothing: time tau in s that weighs the input in the cost, the mean over time of
-            |p - middle of the support|^2 + tau^2 |p'|^2 (with control "jerk", the jerk over omega^2 for p').
-        shrink: fraction of a sole's size kept as a margin, in [0, 1).
+        robot: The robot whose feet stand on the plan's footholds.
+        plan: The supports.
+        pendulum: The pendulum at the height of the centre of mass.
+        com_start: Initial horizontal position of the centre of mass (2,), m, world.
+        velocity_start: Its initial velocity (2,), m/s, world.
+        control: "zmp_rate" or "jerk", see the module.
+        terminal: "rest" ends at rest above the ZMP; "captured" ends with the capture point on the ZMP, so
+            that the pendulum comes to rest if the ZMP stays.
+        step: Longest interval, s.
+        smoothing: Time tau in s that weighs the input in the cost, the mean over time of
+            |p - middle of the support|^2 + tau^2 |p'|^2 (with control "jerk", p' is jerk / omega^2).
+        shrink: Fraction of a sole's size kept as a margin, in [0, 1).
 
     Raises:
-        InputError: for an unknown word, and numbers out of range.
+        InputError: If a word is unknown or a number is out of range.
     """
 
     robot: Robot
@@ -85,7 +85,7 @@ class CenterOfMassProgram:
             raise InputError(f"shrink is {self.shrink:g}", "allowed: 0 <= shrink < 1")
 
     def solve(self) -> ComMotion:
-        """The optimal motion. Raises InputError if OSQP finds none that keeps the ZMP in the supports."""
+        """Return the optimal motion. Raises InputError if OSQP finds none with the ZMP in the supports."""
         assembled = _Assembly(self)
         rows, lower, upper = assembled.rows()
         solver = osqp.OSQP()
@@ -108,13 +108,13 @@ class CenterOfMassProgram:
 
 @dataclass(frozen=True, kw_only=True)
 class _Model:
-    """One interval: x_next = A x + B u; coefficients of the ZMP Zx x + Zu u, whose hull contains it."""
+    """One interval: x_next = A x + B u, and points Zx x + Zu u whose convex hull contains the ZMP."""
 
     A: np.ndarray  # (3, 3)
     B: np.ndarray  # (3, 1)
     Zx: np.ndarray  # (n, 3)
     Zu: np.ndarray  # (n, 1)
-    terminal: Mapping[EndCondition, np.ndarray]  # rows over x that vanish at the end
+    terminal: Mapping[EndCondition, np.ndarray]  # rows over x that must vanish at the end
 
 
 def _zmp_rate_model(omega: float, h: float) -> _Model:
@@ -132,7 +132,7 @@ def _zmp_rate_model(omega: float, h: float) -> _Model:
 
 def _jerk_model(omega: float, h: float) -> _Model:
     down = 1 / omega**2
-    # Powers of s in p(s) = c(s) - c''(s) / omega^2, then from powers to Bernstein coefficients of degree 3.
+    # Powers of s in p(s) = c(s) - c''(s) / omega^2, then conversion to cubic Bernstein coefficients.
     powers_x = np.array([[1.0, 0, -down], [0, h, 0], [0, 0, h**2 / 2], [0, 0, 0]])
     powers_u = np.array([[0.0], [-down * h], [0], [h**3 / 6]])
     bernstein = np.array([[1.0, 0, 0, 0], [1, 1 / 3, 0, 0], [1, 2 / 3, 1 / 3, 0], [1, 1, 1, 1]])
@@ -149,7 +149,7 @@ _MODELS = {"zmp_rate": _zmp_rate_model, "jerk": _jerk_model}
 
 
 class _Unknowns:
-    """Named blocks of one vector; ``pick`` is the sparse matrix that selects one block."""
+    """Named blocks of one vector of variables; ``pick`` returns the sparse matrix that selects a block."""
 
     def __init__(self, sizes: Mapping[str, Sequence[int]]) -> None:
         keys = [(name, k) for name, each in sizes.items() for k in range(len(each))]
@@ -161,12 +161,12 @@ class _Unknowns:
         self._identity = sparse.eye_array(int(starts[-1]), format="csr")
 
     def pick(self, name: str, k: int) -> sparse.csr_array:
-        """Rows of the identity for block k of that name."""
+        """Return the rows of the identity that select block k of that name."""
         return self._identity[self._columns[name, k]]
 
 
 class _Assembly:
-    """Rows, cost and motion of a program, interval by interval; both axes at once by Kronecker products."""
+    """Rows, cost and motion of a program; Kronecker products treat both axes at once."""
 
     def __init__(self, program: CenterOfMassProgram) -> None:
         self.program, plan = program, program.plan
@@ -189,12 +189,12 @@ class _Assembly:
         )
 
     def _zmp(self, k: int) -> sparse.csr_array:
-        """ZMP coefficients of interval k, (2 n, variables)."""
+        """Return the matrix (2 n, variables) of the ZMP coefficients of interval k."""
         model, pick = self.models[k], self.unknowns.pick
         return _both(model.Zx) @ pick("x", k) + _both(model.Zu) @ pick("u", k)
 
     def rows(self) -> tuple[sparse.csc_matrix, np.ndarray, np.ndarray]:
-        """Rows with lower and upper bounds: dynamics, ZMP in the hull, start and end."""
+        """Return rows and their bounds: dynamics, ZMP in the convex hull, start and end."""
         pick, program = self.unknowns.pick, self.program
         blocks, lower, upper = [], [], []
 
@@ -219,7 +219,7 @@ class _Assembly:
         return sparse.csc_matrix(sparse.vstack(blocks)), np.concatenate(lower), np.concatenate(upper)
 
     def cost(self) -> tuple[sparse.csc_matrix, np.ndarray]:
-        """Hessian (upper triangle) and gradient."""
+        """Return the Hessian (upper triangle) and gradient of the cost."""
         pick, program = self.unknowns.pick, self.program
         scale = 1.0 if program.control == "zmp_rate" else 1 / program.pendulum.omega**4
         hessian, gradient = 0.0, 0.0
@@ -233,7 +233,7 @@ class _Assembly:
         return sparse.csc_matrix(sparse.triu(hessian)), np.asarray(gradient)
 
     def motion(self, z: np.ndarray) -> ComMotion:
-        """The motion of the variables z."""
+        """Return the motion for the variables z."""
         times = np.concatenate([[0.0], np.cumsum(self.steps)])
         states = np.array([self.unknowns.pick("x", k) @ z for k in range(self.n + 1)]).reshape(-1, 3, 2)
         inputs = np.array([self.unknowns.pick("u", k) @ z for k in range(self.n)])
@@ -251,5 +251,5 @@ class _Assembly:
 
 
 def _both(matrix: np.ndarray) -> sparse.csr_array:
-    """The same matrix for both horizontal axes, which alternate in every vector."""
+    """Apply a matrix to both horizontal axes, which alternate in every vector."""
     return sparse.csr_array(sparse.kron(matrix, np.eye(2)))

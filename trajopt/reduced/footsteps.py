@@ -1,4 +1,4 @@
-"""Footsteps: where feet stand and for how long, the plan of a walk, and its schedule."""
+"""Footsteps: footholds and their timing, the plan of a walk, and its schedule."""
 
 import math
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from trajopt.terrain.surface import UP
 @picklable
 @dataclass(frozen=True, eq=False)
 class Foothold:
-    """A foot on level ground: ``position`` (3,) of the contact's frame in the world, m; ``yaw`` in rad."""
+    """A foot on level ground: ``position`` (3,) of the contact frame, world, m; ``yaw`` in rad."""
 
     position: np.ndarray
     yaw: float = 0.0
@@ -31,7 +31,7 @@ class Foothold:
 
 @dataclass(frozen=True)
 class StepPhase:
-    """A period of time, s, with a constant set of feet on the ground by contact name; none in flight."""
+    """A period, s, with constant feet on the ground, by contact name; no feet in flight."""
 
     name: str
     duration: float
@@ -44,7 +44,7 @@ class StepPhase:
 
 @dataclass(frozen=True)
 class FootstepPlan:
-    """Supports in time order; a foot in two consecutive supports stays where it is."""
+    """Supports in time order; a foot in two consecutive supports does not move."""
 
     supports: tuple[StepPhase, ...]
 
@@ -67,9 +67,9 @@ class FootstepPlan:
         return sum(support.duration for support in self.supports)
 
     def schedule(self, robot: Robot | None = None) -> Schedule:
-        """Phases of the same names and durations; contacts that begin land on their footholds.
+        """Return phases with the supports' names and durations; new contacts land on their footholds.
 
-        robot: whose contacts have a radius, by which the ground they touch is below their frames.
+        ``robot`` gives the radii of the contacts: footholds are on the ground, a radius below their frames.
         """
         phases, before = [], self.supports[0].feet
         for support in self.supports:
@@ -88,9 +88,9 @@ class FootstepPlan:
 
 
 def support_vertices(robot: Robot, support: StepPhase, shrink: float = 0.0) -> np.ndarray:
-    """Points (n, 2) in m whose convex hull is the support polygon: contact points, corners of soles.
+    """Return points (n, 2) in m whose convex hull is the support polygon: contact points, corners of soles.
 
-    ``shrink`` in [0, 1) is the fraction of a sole's half sizes kept as a margin. Raises InputError in flight.
+    ``shrink`` in [0, 1) is the fraction of a sole's size kept as a margin. Raises InputError in flight.
     """
     if not support.feet:
         raise InputError(f"support '{support.name}' has no foot", "allowed: at least one, to hold the ZMP")
@@ -107,7 +107,7 @@ def support_vertices(robot: Robot, support: StepPhase, shrink: float = 0.0) -> n
 
 
 def feet_of(robot: Robot, q: np.ndarray) -> dict[str, Foothold]:
-    """Where the contacts of a robot are at ``q`` (nq,), as footholds by contact name."""
+    """Return the footholds of a robot's contacts at ``q`` (nq,), by contact name."""
     feet, poses = {}, contact_poses(robot, q)
     for contact in robot.contacts:
         placement = poses[contact.name]
@@ -123,21 +123,21 @@ class Walk:
     """A walk of a biped that starts and ends at rest with its feet side by side.
 
     Args:
-        steps: number of steps, two at least; the last brings the feet side by side, so that the walk
-            advances by ``(steps - 1) * length``.
-        length: distance from one step to the next along the path, m; negative walks backwards.
-        side: distance to the left from one step to the next, m; negative walks to the right. The foot on that
-            side goes out by twice of it, and the other one follows.
-        width: distance between the feet across the path, m; None keeps that of the stance.
-        turn: turn to the left from one step to the next, rad.
-        step_time: duration of single support, s.
-        double_support: duration of double support between steps, s.
-        shift_time: duration of the double support before the first step, s.
-        settle_time: duration of the double support after the last step, s.
-        first: contact that steps first; default: the robot's first.
+        steps: Number of steps, at least two. The last one brings the feet side by side, so the walk advances
+            by ``(steps - 1) * length``.
+        length: Distance between steps along the path, m; negative walks backwards.
+        side: Mean distance to the left per step, m; negative walks to the right. The foot on that side steps
+            sideways by twice this distance and the other one follows.
+        width: Distance between the feet across the path, m; None keeps the initial one.
+        turn: Turn to the left per step, rad.
+        step_time: Duration of single support, s.
+        double_support: Duration of double support between steps, s.
+        shift_time: Duration of the double support before the first step, s.
+        settle_time: Duration of the double support after the last step, s.
+        first: Contact that steps first; default: the robot's first.
 
     Raises:
-        InputError: for numbers out of range.
+        InputError: If a number is out of range.
     """
 
     steps: int = 2
@@ -163,10 +163,10 @@ class Walk:
         require_finite("turn", self.turn, "rad")
 
     def plan(self, robot: Robot, q: np.ndarray | None = None) -> FootstepPlan:
-        """The supports of this walk from the feet at ``q`` (nq,), default the robot's reference.
+        """Return the supports of this walk from the feet at ``q`` (nq,), by default the robot's reference.
 
-        Supports are named shift, step_1, double_1, step_2, ..., settle. Raises InputError for a robot
-        that is no biped, or an unknown first foot.
+        Supports are named shift, step_1, double_1, step_2, ..., settle. Raises InputError if the robot is not
+        a biped or the first foot is unknown.
         """
         start = feet_of(robot, robot.reference if q is None else q)
         if len(start) != 2:
@@ -192,13 +192,13 @@ class Walk:
 
 
 class _FootPath:
-    """A path on the ground that starts between the feet; each foot stays on its side of it."""
+    """A path on the ground that starts between the feet; each foot stays on its own side."""
 
     def __init__(self, feet: Mapping[str, Foothold], width: float | None) -> None:
         points = {name: foot.position for name, foot in feet.items()}
         first, second = points.values()
         self.middle, across = (first + second) / 2, first - second
-        # Forward is perpendicular to the line of the feet, on the side of their heading.
+        # Forward is perpendicular to the line between the feet, on the side to which they point.
         heading = math.atan2(-across[0], across[1])
         mean = np.mean([foot.yaw for foot in feet.values()])
         self.heading = heading + math.pi * (math.cos(heading - mean) < 0)
@@ -214,13 +214,13 @@ class _FootPath:
         return np.array([-math.sin(self.heading), math.cos(self.heading)])
 
     def advance(self, length: float, turn: float) -> None:
-        """Along the chord of the turn's arc, so that the heading ends ``turn`` further."""
+        """Move along the chord of the turn's arc and turn by ``turn`` rad."""
         self.heading += turn / 2
         self.middle = self.middle + length * np.array([math.cos(self.heading), math.sin(self.heading), 0.0])
         self.heading += turn / 2
 
     def aside(self, name: str, way: float) -> None:
-        """To the left by twice ``way``, at steps of the foot on that side alone: feet do not cross."""
+        """Move left by twice ``way``, but only as the foot on that side steps, so that feet do not cross."""
         if way * self.offsets[name] > 0:
             self.middle = self.middle + 2 * way * np.append(self._left(), 0.0)
 

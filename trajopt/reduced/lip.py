@@ -1,6 +1,6 @@
-"""Linear inverted pendulum in closed form: motion, orbital energy, capture point, walking on footsteps.
+"""The linear inverted pendulum in closed form: motion, orbital energy, capture point, walking on footsteps.
 
-A point mass at constant height z over its zero moment point (ZMP) p, ground height 0, per axis:
+A point mass moves at constant height z above level ground over its zero moment point (ZMP) p; for each axis
 
     c'' = omega^2 (c - p),     omega = sqrt(g / z)
 
@@ -8,12 +8,12 @@ The divergent component of motion xi = c + c' / omega (the instantaneous capture
 
     xi' = omega (xi - p),      c' = -omega (c - xi)
 
-so that only xi can diverge (Kajita et al. 2001; Pratt et al. 2006; Englsberger, Ott, Albu-Schäffer
-2015; Koolen et al. 2012 for capturability). Where the ZMP is linear in time, p = p0 + r s,
+so only xi can diverge (Kajita et al. 2001; Pratt et al. 2006; Englsberger, Ott, Albu-Schäffer 2015; Koolen
+et al. 2012 for capturability). If the ZMP is linear in time, p = p0 + r s, then exactly
 
     c = p + grow exp(omega s) + decay exp(-omega s)
 
-exactly; a motion is a sequence of such pieces. Horizontal vectors have 2 entries, metres.
+A motion is a sequence of such pieces. Horizontal vectors have 2 entries, in m.
 """
 
 import math
@@ -31,7 +31,7 @@ from trajopt.pickling import picklable
 from trajopt.reduced.footsteps import FootstepPlan, support_vertices
 from trajopt.robot.robot import Robot
 
-# Least-squares residual below which a point is in a polygon, m: rounding of foot positions.
+# Least-squares residual below which a point is inside a polygon, m: rounding of foot positions.
 INSIDE = 1e-9
 
 
@@ -40,11 +40,11 @@ class Pendulum:
     """Linear inverted pendulum.
 
     Args:
-        height: of the centre of mass over the ground, m.
+        height: Height of the centre of mass above the ground, m.
         gravity: m/s^2.
 
     Raises:
-        InputError: for numbers that are not above zero.
+        InputError: If a number is not positive.
     """
 
     height: float
@@ -62,7 +62,7 @@ class Pendulum:
     def after(
         self, com: np.ndarray, velocity: np.ndarray, zmp: np.ndarray, time: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """CoM and its velocity (2,) after ``time`` (s, either sign) over a constant ZMP (2,)."""
+        """Return CoM position and velocity (2,) after ``time`` (s, either sign) over a constant ZMP (2,)."""
         cosh, sinh = math.cosh(self.omega * time), math.sinh(self.omega * time)
         offset = np.asarray(com) - zmp
         return (
@@ -71,25 +71,25 @@ class Pendulum:
         )
 
     def capture_point(self, com: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """ZMP over which the pendulum comes to rest: c + c' / omega, (2,)."""
+        """Return the ZMP (2,) over which the pendulum comes to rest: c + c' / omega."""
         return np.asarray(com) + np.asarray(velocity) / self.omega
 
     def dcm_after(self, dcm: np.ndarray, zmp: np.ndarray, time: float) -> np.ndarray:
-        """Divergent component (2,) after ``time`` over a constant ZMP: p + exp(omega t) (xi - p)."""
+        """Return p + exp(omega t) (xi - p), the divergent component (2,) after ``time`` over a fixed ZMP."""
         return zmp + math.exp(self.omega * time) * (np.asarray(dcm) - zmp)
 
     def orbital_energy(self, com: np.ndarray, velocity: np.ndarray, zmp: np.ndarray) -> np.ndarray:
-        """c'^2 / 2 - omega^2 (c - p)^2 / 2 for each axis (2,), J/kg; constant while the ZMP is.
+        """Return c'^2 / 2 - omega^2 (c - p)^2 / 2 for each axis (2,), J/kg; constant for a constant ZMP.
 
-        Positive: the CoM passes over the ZMP; negative: it turns back; zero: it comes to rest over it
-        or leaves it from rest.
+        If positive, the CoM passes over the ZMP; if negative, it turns back; if zero, it comes to rest over
+        the ZMP or leaves it from rest.
         """
         return np.asarray(velocity) ** 2 / 2 - self.omega**2 * (np.asarray(com) - zmp) ** 2 / 2
 
     def capture_radius(self, steps: int, step_time: float, reach: float) -> float:
-        """Largest |xi - p| in m from which ``steps`` steps bring the point-foot pendulum to rest.
+        """Return the largest |xi - p| in m from which ``steps`` steps bring a point-foot pendulum to rest.
 
-        Each step comes after ``step_time`` at least and is at most ``reach`` long:
+        Each step takes at least ``step_time`` and is at most ``reach`` long:
         d_0 = 0, d_N = (d_(N-1) + reach) exp(-omega T) (Koolen et al. 2012, eq. 23).
         """
         radius = 0.0
@@ -101,9 +101,9 @@ class Pendulum:
 def dcm_at_steps(
     pendulum: Pendulum, zmps: Sequence[np.ndarray], durations: Sequence[float], final: np.ndarray
 ) -> np.ndarray:
-    """Divergent component (n + 1, 2) at the ends of steps over constant ZMPs, backwards from the last.
+    """Return the divergent component (n + 1, 2) at the ends of steps over constant ZMPs.
 
-    xi_k = p_k + exp(-omega T_k) (xi_(k+1) - p_k), with xi_n = ``final`` (2,): the only bounded one.
+    xi_k = p_k + exp(-omega T_k) (xi_(k+1) - p_k), backwards from xi_n = ``final`` (2,): the bounded motion.
     """
     dcm = [np.asarray(final, dtype=float)]
     for zmp, duration in zip(reversed(list(zmps)), reversed(list(durations)), strict=True):
@@ -114,15 +114,15 @@ def dcm_at_steps(
 @picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PendulumMotion:
-    """The bounded CoM motion over a ZMP that is linear in each of n pieces, from c(0) and xi(T).
+    """The bounded CoM motion over a piecewise linear ZMP with n pieces, from c(0) and xi(T).
 
-    times: (n + 1,) s. zmp: (n, 2, 2) ZMP at the start and the end of each piece, m; it may jump between
-    pieces. com_start, dcm_end: (2,) CoM at the start, divergent component at the end, m.
+    times: (n + 1,) s. zmp: (n, 2, 2) ZMP at start and end of each piece, m; it may jump between pieces.
+    com_start: (2,) initial CoM, m. dcm_end: (2,) final divergent component, m.
 
-    The divergent component is computed backwards, the CoM forwards: the direction in which each is stable, so
-    that walks of any length are accurate. With the slope r of a piece,
+    The divergent component is computed backwards and the CoM forwards, the stable direction of each, so that
+    walks of any length are accurate. With the slope r of a piece,
     xi_k = p_k + r / omega + exp(-omega T) (xi_(k+1) - p_(k+1) - r / omega) (Englsberger et al. 2015).
-    The velocity at the start follows: c'(0) = omega (xi(0) - c(0)).
+    The initial velocity follows: c'(0) = omega (xi(0) - c(0)).
     """
 
     pendulum: Pendulum
@@ -141,7 +141,7 @@ class PendulumMotion:
 
     @cached_property
     def _pieces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slope of the ZMP, coefficients of the growing and of the decaying exponential, (n, 2) each."""
+        """Slope of the ZMP, coefficients of the growing and the decaying exponential, (n, 2) each."""
         omega, durations = self.pendulum.omega, np.diff(self.times)
         slope = (self.zmp[:, 1] - self.zmp[:, 0]) / durations[:, None]
         grow, decay = np.zeros_like(slope), np.zeros_like(slope)
@@ -158,7 +158,7 @@ class PendulumMotion:
         return slope, grow, decay
 
     def _at(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """ZMP, its slope, growing and decaying part at ``t``."""
+        """Return the ZMP, its slope, the growing part and the decaying part at ``t``."""
         last = len(self.zmp) - 1
         time = float(np.clip(t, self.times[0], self.times[-1]))
         k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, last))
@@ -172,35 +172,36 @@ class PendulumMotion:
         return float(self.times[-1] - self.times[0])
 
     def zmp_at(self, t: float) -> np.ndarray:
-        """Zero moment point (2,), m; where it jumps, that of the later piece. Times are clipped."""
+        """Return the zero moment point (2,), m; at a jump, that of the later piece. Times are clipped."""
         return self._at(t)[0]
 
     def com(self, t: float) -> np.ndarray:
-        """Centre of mass (2,), m."""
+        """Return the position of the centre of mass (2,), m."""
         zmp, _, up, down = self._at(t)
         return zmp + up + down
 
     def velocity(self, t: float) -> np.ndarray:
-        """Its velocity (2,), m/s."""
+        """Return the velocity of the centre of mass (2,), m/s."""
         _, slope, up, down = self._at(t)
         return slope + self.pendulum.omega * (up - down)
 
     def acceleration(self, t: float) -> np.ndarray:
-        """Its acceleration (2,), m/s^2."""
+        """Return the acceleration of the centre of mass (2,), m/s^2."""
         _, _, up, down = self._at(t)
         return self.pendulum.omega**2 * (up + down)
 
     def dcm(self, t: float) -> np.ndarray:
-        """Divergent component of motion (2,), m."""
+        """Return the divergent component of motion (2,), m."""
         return self.pendulum.capture_point(self.com(t), self.velocity(t))
 
 
 def first_zmp_for(
     pendulum: Pendulum, times: np.ndarray, zmp: np.ndarray, dcm_start: np.ndarray
 ) -> np.ndarray:
-    """ZMP (2,) at the start for which xi(0) is ``dcm_start`` (2,), captured at the end; ``zmp`` (n, 2, 2).
+    """Return the initial ZMP (2,) for xi(0) = ``dcm_start`` (2,), with the motion captured at the end.
 
-    xi(0) is affine in it, so one division replaces a search. To start at rest at c, set xi(0) = c.
+    ``zmp`` (n, 2, 2) gives the other values. xi(0) is affine in the initial ZMP, so no search is needed. For
+    a start at rest at c, set xi(0) = c.
     """
     starts = []
     for value in (0.0, 1.0):
@@ -214,7 +215,7 @@ def first_zmp_for(
 
 
 class ComMotion(Protocol):
-    """Horizontal motion of the centre of mass: (2,) vectors at a time in s, world axes, m."""
+    """Horizontal motion of the centre of mass: vectors (2,) at a time in s, world axes."""
 
     def com(self, t: float) -> np.ndarray:
         """Position, m."""
@@ -235,9 +236,9 @@ class ComMotion(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CubicMotion:
-    """A CoM motion with constant jerk in each of n intervals: the pendulum with jerk as its input.
+    """A CoM motion with constant jerk in each of n intervals: the pendulum with jerk input.
 
-    times (n + 1,) s; states (n, 3, 2) position, velocity, acceleration at the start of each, jerk (n, 2).
+    times: (n + 1,) s. states: (n, 3, 2) position, velocity, acceleration at interval starts. jerk: (n, 2).
     """
 
     pendulum: Pendulum
@@ -257,19 +258,19 @@ class CubicMotion:
         return np.array([c + s * v + s**2 / 2 * a + s**3 / 6 * j, v + s * a + s**2 / 2 * j, a + s * j])
 
     def com(self, t: float) -> np.ndarray:
-        """Centre of mass (2,), m."""
+        """Return the position of the centre of mass (2,), m."""
         return np.asarray(self._state(t)[0])
 
     def velocity(self, t: float) -> np.ndarray:
-        """Its velocity (2,), m/s."""
+        """Return the velocity of the centre of mass (2,), m/s."""
         return np.asarray(self._state(t)[1])
 
     def acceleration(self, t: float) -> np.ndarray:
-        """Its acceleration (2,), m/s^2."""
+        """Return the acceleration of the centre of mass (2,), m/s^2."""
         return np.asarray(self._state(t)[2])
 
     def zmp_at(self, t: float) -> np.ndarray:
-        """Zero moment point c - c'' / omega^2, (2,), m."""
+        """Return the zero moment point c - c'' / omega^2, (2,), m."""
         state = self._state(t)
         return np.asarray(state[0] - state[2] / self.pendulum.omega**2)
 
@@ -277,16 +278,16 @@ class CubicMotion:
 def analytic_motion(
     robot: Robot, plan: FootstepPlan, pendulum: Pendulum, com_start: np.ndarray
 ) -> PendulumMotion:
-    """Closed-form walk from rest at ``com_start`` (2,) m, captured at its end: at rest but for exp(-omega T).
+    """Return a closed-form walk from rest at ``com_start`` (2,) m that ends captured.
 
     The ZMP is linear in each support, from the middle of the feet shared with the previous support to the
-    middle of those shared with the next: it is constant in single support. In the last support it reaches the
-    middle after half the time. Its start follows from the start at rest. Raises InputError if that is outside
-    the first support, which is then too short.
+    middle of those shared with the next, so it is constant in single support. In the last support it reaches
+    the middle after half the time; the pendulum comes to rest up to exp(-omega T). The initial ZMP follows
+    from the start at rest. Raises InputError if it is outside the first support, which is then too short.
     """
     times, zmp = [0.0], []
     middles = [support_vertices(robot, support).mean(axis=0) for support in plan.supports]
-    shared: list[np.ndarray | None] = []  # middle (2,) of the feet that two consecutive supports share
+    shared: list[np.ndarray | None] = []  # middle (2,) of the feet common to two consecutive supports
     for support, other in pairwise(plan.supports):
         feet = {name: foot for name, foot in support.feet.items() if name in other.feet}
         vertices = support_vertices(robot, replace(support, feet=feet)) if feet else None
@@ -314,11 +315,11 @@ def analytic_motion(
 
 
 def distance_outside(point: np.ndarray, vertices: np.ndarray) -> float:
-    """Approximate distance (m) of a point (2,) from the convex hull of ``vertices`` (n, 2); 0 inside.
+    """Return the approximate distance (m) of a point (2,) from the convex hull of ``vertices`` (n, 2).
 
-    Non-negative least squares over the vertices' weights, which holds for points and segments too.
+    Residual of non-negative least squares over the vertices' weights, 0 inside; also for points and segments.
     """
-    from scipy.optimize import nnls  # takes a quarter of a second to load
+    from scipy.optimize import nnls  # takes a quarter of a second to import
 
     centred = np.vstack([(vertices - point).T, np.ones(len(vertices))])
     return float(nnls(centred, np.array([0.0, 0.0, 1.0]))[1])

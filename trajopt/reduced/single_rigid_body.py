@@ -1,14 +1,13 @@
-"""A robot as one rigid body on its footholds: a reduced problem of the same pipeline.
+"""A robot as one rigid body on its footholds: a reduced problem for the same pipeline.
 
-The robot's bodies are welded at its reference posture. With m the total mass, I the composite inertia about
-the centre of mass c in base axes, R the base's rotation and p_i known footholds (Di Carlo et al. 2018,
+The robot's bodies are welded at its reference posture. With the total mass m, the composite inertia I about
+the centre of mass c in base axes, the base's rotation R and known footholds p_i (Di Carlo et al. 2018,
 without their linearisation),
 
     m (c'' - g) = sum f_i,      I omega' + omega x I omega = R^T sum ((p_i - c) x f_i + m_i)
 
-Legs have no mass of their own and no joints: each active foot is kept within reach of its hip instead. Its
-solution is the motion of the base and the forces, from which ``body_guess`` makes a guess for the full
-problem.
+Legs have no separate mass and no joints. Instead, each active foot is kept within reach of its hip. The
+solution gives the base motion and the forces, from which ``body_guess`` makes a guess for the full problem.
 """
 
 from collections.abc import Mapping
@@ -40,22 +39,21 @@ from trajopt.terms.terminal import TerminalRest, TerminalState
 
 # Frame at the origin of the free-flyer, in its axes.
 BODY = "single_rigid_body"
-# Distance of an active foot from its hip over the straight leg's length. A straight leg is singular and can
-# bend two ways, so a guess keeps well away from it (docs/modelling/reduced-models.md).
+# Range of the distance from hip to active foot, over the straight leg's length. A straight leg is singular
+# and can bend either way, so a guess keeps well away from it (docs/modelling/reduced-models.md).
 SHORTEST, LONGEST = 0.2, 0.85
-# A target this many times further than the foot is beyond any leg's reach: inverse kinematics straightens the
-# leg.
+# Factor that puts a foot's target beyond any leg's reach, so that inverse kinematics straighten the leg.
 BEYOND = 4.0
-# Terms with the same meaning for one body: motion of the base, contact wrenches, time.
+# Terms with the same meaning for one body: base motion, contact wrenches, time.
 KEPT = (ContactConstraint, NormalForce, AccelerationCost, VelocityCost, WrenchCost, TimeCost)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigidBody:
-    """A robot welded at its reference posture.
+    """A robot welded at its reference posture; base axes.
 
-    mass: kg. lever: (3,) of the centre of mass, base axes, m. inertia: (3, 3) about it, base axes, kg m^2.
-    hips: by contact, (3,), base axes, m. legs: by contact, from hip to foot of the straight leg, m.
+    mass: kg. lever: (3,) base to centre of mass, m. inertia: (3, 3) about the centre of mass, kg m^2.
+    hips: (3,) position by contact, m. legs: length of the straight leg from hip to foot by contact, m.
     """
 
     mass: float
@@ -66,9 +64,9 @@ class RigidBody:
 
 
 def rigid_body(robot: Robot) -> RigidBody:
-    """Mass properties and legs of a robot welded at its reference; rotor inertias (armature) are ignored.
+    """Return mass properties and legs of a robot welded at its reference, without rotor inertias (armature).
 
-    Raises InputError unless its root is a free-flyer in world axes.
+    Raises InputError unless the base is a free-flyer in world axes.
     """
     require_free_flyer(robot)
     model, data = robot.model, robot.model.createData()
@@ -96,9 +94,9 @@ def rigid_body(robot: Robot) -> RigidBody:
 
 
 def body_robot(robot: Robot) -> Robot:
-    """The one-body robot: same base, weight and length, no joints; frames of the base keep their names.
+    """Return the one-body robot with the same base, weight and length and no joints.
 
-    Contact frames are where they are in the reference posture, fixed to the body.
+    Base frames keep their names. Contact frames are fixed to the body as in the reference posture.
     """
     body = rigid_body(robot)
     source, data = robot.model, robot.model.createData()
@@ -119,10 +117,10 @@ def body_robot(robot: Robot) -> Robot:
 
 
 def footholds_of(problem: Problem) -> FootstepPlan:
-    """Where the feet of a problem stand in each phase.
+    """Return the footholds of a problem in each phase.
 
-    Those of the first phase from ``initial_q``; later ones from the schedule's footholds, and where it has
-    none from the problem's guess at touchdown, moved along the normal onto the surface.
+    They come from ``initial_q`` in the first phase, then from the schedule's footholds, or without those from
+    the problem's guess at touchdown, moved along the normal onto the surface.
     """
     robot, t = problem.robot, 0.0
     current = feet_of(robot, problem.initial_q)
@@ -143,8 +141,8 @@ def footholds_of(problem: Problem) -> FootstepPlan:
 class BodyDynamics(PointConstraint):
     """Newton-Euler equations of one body on known ``footholds``, 6 rows.
 
-    Forces are in world axes, moments about the centre of mass in base axes. Mass properties are parameters:
-    all robots share one compilation.
+    Forces are in world axes, moments about the centre of mass in base axes. Mass properties are parameters,
+    so that all robots share one compiled function.
     """
 
     body: RigidBody
@@ -175,7 +173,7 @@ class BodyDynamics(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FootReach(PointConstraint):
-    """Active feet within reach: shortest^2 <= |p_i - hip_i|^2 / leg_i^2 <= longest^2."""
+    """Keep active feet within reach: shortest^2 <= |p_i - hip_i|^2 / leg_i^2 <= longest^2."""
 
     body: RigidBody
     footholds: Mapping[str, Foothold]
@@ -205,20 +203,21 @@ class FootReach(PointConstraint):
 def body_problem(
     problem: Problem, *, terms: tuple[Term, ...] = (), shortest: float = SHORTEST, longest: float = LONGEST
 ) -> Problem:
-    """Return the problem on one rigid body: same schedule, footholds of `footholds_of`, reach of the feet.
+    """Return the problem on one rigid body, with the same schedule, known footholds and limited reach.
 
-    Kept of its terms: contact forces, costs of base motion, wrenches and time, heights of base frames, and
-    the base's part of the terminal state and rest. Impacts become landings at zero velocity: feet without
-    mass have none.
+    Footholds are those of `footholds_of`. Terms on contact forces, costs of base motion, wrenches and time,
+    heights of base frames, and the base's part of the terminal state and rest are kept. Impacts become
+    landings at zero velocity, since massless feet have none.
 
     Args:
         problem: The problem of the whole robot.
-        terms: More terms, of the one body.
-        shortest: Least distance from hip to foot, over the straight leg's.
-        longest: Largest distance from hip to foot, over the straight leg's.
+        terms: Additional terms for the single body.
+        shortest: Least distance from hip to foot, over the straight leg's length.
+        longest: Largest distance from hip to foot, over the straight leg's length.
 
     Raises:
-        InputError: Without a free-flyer in world axes, or in phases with coordinates of their own.
+        InputError: If the base is not a free-flyer in world axes, or the problem has phases in minimal
+            coordinates, a payload, or a periodic motion.
     """
     if problem.modes:
         raise InputError(f"phases {', '.join(problem.modes)} have coordinates of their own", "allowed: none")
@@ -249,7 +248,7 @@ def body_problem(
 
 
 def _first(motion: Motion, size: int, t: float) -> np.ndarray:
-    """The first coordinates of a configuration: those of the base."""
+    """Return the first ``size`` coordinates of a configuration: those of the base."""
     return motion(t)[:size]
 
 

@@ -1,7 +1,7 @@
-"""What terms use of a robot, found from the symbols in their expressions in every phase.
+"""What each term uses of a robot, found from the symbols in its expressions.
 
-A term of any kind is evaluated on a context in each phase, at points, nodes and impacts; the symbols in the
-result tell which frames, joints, torques and contacts it uses.
+Every term is evaluated on a context in each phase, at points, nodes and impacts. The symbols in the result
+show which frames, joints, torques and contacts it uses.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,16 +22,16 @@ from trajopt.terms.interfaces import Cost, NodeConstraint, NodePlace, PointConst
 from trajopt.transcription.mesh import equal_fractions
 from trajopt.transcription.robot_layers import robot_layers
 
-# Nodes of a phase at which node terms are evaluated: its ends, and three between.
+# Intervals of a phase at whose ends node terms are evaluated: five nodes.
 NODE_INTERVALS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class TermInstance:
-    """A term at one place: its context, and its rows or the value of its cost.
+    """A term at one place, with its context.
 
-    expression: rows over their units, or the cost. rows: None of a cost, and where the term has none. times:
-    at which parameters are read, s; those of a cost may vary.
+    expression: rows over their units, or the value of a cost. rows: None for a cost, and where the term has
+    no rows. times: times at which parameters are read, s; those of a cost may vary.
     """
 
     term: Term
@@ -47,16 +47,16 @@ class TermInstance:
         return {symbol.element_hash() for symbol in ca.symvar(self.expression)}
 
     def uses(self, expression: ca.SX) -> bool:
-        """Whether any symbol of ``expression`` is in the term's own."""
+        """Whether the term contains any symbol of ``expression``."""
         return any(symbol.element_hash() in self._symbols for symbol in ca.symvar(expression))
 
     @cached_property
     def frames(self) -> tuple[str, ...]:
-        """Frames that the term uses."""
+        """Frames used by the term."""
         return tuple(name for name, frame in self.context.frames.items() if self.uses(frame.stacked()))
 
     def rates(self) -> np.ndarray:
-        """Which coordinates, rates or accelerations (nv,) the term uses directly."""
+        """Return which coordinates (nv,) the term uses directly, or their rates or accelerations."""
         context, nv = self.context, self.context.coordinates.nv
         accelerates = context.actuation != "velocity" and context.place is Place.POINT
         second = context.ddxi if accelerates else ca.SX.zeros(nv)
@@ -65,24 +65,24 @@ class TermInstance:
 
     @property
     def uses_dynamics(self) -> bool:
-        """Whether it uses generalised forces."""
+        """Whether the term uses generalised forces."""
         return self.context.uses_dynamics and self.uses(self.context.generalized_forces)
 
     @property
     def uses_torques(self) -> bool:
-        """Whether it uses generalised forces of actuated joints."""
+        """Whether the term uses generalised forces of actuated joints."""
         rows = np.flatnonzero(self.context.robot.actuation.matrix.any(axis=1)).tolist()
         return self.uses_dynamics and self.uses(self.context.generalized_forces[rows])
 
     def function(self) -> ca.Function:
-        """The expression as a function of the place's inputs z, for all times in one column."""
+        """Return the expression as a function of the place's inputs z, for all times in one column."""
         values = [self.context.parameter_values_at(t) for t in self.times]
         z, expressions = on_inputs(self.context, self.expression, values)
         return ca.Function("instance", [z], [ca.vertcat(*expressions)])
 
 
 def on_inputs(context: Context, expression: ca.SX, values: Sequence[np.ndarray]) -> tuple[ca.SX, list[ca.SX]]:
-    """Fresh symbols of the inputs z of a context, and its expression in them for each of ``values``."""
+    """Return new symbols for a context's inputs z, and the expression in them for each of ``values``."""
     symbols, layers = robot_layers(context, expression)
     terms = ca.Function("terms", [context.z, symbols, context.parameters], [expression])
     z = value = ca.SX.sym("z", context.z.numel())
@@ -93,7 +93,7 @@ def on_inputs(context: Context, expression: ca.SX, values: Sequence[np.ndarray])
 
 
 class TermReader:
-    """Evaluates the terms of a problem without modes, as its transcription will."""
+    """Evaluates the terms of a problem without modes as its transcription does."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -102,7 +102,7 @@ class TermReader:
         self.n_time_scales = sum(index is not None for index in self.time_scales)
 
     def every(self) -> Iterator[TermInstance]:
-        """Every term where it acts, without the rows of the motion itself."""
+        """Yield every term at each place where it acts, without the problem's dynamics."""
         terms = [term for term in self.problem.terms if isinstance(term, Cost | PointConstraint)]
         at_nodes: list[NodeConstraint | NodeCost] = list(self.problem.node_constraints)
         at_nodes += self.problem.node_costs

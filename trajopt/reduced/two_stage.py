@@ -1,14 +1,14 @@
 """Locomotion in two stages: motion and contact wrenches from the base rows alone, then torques.
 
-Torques act on joint coordinates only: the base rows, Newton-Euler of the whole body, contain only motion and
-contact wrenches (Del Prete, Focchi: modelling of legged robots). So
+Torques act on joint coordinates only. The base rows, Newton-Euler of the whole body, therefore contain only
+motion and contact wrenches (Del Prete, Focchi: modelling of legged robots). The stages are
 
 1. find motion and wrenches with  RNEA_base(q, v, a) - sum J_base^T f = 0, feet that do not slip, friction;
 2. read off the torques          tau = RNEA_joints(q, v, a) - sum J_joints^T f.
 
-Stage one is the problem without terms on torques, `base_rows_problem`; the compiled graph has the base rows
-only. Stage two is `recover_torques`, numeric. Stage one ignores torque limits: stage two can only report
-violations, or redistribute the wrenches (``wrench_distribution``).
+Stage one is the problem without torque terms, `base_rows_problem`, whose compiled graph has only the base
+rows. Stage two is `recover_torques`, which is numeric. Stage one ignores torque limits, so stage two can only
+report violations or redistribute the wrenches (``wrench_distribution``).
 """
 
 from dataclasses import dataclass, replace
@@ -30,9 +30,9 @@ from trajopt.terms.context_symbols import Place
 from trajopt.terms.costs import AccelerationCost, TorqueCost, WrenchCost
 from trajopt.terms.interfaces import Cost, Term
 
-# Weight of the accelerations relative to the torque cost's where nothing else makes the motion unique.
+# Weight of the acceleration cost that makes the motion unique, relative to the cost it replaces.
 LEAST_ACCELERATION_SHARE = 1e-2
-# Excess over a limit, as a fraction of it, within a solver's tolerance (as in ``report``).
+# Largest excess over a limit, as a fraction of it, within a solver's tolerance (as in ``report``).
 ROUNDING = 1e-6
 
 
@@ -48,16 +48,16 @@ def torque_terms(problem: Problem) -> list[Term]:
 
 @checked
 def base_rows_problem(problem: Problem, *, replacement: tuple[Cost, ...] | None = None) -> Problem:
-    """Stage one of a problem: its terms without those on torques, and costs in their place.
+    """Return stage one of a problem: other costs replace its terms on torques.
 
     Args:
-        problem: the full problem.
-        replacement: costs in place of those left out. Default: for a `TorqueCost`, a `WrenchCost` with the
-            same cost for standing still at the reference (`standing_share`); and an `AccelerationCost`, if
+        problem: The full problem.
+        replacement: Costs that replace the torque terms. Default: for each `TorqueCost`, a `WrenchCost` with
+            the same cost of standing still at the reference (`standing_share`); and an `AccelerationCost`, if
             none is left, to make the motion unique.
 
     Raises:
-        InputError: unless the control input is torque.
+        InputError: Unless the control input is torque.
     """
     if problem.actuation != "torque":
         raise InputError(f"actuation of problem '{problem.name}' is {problem.actuation}", "allowed: torque")
@@ -74,9 +74,9 @@ def base_rows_problem(problem: Problem, *, replacement: tuple[Cost, ...] | None 
 
 
 def standing_share(robot: Robot) -> float:
-    """Mean square of torques over that of wrenches, natural units, of standing still at the reference.
+    """Return the mean square of torques over that of wrenches, natural units, standing at the reference.
 
-    With the minimum-norm wrenches, each over its unit, that carry the weight; 0 without contacts or joints.
+    The wrenches that carry the weight have minimum norm over their units; 0 without contacts or joints.
     """
     if not robot.contacts or not robot.nu:
         return 0.0
@@ -93,9 +93,9 @@ def standing_share(robot: Robot) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueBounds:
-    """Least and largest actuated row at every sample, (K, nu) N m, infinite where unlimited.
+    """Bounds on the actuated rows at every sample, (K, nu) N m, infinite where unlimited.
 
-    ``scale`` (nu,) N m is the unit of an excess: the largest torque of the joint.
+    ``scale`` (nu,) N m is the unit of an excess: the joint's largest torque, or m g l where unlimited.
     """
 
     lower: np.ndarray
@@ -104,7 +104,7 @@ class TorqueBounds:
 
 
 def problem_torque_limit(problem: Problem) -> np.ndarray:
-    """Effort limit (nu,) of a problem, N m, joint side: its terms' or the robot's; inf where none."""
+    """Return the effort limit (nu,), N m, joint side, of the terms or else the robot; inf where unlimited."""
     robot = problem.robot
     limits = {"effort_limit": np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit}
     for term in problem.point_constraints:
@@ -113,10 +113,10 @@ def problem_torque_limit(problem: Problem) -> np.ndarray:
 
 
 def torque_bounds(problem: Problem, v: np.ndarray) -> TorqueBounds:
-    """Bounds on the actuated rows at velocities ``v`` (K, nv).
+    """Return bounds on the actuated rows at velocities ``v`` (K, nv).
 
-    From the problem's torque limits (the robot's, where it has none) and from its drives: current,
-    voltage at the joint's rate, and their friction, which the drive has to overcome.
+    They combine the problem's torque limits (or else the robot's) with the limits of its drives: current,
+    voltage at the joint's rate, and the friction that the drive has to overcome.
     """
     robot, effort = problem.robot, problem_torque_limit(problem)
     rates = robot.actuation.rates(v)
@@ -139,10 +139,10 @@ def torque_bounds(problem: Problem, v: np.ndarray) -> TorqueBounds:
 
 @dataclass(frozen=True, kw_only=True)
 class JointTorque:
-    """One actuated row: largest torque (N m), and where it comes closest to its limit or exceeds it most.
+    """Torque of one actuated row: its peak (N m), and its largest excess over the bound.
 
-    ``excess`` beyond the bound over the joint's largest torque, negative inside; -inf where unlimited; at
-    ``time`` s in phase ``phase``. ``share_beyond`` is the fraction of the points beyond the bound.
+    ``excess`` is over the joint's largest torque: negative within the bound, -inf where unlimited. It occurs
+    at ``time`` s in ``phase``. ``share_beyond`` is the fraction of collocation points beyond the bound.
     """
 
     joint: str
@@ -155,11 +155,11 @@ class JointTorque:
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueReport:
-    """Torques of a motion against their limits, at its collocation points.
+    """Torques of a motion and their limits, at its collocation points.
 
-    ``joints`` in the order of the actuated rows. ``base_residual``: largest base row over the weight; if it
-    is not small, the robot cannot make the motion. ``excess_between``: the largest at other samples, where
-    torques follow interpolated wrenches.
+    ``joints`` are in the order of the actuated rows. ``base_residual`` is the largest base row over the
+    weight; unless it is small, the robot cannot make the motion. ``excess_between`` is the largest excess at
+    the other samples, where torques follow interpolated wrenches.
     """
 
     joints: tuple[JointTorque, ...]
@@ -168,7 +168,7 @@ class TorqueReport:
 
     @property
     def worst(self) -> JointTorque:
-        """The joint that is furthest beyond its limit, or closest to it."""
+        """The joint with the largest excess over its limit, or closest to it."""
         return max(self.joints, key=lambda joint: joint.excess)
 
     @property
@@ -188,17 +188,17 @@ class TorqueReport:
 
 @checked
 def recover_torques(problem: Problem, solution: Solution) -> tuple[np.ndarray, TorqueReport]:
-    """Stage two: torques (K, nu) of every sample from the actuated rows, and the report on their limits.
+    """Return stage two: torques (K, nu) of every sample from the actuated rows, and a report on their limits.
 
     Args:
-        problem: the full problem, which holds the limits.
-        solution: of its `base_rows_problem`.
+        problem: The full problem with the limits.
+        solution: A solution of its `base_rows_problem`.
 
     Returns:
         Torques on the joint side, N m or N, in the order of the actuated rows; and the report.
 
     Raises:
-        InputError: for a solution of another robot.
+        InputError: If the solution is of another robot, or the robot has no joints.
     """
     robot = problem.robot
     if solution.v.shape[1] != robot.nv or solution.tau.shape[1] != robot.nu or robot.nu == 0:

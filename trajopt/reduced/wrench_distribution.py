@@ -1,17 +1,16 @@
-"""Contact wrenches redistributed at every point: least torques within their limits; the motion is kept.
+"""Redistribution of contact wrenches at every point for the least torques within limits, motion unchanged.
 
-Let w_0 be the wrenches of the active contacts, N an orthonormal basis of the changes that leave the base rows
-unchanged, J_base^T N = 0 (internal forces), w = w_0 + N y and tau(y) = tau_0 - J_joints^T N y. OSQP solves at
-every point
+Let w_0 be the wrenches of the active contacts and N an orthonormal basis of the internal forces, the changes
+that leave the base rows unchanged, J_base^T N = 0. With w = w_0 + N y and tau(y) = tau_0 - J_joints^T N y,
+OSQP solves at every point
 
     min  sum (tau(y) / (m g l))^2 + eps |y|^2 + rho s
     s.t. the problem's contact terms                 friction, pressure, soles
          lower - s tau_max <= tau(y) <= upper + s tau_max,   s >= 0
 
-so that torques exceed their limits only where no distribution keeps them within (an exact penalty on the
-largest excess s). Contact terms are the problem's own, affine in the wrenches; the smooth friction cone
-enters as its inscribed pyramid, widened to contain w_0, and the step is shortened where it would leave the
-cone itself.
+By the exact penalty on the largest excess s, torques exceed their limits only if no distribution keeps them
+within. The contact terms are the problem's own, affine in the wrenches. The smooth friction cone is replaced
+by its inscribed pyramid, widened to contain w_0; a step that would leave the cone itself is shortened.
 """
 
 from __future__ import annotations
@@ -40,27 +39,27 @@ from trajopt.terms.context import Context
 from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid, NormalForce
 from trajopt.terms.interfaces import PointConstraint
 
-# Weight that keeps the wrenches where torques do not depend on them, natural units.
+# Weight that keeps the wrenches where torques do not depend on them, in natural units.
 KEEPING = 1e-6
-# Weight of the largest excess: above the multipliers of the limits, which are of order one, so that limits
-# come first; with a hundred, OSQP does not converge at some points.
+# Weight of the largest excess. It is above the multipliers of the limits, which are of order one, so that
+# limits take precedence; with 100, OSQP does not converge at some points.
 PENALTY = 10.0
 # OSQP's tolerance, natural units: below that of the motion's solver.
 QP_TOLERANCE = 1e-9
 QP_ITERATIONS = 20_000
-# Contact rows may worsen by this fraction of their unit, half of what ``check`` allows: OSQP's polishing
-# sometimes fails. Beyond it the step is shortened by bisection.
+# Contact rows may worsen by this fraction of their unit, half of what ``check`` allows, because OSQP's
+# polishing sometimes fails. Larger violations are removed by bisection of the step.
 TRUSTED = 5e-7
 BISECTIONS = 20
 
 
 @checked
 def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
-    """Return the solution with wrenches redistributed and the torques that follow; the motion is kept.
+    """Return the solution with redistributed wrenches and the torques that follow; the motion is unchanged.
 
-    Wrenches and torques between the points follow the interpolating polynomials, as in any solution. Where
-    there is no internal force, or OSQP finds nothing better, wrenches stay. ``redistributed`` in ``more`` of
-    the statistics counts the points that changed and those that were kept, and ``effort_limit`` is the full
+    Between the points, wrenches and torques follow the interpolating polynomials as in any solution. Wrenches
+    stay if there is no internal force, or if OSQP finds nothing better. In ``more`` of the statistics,
+    ``redistributed`` counts the points that changed and those that did not. ``effort_limit`` is the full
     problem's.
 
     Args:
@@ -68,7 +67,7 @@ def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
         solution: A motion of its schedule.
 
     Raises:
-        InputError: For phases in minimal coordinates, or a solution of another robot.
+        InputError: If the problem has phases in minimal coordinates, or the solution is of another robot.
     """
     if problem.modes or solution.v.shape[1] != problem.robot.nv:
         raise InputError("wrenches are redistributed for the whole robot in its own coordinates", "no modes")
@@ -95,7 +94,7 @@ def redistribute_wrenches(problem: Problem, solution: Solution) -> Solution:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Contact rows (n,) over their units as a function of (w, frames, parameters), with their Jacobian."""
+    """Contact rows (n,) over their units and their Jacobian, as functions of (w, frames, parameters)."""
 
     function: ca.Function
     parameters: np.ndarray
@@ -116,13 +115,13 @@ class _Rows:
         return cls(function, context.parameter_values, lower, upper)
 
     def at(self, w: np.ndarray, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (n,) and their Jacobian (n, n_w) at wrenches w."""
+        """Return the rows (n,) and their Jacobian (n, n_w) at wrenches w."""
         values, jacobian = self.function(w, frames, self.parameters)
         return np.asarray(values).ravel(), np.asarray(ca.densify(jacobian))
 
 
 class _Phase:
-    """Contact terms of one phase, and the quadratic program of its points."""
+    """Contact terms of one phase, and the quadratic program at its points."""
 
     def __init__(self, problem: Problem, index: int) -> None:
         self.robot, phase = problem.robot, problem.schedule.phases[index]
@@ -152,7 +151,7 @@ class _Phase:
     def share(
         self, solution: Solution, samples: SampleQuantities, bounds: TorqueBounds, row: int
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Wrenches (nc, 6) and torques (nu,) at one sample, or None where they stay."""
+        """Return wrenches (nc, 6) and torques (nu,) at one sample, or None if they stay."""
         which, rows = (np.array(part) for part in zip(*self.entries, strict=True))
         w = solution.f[row][which, rows]
         places = [(contact.frame, 6) for contact in self.contacts]
@@ -183,7 +182,7 @@ class _Phase:
 
 
 def _frame_values(contacts: tuple, samples: SampleQuantities, row: int, names: list[str]) -> np.ndarray:
-    """Numbers for a context's frame symbols: rotation by columns, position, velocity, acceleration."""
+    """Return values of a context's frame symbols: rotation by columns, position, velocity, acceleration."""
     order = [contact.frame for contact in contacts]
     parts = [np.zeros(0)]
     for name in names:
@@ -200,7 +199,7 @@ def _program(
     contact: tuple[_Rows, np.ndarray],
     w: np.ndarray,
 ) -> np.ndarray | None:
-    """Internal forces y (k,) of the module's program, or None where OSQP fails."""
+    """Solve the module's quadratic program for internal forces y (k,); None if OSQP finds nothing better."""
     (torque, levers, unit), (low, high, scale), k = joints, limits, basis.shape[1]
     use, slope = torque / scale, levers / scale[:, None]
     values, jacobian = contact[0].at(w, contact[1])
@@ -209,7 +208,7 @@ def _program(
         [slope, ones], [slope, -ones], [jacobian @ basis, still], [np.zeros((1, k)), np.ones((1, 1))],
     ])  # fmt: skip
     free = np.full(len(torque), np.inf)
-    # Residuals of the motion's solver are allowed to stay: y = 0 is always feasible.
+    # Bounds admit the residuals of the motion's solver, so that y = 0 is always feasible.
     lower = np.concatenate([low / scale - use, -free, np.minimum(contact[0].lower - values, 0.0), [0.0]])
     upper = np.concatenate([free, high / scale - use, np.maximum(contact[0].upper - values, 0.0), [np.inf]])
     hessian = np.zeros((k + 1, k + 1))
@@ -234,7 +233,7 @@ def _program(
 
 
 def _longest_step(contact: tuple[_Rows, np.ndarray], w: np.ndarray, step: np.ndarray) -> float:
-    """Largest fraction of the step, at most 1, at which the exact contact terms are no worse than before."""
+    """Return the largest fraction of the step, at most 1, that does not worsen the exact contact terms."""
     rows, frames = contact
 
     def violation(at: np.ndarray) -> float:

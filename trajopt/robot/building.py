@@ -24,15 +24,15 @@ from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.robot.contact import Contact
 from trajopt.terrain.surface import SAME_PLANE
 
-# A base lower than this part of the reach does not stand on its contacts: it lies, or hangs.
+# A base lower than this fraction of the reach does not stand on its contacts: it lies, or hangs.
 STANDING_PART = 0.05
 
-# Feet that are less above the ground, m, are meant to be on it; so many steps of Newton's method level them.
+# Feet less than ROUNDED m above the ground are meant to be on it; LEVELLING Newton steps put them there.
 ROUNDED, LEVELLING = 1e-3, 4
 
-# A plane counts as one of the world's coordinate planes up to rounding of description files.
+# A plane counts as one of the world's coordinate planes up to rounding in description files.
 ALIGNED = 1e-12
-# Sines of angles between a joint's axis and the normal of the plane it moves in: rounding, too.
+# Largest sine of the angle between a joint's axis and the normal of the plane it moves in: rounding, too.
 PARALLEL = 1e-6
 
 # Pinocchio's planar joint moves in its own x-y plane. This placement lays it in the
@@ -41,7 +41,7 @@ SAGITTAL = pin.SE3(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
 
 
 def within_plane(model: pin.Model, contacts: tuple[Contact, ...]) -> tuple[Contact, ...]:
-    """Return contacts without the rows that mean nothing on a planar base; unchanged for other bases.
+    """Return contacts without the rows that a planar base makes meaningless; unchanged for other bases.
 
     A contact on a limb that can leave the plane (an abducted leg) keeps them: its foot could slide sideways.
     """
@@ -66,7 +66,7 @@ def leaving_plane(model: pin.Model, axis: int, q: np.ndarray) -> set[int]:
     for joint in range(2, model.njoints):
         rows = slice(model.joints[joint].idx_v, model.joints[joint].idx_v + model.joints[joint].nv)
         axes = data.J[:, rows].copy()
-        # In the plane: turning about its normal, or sliding within it.
+        # Motions in the plane: rotation about its normal, or translation within it.
         turning = np.delete(axes[3:], axis, axis=0)
         slides = axes[axis] if not axes[3:].any() else np.zeros(0)
         if (np.abs(turning) > PARALLEL).any() or (np.abs(slides) > PARALLEL).any():
@@ -109,7 +109,7 @@ def locked_model(model: pin.Model, joints: Sequence[str], reference: np.ndarray)
     if all(model.existFrame(name, pin.FrameType.JOINT) for name in known):
         with contextlib.suppress(ValueError):  # of frames that share a name
             return pin.buildReducedModel(model, [model.getJointId(name) for name in joints], reference)
-    # It takes a frame for each joint; of an MJCF file a body has the name instead.
+    # It needs a frame for each joint; in an MJCF file a body may have the name instead.
     new, bodies = pin.Model(), {0: Body(0, pin.SE3.Identity())}
     new.name, new.gravity = model.name, model.gravity
     for index, name in enumerate(known, start=1):
@@ -126,7 +126,7 @@ def locked_model(model: pin.Model, joints: Sequence[str], reference: np.ndarray)
 
 
 def velocity_limit_of(model: pin.Model, base: Base) -> np.ndarray:
-    """Return the velocity limit (nv,), infinite where there is none and at the base."""
+    """Return the velocity limits (nv,), infinite at the base and where there is none."""
     limit = np.where(np.abs(model.upperVelocityLimit) > UNLIMITED, np.inf, np.abs(model.upperVelocityLimit))
     limit[: BASE_ROWS[base]] = np.inf
     return limit
@@ -158,10 +158,10 @@ def reference_posture(
 ) -> np.ndarray:
     """Return the reference configuration (nq,).
 
-    ``posture`` is a whole configuration (nq,), taken as it is; or the joints behind the base
-    (nq - base) in order or by name (joints not named stay at neutral), or None for neutral
-    within the limits. Then the base is level, at x = y = 0, at the height at which the lowest of the contacts
-    touches level ground at height 0, see `put_on_ground`.
+    ``posture`` is a whole configuration (nq,), which is returned as it is; the positions of the joints behind
+    the base (nq - base), in order or by name (others stay at neutral); or None for neutral within the limits.
+    Except for a whole configuration, the base is level, at x = y = 0, at the height at which the lowest of
+    the contacts touches level ground at height 0, see `put_on_ground`.
     """
     if posture is not None and not isinstance(posture, Mapping):
         given = np.array(posture, dtype=float)
@@ -195,7 +195,7 @@ def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
 def put_on_ground(model: pin.Model, base: Base, contacts: Sequence[Contact], q: np.ndarray) -> np.ndarray:
     """Return ``q`` with the base moved up or down until the lowest of ``contacts`` touches height 0.
 
-    Angles are often rounded: points that are less than `ROUNDED` higher are brought onto it, too, by the
+    Angles are often rounded, so points less than `ROUNDED` higher are also moved onto the ground, by the
     least change of the joints.
     """
     if base == "fixed" or not contacts:
@@ -215,7 +215,7 @@ def put_on_ground(model: pin.Model, base: Base, contacts: Sequence[Contact], q: 
 
 
 def _levelled(model: pin.Model, base: Base, contacts: Sequence[Contact], q: np.ndarray) -> np.ndarray:
-    """Return ``q`` with points that are less than `ROUNDED` above height 0 on it, else as it is."""
+    """Return ``q`` with point contacts less than `ROUNDED` above height 0 moved onto it, else unchanged."""
     if any(contact.kind != "point" for contact in contacts):
         return q
     data, first, level = model.createData(), BASE_ROWS[base], q
@@ -250,7 +250,7 @@ def reach(model: pin.Model) -> float:
 
 
 def joint_entries(model: pin.Model, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices in q and in v of joints by name."""
+    """Return the indices in q and in v of the joints with these names."""
     kept = [model.joints[model.getJointId(name)] for name in names]
     rows_q = [np.arange(joint.idx_q, joint.idx_q + joint.nq) for joint in kept]
     rows_v = [np.arange(joint.idx_v, joint.idx_v + joint.nv) for joint in kept]
@@ -263,7 +263,7 @@ def characteristic_length(
 ) -> float:
     """Return a robot's length in m: its base's height over contact ``frames``, or its reach.
 
-    See `Robot.length`; ``reference`` (nq,) is the posture in which the height counts.
+    See `Robot.length`; the height is taken in the posture ``reference`` (nq,).
     """
     extent = reach(model)
     if base != "fixed" and frames:

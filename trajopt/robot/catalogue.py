@@ -1,6 +1,6 @@
 """Robots of all installed packages, by name, found through the entry-point group ``trajopt.problems``.
 
-An entry names a module; one with ``robot(name) -> Robot`` and ``robot_kind(name) -> str`` offers robots.
+An entry names a module; a module with ``robot(name) -> Robot`` and ``robot_kind(name) -> str`` offers robots.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ GROUP = "trajopt.problems"
 
 
 def offers(group: str) -> tuple[EntryPoint, ...]:
-    """The modules that packages name in a group of entry points, once each."""
+    """Entry points of a group in all installed packages, one for each module."""
     return _offers(group, tuple(sys.path))
 
 
 @lru_cache
 def _offers(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """Those that are found along the path for modules: reading all packages' metadata takes 10 ms."""
+    """The entry points found on the module path; cached, as reading all metadata takes 10 ms."""
     return tuple({entry.value: entry for entry in entry_points(group=group)}.values())
 
 
@@ -54,7 +54,7 @@ def robot_kind(name: str) -> str | None:
 
 
 def kind_if_known(name: str) -> str | None:
-    """Kind of a robot by name; None if it is not in any package of robots."""
+    """Kind of a robot by name; None if no package offers it."""
     try:
         return robot_kind(name)
     except InputError:
@@ -62,7 +62,7 @@ def kind_if_known(name: str) -> str | None:
 
 
 def _from_packages(function: str, name: str) -> object:
-    """The first result of the packages' functions of that name; None where there is no such function."""
+    """First result of the packages' functions of that name; None if no package has such a function."""
     unknown: InputError | None = None
     for entry in offers(GROUP):
         try:

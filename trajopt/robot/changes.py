@@ -1,6 +1,6 @@
-"""Fields of a robot that change with thrusters, series springs, or joints that follow others.
+"""Fields of a robot that change with thrusters, series springs or mimic joints.
 
-The argument `robot` is a `Robot`, whose methods call these.
+The argument `robot` is a `Robot`; its methods call these functions.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Fields = dict[str, Any]
 
 
 def thrusters(robot: Any, given: Sequence[Thruster]) -> Fields:
-    """With thrusters in place of those it has."""
+    """Fields with these thrusters in place of the robot's own."""
     joints = len(robot.actuated_rows)
     limit = np.full(joints, np.inf) if robot.torque_limit is None else robot.torque_limit[:joints]
     limit = np.append(limit, [thruster.most for thruster in given])
@@ -35,7 +35,7 @@ def thrusters(robot: Any, given: Sequence[Thruster]) -> Fields:
 
 
 def series_springs(robot: Any, stiffness: Mapping[str, float]) -> Fields:
-    """With springs between gear and link of joints. Raises `InputError`."""
+    """Fields with springs between the gear and the link of joints. Raises `InputError`."""
     known = list(robot.model.names)[1:]
     for name in stiffness:
         if name not in known:
@@ -65,7 +65,7 @@ def series_springs(robot: Any, stiffness: Mapping[str, float]) -> Fields:
 
 
 def mimics(robot: Any, given: Sequence[MimicJoint], driven: Sequence[str]) -> Fields:
-    """With joints that follow others in place of those it has. Raises `InputError`."""
+    """Fields with these mimic joints in place of the robot's own. Raises `InputError`."""
     model = robot.model
     require_mimics(robot.name, model, given)
     followers = [mimic.joint for mimic in given]
@@ -78,7 +78,7 @@ def mimics(robot: Any, given: Sequence[MimicJoint], driven: Sequence[str]) -> Fi
     kept = np.flatnonzero(~np.isin(robot.rows_of_inputs, building.joint_entries(model, passive)[1]))
     names = ("position_lower", "position_upper", "velocity_limit")
     lower, upper, fastest = (getattr(robot, name).copy() for name in names)
-    for mimic in given:  # limits of one are limits of the other
+    for mimic in given:  # the follower's limits also limit the leader
         (one, two), ratio = mimic.joints(model), mimic.ratio
         ends = (np.array([lower[one.idx_q], upper[one.idx_q]]) - mimic.offset) / (ratio or np.nan)
         lower[two.idx_q] = np.nanmax([lower[two.idx_q], np.min(ends)])

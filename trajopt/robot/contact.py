@@ -25,21 +25,21 @@ class Contact:
 
     Args:
         frame: name of a frame of the model.
-        name: default the frame's name.
+        name: name of the contact; default that of the frame.
         kind: "point" transmits a force (3 rows); "surface" is a rectangular sole in the x-y plane of its
             frame, centred at the frame's origin, and transmits force and moment (6 rows).
-        half_length: of a sole along x, m.
-        half_width: of a sole along y, m.
-        radius: of a point contact, m: it touches with a ball around its frame's origin. Its centre keeps this
-            distance from the ground, and the force passes through it, unless it rolls.
+        half_length: half length of a sole along x, m.
+        half_width: half width of a sole along y, m.
+        radius: radius of a point contact, m: it touches with a ball around its frame's origin. The centre
+            keeps this distance from the ground, and the force passes through it, unless the ball rolls.
         rolling: whether the ball is fixed to its link and rolls without slip on planes: the centre moves at
-            the link's angular velocity times the radius, and the force acts where the ball touches.
-        rows: entries of (force, moment) in world axes that it transmits, default all; a `Robot` in a plane
-            keeps those within it.
+            the link's angular velocity times the radius, and the force acts at the point of contact.
+        rows: entries of (force, moment) in world axes that it transmits, default all; a planar `Robot`
+            keeps those within its plane.
 
     Raises:
-        InputError: for an unknown kind, a sole without size or a point with one, a radius that is negative
-            or of a sole, rolling without a radius, and unknown rows.
+        InputError: for an unknown kind, a sole without a size or a point with one, a negative radius or a
+            sole with one, rolling without a radius, and unknown rows.
     """
 
     frame: str
@@ -73,31 +73,31 @@ class Contact:
 
     @property
     def dimension(self) -> int:
-        """Rows of the contact: 3 for a point, 6 for a surface; in a plane 2 and 3."""
+        """Number of rows: 3 for a point, 6 for a surface; in a plane 2 and 3."""
         return len(self.rows)
 
     @property
     def transmits_all(self) -> bool:
-        """Whether no row of its kind is left out, so that its axes may be turned."""
+        """Whether it transmits all rows of its kind, so that its axes may be rotated."""
         return self.dimension == (3 if self.kind == "point" else 6)
 
     @property
     def corners(self) -> np.ndarray:
-        """Points (n, 2) along its frame's x and y, m: the origin of a point, the four corners of a sole."""
+        """Points (n, 2) in its frame's x-y plane, m: the origin for a point, the four corners of a sole."""
         if self.kind == "point":
             return np.zeros((1, 2))
         return np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [self.half_length, self.half_width]
 
     def gap(self, ground: Ground, position: np.ndarray) -> float:
-        """Signed distance in m of the contact, its frame's origin at a position (3,), from its ground."""
+        """Signed distance in m of the contact from its ground; ``position`` (3,) is its frame's origin."""
         return float(ground.distance(position))
 
     def lever(self, ground: Ground | None) -> np.ndarray | None:
-        """From where a ball that rolls touches a plane to its centre (3,), m; None of other contacts."""
+        """Vector (3,), m, from the point where a rolling ball touches a plane to its centre; else None."""
         return self.radius * ground.normal if self.rolling and isinstance(ground, Surface) else None
 
     def within_plane(self, normal: int) -> Contact:
-        """The same contact of a robot that cannot leave the plane across the world's axis ``normal``."""
+        """The same contact on a robot confined to the plane normal to the world's axis ``normal``."""
         in_plane = [axis for axis in range(3) if axis != normal]
         return replace(self, rows=(*in_plane, *([3 + normal] if self.kind == "surface" else [])))
 
@@ -116,7 +116,7 @@ def require_frame(model: pin.Model, frame: str, where: str) -> None:
 def set_rolling_moments(
     wrenches: np.ndarray, contacts: Sequence[Contact], levers: Mapping[str, np.ndarray]
 ) -> None:
-    """Set moments of wrenches (nc, 6) on ``contacts`` that roll, about their centres, by levers (3,) m."""
+    """Set the moments, about the centres, of wrenches (nc, 6) on rolling contacts from levers (3,) m."""
     for wrench, contact in zip(wrenches, contacts, strict=True):
         if contact.name in levers:
             wrench[3:] = np.cross(wrench[:3], levers[contact.name])

@@ -16,15 +16,15 @@ from trajopt.robot.mjcf_actuators import actuation_of
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.robot.reading import existing_file, require_xml
 
-# Of MuJoCo's mjtWrap.
+# Values of MuJoCo's mjtWrap.
 WRAP_JOINT, WRAP_SITE, WRAP_GEOMS = 1, 3, (4, 5)
 
 
 class Coupling(NamedTuple):
-    """A constraint: ``what`` it is, its ``joints``, and those ``needed`` to be locked to free the others.
+    """A constraint: ``what`` describes it, ``joints`` are in it, locking those ``needed`` frees the others.
 
-    mimic: by which one of two joints follows the other; None of other constraints. driven: the one that
-    follows has a motor.
+    mimic: rule by which one of two joints follows the other; None for other constraints. driven: whether the
+    follower has a motor.
     """
 
     what: str
@@ -37,10 +37,10 @@ class Coupling(NamedTuple):
 def following(
     path: str | Path, couplings: Sequence[Coupling], locked: Sequence[str]
 ) -> dict[MimicJoint, bool]:
-    """Joints of a file that follow others and are not ``locked``, and whether they have motors of their own.
+    """Mimic joints of a file that are not ``locked``, and whether each has a motor of its own.
 
-    After a joint that follows comes the one that this follows. Raises `InputError` for joints that depend on
-    others in another way and are not locked.
+    A joint that follows a follower is made to follow the leader of that one. Raises `InputError` for unlocked
+    joints that depend on others in another way.
     """
     mimics = {each.mimic.joint: each.mimic for each in couplings if each.mimic}
     for name in mimics:
@@ -69,7 +69,7 @@ def couplings_of(source: VisualSource) -> tuple[Coupling, ...]:
 
 
 def urdf_couplings(path: str | Path) -> tuple[Coupling, ...]:
-    """Joints of a URDF file that move and mimic another. Raises `InputError` for one that is no URDF."""
+    """Couplings of a URDF file's moving mimic joints. Raises `InputError` if it is not a URDF file."""
     found, joints = [], require_xml(existing_file(path, "URDF")).findall("joint")
     moving = [joint.get("name", "") for joint in joints if joint.get("type") != "fixed"]
     for joint in joints:
@@ -107,7 +107,7 @@ def mjcf_couplings(compiled: Any) -> tuple[Coupling, ...]:
 
 
 def _mimic(compiled: Any, index: int, joints: tuple[str, ...]) -> MimicJoint | None:
-    """How the first joint of an equality follows the second; None if it is not linear."""
+    """Rule by which the first joint of an equality follows the second; None if it is not linear."""
     constant, ratio, *others = compiled.eq_data[index][:5].tolist()
     if any(others):
         return None

@@ -1,4 +1,4 @@
-"""Where robot descriptions and their meshes lie on this machine, in a portable form."""
+"""Paths of robot descriptions and their meshes on this machine, in a portable form."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from trajopt.errors import InputError, first_line
 from trajopt.robot.mjcf_shapes import mjcf_geometry
 
 DATA_PACKAGE = "example-robot-data"
-# The wheel is built by cmeel: its files lie under this prefix of site-packages.
+# The wheel is built by cmeel, which puts its files under this prefix of site-packages.
 DATA_SHARE = "cmeel.prefix/share"
 
-# "package://name/..." is found beside the package: parents of <packages>/name/urdf/robot.urdf.
+# "package://name/..." is searched in this many parents of a file such as <packages>/name/urdf/robot.urdf.
 PACKAGE_LEVELS = 3
-# Of MJCF files; all others are URDF.
+# Suffixes of MJCF files; all other files are URDF.
 MJCF_SUFFIXES = (".xml", ".mjcf")
 
 
@@ -50,7 +50,7 @@ def robot_file(relative: str) -> Path:
 
 
 def package_directories(urdf: Path) -> tuple[Path, ...]:
-    """Where ``package://`` paths of ``urdf`` may start: a package holds it in a folder or two."""
+    """Directories in which ``package://`` paths are searched: those above ``urdf``, and its `data_share`."""
     nearby = tuple(urdf.parents)[:PACKAGE_LEVELS]
     try:
         share = data_share()
@@ -61,7 +61,7 @@ def package_directories(urdf: Path) -> tuple[Path, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class VisualSource:
-    """Where a robot's geometry is found: a URDF (or MJCF) file and the directories of its packages."""
+    """Source of a robot's geometry: a URDF (or MJCF) file and the directories of its packages."""
 
     urdf: Path
     package_dirs: tuple[Path, ...] = ()
@@ -72,7 +72,7 @@ class VisualSource:
 
     @classmethod
     def from_meta(cls, visual: dict[str, Any]) -> VisualSource:
-        """Read the form of `to_meta`; relative paths are found in the installed robot data package."""
+        """Read the form of `to_meta`; relative paths refer to the installed robot data package."""
         try:
             directories = tuple(_located(path) for path in visual.get("package_dirs", ()))
             return cls(urdf=_located(visual["urdf"]), package_dirs=directories)

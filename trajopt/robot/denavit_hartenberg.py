@@ -1,4 +1,4 @@
-"""Arms by Denavit and Hartenberg's parameters, as textbooks and data sheets give them."""
+"""Arms from Denavit-Hartenberg parameters, as textbooks and data sheets give them."""
 
 import math
 from collections.abc import Sequence
@@ -19,22 +19,22 @@ Bound = Annotated[float, Range(infinite=True)]
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DhJoint:
-    """A joint, and the link behind it. rad, m, kg; of a joint that slides limits are in m, m/s and N.
+    """A joint and the link behind it; limits of a prismatic joint are in m, m/s and N.
 
     Args:
         a: length of the link, m.
-        alpha: its twist, rad.
-        d: offset along the joint's axis, m; of a joint that slides what is added to its coordinate.
-        theta: turn about the axis, rad; of a joint that turns what is added to its coordinate.
-        kind: of the joint.
-        mass: of the link, kg.
-        centre: of its mass (3,), m, in the link's frame, behind the joint's transform; None: its origin.
-        inertia: about the centre (3, 3), kg m^2, in the frame's axes; None: that of a point.
-        lower: least coordinate.
-        upper: largest coordinate.
-        velocity: limit, rad/s.
-        torque: limit, N m.
-        armature: inertia of the rotor on the joint's side, kg m^2.
+        alpha: twist of the link, rad.
+        d: offset along the joint's axis, m; for a prismatic joint it is added to the coordinate.
+        theta: rotation about the joint's axis, rad; for a revolute joint it is added to the coordinate.
+        kind: kind of the joint.
+        mass: mass of the link, kg.
+        centre: centre of mass (3,), m, in the link's frame, behind the joint's transform; None: its origin.
+        inertia: inertia about the centre of mass (3, 3), kg m^2, in the frame's axes; None: a point mass.
+        lower: lower position limit, rad.
+        upper: upper position limit, rad.
+        velocity: velocity limit, rad/s.
+        torque: torque limit, N m.
+        armature: inertia of the rotor on the joint side, kg m^2.
     """
 
     a: float = 0.0
@@ -56,17 +56,17 @@ class DhJoint:
 def robot_from_dh(
     joints: Sequence[DhJoint], *, convention: Literal["standard", "modified"] = "standard", **options: Any
 ) -> Robot:
-    """The arm of these parameters, its first axis the world's z: joints "joint1", ..., frames "link1", ...
+    """Return the arm with these parameters: joints are "joint1", ..., frames of links "link1", ....
 
         standard:  T_i = Rot_z(theta_i) Trans_z(d_i) Trans_x(a_i) Rot_x(alpha_i)
         modified:  T_i = Rot_x(alpha_i) Trans_x(a_i) Rot_z(theta_i) Trans_z(d_i)
 
-    T_i is the pose of link i in the link before it. In the modified convention (J. J. Craig, Introduction to
-    Robotics, 2005, eq. 3.6) a_i and alpha_i are his a_(i-1) and alpha_(i-1), as his tables list them.
+    T_i is the pose of link i in the link before it, T_1 in the world. In the modified convention (J. J.
+    Craig, Introduction to Robotics, 2005, eq. 3.6) a_i and alpha_i are a_(i-1) and alpha_(i-1) of his tables.
 
     Args:
-        joints: from the base on.
-        convention: of the parameters.
+        joints: joints from the base to the tip.
+        convention: convention of the parameters.
         options: further arguments of `Robot.from_model`.
 
     Raises:

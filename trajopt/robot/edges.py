@@ -1,11 +1,11 @@
 """Heel and toe of a sole: its edges across x, each held by the two corners at its ends.
 
 A foot that stands on an edge turns freely about it. Forces at the two corners of the edge have no moment
-about it, and make any other wrench of the edge; the rows that hold both corners have rank five, since the
-distance between them is fixed. Forces in friction pyramids at all four corners are
-those of a flat sole (`trajopt.terms.friction.SoleCone`). So a sole that rolls is four point contacts: each
-holds from its touchdown to its lift-off, and where the foot comes down flat only the turn about the heel is
-left to be stopped (`trajopt.transcription.redundancy` leaves out the dependent rows).
+about it, and produce every other wrench of the edge. The rows that hold both corners have rank five, since
+the distance between them is fixed. Forces in friction pyramids at all four corners are equivalent to those of
+a flat sole (`trajopt.terms.friction.SoleCone`). A sole that rolls is therefore four point contacts, each held
+from its touchdown to its lift-off. When the foot comes down flat, only its rotation about the heel is left to
+be stopped (`trajopt.transcription.redundancy` leaves out the dependent rows).
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ from trajopt.robot.robot import Robot
 
 Edge = Literal["heel", "toe"]
 EDGES: tuple[Edge, ...] = get_args(Edge)
-# Least cosine between a sole's x axis and the base's, either way: else its edges across x are its sides.
+# Least |cosine| between a sole's x axis and the base's: below it, the edges across x are the sole's sides.
 ALONG = 0.7
 
 
@@ -34,13 +34,13 @@ def edge_contacts(sole: str, edge: Edge) -> tuple[str, str]:
 
 @checked
 def with_edges(robot: Robot) -> Robot:
-    """The robot whose soles can stand on their heels and toes: point contacts at their corners instead.
+    """Return the robot with each sole replaced by point contacts at its corners, to stand on heels and toes.
 
-    Contacts, and the frames that this adds for them, are named by `edge_contacts`; their axes are the sole's.
-    The toe is the edge that is in front in the reference posture.
+    Contacts and the frames added for them are named by `edge_contacts` and have the axes of the sole. The toe
+    is the front edge in the reference posture.
 
     Raises:
-        InputError: for a robot without soles, or whose soles do not point forward or back.
+        InputError: for a robot without soles, or with soles that do not point forward or back.
     """
     if not any(contact.kind == "surface" for contact in robot.contacts):
         raise InputError(f"robot '{robot.name}' has no sole", "allowed: contacts of kind 'surface'")

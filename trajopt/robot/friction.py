@@ -1,7 +1,7 @@
 """The friction cone of a contact: rows, linear in its wrench, that are >= 0 inside.
 
-The exact cone of a point is |f_t| <= mu f_n; pyramids are inscribed in it by a smaller coefficient or more
-sides. The rows of a rectangular sole follow from pyramids at its corners (Caron, Pham and Nakamura,
+The exact cone of a point is |f_t| <= mu f_n; pyramids approximate it from inside by a smaller coefficient or
+more sides. The rows of a rectangular sole follow from pyramids at its corners (Caron, Pham and Nakamura,
 "Stability of surface contacts for humanoid robots: closed-form formulae of the contact wrench cone for
 rectangular support areas", ICRA 2015). Forces and moments (3) are numbers, arrays or symbols, the third along
 the normal.
@@ -25,16 +25,16 @@ def friction_rows(force: Vector, friction: Any) -> list[Any]:
 
 
 def inscribed_rows(force: Vector, friction: float, sides: int) -> list[Any]:
-    """Rows of the pyramid of so many sides that is inscribed in Coulomb's cone, the first across x."""
+    """Rows of the pyramid with that many sides inscribed in Coulomb's cone; the first is normal to x."""
     angles = [2.0 * math.pi / sides * side for side in range(sides)]
     pressed = math.cos(math.pi / sides) * friction * force[2]
     return [pressed - math.cos(angle) * force[0] - math.sin(angle) * force[1] for angle in angles]
 
 
 def pressure_rows(force: Vector, moment: Vector, size: tuple[float, float]) -> list[Any]:
-    """Four rows of a sole: its centre of pressure is inside.
+    """Four rows of a sole that keep its centre of pressure inside.
 
-    ``moment`` is about the sole's centre; ``size``: half length and half width (x, y), m.
+    ``moment`` is about the sole's centre; ``size`` is its half length and half width (x, y), m.
     """
     length, width = size
     return [arm * force[2] + sign * moment[i] for i, arm in ((0, width), (1, length)) for sign in (-1, 1)]

@@ -1,4 +1,4 @@
-"""The geometry of a robot's description, placed on its model; each mesh file that is missing is reported.
+"""The geometry of a robot's description, placed on its model; missing mesh files are reported.
 
 Pinocchio reads every mesh of a URDF into a tree of bounding volumes, which takes most of the time and fails
 if one file is missing. Here Pinocchio places boxes where the file has meshes; the files stay on disk until
@@ -20,7 +20,7 @@ from trajopt.errors import InputError, first_line
 from trajopt.robot.data import VisualSource
 
 SCHEMES = ("package://", "model://", "file://")
-# Of a binary STL file: a header that ends with the number of triangles, and 50 bytes for each.
+# A binary STL file has a header that ends with the number of triangles, and 50 bytes for each triangle.
 STL_HEADER = 84
 STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 # Mesh files whose points are kept once read: robots use one file several times.
@@ -32,7 +32,7 @@ _TYPES = {"visual": pin.GeometryType.VISUAL, "collision": pin.GeometryType.COLLI
 
 @dataclass(frozen=True, kw_only=True)
 class DescribedGeometry:
-    """Geometries placed on a model; names of those that are meshes; names and files of missing ones."""
+    """Geometries placed on a model, names of those that are meshes, and missing files by name."""
 
     geometry: pin.GeometryModel
     meshes: frozenset[str]
@@ -65,7 +65,7 @@ def described_geometry(source: VisualSource, model: pin.Model, purpose: Purpose)
 
 
 def _boxes_for_meshes(root: Tree.Element, purpose: Purpose) -> dict[str, tuple[str, np.ndarray]]:
-    """Put a box for every mesh; returns file and scale (3,) by Pinocchio's name of the geometry."""
+    """Replace every mesh with a box; return file and scale (3,) by Pinocchio's name of the geometry."""
     files = {}
     for link in root.iter("link"):
         for number, element in enumerate(link.findall(purpose)):
@@ -112,7 +112,7 @@ def _vertices(path: Path, _changed: int) -> np.ndarray:
 
 
 def stl_corners(data: bytes) -> np.ndarray | None:
-    """Corners (3m, 3) of the m triangles that fit the file's length; None for a text file."""
+    """Corners (3m, 3) of the m triangles of a binary file; None if its length does not fit, as for text."""
     count = (len(data) - STL_HEADER) // STL_TRIANGLE.itemsize
     if count < 0 or len(data) != STL_HEADER + count * STL_TRIANGLE.itemsize:
         return None

@@ -1,4 +1,4 @@
-"""Joints that no motion can be found for: limits of 0, and joints that move no inertia."""
+"""Checks for joints that rule out any motion: limits of 0, and joints that move no inertia."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 Limit = Literal["velocity", "torque"]
 
-# Inertia about a joint's axis below this part of (mass that it moves) x (reach of the robot)^2 is none: ten
-# million times less than that of a finger on a humanoid, and above rounding.
+# An inertia about a joint's axis below this fraction of (moved mass) x (reach of the robot)^2 counts as zero:
+# ten million times less than that of a finger on a humanoid, but above rounding.
 NO_INERTIA = 1e-13
-# A mass may lie on a joint's axis in one posture: rad or m from there to the other.
+# Step, rad or m, to a second posture: in the first one a mass may happen to lie on a joint's axis.
 BESIDE = 0.3
 REMEDIES = {
     "velocity": "the actuator's in <limit velocity=...>, or lock the joint",
@@ -29,7 +29,7 @@ REMEDIES = {
 
 
 def require_moving(robot: Robot, *limits: Limit) -> None:
-    """Raise `InputError` that names joints whose limits are 0: of "velocity", "torque", default both."""
+    """Raise `InputError` that names joints with a limit of 0: "velocity" or "torque", default both."""
     rows, owners = robot.actuated_rows, joints_of_rows(robot.model)
     for limit in limits or ("velocity", "torque"):
         values = robot.velocity_limit[rows] if limit == "velocity" else robot.torque_limit
@@ -41,7 +41,7 @@ def require_moving(robot: Robot, *limits: Limit) -> None:
 
 
 def require_inertia(robot: Robot) -> None:
-    """Raise `InputError` that names joints without inertia: no torque determines how they accelerate."""
+    """Raise `InputError` that names joints without inertia: torques do not determine their acceleration."""
     joints = joints_without_inertia(robot)
     if joints:
         raise InputError(
@@ -51,7 +51,7 @@ def require_inertia(robot: Robot) -> None:
 
 
 def joints_without_inertia(robot: Robot) -> list[str]:
-    """Joints beyond the base that move no inertia, in the reference posture and in one beside it."""
+    """Joints behind the base that move no inertia in the reference posture and in one nearby."""
     beside = np.full(robot.nv, BESIDE)
     beside[: BASE_ROWS[robot.base]] = 0.0
     there = np.asarray(pin.integrate(robot.model, robot.reference, beside))

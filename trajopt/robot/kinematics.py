@@ -16,9 +16,9 @@ from trajopt.robot.robot import Robot
 # A pose, or a position (3,) in m, for each frame by name.
 Targets = Mapping[str, pin.SE3 | np.ndarray]
 
-# Of inverse kinematics: an error below it does not matter to a guess.
+# Tolerance of inverse kinematics: a smaller error does not matter to a guess.
 TOLERANCE = 1e-10
-# Rotation (9,) of a target that is a position: any.
+# Rotation (9,) given for targets that are positions; it is not used.
 NO_TURN = tuple(np.eye(3).ravel().tolist())
 
 
@@ -52,7 +52,7 @@ def contact_poses(robot: Robot, q: np.ndarray) -> dict[str, pin.SE3]:
 
 @checked
 def contact_positions(robot: Robot, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Where every contact is at ``q`` (nq,): its frame's origin (3,), world, m, by the contact's name."""
+    """Position of every contact at ``q`` (nq,): its frame's origin (3,), world, m, by the contact's name."""
     return {name: pose.translation for name, pose in contact_poses(robot, q).items()}
 
 
@@ -78,16 +78,16 @@ class Posture:
 def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_base: bool = False) -> Posture:
     """Posture near ``q`` (nq,) that brings frames to their targets, within position limits.
 
-    What cannot be reached is approached in the least-squares sense.
+    Targets out of reach are approached in the least-squares sense.
 
     Args:
         robot: the robot.
         q: configuration (nq,) from which the search starts.
-        targets: by the frame's name a pose (SE3, 6 rows) or a position (3,) in the world, m.
+        targets: pose (SE3, 6 rows) or position (3,) in the world, m, by the frame's name.
         move_base: whether the base may move, too.
 
     Raises:
-        InputError: for an unknown frame, no target, and shapes other than these.
+        InputError: for an unknown frame, no target, or other shapes.
     """
     _require_size(robot, q)
     _require_targets(robot, targets)
@@ -98,7 +98,7 @@ def inverse_kinematics(robot: Robot, q: np.ndarray, targets: Targets, *, move_ba
 def _searched(
     robot: Robot, q: np.ndarray, targets: Targets, movable: np.ndarray, tolerance: float
 ) -> Posture:
-    """The posture near ``q`` by moving rows of v; ``q`` itself where its error is below the tolerance."""
+    """The posture found by moving rows ``movable`` of v; ``q`` itself if its error is below tolerance."""
     poses = [
         [*each.rotation.ravel(), *each.translation] if isinstance(each, pin.SE3) else [*NO_TURN, *each]
         for each in targets.values()
@@ -116,7 +116,7 @@ def _searched(
 
 
 def _sizes(targets: Targets) -> list[int]:
-    """Rows of each target: 6 of a pose, 3 of a position."""
+    """Number of rows of each target: 6 for a pose, 3 for a position."""
     return [6 if isinstance(target, pin.SE3) else 3 for target in targets.values()]
 
 
@@ -135,13 +135,13 @@ def _require_targets(robot: Robot, targets: Targets) -> None:
             raise InputError(f"target of '{name}' has shape {np.shape(target)}", "allowed: (3,), or an SE3")
 
 
-# Starts of the search for branches: the eight branches of a six-joint arm each attract some per cent of
-# them, so that missing one of this many is improbable (docs/modelling/irb1600.md counts).
+# Number of starts of the search for branches: each of the eight branches of a six-joint arm attracts a few
+# per cent of them, so missing one is improbable (counted in docs/modelling/irb1600.md).
 STARTS = 256
 # Postures of one branch, each refined to ``TOLERANCE``, differ by rounding divided by the least singular
 # value.
 SAME_BRANCH = 1e-4
-# Representatives of the continuum of a redundant arm are this far apart, rad or m.
+# Distance between representatives of the continuum of a redundant arm, rad or m.
 SEPARATION = 1.0
 
 
@@ -157,22 +157,22 @@ def inverse_kinematics_branches(
 ) -> tuple[Posture, ...]:
     """All postures that bring frames to their targets within position limits, nearest to ``near`` first.
 
-    Each start of the search is refined to 1e-10 by `inverse_kinematics`, and then verified. Branches of an
-    arm (shoulder, elbow, wrist) come once each, in the turn nearest to ``near``. An arm with more joints than
-    rows has a continuum of postures, of which these are representatives. Empty where nothing within the
-    limits reaches the targets.
+    Each start of the search is refined to 1e-10 by `inverse_kinematics`, and then verified. Each branch of an
+    arm (shoulder, elbow, wrist) is returned once, in the turn nearest to ``near``. An arm with more joints
+    than rows has a continuum of postures, of which these are representatives. The result is empty if no
+    posture within the limits reaches the targets.
 
-    Nothing proves that all are found; more ``starts`` find what fewer may miss. At a singularity, where
+    Finding all branches is not guaranteed; more ``starts`` may find what fewer miss. At a singularity, where
     branches meet, convergence is slow and ``separation`` decides what counts as different.
 
     Args:
         robot: the robot; its base stays where it is in ``near``.
         targets: as in `inverse_kinematics`.
         near: configuration (nq,), default the reference.
-        starts: how many postures of a Halton sequence over the joints, so deterministic, to search from.
-        separation: how far representatives of a continuum are apart, norm over the joints, rad and m; default
-            1.0. For other arms, the distance from which two branches count as different.
-        turns: whether to return a branch in every whole turn of a joint within its limits, too.
+        starts: number of postures to search from, of a deterministic Halton sequence over the joints.
+        separation: distance between representatives of a continuum, norm over the joints, rad and m; default
+            1.0. For other arms, the distance above which two branches count as different.
+        turns: whether to also return each branch at every whole turn of its joints within their limits.
 
     Raises:
         InputError: for ``starts`` below one, and as `inverse_kinematics`.
@@ -206,7 +206,7 @@ def inverse_kinematics_branches(
 
 
 def _turning_joints(robot: Robot) -> list[int]:
-    """Index in q of every actuated revolute joint with one coordinate: a whole turn is the same posture."""
+    """Index in q of every actuated revolute joint of one coordinate, which repeats after a whole turn."""
     return [
         int(joint.idx_q)
         for joint in list(robot.model.joints)[1:]
@@ -236,7 +236,7 @@ def _starts(robot: Robot, near: np.ndarray, count: int) -> Iterator[np.ndarray]:
 
 
 def _in_nearest_turn(robot: Robot, q: np.ndarray, near: np.ndarray, turning: list[int]) -> np.ndarray | None:
-    """The posture with each revolute joint in the turn nearest to ``near`` within limits, None without."""
+    """The posture with each revolute joint in the turn nearest to ``near`` within limits, or None."""
     best = q.copy()
     for index in turning:
         choices = _within(robot, q, index)
@@ -250,7 +250,7 @@ def _in_nearest_turn(robot: Robot, q: np.ndarray, near: np.ndarray, turning: lis
 def _within(robot: Robot, q: np.ndarray, index: int) -> np.ndarray:
     """Values of one revolute joint within its limits that are whole turns from its value in ``q``.
 
-    Without limits: those within one turn of it.
+    A missing limit counts as half a turn from the reference.
     """
     lower, upper = robot.position_lower[index], robot.position_upper[index]
     lower = lower if np.isfinite(lower) else robot.reference[index] - math.pi
@@ -268,7 +268,7 @@ def _all_turns(robot: Robot, q: np.ndarray, turning: list[int]) -> Iterator[np.n
 
 
 def _distance(robot: Robot, q: np.ndarray, other: np.ndarray, turning: list[int]) -> float:
-    """Norm of the difference in the tangent space, whole turns of revolute joints left out."""
+    """Norm of the difference in the tangent space, without whole turns of revolute joints."""
     difference = pin.difference(robot.model, other, q)
     rows = [int(joint.idx_v) for joint in list(robot.model.joints)[1:] if joint.idx_q in turning]
     difference[rows] = np.remainder(difference[rows] + math.pi, 2 * math.pi) - math.pi

@@ -1,6 +1,6 @@
-"""Which foot is which, from geometry alone: names of contacts play no part.
+"""Roles of a robot's feet, found from geometry alone and not from names.
 
-Forward is the base's x axis and left its y axis, as in all descriptions that follow REP 103.
+Forward is the base's x axis and left is its y axis, as in all descriptions that follow REP 103.
 """
 
 from collections import Counter
@@ -17,14 +17,14 @@ from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
-# A contact this part of the robot's length above the lowest one is a hand or a knee, not a foot.
+# A contact higher above the lowest one than this fraction of the robot's length is a hand or a knee.
 LIFTED = 0.1
 # Feet closer along an axis than this fraction of the robot's length cannot be distinguished by it.
 APART = 0.02
 
-# A joint nearer to the one before it than this part of the robot's length is at the same place.
+# A joint nearer to its parent than this fraction of the robot's length counts as being at the same place.
 SAME_JOINT = 0.25
-# A frame is at a joint if it is this near to it, m.
+# A frame nearer to a joint than this is at the joint, m.
 SAME_PLACE = 1e-9
 
 
@@ -45,18 +45,18 @@ class Legs:
 
     @property
     def mirror(self) -> Mapping[str, str]:
-        """Contact on the other side of the body, for every contact."""
+        """Contact on the other side of the body, by contact."""
         pairs = ((self.front_left, self.front_right), (self.hind_left, self.hind_right))
         return MappingProxyType({name: other for pair in pairs for name, other in (pair, pair[::-1])})
 
 
 @checked
 def feet_in_base(robot: Robot, q: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """Positions (3,) of the robot's feet in axes of its base, m, by contact name.
+    """Positions (3,) of the robot's feet in the axes of its base, m, by contact name.
 
-    At ``q`` (nq,), default the reference. Feet are the contacts that stand: hands and knees, which are
-    higher by a tenth of the robot's length or more, are left out. For a robot in a plane, along the world's
-    axes. Raises `InputError` for a robot on a fixed base, or without contacts.
+    They are taken at ``q`` (nq,), default the reference. Feet are the contacts that stand: hands and knees,
+    higher by a tenth of the robot's length or more, are left out. For a planar robot the axes are the
+    world's. Raises `InputError` for a robot on a fixed base, or without contacts.
     """
     if robot.base == "fixed" or not robot.contacts:
         raise InputError(
@@ -80,7 +80,7 @@ def feet_in_base(robot: Robot, q: np.ndarray | None = None) -> dict[str, np.ndar
 
 @checked
 def on_feet(robot: Robot) -> Robot:
-    """The robot with its feet as its only contacts: hands touch nothing. Raises as `feet_in_base`."""
+    """The robot with its feet as its only contacts. Raises as `feet_in_base`."""
     return replace(robot, contacts=tuple(robot.contact(name) for name in feet_in_base(robot)))
 
 
@@ -88,8 +88,8 @@ def on_feet(robot: Robot) -> Robot:
 def legs_only(robot: Robot) -> Robot:
     """The robot with its feet as its only contacts, and all joints that carry no foot locked.
 
-    For tasks on legs alone: Talos with its left arm welded in the reference. A robot with feet alone is
-    returned unchanged. Raises `InputError` for a robot on a fixed base, or without contacts.
+    It serves tasks on legs alone: Talos has its left arm welded in the reference. A robot that only has legs
+    is returned unchanged. Raises `InputError` for a robot on a fixed base, or without contacts.
     """
     kept, model = on_feet(robot), robot.model
     moved = {
@@ -109,7 +109,7 @@ def legs_only(robot: Robot) -> Robot:
 
 @checked
 def quadruped_legs(robot: Robot) -> Legs:
-    """Which of a robot's four feet is which in its reference posture. Raises `InputError`."""
+    """Roles of a quadruped's four feet in its reference posture. Raises `InputError`."""
     feet = feet_in_base(robot)
     if len(feet) != 4:
         raise InputError(f"robot '{robot.name}' has {len(feet)} feet", "allowed: a quadruped, 4 feet")
@@ -131,7 +131,7 @@ def biped_legs(robot: Robot) -> tuple[str, str]:
 
 @checked
 def require_soles(robot: Robot) -> None:
-    """Raise `InputError` for a robot some of whose feet are points."""
+    """Raise `InputError` for a robot with a point foot."""
     points = [name for name in feet_in_base(robot) if robot.contact(name).kind != "surface"]
     if points:
         raise InputError(
@@ -157,10 +157,11 @@ def _halves(
 
 @checked
 def leg_joints(robot: Robot) -> tuple[str, ...]:
-    """Frames at the joints of the legs: hips and knees, the root of each limb and every joint a link further.
+    """Frames at the joints of the limbs, such as hips and knees.
 
-    Of joints close to each other the inner one counts. Each joint is named by the first frame at its place
-    whose name no other frame has; a joint without such a frame is left out.
+    These are the root of each limb and every joint a link away from its parent: of joints close to each
+    other only the inner one counts. Each joint is named by the first frame at its
+    origin whose name is unique; a joint without such a frame is left out.
     """
     model, data = robot.model, robot.model.createData()
     pin.forwardKinematics(model, data, robot.reference)
@@ -182,7 +183,7 @@ def leg_joints(robot: Robot) -> tuple[str, ...]:
 
 
 def require_free_flyer(robot: Robot) -> None:
-    """Raise InputError unless the robot's root is a free-flyer placed in world axes."""
+    """Raise `InputError` unless the robot's root is a free-flyer placed in world axes."""
     if robot.base != "freeflyer" or not robot.model.jointPlacements[1].isIdentity():
         raise InputError(
             f"robot '{robot.name}' has a {robot.base} base", "allowed: a free-flyer in world axes"

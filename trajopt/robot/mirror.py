@@ -5,12 +5,12 @@ to (m, S c, S I S). Joint k is the mirror image of joint i if for all q
 
     T_k(s q) = S T_i(q) S C_i                         C_i constant, s = 1 or -1
 
-which is tested joint by joint from the base: with both parents mirrored by C_p and placements P,
+This is tested joint by joint from the base. With parents mirrored by C_p and joint placements P,
 
     C_i = (S P_i S)^-1 C_p P_k,        Ad(C_i) s a_k = S a_i,        Ad(C_i) I_k = S I_i S
 
-(a the joint's axis, a twist). Names play no part. A joint may be its own image: with s = 1 it moves within
-the plane (a pitch), with s = -1 it leaves it and a mirrored motion holds it at zero (a yaw or a roll).
+where a is the joint's axis as a twist. Names are not used. A joint may be its own image: with s = 1 it moves
+in the plane (a pitch); with s = -1 it leaves it, and a mirrored motion holds it at zero (a yaw or a roll).
 """
 
 from __future__ import annotations
@@ -45,9 +45,13 @@ def reflected_inertia(inertia: pin.Inertia) -> pin.Inertia:
 class Mirror:
     """Mirror image of every joint of a floating robot.
 
-    partner: joint -> its image, itself for joints on the plane (njoints,). sign: s. offset: C_i for every
-    joint. asymmetry: the largest mismatch of axes (rad, or parts of the robot's length), inertias (parts of
-    mass, mass times length and mass times length squared) and contacts; ``worst`` says where.
+    Args:
+        partner: image of each joint (njoints,); a joint on the plane may be its own image.
+        sign: s of each joint.
+        offset: C_i of each joint.
+        asymmetry: largest mismatch of axes (rad, or relative to the robot's length) and of inertias and
+            armatures (relative to mass, mass times length, and mass times length squared).
+        worst: where that mismatch is.
     """
 
     partner: tuple[int, ...]
@@ -98,7 +102,7 @@ class _MirrorSearch:
             match.take(best)
 
     def joint(self, i: int, k: int, parent: pin.SE3) -> _Match:
-        """Match joints i and k, whose parents are images of each other with that offset."""
+        """Match joints i and k, whose parents are images of each other with the offset ``parent``."""
         model, match = self.model, _Match()
         names = f"'{model.names[i]}' and '{model.names[k]}'"
         sizes = [(model.joints[j].nq, model.joints[j].nv) for j in (i, k)]
@@ -131,9 +135,9 @@ class _MirrorSearch:
 
 
 def find_mirror(robot: Robot) -> Mirror:
-    """Return the mirror image of every joint and contact of a robot on a free-flyer.
+    """Return the mirror image of every joint of a robot on a free-flyer.
 
-    Raises `InputError` if the robot has another base, a part without counterpart, or images that do not
+    Raises `InputError` if the robot has another base, a part without a counterpart, or images that do not
     come in pairs.
     """
     model = robot.model
@@ -163,9 +167,9 @@ def find_mirror(robot: Robot) -> Mirror:
 
 
 def paired_contacts(robot: Robot, mirror: Mirror, tolerance: float) -> tuple[int, ...]:
-    """Image of every contact (nc,): a contact's own number if it lies on the plane.
+    """Index of the image of every contact (nc,): its own index if it lies on the plane.
 
-    Raises `InputError` for a contact without an image within ``tolerance`` of the robot's length.
+    Raises `InputError` for a contact without an image within ``tolerance`` times the robot's length.
     """
     images = []
     for contact in robot.contacts:
@@ -182,7 +186,7 @@ def paired_contacts(robot: Robot, mirror: Mirror, tolerance: float) -> tuple[int
 
 
 def contact_error(robot: Robot, mirror: Mirror, name: str, other: str) -> float:
-    """Distance between one contact's mirror image and another, parts of the robot's length (and rad)."""
+    """Mismatch of a contact's mirror image and another contact, relative to the robot's length (and rad)."""
     given, image = robot.contact(name), robot.contact(other)
     frames = [robot.model.frames[robot.model.getFrameId(contact.frame)] for contact in (given, image)]
     joint = int(frames[0].parentJoint)
@@ -198,7 +202,7 @@ def contact_error(robot: Robot, mirror: Mirror, name: str, other: str) -> float:
 
 
 def limit_differences(robot: Robot, mirror: Mirror) -> list[str]:
-    """Joints whose position, velocity or torque limits are not those of their image."""
+    """Pairs of mirrored joints, as text, whose position, velocity or torque limits or drives differ."""
     differing = []
     for joint, image in pairs(robot, mirror):
         if not _same_limits(robot, mirror, joint, image):
@@ -207,12 +211,12 @@ def limit_differences(robot: Robot, mirror: Mirror) -> list[str]:
 
 
 def pairs(robot: Robot, mirror: Mirror) -> list[tuple[int, int]]:
-    """Pairs of joints that are each other's images, each once."""
+    """Pairs of joints that mirror each other, each pair once."""
     return [(j, mirror.partner[j]) for j in range(2, robot.model.njoints) if mirror.partner[j] > j]
 
 
 def mirrored_range(lower: float, upper: float, sign: float) -> tuple[float, float]:
-    """Range of the image of a joint with this range."""
+    """Position range of the image of a joint with this range."""
     return (lower, upper) if sign > 0 else (-upper, -lower)
 
 
@@ -234,9 +238,9 @@ def _same_limits(robot: Robot, mirror: Mirror, joint: int, image: int) -> bool:
 
 
 def keepers(robot: Robot, mirror: Mirror, q: np.ndarray) -> tuple[int, ...]:
-    """Joints that a mirrored half keeps: those on the plane, and of each pair of limbs the one to the left.
+    """Joints kept in one half of the robot: those on the plane, and the left limb of each pair.
 
-    Left is where the limb's mass lies at ``q`` (nq,).
+    The left limb is the one whose mass lies further to the left at ``q`` (nq,).
     """
     model, data = robot.model, robot.model.createData()
     pin.centerOfMass(model, data, q)
@@ -253,7 +257,7 @@ def keepers(robot: Robot, mirror: Mirror, q: np.ndarray) -> tuple[int, ...]:
 
 
 def _leftward(model: pin.Model, data: pin.Data, joint: int, y0: float) -> tuple[float, int]:
-    """How far a limb's mass lies to the left; of two limbs on the plane the first counts as left."""
+    """Distance, m, of a limb's centre of mass to the left of the plane; in a tie the first joint is left."""
     com = data.oMi[joint].act(data.com[joint])
     return float(com[1] - y0), -joint
 
@@ -271,12 +275,12 @@ def mirrored_configuration(robot: Robot, mirror: Mirror, q: np.ndarray, y0: floa
 
 
 def signed(value: np.ndarray, sign: float) -> np.ndarray:
-    """A joint's coordinates (..., nq) times 1 or -1; of (cos, sin) the angle's."""
+    """Coordinates (..., nq) of a joint multiplied by 1 or -1; for (cos, sin) pairs, the angle is."""
     return value * (sign if value.shape[-1] == 1 else np.array([1.0, sign]))
 
 
 def mirrored_rows(robot: Robot, mirror: Mirror) -> tuple[np.ndarray, np.ndarray]:
-    """Indices and signs (nv,) of the image of rates and of local coordinates: v' = sign v[index]."""
+    """Indices and signs (nv,) that mirror rates and local coordinates: v' = sign v[index]."""
     index, sign = np.arange(robot.nv), np.ones(robot.nv)
     sign[:6] = TWIST
     for joint in range(2, robot.model.njoints):

@@ -1,6 +1,6 @@
-"""MJCF files: MuJoCo compiles them, and a `pin.Model` is built from what it compiled.
+"""MJCF files: MuJoCo compiles them, and a `pin.Model` is built from the result.
 
-Coordinates are MuJoCo's qpos, joint by joint in its order; only quaternions are (x, y, z, w).
+Coordinates are those of MuJoCo's qpos, joint by joint, except that quaternions are (x, y, z, w).
 """
 
 from collections.abc import Sequence
@@ -21,17 +21,21 @@ from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.robot.reading import existing_file
 from trajopt.robot.validation import LIMIT_SLACK
 
-# An axis is a coordinate axis up to the rounding of its normalisation.
+# An axis within this of a coordinate axis is that axis: rounding of its normalisation.
 ALIGNED = 1e-15
 HOME = "home"
 SPHERE = 2  # of MuJoCo's mjtGeom
 
 
 class MjcfRobot(NamedTuple):
-    """What a file says of a robot: the ``model`` on its base, ``passive`` joints if others have actuators.
+    """A robot as its MJCF file describes it.
 
-    home: its keyframe as a reference for `Robot.from_model`; None without one within the limits. joints: the
-    same by name, for hinges and slides. thrusters: on its base.
+    Args:
+        model: model on the robot's base.
+        passive: joints without an actuator, if others have one.
+        home: keyframe as a reference for `Robot.from_model`; None without one within the limits.
+        joints: positions of hinges and slides in that keyframe by name, rad or m.
+        thrusters: thrusters on the base.
     """
 
     model: pin.Model
@@ -55,8 +59,8 @@ def compile_mjcf(path: str | Path) -> Any:
 def read_mjcf(path: str | Path, compiled: Any, base: Base | None) -> MjcfRobot:
     """The robot of a compiled file; ``base=None`` takes the base that the file has.
 
-    A file with a free joint of its own has a floating base: a different ``base`` raises `InputError`. A file
-    without one gets the requested base, above all bodies that move.
+    A file with a free joint of its own has a floating base: a ``base`` other than "freeflyer" or "virtual"
+    raises `InputError`. A file without one gets the requested base, above all bodies that move.
     """
     names, free = body_names(compiled), compiled.jnt_bodyid[compiled.jnt_type == FREE]
     if len(free) > 1:
@@ -94,7 +98,7 @@ def read_mjcf(path: str | Path, compiled: Any, base: Base | None) -> MjcfRobot:
 
 
 def joint_springs(compiled: Any) -> dict[str, tuple[float, float]]:
-    """Stiffness, N m/rad or N/m, and rest position of hinges and slides that have springs."""
+    """Stiffness, N m/rad or N/m, and rest position, rad or m, of hinges and slides with springs, by name."""
     springs = {}
     for index, name in enumerate(joint_names(compiled)):
         stiffness = float(compiled.jnt_stiffness[index])
@@ -104,7 +108,7 @@ def joint_springs(compiled: Any) -> dict[str, tuple[float, float]]:
 
 
 def mjcf_model(compiled: Any, root: Any = None) -> pin.Model:
-    """The model of a compiled file, with a joint ``root`` above all bodies that move, if one is given."""
+    """The model of a compiled file, with the joint ``root``, if given, above all bodies that move."""
     model, names, joints = pin.Model(), body_names(compiled), joint_names(compiled)
     model.name = bytes(compiled.names).split(b"\0")[0].decode()
     off = compiled.opt.disableflags & mujoco_package().mjtDisableBit.mjDSBL_GRAVITY
@@ -132,7 +136,7 @@ def mjcf_model(compiled: Any, root: Any = None) -> pin.Model:
 def _add_joints(
     compiled: Any, model: pin.Model, body: int, on: Body, joints: Sequence[str], bodies: set[str]
 ) -> Body:
-    """Add the joints of a body in series, of all ``joints`` and ``bodies`` by name; returns where it is."""
+    """Add a body's joints in series and return where it is; ``joints`` and ``bodies`` are all names."""
     joint = on.joint
     place = on.placement * placement(compiled.body_pos[body], compiled.body_quat[body])
     start = int(compiled.body_jntadr[body])
@@ -156,7 +160,7 @@ def _add_joints(
 
 
 def _along(kind: str, axis: np.ndarray) -> Any:
-    """A joint of one coordinate, "Revolute" or "Prismatic", with an axis."""
+    """A joint model of one coordinate, "Revolute" or "Prismatic", with that axis."""
     for letter, unit in zip("XYZ", np.eye(3), strict=True):
         if np.abs(axis - unit).max() <= ALIGNED:
             return getattr(pin, f"JointModel{kind[0]}{letter}")()
@@ -164,7 +168,7 @@ def _along(kind: str, axis: np.ndarray) -> Any:
 
 
 def _add_rows(compiled: Any, model: pin.Model) -> None:
-    """Limits, armature and friction of joints; those that MuJoCo does not limit have none."""
+    """Set limits, armature and friction of joints; those that MuJoCo does not limit have no limits."""
     actuation = actuation_of(compiled)
     for limit, sign in (("upper", 1), ("lower", -1)):
         for what in ("Effort", "Velocity", "Position"):
@@ -183,7 +187,7 @@ def _add_rows(compiled: Any, model: pin.Model) -> None:
 
 
 def _add_points(compiled: Any, model: pin.Model, bodies: dict[int, Body]) -> None:
-    """Add frames of the robot's colliding balls and of sites, which feet may be."""
+    """Add frames at the robot's colliding balls and at sites, which may be feet."""
     touching = (compiled.geom_contype | compiled.geom_conaffinity) != 0
     balls = touching & (compiled.geom_type == SPHERE) & np.isin(compiled.geom_bodyid, robot_bodies(compiled))
     points = [("ball", compiled.geom(int(index))) for index in np.flatnonzero(balls)]
@@ -199,7 +203,7 @@ def _add_points(compiled: Any, model: pin.Model, bodies: dict[int, Body]) -> Non
 
 
 def _keyframe(compiled: Any, model: pin.Model) -> np.ndarray | None:
-    """Coordinates of the keyframe "home", or else the first, if it is within the limits."""
+    """MuJoCo's qpos of the keyframe "home", or else the first; None if it is not within the limits."""
     names = [compiled.key(index).name for index in range(compiled.nkey)]
     if not names:
         return None
@@ -221,7 +225,7 @@ def configuration(compiled: Any, model: pin.Model, qpos: np.ndarray) -> np.ndarr
 
 
 def robot_bodies(compiled: Any) -> list[int]:
-    """Bodies of trees with joints, all if there are none: the others are the scene."""
+    """Bodies of trees with joints, or all if there are none; other bodies belong to the scene."""
     roots = {int(compiled.body_rootid[body]) for body in compiled.jnt_bodyid}
     return [
         body for body in range(1, compiled.nbody) if not roots or int(compiled.body_rootid[body]) in roots
@@ -229,13 +233,13 @@ def robot_bodies(compiled: Any) -> list[int]:
 
 
 def body_names(compiled: Any) -> list[str]:
-    """Names of all bodies, the world's first; those without are numbered."""
+    """Names of all bodies, the world first; unnamed ones are numbered."""
     given = [compiled.body(index).name for index in range(compiled.nbody)]
     return _complete(given, [f"body{index}" for index in range(compiled.nbody)])
 
 
 def joint_names(compiled: Any) -> list[str]:
-    """Names of all joints; those without are named after their bodies."""
+    """Names of all joints; unnamed ones are named after their bodies."""
     given, bodies = [compiled.joint(index).name for index in range(compiled.njnt)], body_names(compiled)
     return _complete(given, [f"{bodies[body]}_joint" for body in compiled.jnt_bodyid])
 
@@ -246,7 +250,7 @@ def _complete(given: Sequence[str], otherwise: Sequence[str]) -> list[str]:
 
 
 def unique(name: str, taken: set[str]) -> str:
-    """The name, with a number if it is ``taken`` already; it is added to them."""
+    """The name, with a number appended if it is ``taken``; the result is added to ``taken``."""
     numbered = (f"{name}_{number}" for number in range(2, len(taken) + 3))
     found = next(each for each in (name, *numbered) if each not in taken)
     taken.add(found)

@@ -1,4 +1,4 @@
-"""What the actuators of a compiled MJCF file can do on its joints."""
+"""Torque limits, armatures and thrusters from the actuators of a compiled MJCF file."""
 
 from typing import Any, NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from trajopt.robot.actuators.actuation import Thruster
 
-# Of MuJoCo's mjtJoint, mjtTrn (a joint in its own or its parent's axes), mjtGain, mjtBias and mjtDyn.
+# Values of MuJoCo's mjtJoint, mjtTrn (a joint in its own or its parent's axes), mjtGain, mjtBias and mjtDyn.
 FREE, BALL, SLIDE, HINGE = range(4)
 ON_JOINT = (0, 1)
 AT_SITE, PARALLEL = 4, 1e-9
@@ -14,10 +14,10 @@ FIXED_GAIN, AFFINE_GAIN, MUSCLE, NO_BIAS, INTEGRATOR = 0, 1, 2, 0, 1
 
 
 class JointActuation(NamedTuple):
-    """Of each joint (njnt,): its torque limit, N m or N, inf without one, and whether it is ``driven``.
+    """Per joint (njnt,): torque limit ``effort``, N m or N, inf without one; ``driven``: has an actuator.
 
-    armature: reflected inertia of its actuators, kg m^2 or kg. thrusters: that push along an axis of a site.
-    others: names of actuators that are none of a hinge's or slide's, a muscle or a damper.
+    armature (njnt,): reflected inertia of the actuators, kg m^2 or kg. thrusters: actuators that push along
+    an axis of a site. others: names of the rest, such as muscles, dampers and actuators of tendons.
     """
 
     effort: np.ndarray
@@ -28,9 +28,9 @@ class JointActuation(NamedTuple):
 
 
 def actuation_of(compiled: Any) -> JointActuation:
-    """Limits by gear, force range and, of plain motors, gain and control range; several on a joint add.
+    """Actuation of joints from gear, force range and, for plain motors, gain and control range.
 
-    Of a range that is not symmetric the smaller side is the limit.
+    Actuators of one joint add up. The limit is the smaller side of a range that is not symmetric.
     """
     count = getattr(compiled, "nactuator", compiled.nu)
     outputs = getattr(compiled, "actuator_outadr", np.arange(count))  # MuJoCo 3 has one each
@@ -58,13 +58,13 @@ def actuation_of(compiled: Any) -> JointActuation:
 
 
 def _is_muscle_or_damper(compiled: Any, index: int) -> bool:
-    """Whether the force of an actuator is a muscle's, or a multiple of the rate alone."""
+    """Whether an actuator is a muscle, or a damper, whose force is a multiple of the rate alone."""
     kind, gain = compiled.actuator_gaintype[index], compiled.actuator_gainprm[index]
     return bool(kind == MUSCLE or (kind == AFFINE_GAIN and not gain[:2].any()))
 
 
 def _thruster(compiled: Any, index: int, name: str, gear: np.ndarray) -> Thruster | None:
-    """The thruster of an actuator at a site that pushes one way, with a moment about its axis alone."""
+    """Thruster of an actuator at a site that pushes one way with a moment about its axis alone, or None."""
     site, reference = (int(number) for number in compiled.actuator_trnid[index])
     size = float(np.linalg.norm(gear[:3]))
     if compiled.actuator_trntype[index] != AT_SITE or reference >= 0 or not size > 0:

@@ -1,4 +1,4 @@
-"""Geoms of a compiled MJCF file as shapes on a model, and the pairs of bodies that the file excludes."""
+"""Geoms of a compiled MJCF file as shapes on a model, and pairs of bodies excluded from collision."""
 
 from collections import Counter
 from pathlib import Path
@@ -10,9 +10,9 @@ import pinocchio as pin
 
 from trajopt.robot.mjcf import body_names, compile_mjcf, placement, robot_bodies, unique
 
-# Groups that MuJoCo draws unless asked for others; by custom, geoms that only collide are in the others.
+# MuJoCo draws groups below this by default; by convention, geoms that only collide are in higher ones.
 DRAWN_GROUPS = 3
-# Of MuJoCo's mjtGeom; planes, height fields and distance fields are not a robot's.
+# MuJoCo's mjtGeom; planes, height fields and distance fields are not parts of robots.
 MESH = 7
 KINDS = {
     2: lambda x, y, z: coal.Sphere(x),
@@ -24,7 +24,7 @@ KINDS = {
 
 
 def mjcf_geometry(path: Path, model: pin.Model, kind: pin.GeometryType) -> pin.GeometryModel:
-    """Geoms of the robot that touch, or that are drawn, on the frames of their bodies. Raises InputError."""
+    """Collision or visual geoms of the robot, on the frames of their bodies. Raises `InputError`."""
     compiled = compile_mjcf(path)
     own = np.isin(compiled.geom_bodyid, robot_bodies(compiled))
     own &= np.isin(compiled.geom_type, [*KINDS, MESH])
@@ -65,7 +65,7 @@ def _mesh(compiled: Any, mesh: int) -> Any:
 
 
 def excluded_bodies(path: Path) -> set[frozenset[str]]:
-    """Pairs of bodies that ``<exclude>`` names. Raises InputError."""
+    """Pairs of bodies in ``<exclude>`` elements. Raises `InputError`."""
     compiled = compile_mjcf(path)
     names = body_names(compiled)
     return {frozenset((names[pair >> 16], names[pair & 0xFFFF])) for pair in compiled.exclude_signature}

@@ -1,7 +1,7 @@
 """Natural units of a robot, from its model alone: weight, reach and gravity.
 
-Errors, grades, controllers and simulations measure in them; a solution file states them as ``units``. The
-scales of an NLP are others, see `trajopt.robot.Units`.
+Errors, grades, controllers and simulations use them; a solution file states them as ``units``. The scales of
+an NLP are different, see `trajopt.robot.Units`.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class NaturalUnits:
 
 
 def turning_rows(model: pin.Model) -> np.ndarray:
-    """Which rows of v (nv,) are rotations."""
+    """Mask (nv,) of the rows of v that are rotations."""
     data = model.createData()
     columns = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
     return np.asarray(np.linalg.norm(columns[3:], axis=0) > TRANSLATION * np.linalg.norm(columns, axis=0))

@@ -1,8 +1,8 @@
 """A rigid body that a robot carries during some phases: a box in a gripper.
 
 In these phases the body is part of the link that holds it, so its inertia enters the dynamics exactly. A
-solution has one model, the robot's own, and describes the bodies and their phases. To the robot's own model
-the body is a wrench at the holding contact, by Newton and Euler in the axes of the contact's frame,
+solution has one model, the robot's own, and describes the bodies and their phases. On that model the body
+exerts a wrench at the holding contact: by Newton and Euler, in the axes of the contact's frame,
 
     w = -(Y (a - g) + v x* Y v)          Y = spatial inertia of the body at the frame's origin
 
@@ -27,12 +27,12 @@ class Payload:
 
     Args:
         contact: name of the contact that holds it; its frame gives the axes.
-        mass: kg.
-        centre: of mass (3,), m, in the contact's frame; default its origin.
-        inertia: about the centre of mass (3, 3), kg m^2, in the frame's axes; None for a point mass.
+        mass: mass, kg.
+        centre: centre of mass (3,), m, in the contact's frame; default its origin.
+        inertia: inertia about the centre of mass (3, 3), kg m^2, in the frame's axes; None: a point mass.
 
     Raises:
-        InputError: for numbers that no rigid body has.
+        InputError: for a mass or an inertia that no rigid body has.
     """
 
     contact: str
@@ -62,7 +62,7 @@ class Payload:
 
 
 def loaded_model(model: pin.Model, frame: str, body: pin.Inertia) -> pin.Model:
-    """A copy of the model in which a body is part of the link of ``frame``, given in that frame's axes."""
+    """A copy of the model with a body, given in the axes of ``frame``, added to the link of that frame."""
     carrying = pin.Model(model)
     held = carrying.frames[carrying.getFrameId(frame)]
     carrying.appendBodyToJoint(held.parentJoint, body, held.placement)
@@ -70,7 +70,7 @@ def loaded_model(model: pin.Model, frame: str, body: pin.Inertia) -> pin.Model:
 
 
 def loaded(robot: Robot, payload: Payload) -> Robot:
-    """The robot with the payload as a part of the link that holds it."""
+    """The robot with the payload as part of the link that holds it."""
     frame = robot.contact(payload.contact).frame
     return replace(robot, model=loaded_model(robot.model, frame, payload.spatial))
 

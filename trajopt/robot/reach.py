@@ -1,4 +1,4 @@
-"""Upper bound on the distance of two points on a robot: the lengths of the links between them."""
+"""Upper bound on the distance between two points on a robot: the lengths of the links between them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_content import frame_content, joint_kind
 
-# Joints that rotate about a point of their parent: the distance from it is constant.
+# Joints that rotate about a point fixed in their parent: distances from it are constant.
 TURNING = ("RX", "RY", "RZ", "RUBX", "RUBY", "RUBZ", "RevoluteUnaligned", "RevoluteUnboundedUnaligned",
            "Spherical", "SphericalZYX")  # fmt: skip
 
 
 @dataclass(frozen=True)
 class LinkPoint:
-    """A point (3,) m in the axes of a joint; of joint 0 in the world's."""
+    """A point (3,) m in the frame of a joint; for joint 0, in the world."""
 
     joint: int
     point: np.ndarray
@@ -29,7 +29,7 @@ class LinkPoint:
         return cls(int(place.parentJoint), np.array(place.placement.translation))
 
     def root(self, model: pin.Model) -> LinkPoint:
-        """Where the first joint on the path to it is attached, in the world."""
+        """Where the first joint on the path from the root to it is attached, in the world."""
         way = _to_root(model, self.joint)
         if len(way) == 1:
             return self
@@ -39,8 +39,8 @@ class LinkPoint:
 def longest_between(model: pin.Model, one: LinkPoint, other: LinkPoint) -> float:
     """Upper bound on the distance in m between two places, over all configurations; inf where there is none.
 
-    The sum of the lengths from joint to joint on the path between them; prismatic joints have no bound,
-    whatever their limits.
+    The bound is the sum of the lengths from joint to joint on the path between them. Prismatic joints have no
+    bound, whatever their limits.
     """
     ancestors = set(_to_root(model, one.joint))
     top = next(joint for joint in _to_root(model, other.joint) if joint in ancestors)
@@ -56,7 +56,7 @@ def _to_root(model: pin.Model, joint: int) -> list[int]:
 
 
 def _climb(model: pin.Model, place: LinkPoint, top: int) -> tuple[np.ndarray, float]:
-    """Point of the body ``top`` where the branch of a place is attached, and the length from there to it."""
+    """Point of body ``top`` where the branch to ``place`` is attached, and the length from there to it."""
     joint, point, length = place.joint, place.point, 0.0
     while joint != top:
         turns = joint_kind(model, joint) in TURNING

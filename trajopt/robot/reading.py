@@ -19,7 +19,7 @@ from trajopt.robot.building import sagittal
 
 # Prefix of urdfdom's error messages.
 PREFIX = "Error:"
-# Ending of files for the preprocessor xacro, and what the tags of its elements hold.
+# Suffix of files for the preprocessor xacro, and the part that the tags of its elements share.
 XACRO, XACRO_ELEMENT = ".xacro", "xacro}"
 
 
@@ -45,7 +45,7 @@ def read_urdf(path: str | Path, base: Base) -> pin.Model:
 
 @contextmanager
 def _captured_stderr(lines: list[str]) -> Iterator[None]:
-    """Add what libraries write to the process's stderr to ``lines``, and pass it on unless they fail."""
+    """Capture in ``lines`` what libraries write to stderr; pass it on unless they fail."""
     sys.stderr.flush()
     with tempfile.TemporaryFile() as file:
         kept = os.dup(2)
@@ -65,12 +65,12 @@ def _captured_stderr(lines: list[str]) -> Iterator[None]:
 
 
 def require_xml(source: Path) -> ElementTree.Element:
-    """The root of a URDF. Raises `InputError` for a file that is not XML, with the place, or is for xacro."""
+    """Root element of a URDF. Raises `InputError` for malformed XML, with its position, and Xacro files."""
     try:
         root = ElementTree.parse(source).getroot()
     except (ElementTree.ParseError, ValueError) as error:  # the second: an unknown encoding
         raise InputError(f"{source} is not a readable URDF file: {error}") from None
-    # Files that xacro wrote may keep its namespace, but none of its elements.
+    # The output of xacro may keep its namespace, but none of its elements.
     if source.suffix == XACRO or any(XACRO_ELEMENT in str(element.tag) for element in root.iter()):
         target = source.with_suffix("").stem if source.suffix == XACRO else f"{source.stem}_expanded"
         command = f"xacro {source.name} > {target}.urdf"
@@ -80,7 +80,7 @@ def require_xml(source: Path) -> ElementTree.Element:
 
 
 def require_numbers(source: Path, root: ElementTree.Element) -> None:
-    """Raise `InputError` for masses, inertias and mimic rules that are no numbers: parsers leave them out."""
+    """Raise `InputError` for masses, inertias and mimic rules that are not numbers: parsers skip them."""
     for owner in (*root.iter("link"), *root.iter("joint")):
         for path in ("inertial/mass", "inertial/inertia", "mimic"):
             element = owner.find(path)

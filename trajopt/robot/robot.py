@@ -46,23 +46,23 @@ class Robot:
     """A robot as problems use it. Arrays are copied and read-only.
 
     Args:
-        name: word for tables and files.
-        model: numeric Pinocchio model; damping and friction in it count with `with_joint_forces` alone.
+        name: name of the robot in tables and files.
+        model: numeric Pinocchio model; its damping and friction only take effect by `with_joint_forces`.
         base: kind of the root joint. Its rows come first in v and are unactuated.
-        reference: posture (nq,), m and rad in Pinocchio's convention, within the limits.
-        velocity_limit: (nv,), rad/s or m/s, inf where there is none.
-        position_lower: least positions (nq,), rad or m, -inf where there is no limit.
-        position_upper: largest positions (nq,), rad or m, inf where there is no limit.
-        torque_limit: torque or force on the joint side (nu,), N m or N; None without any limit. Of a thruster
-            the largest force.
-        contacts: where it may touch its surroundings.
-        visual: where the meshes are, for a replay.
-        passive: joints without actuator, at any place: an ankle that is a contact, the pole on a cart.
-        given_length: characteristic length in m; None takes the one that `length` measures.
+        reference: reference posture (nq,), m and rad in Pinocchio's convention, within the limits.
+        velocity_limit: velocity limits (nv,), rad/s or m/s, inf where there is none.
+        position_lower: lower position limits (nq,), rad or m, -inf where there is none.
+        position_upper: upper position limits (nq,), rad or m, inf where there is none.
+        torque_limit: largest torque or force on the joint side (nu,), N m or N, including the largest force
+            of thrusters; None if nothing is limited.
+        contacts: contacts with which it may touch its surroundings.
+        visual: source of the meshes, for replays.
+        passive: joints without an actuator, anywhere in the tree: an ankle that is a contact, a cart's pole.
+        given_length: characteristic length in m; None computes it as in `length`.
         drives: a `Drive` or None for each input (nu), or None; set with `with_drives`.
-        thrusters: on the base, whose forces are the last inputs; set with `with_thrusters`.
+        thrusters: thrusters on the base, whose forces are the last inputs; set with `with_thrusters`.
         joint_forces: springs, damping and dry friction of joints; set with `with_joint_forces`.
-        mimics: joints that follow others; set with `with_mimics`.
+        mimics: mimic joints, which follow others; set with `with_mimics`.
 
     Raises:
         InputError: for an unknown frame, a wrong shape, a number that is not finite, a reference outside the
@@ -134,7 +134,7 @@ class Robot:
 
     @cached_property
     def unactuated_rows(self) -> np.ndarray:
-        """Rows of v without actuator: the base's, which come first, and those of passive joints."""
+        """Rows of v without an actuator: those of the base, which come first, and of passive joints."""
         return building.unactuated_rows(self.model, self.base, self.passive)
 
     @cached_property
@@ -144,18 +144,18 @@ class Robot:
 
     @cached_property
     def actuation(self) -> Actuation:
-        """The map from inputs (nu,), motors of joints and then thrusters, to generalised forces."""
+        """The map from inputs (nu,), first joint motors and then thrusters, to generalised forces."""
         unit = NaturalUnits.of(self.model).generalized_force(self.model)
         return Actuation.of(self.model, self.actuated_rows, self.thrusters, self.mimics, unit)
 
     @property
     def rows_of_inputs(self) -> np.ndarray:
-        """Row of v of every input (nu,), -1 of a thruster."""
+        """Row of v of every input (nu,), -1 for a thruster."""
         return np.append(self.actuated_rows, np.full(len(self.thrusters), -1))
 
     @property
     def n_unactuated(self) -> int:
-        """Number of rows without actuator."""
+        """Number of rows of v without an actuator."""
         return len(self.unactuated_rows)
 
     @cached_property
@@ -186,10 +186,10 @@ class Robot:
     def length(self) -> float:
         """Characteristic length in m, the scale of lengths and (with gravity) of time.
 
-        The mean height of the base above the contact frames in the reference posture, for a
-        robot that moves on contacts. Otherwise (fixed base, no contacts, or a base that is not above them)
-        the reach: the longest sum of link lengths from the root to any frame or centre of mass. 1 m if the
-        model has no extent. ``given_length`` overrides it.
+        For a robot that moves on contacts, the mean height of the base above the contact frames in the
+        reference posture. Otherwise (fixed base, no contacts, or a base that is not above them) the reach:
+        the longest sum of link lengths from the root to any frame or centre of mass. 1 m if the model has no
+        extent. ``given_length`` overrides it.
         """
         if self.given_length is not None:
             return self.given_length
@@ -197,11 +197,11 @@ class Robot:
         return building.characteristic_length(self.model, self.base, frames, self.reference)
 
     def actuated_row_limit(self, effort: np.ndarray | None) -> np.ndarray | None:
-        """Return the bound (nu,) on the actuated rows, N m, of an torque limit (nu,) of the drives."""
+        """Return the bound (nu,) on the actuated rows, N m, for a torque limit (nu,) of the drives."""
         return actuated_row_limit(self.drives, effort, self.velocity_limit[self.actuated_rows])
 
     def limited_model(self) -> pin.Model:
-        """Return a copy of the model that carries this robot's limits, as a solution file stores it."""
+        """Return a copy of the model with this robot's position limits, as a solution file stores it."""
         model = pin.Model(self.model)
         model.lowerPositionLimit, model.upperPositionLimit = self.position_lower, self.position_upper
         return model
@@ -236,12 +236,12 @@ class Robot:
         )
 
     def locked_with(self, joints: Sequence[str]) -> list[str]:
-        """These joints, and those that follow one of them."""
+        """These joints and their followers."""
         led = [mimic.joint for mimic in self.mimics if mimic.mimics in joints]
         return list(dict.fromkeys((*joints, *led)))
 
     def actuators_of(self, rows: np.ndarray) -> dict[str, Any]:
-        """Return torque limits and drives of the actuated ones of ``rows`` of v, as fields of a robot."""
+        """Return torque limits and drives of the actuated rows among ``rows`` of v, as fields of a robot."""
         actuators = np.searchsorted(self.actuated_rows, rows[np.isin(rows, self.actuated_rows)])
         actuators = np.append(actuators, np.arange(len(self.actuated_rows), self.nu))
         return {
@@ -251,12 +251,12 @@ class Robot:
 
     @checked
     def with_drives(self, drives: Mapping[str, Drive | None] | Sequence[Drive | None]) -> Robot:
-        """Return this robot with drives: by joint name, or one (or None) for each actuated row (nu).
+        """Return this robot with drives: by joint name, or one (or None) for each input (nu).
 
-        Limits and inertias are stated once, by the drive: the reflected rotor inertia n^2 I_r replaces the
-        model's armature of that joint (which is the same quantity, from another source), unless it is 0;
-        |n| torque_limit, if finite, replaces its torque limit; its velocity limit is lowered to
-        no_load_speed / |n|, beyond which the induced voltage exceeds the supply.
+        The drive replaces what the model says of its joint. The reflected rotor inertia n^2 I_r, unless it
+        is 0, replaces the armature (the same quantity, from another source). |n| torque_limit, if finite,
+        replaces the torque limit. The velocity limit is lowered to no_load_speed / |n|, beyond which the
+        induced voltage exceeds the supply.
 
         Raises `InputError` for a joint that is unknown or not actuated, `UnsupportedJointError` for one
         of several degrees of freedom.
@@ -278,10 +278,10 @@ class Robot:
     def with_joint_forces(self, forces: Sequence[JointForce] | None = None) -> Robot:
         """Return this robot with springs, damping and dry friction at joints, in place of those it has.
 
-        Springs in series stay unless their joints, ``JOINT_spring``, are among those given.
+        Series springs are kept unless their joints, ``JOINT_spring``, are among those given.
 
         Args:
-            forces: of joints; default damping, dry friction and (of MJCF) springs of its description.
+            forces: joint forces; default the damping, dry friction and (MJCF only) springs of its file.
 
         Raises:
             InputError: for an unknown joint, or one of several degrees of freedom.
@@ -296,11 +296,11 @@ class Robot:
 
     @checked
     def with_series_springs(self, stiffness: Mapping[str, float]) -> Robot:
-        """Return this robot with springs between gear and link of joints, series elastic actuators.
+        """Return this robot with series elastic actuators: springs between the gear and the link of joints.
 
-        Behind each joint comes a passive one, ``JOINT_spring``, which carries the link: its position is the
-        deflection. The joint itself is the gear's side, with the armature as its inertia, its motor and its
-        limits.
+        A passive joint ``JOINT_spring`` is added behind each joint. It carries the link, and its position is
+        the spring's deflection. The joint itself becomes the gear's side: it keeps its motor and its limits,
+        and its inertia is the armature.
 
         Args:
             stiffness: N m/rad or N/m, by the joint's name.
@@ -312,39 +312,39 @@ class Robot:
 
     @checked
     def with_mimics(self, mimics: Sequence[MimicJoint], driven: Sequence[str] = ()) -> Robot:
-        """Return this robot with joints that follow others, in place of those it has.
+        """Return this robot with mimic joints, which follow others, in place of those it has.
 
-        They are where they have to be in the reference, and limits of one of a pair hold for both.
+        The reference is changed to satisfy the rules, and the limits of either joint of a pair hold for both.
 
         Args:
-            mimics: which follow which.
-            driven: of those that follow, the ones with a motor of their own; others have none.
+            mimics: followers and their leaders.
+            driven: followers that keep a motor of their own; the others become passive.
 
         Raises:
-            InputError: for joints that are unknown, have several coordinates, or follow one that follows.
+            InputError: for joints that are unknown, have several coordinates, or follow a follower.
         """
         return replace(self, **changes.mimics(self, mimics, driven))
 
     def with_rolling_contacts(self) -> Robot:
-        """Return this robot with all contacts that have a radius rolling, see `Contact`.
+        """Return this robot with every contact that has a radius rolling, see `Contact`.
 
-        Raises InputError where none has one.
+        Raises `InputError` if no contact has a radius.
         """
         if not any(contact.radius for contact in self.contacts):
             raise InputError(f"robot '{self.name}' has no contact that could roll", "contacts with a radius")
         return replace(self, contacts=tuple(replace(c, rolling=c.radius > 0) for c in self.contacts))
 
     def least_torque(self, limit: np.ndarray) -> np.ndarray:
-        """Least inputs (nu,) that go with the largest ones ``limit``: of joints their negative."""
+        """Lower bounds (nu,) of the inputs for upper bounds ``limit`` (nu,): ``-limit`` for joints."""
         return least_inputs(limit, self.thrusters)
 
     def with_virtual_base(self, order: str = DEFAULT_ORDER) -> Robot:
         """Return this free-flyer robot with six virtual joints as its base: x, y, z, then three angles.
 
-        All else is kept: inertias, frames, contacts, limits, drives and the reference.
+        Everything else is kept: inertias, frames, contacts, limits, drives and the reference.
 
         Args:
-            order: of the angles' axes, "ZYX" for yaw, pitch, roll; one of `virtual_base.ORDERS`.
+            order: order of the angles' axes, "ZYX" for yaw, pitch, roll; one of `virtual_base.ORDERS`.
 
         Raises:
             InputError: for another base or an unknown order.
@@ -378,19 +378,19 @@ class Robot:
         """Build a robot from a URDF file.
 
         Args:
-            path: of the file.
+            path: path of the file.
             base: "freeflyer", "virtual" (six joints: x, y, z, yaw, pitch, roll; for another order of the
                 angles see `with_virtual_base`), "planar" (in the world's x-z plane) or "fixed".
             contacts: frame names (point contacts) or `Contact` objects.
             reference: see `building.reference_posture`; in terms of the joints before locking.
             locked: names of joints to weld at the reference.
-            name: of the robot; default the one in the file.
-            package_dirs: where ``package://`` paths of meshes start; default the folders above the file.
-            passive: names of joints without actuator.
+            name: name of the robot; default the one in the file.
+            package_dirs: directories of ``package://`` paths of meshes; default the folders above the file.
+            passive: names of joints without an actuator.
 
         Raises:
-            InputError: for a missing or malformed file, a joint that mimics another and is not locked, and
-                as `Robot`.
+            InputError: for a missing or malformed file, an unlocked mimic joint that is continuous or whose
+                leader does not move, and as `Robot`.
         """
         model = read_urdf(path, base)
         mimics = following(path, urdf_couplings(path), locked)
@@ -423,14 +423,13 @@ class Robot:
     ) -> Robot:
         """Build a robot from an MJCF file as MuJoCo compiles it; arguments and ``options`` as in `from_urdf`.
 
-        The default base is the file's, the default reference its keyframe "home", or else the first, if it is
-        within the limits; contacts put its base on the ground, and joints that a mapping does not name are
-        those of it. By default joints without actuator are passive, if others have one. Contacts name bodies,
-        sites and colliding balls.
+        The default base is that of the file. The default reference is the keyframe "home", or else the first
+        one, if it is within the limits, with the base moved until the contacts touch the ground. Joints that
+        a mapping does not name take their values from the keyframe. By default joints without an actuator
+        are passive, if others have one. Contacts name bodies, sites and colliding balls.
 
-        Raises `InputError` for a missing or malformed file, a base that contradicts it, joints that depend on
-        others nonlinearly or in loops and are not locked, several free joints, and where MuJoCo is not
-        installed.
+        Raises `InputError` for a missing or malformed file, a base that contradicts it, unlocked joints that
+        depend on others nonlinearly or in loops, several free joints, and if MuJoCo is not installed.
         """
         compiled = compile_mjcf(path)
         mimics = following(path, mjcf_couplings(compiled), locked)

@@ -1,4 +1,4 @@
-"""Scales of the variables, rows and costs of a robot's NLP, with which a term takes its quantities."""
+"""Scales of the variables, constraints and costs of a robot's NLP."""
 
 from __future__ import annotations
 
@@ -13,20 +13,19 @@ from trajopt.robot.robot import Robot
 # A limit this many scaled units away cannot bind in a motion that the robot's own weight drives:
 # 30 sqrt(g / l) is a full turn of a leg in about a fifth of its swing time, 30 m g l thirty times the
 # moment of the whole weight at the leg's length. Placeholder limits of URDF files (1000 rad/s,
-# 1000 N m) lie beyond. Rows for them are left out; ``check`` verifies the limits all the same.
+# 1000 N m) lie beyond it. Their rows are left out; ``check`` verifies the limits all the same.
 UNREACHABLE = 30.0
 
 
 class Units:
-    """Scales from weight m g, length l and g, of ``robot``, or of the one it is ``part_of``.
+    """Scales from the weight m g, the length l and the gravity g of ``robot``, or of ``part_of`` if given.
 
-    l is `Robot.length`, the height at which legs carry the base, as motions on legs scale with it. What a
-    motion is judged in is `trajopt.robot.natural_units`: it must not depend on how a problem was posed.
+    l is `Robot.length`, the height at which legs carry the base: motions on legs scale with it. Motions are
+    judged in `trajopt.robot.natural_units` instead, which do not depend on how a problem was posed.
 
     ``position``, ``velocity``, ``acceleration`` are arrays (nv,) over the local coordinates (m or rad and
     their derivatives), ``generalized_force`` (nv,) their forces (N or N m); ``force`` in N, ``torque`` in
-    N m, ``time`` in s; ``twist``, ``contact_acceleration`` and
-    ``wrench`` (6,), linear part first.
+    N m, ``time`` in s; ``twist``, ``contact_acceleration`` and ``wrench`` (6,), linear part first.
     """
 
     def __init__(self, robot: Robot, part_of: Robot | None = None) -> None:
@@ -56,7 +55,7 @@ class Units:
 
 
 def _is_linear(robot: Robot) -> np.ndarray:
-    """Which entries of v are linear velocities (nv,)."""
+    """Mask (nv,) of the entries of v that are linear velocities."""
     linear = np.zeros(robot.nv, dtype=bool)
     for joint in list(robot.model.joints)[1:]:
         kind = joint.shortname().removeprefix("JointModel")

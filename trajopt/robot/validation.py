@@ -1,4 +1,4 @@
-"""Validation of robots: contacts that exist, limits that are not empty, a reference within them."""
+"""Validation of robots: contacts must exist, limits must not be empty, the reference must be within them."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,12 +11,12 @@ from trajopt.errors import InputError, require_positive
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.contact import Contact, require_frame
 
-# A reference posture may touch its limit: rounding of degrees in description files, rad or m.
+# A reference posture may exceed its limits by this, rad or m: rounding of degrees in description files.
 LIMIT_SLACK = 1e-6
-# Eigenvalues of an inertia may be negative by the first part of its largest, rounding of description files,
-# or by the second of the robot's largest: bodies that are welded together are added in other axes.
+# Eigenvalues of an inertia may be negative by the first fraction of its largest, rounding in description
+# files, or by the second fraction of the robot's largest: welded bodies are added up in other axes.
 INERTIA_SLACK, WELDED_SLACK = 1e-6, 1e-15
-# A unit quaternion or (cos, sin) pair of a reference is given with this many digits at least.
+# Norms of the quaternions and (cos, sin) pairs of a reference may differ from 1 by this.
 UNIT_SLACK = 1e-6
 # Joints whose coordinate is a length.
 STRAIGHT = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismatic", "JointModelTranslation")
@@ -33,7 +33,7 @@ def require_contacts(robot: str, model: pin.Model, contacts: Sequence[Contact]) 
 
 
 def require_thrusters(robot: str, model: pin.Model, thrusters: Sequence[Thruster]) -> None:
-    """Raise `InputError` for thrusters that are not on the base, or are named like another input."""
+    """Raise `InputError` for a thruster that is not on the base or has the name of another input."""
     names = [*model.names, *(thruster.name for thruster in thrusters)]
     for thruster in thrusters:
         thruster.column(model)
@@ -44,7 +44,7 @@ def require_thrusters(robot: str, model: pin.Model, thrusters: Sequence[Thruster
 def require_inertias(robot: str, model: pin.Model) -> None:
     """Raise `InputError` for an unphysical mass, inertia, armature or gravity, or a robot without mass.
 
-    One link without mass or inertia is allowed: inverse dynamics needs no inverse of the mass matrix.
+    Single links without mass or inertia are allowed: inverse dynamics does not invert the mass matrix.
     """
     moments = [np.abs(inertia.inertia).max() for inertia in list(model.inertias)[1:]]
     rounding = WELDED_SLACK * np.nan_to_num(moments, posinf=0.0).max(initial=0.0)
@@ -80,7 +80,7 @@ def require_limits(
 ) -> None:
     """Raise `InputError` for limits that are empty, negative or NaN, or a length that is not positive.
 
-    others: limits by what they are, and the row of v that each of their numbers is for.
+    ``others`` holds further limits by name, each as the rows of v and the limits of these rows.
     """
     if length is not None:
         require_positive(f"given_length of robot '{robot}'", length, "m")
@@ -103,7 +103,7 @@ def require_limits(
 def require_reference(
     robot: str, model: pin.Model, q: np.ndarray, position: tuple[np.ndarray, np.ndarray]
 ) -> None:
-    """Raise `InputError` for a reference not finite, outside the limits, not unit, or in gimbal lock."""
+    """Raise `InputError` for a reference not finite, outside limits, not normalised or in gimbal lock."""
     lower, upper = position
     if not np.isfinite(q).all():
         raise InputError(f"reference of robot '{robot}' is not finite", "metres and radians")
@@ -125,7 +125,7 @@ def require_reference(
 
 
 def require_configuration(model: pin.Model, q: np.ndarray, what: str) -> None:
-    """Raise `InputError` for a configuration of wrong shape, not finite, or whose rotations are not unit."""
+    """Raise `InputError` for a configuration of wrong shape, not finite or with rotations not normalised."""
     if q.shape != (model.nq,) or not np.isfinite(q).all():
         fault = "not finite" if q.shape == (model.nq,) else f"of shape {q.shape}"
         raise InputError(f"{what} is {fault}", f"allowed: ({model.nq},), finite")

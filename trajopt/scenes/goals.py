@@ -1,4 +1,4 @@
-"""From robot, schedule and goals to the smallest problem: costs, limits and a guess that fit most scenes."""
+"""The smallest problem for a robot, a schedule and goals; default costs, limits and guess fit most scenes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,7 +28,7 @@ from trajopt.terrain.surface import SAME_PLANE
 
 Goals = Mapping[str, pin.SE3 | ArrayLike] | ArrayLike
 
-# Height of a foot's swing over the robot's length: a few centimetres for a leg of half a metre.
+# Swing height of a foot over the robot's length: a few centimetres for a leg of half a metre.
 CLEARANCE = 0.1
 
 
@@ -51,29 +51,30 @@ def scene(
 ) -> Scene:
     """Return the smallest problem that takes ``robot`` through ``schedule`` to its ``goals``.
 
-    The problem always has effort, velocity and position limits of the robot (of its drives, if it has any),
-    friction at every contact (the cone of the whole sole at surfaces), landings from the schedule, and a
-    clearance of swings of a tenth of the robot's length.
+    The problem always has the robot's effort limits (those of its drives, if it has any), velocity and
+    position limits, friction at every contact (the cone of the whole sole for surface contacts), landings
+    from the schedule, and a swing clearance of a tenth of the robot's length.
 
     Args:
         robot: The whole robot.
         schedule: Phases with their contacts.
-        goals: What holds at the end: a pose (`pin.SE3`) or position (3,) in m for each frame by name; or a
-            configuration (nq,), with contacts that land in the schedule landing there; default: nothing.
+        goals: What must hold at the end: a pose (`pin.SE3`) or position (3,) in m for each named frame; or a
+            configuration (nq,), in which case contacts that land do so where the configuration has them.
+            Default: no goals.
         terrain: Default: level ground at height 0 with friction 0.7.
         start: Configuration (nq,); default: the reference.
         start_rates: Rates (nv,); default: at rest.
         rest: Whether the motion ends at rest.
-        costs: Default: torques 1, contact forces, accelerations and rates 1e-2, distance from the start 1e-1,
-            each over its natural unit.
-        terms: More constraints or costs.
-        guess: Motion t -> (nq,); default: as of `Problem`.
-        name: Of the problem.
+        costs: Default: weight 1 on torques, 1e-2 on contact forces, accelerations and rates, 1e-1 on the
+            distance from the start, each over its natural unit.
+        terms: Additional constraints or costs.
+        guess: Motion t -> (nq,); default: the one of `Problem`.
+        name: Name of the problem.
         keep: Joints that are never locked.
-        plane: As in `smallest`.
+        plane: See `smallest`.
 
     Raises:
-        InputError: For goals, a start or contacts that do not fit the robot.
+        InputError: If goals, start or contacts do not fit the robot.
     """
     ground = FlatGround() if terrain is None else terrain
     first = np.array(robot.reference if start is None else start, dtype=float)
@@ -111,7 +112,7 @@ def scene(
 
 
 def _goals(robot: Robot, goals: Goals | None) -> tuple[list[Term], np.ndarray | None]:
-    """Terms of the goals, and the configuration (nq,) if they are one."""
+    """Return the terms of the goals, and the goal configuration (nq,) if the goals are one."""
     if goals is None:
         return [], None
     if not isinstance(goals, Mapping):
@@ -132,9 +133,9 @@ def _goals(robot: Robot, goals: Goals | None) -> tuple[list[Term], np.ndarray | 
 
 
 def _landing_on(robot: Robot, schedule: Schedule, ground: FlatGround, posture: np.ndarray) -> Schedule:
-    """Footholds, where none are given, for the last landing of contacts that hold at the end.
+    """Add the missing footholds at the last landing of each contact that is active at the end.
 
-    A goal constrains only what contacts leave free: they must land where the goal configuration has them.
+    The goal constrains only what the contacts leave free, so they must land where it has them.
     """
     places, phases = footholds_at(robot, posture, ground), list(schedule.phases)
     for name in phases[-1].contacts:

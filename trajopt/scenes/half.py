@@ -1,9 +1,9 @@
-"""Half of a mirror-symmetric robot, on a planar base: limbs in pairs are merged into the left one.
+"""Half of a mirror-symmetric robot on a planar base: each pair of limbs is merged into the left one.
 
-A motion that is its own mirror image moves the base in its x-z plane and the limbs of a pair alike. So its
-kinetic and potential energy are those of the base in the plane and of one limb of the pair with twice the
-mass, inertia and armature; the limb may leave the plane, as an abducted leg does. Its joints have twice the
-torque, its contacts twice the force. Joints on the plane that would leave it (yaw, roll) are locked first.
+In a mirror-symmetric motion the base moves in its x-z plane, and both limbs of a pair move alike. The kinetic
+and potential energy are those of the base in the plane and of one limb per pair with twice the mass, inertia
+and armature. The limb may leave the plane, as an abducted leg does. Its joints have twice the torque and its
+contacts twice the force. Joints of the midline that would leave the plane (yaw, roll) are locked first.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ from trajopt.scenes.reduction import FollowingPart, Reduction
 
 
 def turned_by_mirror(robot: Robot, mirror: Mirror) -> tuple[str, ...]:
-    """Joints on the plane that a mirrored motion holds at zero, such as yaw and roll of a waist."""
+    """Return the joints on the midline that a symmetric motion holds at zero, such as waist yaw and roll."""
     model = robot.model
     return tuple(
         model.names[j] for j in range(2, model.njoints) if mirror.partner[j] == j and mirror.sign[j] < 0
@@ -32,9 +32,9 @@ def turned_by_mirror(robot: Robot, mirror: Mirror) -> tuple[str, ...]:
 
 
 def half_robot(robot: Robot, mirror: Mirror, images: Sequence[int], q: np.ndarray) -> Reduction:
-    """Return the half of ``robot`` in the plane y = q[1], with contact images as `paired_contacts` gives.
+    """Return the half of ``robot`` in the plane y = q[1]; ``images`` are those of `paired_contacts`.
 
-    ``q`` (nq,) is the start: a mirror image of itself, heading along the world's x.
+    ``q`` (nq,) is the start. It must be its own mirror image, with the base heading along the world's x axis.
     """
     kept = keepers(robot, mirror, q)
     names, joints = robot.model.names, {}
@@ -56,7 +56,7 @@ def half_robot(robot: Robot, mirror: Mirror, images: Sequence[int], q: np.ndarra
 
 
 def _contact_follower(robot: Robot, kept: Sequence[int], contact: Contact, image: Contact) -> FollowingPart:
-    """Maps a contact on a kept limb to itself, and a pair on bodies of the plane to its first contact."""
+    """Map a contact on a kept limb to itself, and a pair on one midline body to the first of the two."""
     joint = int(robot.model.frames[robot.model.getFrameId(contact.frame)].parentJoint)
     names = [entry.name for entry in robot.contacts]
     image_joint = int(robot.model.frames[robot.model.getFrameId(image.frame)].parentJoint)
@@ -91,7 +91,7 @@ def _half_model(
 def _add_frames(
     model: pin.Model, new: pin.Model, mirror: Mirror, numbers: Mapping[int, int]
 ) -> frozenset[str]:
-    """Frames of kept bodies; those of the other side are placed at their mirror images, under their names."""
+    """Add all frames under their names; frames of dropped bodies go to their mirror images."""
     mirrored = set()
     holders = {0: 0} | {joint: new.addJointFrame(joint, 0) for joint in numbers.values()}
     for frame in list(model.frames)[1:]:
@@ -112,7 +112,7 @@ def _add_frames(
 
 
 def _merge_rows(model: pin.Model, new: pin.Model, mirror: Mirror, kept: Sequence[int]) -> None:
-    """Armature of both joints of a pair; other rows as of the joint that is kept."""
+    """Add up the armatures of both joints of a pair; copy the other rows from the joint that is kept."""
     for joint in kept[1:]:
         name, image = model.names[joint], mirror.partner[joint]
         v, old = joint_slices(new, name)[1], joint_slices(model, name)[1]
@@ -127,7 +127,7 @@ def _merge_rows(model: pin.Model, new: pin.Model, mirror: Mirror, kept: Sequence
 def _with_limits(
     robot: Robot, model: pin.Model, joints: Mapping[str, FollowingPart], contacts: tuple[Contact, ...]
 ) -> Robot:
-    """The small robot with the tighter position and velocity limits of each pair; a neutral reference."""
+    """Return the small robot with the tighter limits of each pair, and a neutral reference."""
     lower, upper = position_limits(model)
     lower[:], upper[:] = -np.inf, np.inf
     velocity = np.full(model.nv, np.inf)
@@ -163,7 +163,7 @@ def _with_limits(
 
 
 def _finished(reduction: Reduction) -> Robot:
-    """The small robot with the reference, torque limits and drives of the whole."""
+    """Return the small robot with the whole robot's reference, torque limits and drives."""
     whole, small = reduction.whole, reduction.small
     effort = None if whole.torque_limit is None else reduction.drop_torques(whole.torque_limit)
     drives = None
@@ -180,7 +180,7 @@ def _finished(reduction: Reduction) -> Robot:
 
 
 def _merged(drives: list[Drive | None]) -> Drive | None:
-    """Equal drives of a pair as one: n times the torque, inertia and friction at the same speeds."""
+    """Merge n equal drives into one with n times the torque, inertia and friction at the same speed."""
     first, n = drives[0], len(drives)
     if first is None or n == 1:
         return first

@@ -1,4 +1,4 @@
-"""The joints that a task needs, each with its reason; the others may be locked."""
+"""The joints that a task needs, each with its reason; all others may be locked."""
 
 from collections.abc import Sequence
 
@@ -25,12 +25,12 @@ from trajopt.terms.limits import PositionLimits, TorqueLimits, VelocityLimits
 from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalRest, TerminalState
 
-# Regularising costs and limits: a joint that rests at its start satisfies them.
+# Costs and limits that a joint at rest at its start satisfies.
 NO_NEED = (
     TorqueCost, AccelerationCost, VelocityCost, WrenchCost, TimeCost, ImpulseCost, MotorTorqueCost,
     TorqueLimits, VelocityLimits, PositionLimits, DriveLimits, TerminalRest,
 )  # fmt: skip
-# A joint whose goal is this near its start, rad or m, may stay: rounding of postures in files.
+# A joint whose goal is within this distance of its start, rad or m, may stay: postures in files are rounded.
 SAME_PLACE = 1e-9
 
 Needs = dict[str, str]
@@ -40,9 +40,10 @@ KEPT_AS_ASKED = "kept as asked"
 def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     """Return the joints that must move, by name, each with the first reason found.
 
-    Needed are base and passive joints; joints ``keep`` names; joints on the way to an active contact, or to
-    a frame that a term uses; joints whose goal is not their start, or that start moving; and joints whose
-    coordinates a term of an unknown kind uses. Raises `InputError` for an unknown name in ``keep``.
+    These are: joints of the base, passive joints, joints that start with a velocity, joints that carry an
+    active contact or a frame used by a term, joints whose goal differs from their start, joints in ``keep``,
+    and joints whose coordinates are used by a term of unknown kind; mimic joints and their leaders come
+    together. Raises `InputError` for an unknown name in ``keep``.
     """
     robot, needs = problem.robot, _always(problem)
     _require_known(robot, keep, "keep")
@@ -55,7 +56,7 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
         for name in _direct_joints(problem, instance):
             needs.setdefault(name, f"is in {instance.term.name}")
     for term in problem.terms:
-        if isinstance(term, PostureCost | TerminalState):  # is a joint's posture or goal its start?
+        if isinstance(term, PostureCost | TerminalState):  # does the target differ from the start?
             target = robot.reference if term.q is None else np.asarray(term.q, dtype=float)
             apart = np.abs(target - problem.initial_q)
             apart[: BASE_COORDINATES[robot.base]] = 0.0
@@ -71,7 +72,7 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
 
 
 def cleared_contacts(problem: Problem) -> set[str]:
-    """Contacts that a clearance term keeps off the ground in some phase."""
+    """Return the contacts that a clearance term keeps off the ground in some phase."""
     frames = {
         frame
         for instance in TermReader(problem).every()
@@ -82,7 +83,7 @@ def cleared_contacts(problem: Problem) -> set[str]:
 
 
 def require_lockable(problem: Problem, lock: Sequence[str], keep: Sequence[str]) -> None:
-    """Raise `InputError` for joints to lock that are unknown, kept, the base's, passive, or moving."""
+    """Raise `InputError` for joints to lock that are unknown, kept, passive, moving, or part of the base."""
     _require_known(problem.robot, lock, "lock")
     for name in lock:
         reason = "is kept as well" if name in keep else _always(problem).get(name)
@@ -117,7 +118,7 @@ def _chain(robot: Robot, frame: str, reason: str, needs: Needs) -> None:
 
 
 def _direct_joints(problem: Problem, instance: TermInstance) -> list[str]:
-    """Joints whose coordinates a term of an unknown kind uses directly."""
+    """Return the joints whose coordinates are used directly by a term of unknown kind."""
     if (
         isinstance(instance.term, (*NO_NEED, PostureCost, TerminalState))
         or instance.context.place is Place.IMPACT

@@ -1,8 +1,8 @@
 """Symmetric tasks in the plane: the half of the robot, and its joints that leave the plane.
 
-A half is found where robot and task are their own mirror images. Where a limb of it moves in the plane
-without the joints that leave it (abduction, mostly), these are locked. Start, contacts and surfaces are
-compared with their images, and every term at random states.
+The robot is halved if robot and task are their own mirror images. If the other joints of a limb move in the
+plane without those that leave it (usually abduction), the latter are locked. Start, contacts and surfaces are
+compared with their mirror images directly, terms at random states.
 """
 
 from __future__ import annotations
@@ -42,29 +42,29 @@ from trajopt.terms.swing import SwingClearance
 from trajopt.terms.terminal import TerminalState
 from trajopt.terrain.flat import FlatGround
 
-# Largest difference of a robot from its mirror image, over its mass and length: errors of descriptions made
-# by hand from CAD (Solo12 8e-6, Talos 2e-3, A1 1.1e-2), less than masses are usually known to.
+# Largest difference between a robot and its mirror image, over its mass and length. Hand-written models from
+# CAD have errors (Solo12 8e-6, Talos 2e-3, A1 1.1e-2) below the accuracy to which masses are usually known.
 ASYMMETRY = 2e-2
-# Below this, robot and task are symmetric up to rounding in descriptions and kinematics.
+# Below this difference, robot and task are symmetric up to rounding in models and kinematics.
 ROUNDING = 1e-9
-# Terms about frames that constrain nothing across the plane; footholds are checked separately.
+# Frame terms that constrain nothing across the plane; footholds are checked separately.
 ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)
-# Start, goals and terms may differ from their mirror images by this, in scaled units (rad, lengths of the
-# robot): below what joints are calibrated to. Above it a task is asymmetric.
+# Largest difference of start, goals and terms from their mirror images, in scaled units (rad, lengths of the
+# robot): below the accuracy of joint calibration. Tasks with a larger difference are asymmetric.
 TASK = 1e-3
-# Torques of mirrored motions may differ by this multiple of the robot's own asymmetry: a mismatch of an
-# inertia enters several rows.
+# Terms with dynamics may differ from their mirror images by this multiple of the robot's asymmetry: an error
+# in one inertia enters several rows.
 PASSED_ON = 20.0
-# Rows and costs are compared at this many random states of order one in scaled units.
+# Number of random states, of order one in scaled units, at which rows and costs are compared.
 STATES = 2
-# Rounding error of the base's heading, rad, from the world's x axis.
+# Largest deviation of the base's heading from the world's x axis, rad.
 HEADING = 1e-6
 
 
 def halve_robot(problem: Problem, keep: Sequence[str]) -> tuple[Reduction, Decision]:
     """Return the reduction to the half of a problem's robot, and the decision for the report.
 
-    ``keep`` are joints that must not be locked. Raises `InputError` that names what is not symmetric.
+    Joints in ``keep`` must not be locked. Raises `InputError` that names what is not symmetric.
     """
     mirror = _mirror(problem)
     turned = turned_by_mirror(problem.robot, mirror)
@@ -108,11 +108,11 @@ def _why(mirror: Mirror, task_asymmetry: Asymmetry, limits: list[str]) -> str:
 
 
 def in_plane(problem: Problem, keep: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the joints of a half's limbs that leave the plane: those to lock, and those that cannot be.
+    """Return the joints of a half's limbs that leave the plane: those to lock, and those to leave free.
 
-    With these joints locked at the start, the others of the limb must move in the plane: an abducted leg
-    moves in a different plane. Limbs with a joint in ``keep``, or for which the task requires motion across
-    the plane, stay as they are.
+    They are locked if the limb has other joints, which then move in a plane parallel to the base's: an
+    abducted leg moves in a different plane. Limbs whose leaving joints are in ``keep``, or that the task
+    moves across the plane, stay as they are.
     """
     model, wanted = problem.robot.model, {*keep, *_across(problem)}
     leaving = leaving_plane(model, 1, problem.initial_q)
@@ -158,7 +158,7 @@ def _goals(problem: Problem) -> set[str]:
 
 @dataclass(frozen=True)
 class Asymmetry:
-    """The largest difference between a part of the task and its mirror image, and which part."""
+    """Largest difference between a part of the task and its mirror image, and the name of that part."""
 
     difference: float
     where: str
@@ -167,7 +167,7 @@ class Asymmetry:
 def require_symmetric(problem: Problem, mirror: Mirror, images: Sequence[int]) -> Asymmetry:
     """Return how far a task is from its mirror image; raises `InputError` that names what is asymmetric.
 
-    ``images`` are those of the contacts. The plane is y = initial_q[1], the heading the world's x.
+    ``images`` are the indices of the contacts' images. The plane is y = initial_q[1]; the base heads along x.
     """
     asymmetries = [_start(problem, mirror)]
     for phase in problem.schedule.phases:
@@ -199,7 +199,7 @@ def _start(problem: Problem, mirror: Mirror) -> Asymmetry:
 
 
 def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Asymmetry:
-    """Contacts of a phase in pairs, each on the mirror image of the other's surface."""
+    """Compare the surface of each contact in a phase with the mirror image of its partner's surface."""
     if phase.patches or not isinstance(problem.terrain, FlatGround):
         raise InputError(
             f"phase '{phase.name}' has patches, or its ground is not one plane",
@@ -230,7 +230,7 @@ def _contacts(problem: Problem, phase: Phase, images: Sequence[int]) -> Asymmetr
 
 
 def _terms(problem: Problem, group: list[TermInstance], mirror: Mirror, images: Sequence[int]) -> Asymmetry:
-    """Compare terms of one kind at one place, together, at random inputs and at their mirror images."""
+    """Compare all terms of one name at one place, at random inputs and at their mirror images."""
     where = f"{group[0].term.name} of phase '{problem.schedule.phases[group[0].phase].name}'"
     filled = [instance for instance in group if instance.expression.numel()]
     if not filled:
@@ -249,7 +249,7 @@ def _terms(problem: Problem, group: list[TermInstance], mirror: Mirror, images: 
 
 
 def _comparable(group: list[TermInstance], values: list[np.ndarray]) -> np.ndarray:
-    """Values independent of the order of rows: the cost; sorted slacks; the norm of equations."""
+    """Return values that do not depend on the order of rows: cost, norm of equations, sorted slacks."""
     costs, slacks, equations = 0.0, [np.zeros(0)], [np.zeros(0)]
     for instance, value in zip(group, values, strict=True):
         if instance.rows is None:
@@ -271,7 +271,7 @@ def _mirrored_inputs(
     images: Sequence[int],
     generator: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Random inputs z of a place, near the start, and their mirror image."""
+    """Return random inputs z of a place, near the start, and their mirror image."""
     robot, context = problem.robot, instance.context
     coordinates, y0 = context.coordinates, float(problem.initial_q[1])
     index, sign = mirrored_rows(robot, mirror)

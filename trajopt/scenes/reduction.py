@@ -1,11 +1,11 @@
-"""The map between a whole robot and a smaller one that moves as a part of it, also of its solutions.
+"""The map between a whole robot and a smaller one, for states, forces and solutions.
 
-Every joint of the whole robot is locked at its start, or follows a joint of the small one: itself, or its
-mirror image with a sign. Rates, accelerations and the local coordinates' derivatives follow linearly,
-v = E v_small; a joint that stands for n mirrored ones has n times their torque, a contact n times their
-force.
+Every joint of the whole robot is either locked at its start or follows a joint of the small robot: its own
+counterpart, or with a sign its mirror image. Rates, accelerations and derivatives of the local coordinates
+follow linearly, v = E v_small. A joint that stands for n mirrored ones has n times their torque, a contact n
+times their force.
 
-A whole robot on a free-flyer that is halved keeps (x, z, pitch) of its base, nose up:
+Halving a free-flyer robot leaves the coordinates (x, z, pitch) of its base, pitch positive with the nose up:
 
     p = (x, y0, z),   R = R_y(-pitch),   v = (v_x, 0, v_z), (0, -pitch', 0) in the base's axes
 """
@@ -32,7 +32,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import contact_activity, described_robot
 from trajopt.terms.interfaces import NodePlace
 
-# Rows of a free-flyer's twist that a planar base has, and their signs: forward, up, pitch about -y.
+# Rows of a free-flyer's twist that a planar base keeps, and their signs: forward, up, pitch about -y.
 PLANAR_ROWS = ((0, 1.0), (2, 1.0), (4, -1.0))
 
 
@@ -42,24 +42,24 @@ _Trajectory = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class FollowingPart:
-    """The joint or contact of the small robot that one of the whole follows, and whether mirrored."""
+    """The joint or contact of the small robot that a part of the whole robot follows, mirrored or not."""
 
     name: str
     sign: float = 1.0
     mirrored: bool = False
 
     def behind(self, other: FollowingPart) -> FollowingPart:
-        """Return the composition, where the followed one follows another."""
+        """Return the composition with ``other``, which this part's leader follows in turn."""
         return FollowingPart(other.name, self.sign * other.sign, self.mirrored != other.mirrored)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reduction:
-    """``small`` robot of a ``whole`` one, whose locked joints rest at ``start`` (nq of the whole).
+    """The map from a ``whole`` robot to a ``small`` one; locked joints rest at ``start`` (nq of the whole).
 
-    joints: joint behind the base -> what it follows; those not named are locked. contacts: likewise;
-    those not named are never active. mirrored_frames: frames on limbs that exist in the small robot as mirror
-    images.
+    joints: what each joint outside the base follows; joints not listed are locked.
+    contacts: what each contact follows; contacts not listed are never active.
+    mirrored_frames: frames on limbs that exist in the small robot only as mirror images.
     """
 
     whole: Robot
@@ -71,7 +71,7 @@ class Reduction:
 
     @property
     def is_half(self) -> bool:
-        """Whether the small robot is the mirrored half of the whole."""
+        """Whether the small robot is the mirror-symmetric half of the whole one."""
         return self.small.base == "planar" and self.whole.base != "planar"
 
     @property
@@ -80,7 +80,7 @@ class Reduction:
         return float(self.start[1])
 
     def then(self, second: Reduction) -> Reduction:
-        """Return the reduction from this one's whole robot to the small one of a second."""
+        """Return the composition with a reduction of this one's small robot."""
         return replace(
             self,
             small=second.small,
@@ -90,16 +90,16 @@ class Reduction:
         )
 
     def members(self, name: str) -> int:
-        """Number of joints of the whole robot that follow the small one's joint of that name."""
+        """Number of joints of the whole robot that follow the small robot's joint ``name``."""
         return sum(follower.name == name for follower in self.joints.values())
 
     def contact_members(self, name: str) -> int:
-        """Number of contacts of the whole robot that follow the small one's of that name."""
+        """Number of contacts of the whole robot that follow the small robot's contact ``name``."""
         return sum(follower.name == name for follower in self.contacts.values())
 
     @cached_property
     def rates(self) -> np.ndarray:
-        """E (nv of the whole, nv of the small)."""
+        """E of v = E v_small, (nv of the whole, nv of the small)."""
         matrix = np.zeros((self.whole.nv, self.small.nv))
         if self.is_half:
             for column, (row, sign) in enumerate(PLANAR_ROWS):
@@ -112,7 +112,7 @@ class Reduction:
         return matrix
 
     def entries(self) -> Iterator[tuple[_Slices, _Slices, float]]:
-        """For every following joint: entries (of the whole robot, of the small one) in q and in v, sign."""
+        """Yield for every following joint the entries (whole, small) in q, those in v, and the sign."""
         for name, follower in self.joints.items():
             of_whole = joint_slices(self.whole.model, name)
             followed = joint_slices(self.small.model, follower.name)
@@ -120,9 +120,9 @@ class Reduction:
 
     @cached_property
     def shares(self) -> np.ndarray:
-        """Torques of the whole robot's actuated rows from the small one's, (nu, nu of the small).
+        """Matrix (nu, nu of the small) from the small robot's torques to the whole robot's.
 
-        Zero for a locked joint: the small robot does not determine its holding torque.
+        Rows of locked joints are zero: the small robot does not determine their holding torques.
         """
         matrix = self.rates[np.ix_(self.whole.actuated_rows, self.small.actuated_rows)]
         members = np.abs(matrix).sum(axis=0)
@@ -132,7 +132,7 @@ class Reduction:
         return shares
 
     def lift_q(self, q: np.ndarray) -> np.ndarray:
-        """Configuration (nq,) of the whole robot."""
+        """Return the whole robot's configuration (nq,) for one of the small robot."""
         lifted = np.array(self.start, dtype=float)
         n = BASE_COORDINATES[self.whole.base]
         if self.is_half:
@@ -145,7 +145,7 @@ class Reduction:
         return lifted
 
     def drop_q(self, q: np.ndarray) -> np.ndarray:
-        """Configuration of the small robot nearest to one of the whole: images are averaged."""
+        """Return the small robot's configuration nearest to one of the whole robot: images are averaged."""
         small = np.zeros(self.small.nq)
         n = BASE_COORDINATES[self.small.base]
         if self.is_half:
@@ -161,17 +161,17 @@ class Reduction:
         return np.array(pin.normalize(self.small.model, small))
 
     def drop_v(self, v: np.ndarray) -> np.ndarray:
-        """Rates or accelerations of the small robot from those of the whole, images averaged."""
+        """Return the small robot's rates or accelerations nearest to those of the whole, in least squares."""
         return np.asarray(np.linalg.lstsq(self.rates, v, rcond=None)[0])
 
     def drop_torques(self, limit: np.ndarray) -> np.ndarray:
-        """Effort limit (nu of the small) from one of the whole robot: n times the least of n images'."""
+        """Return the small robot's effort limit (nu,): n times the least limit of the n images of a joint."""
         given, columns = np.asarray(limit, dtype=float), np.abs(self.shares).T
         limits = [np.min(given[share > 0] / share[share > 0], initial=np.inf) for share in columns]
         return np.array(limits)
 
     def lift_forces(self, f: np.ndarray) -> np.ndarray:
-        """Wrenches (K, nc, 6) of the whole robot's contacts from the small one's (K, nc, 6)."""
+        """Return the wrenches (K, nc, 6) of the whole robot's contacts from the small robot's."""
         names = [contact.name for contact in self.small.contacts]
         lifted = np.zeros((len(f), len(self.whole.contacts), 6))
         for row, contact in enumerate(self.whole.contacts):
@@ -182,24 +182,24 @@ class Reduction:
         return lifted
 
     def reflected_point(self, point: np.ndarray) -> np.ndarray:
-        """Mirror image of a world position (3,) about the plane of the half, m."""
+        """Return the mirror image (3,) of a world position about the plane of the half, m."""
         return REFLECTION * point + np.array([0.0, 2 * self.y0, 0.0])
 
 
 def _followed(
     first: Mapping[str, FollowingPart], second: Mapping[str, FollowingPart]
 ) -> dict[str, FollowingPart]:
-    """The composition of both reductions."""
+    """Return the composition of two maps, without parts whose leader is not in the second."""
     return {name: f.behind(second[f.name]) for name, f in first.items() if f.name in second}
 
 
 def whole_place(place: NodePlace, reduction: Reduction) -> NodePlace:
-    """The node with the whole robot's contacts, their footholds and surfaces."""
+    """Return the node with the whole robot's contacts, footholds and surfaces."""
     return replace(place, phase=whole_phase(place.phase, reduction))
 
 
 def whole_phase(phase: Phase, reduction: Reduction) -> Phase:
-    """The whole robot's phase for a reduced phase."""
+    """Return the whole robot's phase for a reduced phase."""
     active = {name: f for name, f in reduction.contacts.items() if f.name in phase.contacts}
     footholds, surfaces, patches = {}, {}, {}
     for name, follower in active.items():
@@ -221,10 +221,9 @@ def whole_phase(phase: Phase, reduction: Reduction) -> Phase:
 def lock_joints(
     robot: Robot, names: Sequence[str], q: np.ndarray, contacts: Collection[str] | None = None
 ) -> Reduction:
-    """Return the reduction to ``robot`` with joints ``names`` welded at q (nq,), on these or all contacts.
+    """Return the reduction that welds joints ``names`` at q (nq,) and keeps ``contacts``, or all of them.
 
-    The small robot keeps the reference posture and the length of the whole robot, to which units and costs
-    refer.
+    The small robot keeps the whole robot's reference posture and length, on which units and costs are based.
     """
     kept = tuple(c for c in robot.contacts if contacts is None or c.name in contacts)
     names = robot.locked_with(names)
@@ -247,12 +246,12 @@ def behind_base(robot: Robot) -> tuple[str, ...]:
 
 
 def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) -> Solution:
-    """Return the motion of the whole robot of ``problem`` that a small robot's ``solution`` stands for.
+    """Return the whole robot's solution of ``problem`` for a ``solution`` of the small robot.
 
-    Configurations, rates and contact wrenches follow from the reduction. The halves of a real robot differ a
-    little: wrenches of active contacts get the least correction, in scaled units, with which the whole
-    robot's base rows hold. What contacts cannot provide (all of it in flight) remains as a residual in the
-    check. Torques are the actuated rows of numeric RNEA - J^T f, locked joints' too.
+    Configurations, rates and contact wrenches follow from the reduction. The two sides of a real robot differ
+    slightly, so a half's active contact wrenches get the smallest correction, in scaled units, that satisfies
+    the whole robot's base rows. What the contacts cannot provide (in flight, all of it) remains as a residual
+    in the check. Torques are the actuated rows of numeric RNEA - J^T f, including those of locked joints.
     """
     whole = reduction.whole
     q = np.array([reduction.lift_q(row) for row in solution.q])
@@ -272,7 +271,7 @@ def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) ->
         tau=_torques(solution, whole, motion, f),
         active=every,
         impulse=None if solution.impulse is None else reduction.lift_forces(solution.impulse),
-        row_multiplier=None,  # those of the small problem do not apply
+        row_multiplier=None,  # the small problem's multipliers do not apply
         row_place=None,
         bound_multiplier=None,
     )
@@ -281,7 +280,7 @@ def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) ->
 def _carrying(
     solution: Solution, problem: Problem, motion: _Trajectory, f: np.ndarray, active: np.ndarray
 ) -> np.ndarray:
-    """Wrenches (K, nc, 6) nearest to ``f`` whose base rows carry the motion at collocation points."""
+    """Return the wrenches (K, nc, 6) nearest to ``f`` that satisfy the base rows at collocation points."""
     robot = problem.robot
     model, data, rows = robot.model, robot.model.createData(), robot.unactuated_rows
     frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
@@ -305,7 +304,7 @@ def _carrying(
 
 
 def _torques(solution: Solution, robot: Robot, motion: _Trajectory, f: np.ndarray) -> np.ndarray:
-    """Actuated rows (K, nu) of RNEA - J^T f at collocation points, interpolated elsewhere."""
+    """Return the actuated rows (K, nu) of RNEA - J^T f at collocation points, interpolated elsewhere."""
     model, data = robot.model, robot.model.createData()
     frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
     forces = np.zeros((solution.n_samples, robot.nv))

@@ -1,4 +1,4 @@
-"""What a scene models and leaves out, by decision: whether exact or a choice, and what it saves."""
+"""Report of a scene: each modelling decision, whether it is exact or a choice, and what it saves."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -21,7 +21,7 @@ _Remark = tuple[str, str]
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemSize:
-    """Variables and rows of a transcription."""
+    """Number of variables and rows of a transcription."""
 
     variables: int
     rows: int
@@ -32,11 +32,11 @@ class Decision:
     """One decision about what a scene models.
 
     Args:
-        kind: "exact", the optimum is the same; "choice", it may differ, by an amount to be measured; "kept",
-            modelled because it is needed; "offer", could be left out on request.
-        what: was left out, kept or offered.
-        why: the reason.
-        saved: variables and rows, 0 where the problem as built had none.
+        kind: "exact", the optimum is unchanged; "choice", it may change, by an amount to be measured; "kept",
+            needed and modelled; "offer", could be left out on request.
+        what: What was left out, kept or offered.
+        why: The reason.
+        saved: Variables and rows saved; 0 where the problem as built had none.
     """
 
     kind: str
@@ -47,7 +47,7 @@ class Decision:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneReport:
-    """All decisions of one scene, the sizes before and after, and the mesh these are for."""
+    """All decisions of a scene, and the sizes before and after on the given mesh."""
 
     problem: str
     robot: str
@@ -60,15 +60,15 @@ class SceneReport:
 
     @property
     def is_exact(self) -> bool:
-        """Whether the reduced problem has the same optimum, i.e. no decision was a choice."""
+        """Whether the reduced problem has the same optimum, that is, whether no decision was a choice."""
         return not any(decision.kind == CHOICE for decision in self.decisions)
 
     def of_kind(self, kind: str) -> tuple[Decision, ...]:
-        """Decisions of one kind."""
+        """Return the decisions of one kind."""
         return tuple(decision for decision in self.decisions if decision.kind == kind)
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it for JSON."""
+        """Return the report as JSON-able entries."""
         return {**asdict(self), "exact": self.is_exact}
 
     def __str__(self) -> str:
@@ -90,7 +90,7 @@ class SceneReport:
 
 
 def modelled(problem: Problem, whole: Problem, needs: Mapping[str, str]) -> tuple[str, ...]:
-    """What is modelled: base, joints with why they are needed, contacts of every phase, inputs."""
+    """Describe what is modelled: base, joints and why they are needed, contacts of each phase, inputs."""
     robot = problem.robot
     lines = [f"{robot.base} base, {robot.n_unactuated} rows without actuator, {robot.nu} joints with one"]
     by_reason: dict[str, list[str]] = {}
@@ -107,9 +107,9 @@ def modelled(problem: Problem, whole: Problem, needs: Mapping[str, str]) -> tupl
 
 
 def remarks(problem: Problem, whole: Problem, mesh: Mesh) -> Iterator[Decision]:
-    """Rows and variables that are never built, with the reason, and what could be left out on request.
+    """Yield the rows and variables that are never built, and those that could be left out on request.
 
-    Numbers are for a mesh.
+    Counts are for ``mesh``.
     """
     points = [phase.count * phase.method.s for phase in mesh.phases]
     for what, why in _never_modelled(problem, whole, points):
@@ -119,7 +119,7 @@ def remarks(problem: Problem, whole: Problem, mesh: Mesh) -> Iterator[Decision]:
 
 
 def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iterator[_Remark]:
-    """Forces in the air, limits out of reach, friction of grasps, clearance of standing feet."""
+    """Yield forces in the air, unreachable limits, friction of grasps, clearance of standing feet."""
     robot, phases = problem.robot, problem.schedule.phases
     count = sum(
         number * sum(c.dimension for c in robot.contacts if c.name not in phase.contacts)
@@ -149,7 +149,7 @@ def _never_modelled(problem: Problem, whole: Problem, points: list[int]) -> Iter
 
 
 def _threshold(term: TorqueLimits | VelocityLimits | PositionLimits, robot: Robot) -> str:
-    """Beyond what a term leaves limits out."""
+    """Describe the threshold beyond which a term leaves limits out."""
     units = Units(robot)
     if isinstance(term, TorqueLimits):
         return f"beyond 30 m g l = {units.unreachable_torque:.3g} N m"
@@ -173,7 +173,7 @@ def _offered_points(problem: Problem, points: list[int]) -> Iterator[_Remark]:
 
 
 def _offered_velocity(problem: Problem) -> Iterator[_Remark]:
-    """A velocity source, if no term uses accelerations or rates at nodes."""
+    """Offer velocity inputs if no term uses accelerations, or rates at nodes."""
     if problem.actuation != "acceleration" or problem.robot.n_unactuated or problem.initial_v.any():
         return
     if any(phase.contacts for phase in problem.schedule.phases):

@@ -1,12 +1,12 @@
 """The pipeline from a problem to the smallest one with the same task.
 
-Decisions are taken in this order, each on the result of the one before:
+Decisions are taken in this order, each on the result of the previous one:
 
-- costs of weight zero; four corner points of a foot as one sole (`soles`);
-- contacts that are never active, joints that nothing needs (`needs`, `lock`);
-- the mirrored half of a symmetric robot on a symmetric task (`plane`, `half`);
-- joints that leave the plane, where the limb moves in it without them (`plane`);
-- torques, if no term asks for them.
+- drop costs of weight zero; merge four corner points of a foot into one sole (`soles`);
+- drop contacts that are never active, lock joints that nothing needs (`needs`);
+- halve a symmetric robot on a symmetric task (`plane`, `half`);
+- lock the joints that leave the plane, in limbs that move in it without them (`plane`);
+- drop torques if no term uses them.
 """
 
 from collections.abc import Sequence
@@ -37,13 +37,13 @@ class Scene:
     """A task and the smallest problem found for it.
 
     Args:
-        original: the problem as built.
-        problem: the reduced one, ready for `trajopt.solve`.
-        reduction: from the whole robot to the one of ``problem``.
-        steps: every decision, and the problem that it made where it made another.
-        modelled: lines of the report about what is left.
-        mesh: the one that sizes are reported for.
-        soles: surface contacts in place of corners, None without any.
+        original: The problem as built.
+        problem: The reduced problem, ready for `trajopt.solve`.
+        reduction: The map from the whole robot to the robot of ``problem``.
+        steps: Every decision, with the problem that results from it, or None if it changed nothing.
+        modelled: Lines of the report about what remains.
+        mesh: The mesh for which sizes are reported.
+        soles: The surface contacts that replaced corner points, or None.
     """
 
     original: Problem
@@ -56,7 +56,7 @@ class Scene:
 
     @cached_property
     def report(self) -> SceneReport:
-        """Every decision with its reason and what it saved; each problem is transcribed."""
+        """Every decision with its reason and savings; transcribes each intermediate problem."""
         size = before = size_of(self.original, self.mesh)
         decisions = []
         for decision, made in self.steps:
@@ -78,7 +78,7 @@ class Scene:
     def lift(self, solution: Solution) -> Solution:
         """Return a solution of ``problem`` as one of the whole robot, for ``check`` and ``replay``.
 
-        Its torques are those of the whole robot on this motion, locked joints' too, by inverse dynamics.
+        Torques, also those of locked joints, are recomputed by inverse dynamics of the whole robot.
         """
         whole = self.original if self.soles is None else self.soles.problem
         lifted = lift_solution(solution, whole, self.reduction)
@@ -98,22 +98,22 @@ def smallest(
     intervals: int | None = None,
     mesh: Mesh | None = None,
 ) -> Scene:
-    """Return the smallest problem with the task of ``problem``; nothing is solved.
+    """Return the smallest problem with the same task as ``problem``, without solving anything.
 
     Args:
         problem: The problem of the whole robot.
-        keep: Joints, by name, that are never locked.
-        lock: Joints that are locked, whatever needs them.
+        keep: Names of joints that are never locked.
+        lock: Names of joints to lock even if something needs them.
         plane: Halve a symmetric robot on a symmetric task if possible ("auto"), always (True), never (False).
         soles: Merge four point contacts at the corners of a rectangle on one link into a surface contact.
-        torques: Model torques although no term uses them.
-        transcription: Scheme that sizes are reported for; default: the problem's.
-        intervals: Number of intervals that sizes are reported for; default: the problem's.
-        mesh: Mesh that sizes are reported for, instead of both.
+        torques: Model torques even if no term uses them.
+        transcription: Scheme for which sizes are reported; default: the problem's.
+        intervals: Number of intervals for which sizes are reported; default: the problem's.
+        mesh: Mesh for which sizes are reported, instead of the two above.
 
     Raises:
-        InputError: For an unknown joint, and with ``plane=True`` where robot or task is not symmetric; the
-            message says what is not.
+        InputError: If a joint is unknown or must not be locked, or if ``plane=True`` and the robot or the
+            task is not symmetric; the message says what is not.
     """
     search = _Smallest(problem, tuple(keep), plane, chosen_mesh(problem, transcription, intervals, mesh))
     return search.build(tuple(lock), soles, torques)
@@ -121,7 +121,7 @@ def smallest(
 
 @checked
 def size_of(problem: Problem, mesh: Mesh) -> ProblemSize:
-    """Variables and rows of a problem's transcription."""
+    """Return the number of variables and rows of a problem's transcription."""
     made = transcribe(problem, mesh=mesh)
     return ProblemSize(variables=made.layout.n_unknowns, rows=made.n_rows)
 
@@ -161,12 +161,12 @@ class _Smallest:
         )
 
     def note(self, kind: str, what: str, why: str) -> None:
-        """Record a decision, and the problem it made unless it was to keep something."""
+        """Record a decision and the current problem, without the problem for a decision to keep something."""
         made = None if kind == KEPT else self.problem
         self.steps.append((Decision(kind=kind, what=what, why=why), made))
 
     def refuses(self) -> str:
-        """Why the problem cannot be reduced, or an empty text."""
+        """Return why the problem cannot be reduced, or an empty string."""
         if self.whole.dynamics is not None:
             return "the problem brings its own dynamics"
         if self.whole.periodicity is not None or self.whole.payloads:
@@ -196,7 +196,7 @@ class _Smallest:
         self.problem = reduced_problem(self.whole, reduction)
 
     def drop_contacts(self) -> None:
-        """Contacts that no phase has, unless a swing must clear the ground with them."""
+        """Drop contacts that are active in no phase, unless a clearance term applies to them."""
         robot, phases = self.whole.robot, self.whole.schedule.phases
         needed = {name for phase in phases for name in phase.contacts} | cleared_contacts(self.whole)
         idle = [c.name for c in robot.contacts if c.name not in needed]
@@ -225,7 +225,7 @@ class _Smallest:
             self.note(KEPT, f"joints {', '.join(asked)}, as asked", "nothing else needs them")
 
     def halve(self) -> None:
-        """The half in the plane, if the robot and the task are symmetric."""
+        """Replace the robot by its half in the plane if robot and task are symmetric."""
         if self.plane is False or (self.plane == "auto" and self.whole.robot.base != "freeflyer"):
             return
         try:
@@ -249,12 +249,12 @@ class _Smallest:
             self.note(KEPT, "joints that leave the plane", f"{', '.join(stay)}: {why}")
 
     def _kept(self) -> tuple[str, ...]:
-        """Joints to keep, by their present names."""
+        """Return the current names of the joints to keep."""
         followers = self.reduction.joints
         return tuple(followers[name].name for name in self.keep if name in followers)
 
     def drop_torques(self) -> None:
-        """Accelerations as inputs: without a term about torques the problem is the same, with fewer rows."""
+        """Use accelerations as inputs if no term uses torques: the same problem with fewer rows."""
         instances = TermReader(self.problem).every()
         if self.problem.actuation == "torque" and not any(one.uses_torques for one in instances):
             self.problem = replace(self.problem, actuation="acceleration")

@@ -1,8 +1,8 @@
-"""Four point contacts at the corners of a rectangle on one link, as one surface contact.
+"""Four point contacts at the corners of a rectangle on one link, merged into one surface contact.
 
-Their 12 rows have rank 6: the link is rigid. A surface contact has 6; its centre of pressure inside the
-rectangle is equivalent to four unilateral corners; friction is that of `SoleCone`, the cone that corners with
-friction pyramids along the rectangle's sides span (Caron, Pham, Nakamura, ICRA 2015).
+Because the link is rigid, their 12 rows have rank 6. A surface contact has 6 rows. Keeping its centre of
+pressure inside the rectangle is equivalent to four unilateral corners. Its friction is that of `SoleCone`,
+the cone spanned by corners with friction pyramids along the sides (Caron, Pham, Nakamura, ICRA 2015).
 """
 
 import itertools
@@ -20,13 +20,13 @@ from trajopt.solving.extraction import contact_activity, described_robot
 from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid, SoleCone
 from trajopt.terms.interfaces import Term
 
-# Corners may be off a rectangle by this fraction of its diagonal: rounding of descriptions.
+# Corners may deviate from a rectangle by this fraction of its diagonal: models are rounded.
 RECTANGLE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sole:
-    """A rectangle: its surface contact, the corners' names and positions (4, 3) in the sole's frame, m."""
+    """A rectangle: its surface contact, and its corners' names and positions (4, 3) in the sole frame, m."""
 
     contact: Contact
     corners: tuple[str, ...]
@@ -37,13 +37,13 @@ class Sole:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Soles:
-    """The problem with soles in place of corners, and the inverse map for its solutions."""
+    """The problem with soles instead of corners, and the map of its solutions back to corners."""
 
     problem: Problem
     soles: tuple[Sole, ...]
 
     def lift(self, solution: Solution, original: Problem) -> Solution:
-        """The solution with forces on corners, as even as friction pyramids on them allow."""
+        """Return the solution with forces at the corners, as even as their friction pyramids allow."""
         robot, on_soles = original.robot, self.problem.robot
         model, data = on_soles.model, on_soles.model.createData()
         names = [contact.name for contact in on_soles.contacts]
@@ -67,14 +67,14 @@ class Soles:
 def _corner_forces(
     sole: Sole, turn: np.ndarray, wrench: np.ndarray, problem: Problem
 ) -> dict[str, np.ndarray]:
-    """Forces (6,) on corners in world axes whose sum is the wrench: rays of friction pyramids, by NNLS."""
+    """Distribute a wrench to forces (6,) at the corners, world axes, on friction pyramids by NNLS."""
     if not wrench.any():
         return {name: np.zeros(6) for name in sole.corners}
     mu = problem.terrain.friction / np.sqrt(2)
     rays = np.array([[sx * mu, sy * mu, 1.0] for sx in (-1, 1) for sy in (-1, 1)])
     local = np.concatenate([turn.T @ wrench[:3], turn.T @ wrench[3:]])
     columns = np.array([[*ray, *np.cross(place, ray)] for place in sole.places for ray in rays]).T
-    # A small part of the sum of squares makes the forces even where more than one choice fits.
+    # A small regularisation evens out the forces where the distribution is not unique.
     even = 1e-6 * np.eye(columns.shape[1])
     from scipy.optimize import nnls  # takes a while to load
 
@@ -87,9 +87,9 @@ def _corner_forces(
 
 
 def with_soles(problem: Problem) -> Soles | None:
-    """Return the problem with a sole for every four corners that are always in contact together, or None.
+    """Return the problem with one sole for each set of four corners that act together, or None without any.
 
-    A corner that a term names, or that has a radius or its own surface, stays as it is.
+    Corners that a term names, or that have a radius or a surface of their own, remain points.
     """
     if problem.dynamics is not None or problem.modes or any(p.impact for p in problem.schedule.phases):
         return None
@@ -106,7 +106,7 @@ def with_soles(problem: Problem) -> Soles | None:
     phases = tuple(_phase(phase, soles) for phase in problem.schedule.phases)
     terms: list[Term] = []
     for term in problem.terms:
-        if isinstance(term, FrictionCone | FrictionPyramid):  # of the points that remain, and of the soles
+        if isinstance(term, FrictionCone | FrictionPyramid):  # for the remaining points, and for the soles
             cone = SoleCone(during=term.during, friction=term.friction)
             terms += [replace(term, contacts=None), cone]
         else:
@@ -146,7 +146,7 @@ def _soles(problem: Problem) -> list[Sole]:
     soles = []
     for joint, corners in by_joint.items():
         names, phases = [c.name for c in corners], problem.schedule.phases
-        # In contact in some phase; in each phase all four or none, and all or none with footholds.
+        # Active in some phase; in every phase all four or none are active, and all or none have footholds.
         counts = {sum(name in phase.contacts for name in names) for phase in phases}
         places = {sum(name in phase.footholds for name in names) for phase in phases}
         together = {4} <= counts <= {0, 4} and places <= {0, 4}
@@ -158,7 +158,7 @@ def _soles(problem: Problem) -> list[Sole]:
 
 
 def _named(problem: Problem, name: str) -> bool:
-    """Whether a term names the contact, or a phase has a surface of its own for it."""
+    """Return whether a term names the contact, or a phase gives it a surface of its own."""
     if any(phase.own_surface(name) is not None for phase in problem.schedule.phases):
         return True
     of_contacts = [term for term in problem.terms if isinstance(term, ContactConstraint)]
@@ -167,7 +167,7 @@ def _named(problem: Problem, name: str) -> bool:
 
 
 def _sole(problem: Problem, body: pin.SE3, joint: int, corners: list[Contact]) -> Sole | None:
-    """The rectangle of four corners, its z axis up at the start, or None if they form none."""
+    """Return the rectangle of four corners, z axis upwards at the start, or None if they form none."""
     model = problem.robot.model
     points = np.array([model.frames[model.getFrameId(c.frame)].placement.translation for c in corners])
     for order in itertools.permutations(range(1, 4)):

@@ -1,8 +1,8 @@
-"""Terms of a whole robot's problem as terms of a small one's, by kind.
+"""Terms of a whole robot's problem, translated to the small robot by kind.
 
-Limits and goals are restated for the small robot, without duplicate rows; costs, and constraints of other
-kinds, are evaluated on the whole robot's motion (`whole_terms`). A user's term may define its reduction by a
-method ``reduced(reduction) -> Term | None``.
+Limits and goals are restated for the small robot, without duplicate rows. Costs, and constraints of other
+kinds, are evaluated on the whole robot's motion (`whole_terms`). A user-defined term may define its own
+reduction by a method ``reduced(reduction) -> Term | None``.
 """
 
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ UNCHANGED = (
 
 
 def reduced_problem(problem: Problem, reduction: Reduction) -> Problem:
-    """Return the problem of the small robot, on the same schedule with the small robot's contacts."""
+    """Return the problem of the small robot: the same schedule with the small robot's contacts."""
     made = (t.reduced(reduction) if hasattr(t, "reduced") else _reduced(t, reduction) for t in problem.terms)
     return replace(
         problem,
@@ -61,7 +61,7 @@ def _dropped(guess: Motion, reduction: Reduction, t: float) -> np.ndarray:
 
 
 def _phase(phase: Phase, reduction: Reduction) -> Phase:
-    """Contacts of the small robot; their positions are in the plane of the start."""
+    """Return the phase with the small robot's contacts."""
     left = [name for name in phase.contacts if not reduction.contacts[name].mirrored]
     kept = {name: reduction.contacts[name].name for name in left}
     return replace(
@@ -79,7 +79,7 @@ def _renamed(given: Mapping[str, _Value], kept: Mapping[str, str]) -> Mapping[st
 
 @singledispatch
 def _reduced(term: Term, reduction: Reduction) -> Term | None:
-    """The reduced term, or None if nothing is left of it; other kinds act on the whole robot's motion."""
+    """Return the reduced term, or None if nothing remains; terms of other kinds act on the whole motion."""
     if isinstance(term, UNCHANGED):
         return term
     if isinstance(term, Cost):

@@ -1,14 +1,14 @@
-"""Terms of a whole robot on the motion of its reduced robot.
+"""Terms of a whole robot, evaluated on the motion of its reduced robot.
 
 A cost keeps its meaning, its unit and its mean over all joints when it is evaluated on the whole robot's
-motion, which follows from the small one's (see `reduction`): `WholeView` is the whole robot as a function of
-the small one's symbols. Torques that hold locked joints are left out.
+motion, which follows from the small robot's (see `reduction`). `WholeView` expresses the whole robot in the
+small robot's symbols. Holding torques of locked joints are left out.
 
-`TerminalState` requires N^T D^-1 e = 0 of the error e, N the directions that contacts leave free. If the
-goal's contacts are not where the motion's are, its meaning depends on N. So a half requires the same of the
-whole robot's error: of its rows A = N^T D^-1 E, with E from the half's rates to the whole's, the left
-singular vectors of the r largest singular values, r the number of directions that the half's own contacts
-leave free (`HalfEnd`).
+`TerminalState` requires N^T D^-1 e = 0 for the error e, where N spans the directions that the contacts leave
+free. If the goal's contacts differ from the motion's, the meaning of this depends on N. A half therefore
+constrains the whole robot's error: with E from the half's rates to the whole's, it combines the rows by the
+left singular vectors of A = N^T D^-1 E for the r largest singular values, r being the number of directions
+that the half's own contacts leave free (`HalfEnd`).
 """
 
 from dataclasses import dataclass, replace
@@ -31,17 +31,17 @@ from trajopt.terms.costs import NodeCost
 from trajopt.terms.interfaces import Cost, NodeConstraint, NodePlace, PointConstraint, Rows, Term
 from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions, guessed_posture
 
-# Random points at which rows are compared, and the rounding difference of equal rows, scaled units.
+# Number of random points at which rows are compared, and the largest difference of equal rows, scaled units.
 SAMPLES = 3
 SAME = 1e-9
 
 
 class WholeView(Context):
-    """A context of the whole robot whose symbols are expressions in a context of the small one.
+    """A context of the whole robot whose symbols are expressions of the small robot's context.
 
-    Rotations of the base are its present orientation, so that local coordinates are zero there. Torques of
-    drives are each image's share, zero at locked joints; wrenches and frames of images are mirrored.
-    Parameters and squares are those of the small robot's context.
+    The base rotation is its current orientation, so its local coordinates are zero. Drive torques are shared
+    among images and zero at locked joints. Wrenches and frames of images are mirrored. Parameters and squares
+    are those of the small robot's context.
     """
 
     def __init__(self, context: Context, reduction: Reduction) -> None:
@@ -81,7 +81,7 @@ class WholeView(Context):
         return self._rotations_of_start(node[:n4]), xi
 
     def _rotations_of_start(self, start: np.ndarray) -> ca.SX:
-        """Rotations of the base and of spherical joints: the small robot's own, or locked at the start."""
+        """Return the rotations of base and spherical joints: the small robot's, or locked at the start."""
         names = [joint.name for joint in self.small.coordinates.joints if joint.rotation is not None]
         parts = []
         for row, joint in enumerate(j for j in self.coordinates.joints if j.rotation is not None):
@@ -136,7 +136,7 @@ class WholeView(Context):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _WholeTerm(Term):
-    """A term of the whole robot, under its own name, and the reduction to the small one."""
+    """A term of the whole robot, under its own name, with the reduction to the small robot."""
 
     term: Term
     reduction: Reduction
@@ -149,7 +149,7 @@ class _WholeTerm(Term):
 
 @dataclass(frozen=True, kw_only=True)
 class WholeCost(_WholeTerm, Cost):
-    """A running cost of the whole robot, on the motion of the small one."""
+    """A running cost of the whole robot on the small robot's motion."""
 
     term: Cost
 
@@ -168,7 +168,7 @@ class WholeCost(_WholeTerm, Cost):
 
 @dataclass(frozen=True, kw_only=True)
 class WholeImpactCost(WholeCost):
-    """The same for a cost of impacts."""
+    """A cost on impacts of the whole robot on the small robot's motion."""
 
     acts_at_points: ClassVar[bool] = False
     acts_at_impacts: ClassVar[bool] = True
@@ -176,7 +176,7 @@ class WholeImpactCost(WholeCost):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholePointRows(_WholeTerm, PointConstraint):
-    """A point constraint of the whole robot on the small one's motion, without redundant rows."""
+    """A point constraint of the whole robot on the small robot's motion, without redundant rows."""
 
     term: PointConstraint
 
@@ -188,7 +188,7 @@ class WholePointRows(_WholeTerm, PointConstraint):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholeNodeCost(_WholeTerm, NodeCost):
-    """A cost at nodes of the whole robot, on the motion of the small one."""
+    """A node cost of the whole robot on the small robot's motion."""
 
     term: NodeCost
 
@@ -204,7 +204,7 @@ class WholeNodeCost(_WholeTerm, NodeCost):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholeNodeRows(_WholeTerm, NodeConstraint):
-    """A node constraint of the whole robot on the small one's motion, without redundant rows."""
+    """A node constraint of the whole robot on the small robot's motion, without redundant rows."""
 
     term: NodeConstraint
 
@@ -242,17 +242,17 @@ class HalfEnd(WholeNodeRows):
 
 
 def binding_rows(rows: Rows, context: Context) -> Rows:
-    """Return the rows without duplicates and without those that the small robot always satisfies.
+    """Return the rows without duplicates and without rows that the small robot always satisfies.
 
-    Found from values and gradients at random points: rows that agree at all of them, up to rounding, agree
-    everywhere, since the functions are analytic.
+    Both are found by comparing values and gradients at random points: the functions are analytic, so rows
+    that agree at all points up to rounding agree everywhere.
     """
     scaled = ca.SX(rows.expression) / ca.DM(rows.unit)
     z, (values,) = on_inputs(context, scaled, [context.parameter_values])
     function = ca.Function("rows", [z], [ca.densify(ca.horzcat(values, ca.jacobian(values, z)))])
     generator = np.random.default_rng(0)
     sampled = []
-    for _ in range(SAMPLES):  # unit rotations, positive time scales
+    for _ in range(SAMPLES):  # with unit quaternions and positive time scales
         inputs = generator.uniform(0.1, 1.0, context.z.numel())
         for i in range(context.coordinates.n_rotations):
             inputs[4 * i : 4 * i + 4] /= np.linalg.norm(inputs[4 * i : 4 * i + 4])

@@ -1,7 +1,7 @@
 """Schedules that begin or end a gait: standing, some cycles, standing.
 
-In a gait that starts from a stance each foot stands until its first swing. In one that stops each foot stays
-where it lands last.
+In a gait that starts from standing, each foot stands until its first swing. In one that stops, each foot
+stays where it lands last.
 """
 
 import math
@@ -16,7 +16,7 @@ from trajopt.schedule.schedule import Phase
 
 @dataclass(frozen=True)
 class _Stances:
-    """Touchdown and lift-off of every stance of one foot, in periods from the first cycle's beginning."""
+    """Touchdown and lift-off of every stance of one foot, in periods from the start of the first cycle."""
 
     foot: str
     times: tuple[tuple[float, float], ...]
@@ -35,13 +35,13 @@ def transition(
     rest: float | None = None,
     start: str | None = None,
 ) -> tuple[Phase, ...]:
-    """Phases of some periods of a gait that begin with a stance, end with one, or both.
+    """Phases of some periods of a gait that begin with standing, end with standing, or both.
 
-    The stances are named "stand" and "rest", other phases as by `Gait.phases`.
+    These stances are named "stand" and "rest", the other phases as in `Gait.phases`.
 
     Args:
         gait: the gait.
-        period: s.
+        period: duration of a period, s.
         cycles: number of periods.
         stand: duration of standing on all feet before the first is lifted, s; None begins within the gait, at
             a touchdown.
@@ -92,7 +92,7 @@ def _stances(gait: Gait, foot: str, origin: float, cycles: int) -> _Stances:
 
 
 def _from_standing(stances: list[_Stances]) -> tuple[list[_Stances], float]:
-    """Every foot stands until its first lift-off from time 0 on; the time of the earliest of these."""
+    """Stances in which each foot stands until its first lift-off after time 0, and the earliest such time."""
     standing, first = [], math.inf
     for each in stances:
         later = [times for times in each.times if times[1] > -SIMULTANEOUS]
@@ -102,7 +102,7 @@ def _from_standing(stances: list[_Stances]) -> tuple[list[_Stances], float]:
 
 
 def _to_standing(stances: list[_Stances], end: float) -> tuple[list[_Stances], float]:
-    """Every foot stands from its last touchdown before ``end`` on; the time of the latest of these."""
+    """Stances in which each foot stands after its last touchdown before ``end``, and the latest such time."""
     standing, last = [], -math.inf
     for each in stances:
         earlier = [times for times in each.times if times[0] < end + SIMULTANEOUS]

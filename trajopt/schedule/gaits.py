@@ -7,7 +7,7 @@ Simultaneous events of two feet are one event; between events lie the phases of 
 
 Offsets of the named gaits are their definitions: Hildebrand, "Symmetrical gaits of horses", Science 150
 (1965), and "Analysis of asymmetrical gaits", J. Mammalogy 58 (1977). Animals vary their duty factors with
-speed, above 1/2 in walks and below in runs; those here are round values in the middle of their ranges,
+speed, above 1/2 in walks and below in runs. Those here are round values in the middle of their ranges;
 `Gait.with_duty` changes them.
 """
 
@@ -29,8 +29,8 @@ from trajopt.schedule.schedule import Phase
 
 # Events closer than this fraction of the period are one event: rounding of sums of decimal fractions.
 SIMULTANEOUS = 1e-9
-# A support shorter than this fraction of the period is rejected: two events are meant to be one, or a duty
-# factor is wrong. A millisecond in a tenth of a second is also less than a step of any grid.
+# A support shorter than this fraction of the period is rejected: either two events are meant to be one, or a
+# duty factor is wrong. For a period of 0.1 s it is 1 ms, less than the step of any grid.
 SHORTEST = 0.01
 # Strides of symmetrical gaits, see `stride_period`.
 STRIDE, GROWTH, SLOWEST = 2.4, 0.34, 0.06
@@ -53,9 +53,9 @@ class Gait:
     """A periodic pattern of stances.
 
     Args:
-        name: of the gait.
-        duty: stance of every foot as a fraction of the period, one number for all or one per foot; 1 never
-            lifts it.
+        name: name of the gait.
+        duty: stance of every foot as a fraction of the period, one number for all or one per foot; a foot
+            with 1 is never lifted.
         offsets: touchdown of every foot as a fraction of the period, taken modulo 1.
 
     Raises:
@@ -123,11 +123,11 @@ class Gait:
         return self.duty_of(foot) == 1 or since < self.duty_of(foot)
 
     def supports(self, start: str | None = None) -> tuple[SupportPhase, ...]:
-        """The supports of one period, from a touchdown on.
+        """The supports of one period, starting at a touchdown.
 
         Args:
-            start: foot whose touchdown begins the period; default the one with the least offset of those that
-                are ever lifted.
+            start: foot whose touchdown begins the period; default the one with the least offset among those
+                that are lifted.
 
         Raises:
             InputError: for supports that are too short, or a foot that is never lifted.
@@ -167,7 +167,7 @@ class Gait:
         return [0.0] + [b for a, b in pairwise(wrapped) if b - a > SIMULTANEOUS]
 
     def is_symmetric(self, mirror: Mapping[str, str]) -> bool:
-        """Whether left and right move alike, half a period apart; ``mirror``: each foot's opposite."""
+        """Whether left and right move alike, half a period apart; ``mirror`` gives each foot's opposite."""
         return all(
             abs(self.duty_of(foot) - self.duty_of(mirror[foot])) < SIMULTANEOUS
             and abs(math.remainder(self.offsets[foot] + 0.5 - self.offsets[mirror[foot]], 1.0)) < SIMULTANEOUS
@@ -183,15 +183,15 @@ class Gait:
         start: str | None = None,
         duration_bounds: tuple[float, float] | None = None,
     ) -> tuple[Phase, ...]:
-        """Phases of some periods, from a touchdown on.
+        """Phases of some periods, starting at a touchdown.
 
-        Names count the supports of a kind: double_1, flight_1, double_2, ...
+        Names number the supports of each kind: double_1, flight_1, double_2, ...
 
         Args:
-            period: s.
+            period: duration of a period, s.
             cycles: number of periods.
             start: foot whose touchdown begins the schedule, see `supports`.
-            duration_bounds: free durations of the phases as fractions of the nominal ones (lower, upper).
+            duration_bounds: (lower, upper) of free phase durations, as fractions of the nominal ones.
 
         Raises:
             InputError: for numbers out of range, or a foot that is never lifted.
@@ -212,10 +212,10 @@ class Gait:
         """Phases of the first half of a period; the other half is their mirror image.
 
         Args:
-            period: s.
+            period: duration of a period, s.
             mirror: the foot on the other side, for every foot.
             start: foot whose touchdown begins the schedule, see `supports`.
-            duration_bounds: free durations of the phases as fractions of the nominal ones (lower, upper).
+            duration_bounds: (lower, upper) of free phase durations, as fractions of the nominal ones.
 
         Raises:
             InputError: for a gait that is not symmetric.
@@ -232,9 +232,9 @@ class Gait:
 def phases_of(
     supports: Iterable[SupportPhase], period: float, bounds: tuple[float, float] | None
 ) -> tuple[Phase, ...]:
-    """Phases that follow each other as given; with ``bounds``, fractions of durations, these are free.
+    """Phases of consecutive supports; their durations are free within ``bounds``, fractions of the nominal.
 
-    Raises `InputError` for a period, s, that is not positive, or bounds without 1 between them.
+    Raises `InputError` for a ``period`` in s that is not positive, or bounds that do not enclose 1.
     """
     require_positive("period of a gait", period, "s")
     lower, upper = (1.0, 1.0) if bounds is None else bounds
@@ -259,7 +259,7 @@ def phases_of(
 
 
 def support_names(contacts: Iterable[Collection[str]]) -> list[str]:
-    """Names of phases with these contacts, by how many there are: double_1, flight_1, double_2, ..."""
+    """Names of phases by their numbers of contacts: double_1, flight_1, double_2, ..."""
     counts: Counter[str] = Counter()
     names = []
     for feet in map(len, contacts):
@@ -275,9 +275,9 @@ def stride_period(
 ) -> float:
     """Duration in s of a stride of ``stride`` Fr^``growth`` lengths at ``speed`` m/s.
 
-    Fr = speed^2 / (g l) is the Froude number, at least ``slowest``: a slower gait keeps that one's duration
-    (Alexander, Jayes, "A dynamic similarity hypothesis for the gaits of quadrupedal mammals", J. Zool. 201,
-    1983).
+    Fr = speed^2 / (g l) is the Froude number. It is at least ``slowest``, so slower gaits all have the same
+    period (Alexander, Jayes, "A dynamic similarity hypothesis for the gaits of quadrupedal mammals", J. Zool.
+    201, 1983).
     """
     unit = math.sqrt(gravity_of(robot.model) * robot.length)
     root = max(abs(speed) / unit, math.sqrt(slowest))
@@ -285,7 +285,7 @@ def stride_period(
 
 
 def _quadruped(name: str, duty: float, hind: tuple[float, float], front: tuple[float, float]) -> Gait:
-    """Offsets are those of the left and the right foot."""
+    """A quadruped's gait; ``hind`` and ``front`` are the offsets of the left and the right foot."""
     feet = ("front_left", "front_right", "hind_left", "hind_right")
     return Gait(name=name, duty=duty, offsets=dict(zip(feet, (*front, *hind), strict=True)))
 
@@ -319,9 +319,9 @@ HOPPER = _by_name(Gait(name="hop", duty=0.5, offsets={"foot": 0.0}))
 
 @checked
 def gait_names(robot: Robot) -> tuple[str, ...]:
-    """Names of the gaits for as many feet as a robot has.
+    """Names of the gaits for a robot's number of feet.
 
-    Raises `InputError` for a robot without feet, or another number than 1, 2 or 4.
+    Raises `InputError` unless the robot has 1, 2 or 4 feet.
     """
     return tuple(_known(robot, len(feet_in_base(robot))))
 

@@ -1,8 +1,8 @@
 """Moments of a motion (a phase's start, middle or end, the motion's end), and targets to reach at them.
 
-Terms give their targets by `Term.targets`; footholds of the schedule are targets too. In files they are a
-list of {frame, position, rotation, q, phase}, each null where there is none; the moment is the start of the
-phase, or, with a key more, another ``fraction`` of it. Without a phase it is the end of the motion.
+Terms state their targets in `Term.targets`; footholds of the schedule are targets too. In files they are a
+list of {frame, position, rotation, q, phase}, with null for what a target lacks. The moment is the start of
+the phase, or another ``fraction`` of it if that key is there. Without a phase it is the end of the motion.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ FRACTION = "fraction"
 class Moment:
     """A fraction of a phase's duration; by default the end of the motion.
 
-    `start_of`, `middle_of` and `end_of` make the usual ones. The end of a phase is the start of the next one,
-    unless that begins with an impact: then it is just before the impact.
+    `start_of`, `middle_of` and `end_of` create the usual ones. The end of a phase is the start of the next
+    one, unless that begins with an impact: then it is just before the impact.
 
     Args:
         phase: name of the phase; None for the end of the motion.
         fraction: of the phase's duration, 0 to 1.
 
     Raises:
-        InputError: for another fraction, one without a phase, and a phase that is no name.
+        InputError: for a fraction out of range or without a phase, and a phase that is not a name.
     """
 
     phase: str | None = None
@@ -68,7 +68,7 @@ def start_of(phase: str) -> Moment:
 
 @checked
 def middle_of(phase: str) -> Moment:
-    """The middle of a phase: of a ballistic flight the apex, if it ends as high as it began."""
+    """The middle of a phase; in ballistic flight this is the apex, if it ends as high as it began."""
     return Moment(phase, 0.5)
 
 
@@ -79,7 +79,7 @@ def end_of(phase: str) -> Moment:
 
 
 def as_moment(what: str, value: object) -> Moment:
-    """The moment, or `InputError` that says what is allowed."""
+    """``value`` as a moment. Raises `InputError`, beginning with ``what``, for anything else."""
     if isinstance(value, Moment):
         return value
     said = f"start_of({value!r}), middle_of({value!r})" if isinstance(value, str) else "start_of('flight')"
@@ -93,9 +93,9 @@ class Target:
 
     Args:
         frame: name of a frame, which has a position, a rotation or both; None for a configuration.
-        position: of the frame in the world (3,), m.
-        rotation: of the frame in the world (3, 3).
-        q: configuration (nq,), without a frame.
+        position: position of the frame's origin in the world (3,), m.
+        rotation: axes of the frame in the world (3, 3).
+        q: configuration (nq,), for a target without a frame.
         at: the moment at which the goal holds.
 
     Raises:
@@ -123,7 +123,7 @@ class Target:
 
     @classmethod
     def from_description(cls, described: Any) -> Target:
-        """The target that ``describe`` wrote. Raises `InputError`."""
+        """Rebuild a target from the output of `describe`. Raises `InputError`."""
         if not isinstance(described, dict) or set(described) - {FRACTION} != set(KEYS):
             raise InputError(f"a target is described by {shown(described)}", f"allowed: {', '.join(KEYS)}")
         phase = described["phase"]

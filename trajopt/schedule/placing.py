@@ -1,4 +1,4 @@
-"""Footholds: those of a posture, those of a schedule on terrain; whether contacts have ground under them."""
+"""Footholds of a posture and of a schedule on terrain, and whether contacts have ground to stand on."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,8 +22,8 @@ from trajopt.terrain.terrain import Terrain
 def footholds_at(robot: Robot, q: np.ndarray, terrain: Terrain | None = None) -> dict[str, np.ndarray]:
     """Points of the ground that contacts touch at a configuration.
 
-    The frame's origin, moved against the ground's normal by the contact's radius; over a hole the normal is
-    up.
+    Each is the frame's origin, moved by the contact's radius against the ground's normal; over a hole the
+    normal is up.
 
     Args:
         robot: the robot.
@@ -51,7 +51,7 @@ def placed_on(schedule: Schedule, terrain: Terrain, *, free: bool = False) -> Sc
     edges. Contacts with a surface or patch of their own stay as they are.
 
     Args:
-        schedule: with footholds.
+        schedule: schedule with footholds.
         terrain: the ground.
         free: whether footholds are left out, so that contacts land anywhere on the faces under them (on other
             ground: anywhere).

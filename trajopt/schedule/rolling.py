@@ -1,4 +1,4 @@
-"""Soles that roll: every stance of a foot on its heel first, then flat, then on its toe.
+"""Rolling soles: in every stance a foot stands on its heel first, then flat, then on its toe.
 
     heel     from the touchdown, for a part of the stance
     flat     heel and toe
@@ -20,13 +20,13 @@ from trajopt.robot.edges import EDGES, Edge, edge_contacts
 from trajopt.schedule.gaits import SHORTEST, SIMULTANEOUS
 from trajopt.schedule.schedule import Phase, Schedule
 
-# A stance that goes on into the next repetition, or the one after it, is seen whole.
+# Repetitions of a periodic schedule before and after it, so that stances across its ends are seen whole.
 REPETITIONS = 2
 
 
 @dataclass(frozen=True)
 class _Roll:
-    """A stance of a sole: begin and end of its contact, and of the part in which it is flat, s."""
+    """A stance of a sole, times in s: touchdown, start of its flat part, rise of its heel, lift-off."""
 
     begin: float
     flat: float
@@ -34,7 +34,7 @@ class _Roll:
     end: float
 
     def edges(self, time: float) -> tuple[Edge, ...]:
-        """What stands at a time: heel, toe or both; nothing outside of the stance."""
+        """Edges on the ground at a time: heel, toe or both; none outside the stance."""
         if not self.begin < time < self.end:
             return ()
         return EDGES[:1] if time < self.flat else EDGES[1:] if time > self.rising else EDGES
@@ -51,16 +51,16 @@ def rolled(
 ) -> Schedule:
     """The schedule in which soles roll over their heels and toes, for `trajopt.robot.with_edges`.
 
-    Phases are cut where a sole comes down flat or its heel rises, and keep their names, with a letter where
-    there are several parts of one. A sole that stands from the start is flat at first, one that stands at
-    the end is flat at last; parts of such a stance are those of its time within the schedule.
+    Phases are split where a sole becomes flat or its heel rises. They keep their names, with a letter
+    appended if a phase has several parts. A sole that stands at the start or at the end of the schedule is
+    flat there; parts of such a stance refer to its time within the schedule.
 
     Args:
-        schedule: with soles.
+        schedule: schedule with soles.
         soles: names of those that roll.
         heel: part of each stance on the heel, at least 0.
         toe: part of each stance on the toe, at least 0.
-        next_name: for a periodic schedule, the contact whose motion each sole continues after the end, as of
+        next_name: for a periodic schedule, the contact whose motion each sole continues after the end, as in
             `trajopt.terms.swing_arcs`. Stances then continue from the end to the beginning.
 
     Raises:
@@ -125,7 +125,7 @@ def _rolls(
 
 
 def _cuts(phase: str, begin: float, end: float, times: set[float]) -> list[float]:
-    """Begin and end of a phase, and the times within it; raises `InputError` for parts that are too short."""
+    """Start and end of a phase, and the times within it; raises `InputError` for parts that are too short."""
     cuts, rounding = [begin], SIMULTANEOUS * max(abs(begin), end)
     for time in sorted(times):
         if cuts[-1] + rounding < time < end - rounding:
@@ -141,12 +141,12 @@ def _cuts(phase: str, begin: float, end: float, times: set[float]) -> list[float
 
 
 def _standing(sole: str, rolls: list[_Roll], time: float) -> tuple[str, ...]:
-    """Corners of a sole that stand at a time."""
+    """Corners of a sole that are on the ground at a time."""
     return tuple(name for roll in rolls for edge in roll.edges(time) for name in edge_contacts(sole, edge))
 
 
 def _part(schedule: Schedule, index: int, corners: Mapping[str, tuple[str, ...]], share: float) -> Phase:
-    """A share of a phase with these corners in place of its soles, on what the soles touch."""
+    """A share of a phase, with soles replaced by these corners on the same ground."""
     phase, bounds = schedule.phases[index], schedule.phases[index].duration_bounds
     of = {name: corners.get(name, (name,)) for name in phase.contacts}
     patches = dict(phase.patches) | {name: schedule.patch(index, name) for name in of if name in corners}

@@ -15,7 +15,7 @@ from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import SAME_PLANE, Surface
 from trajopt.terrain.terrain import Ground, Terrain
 
-# A configuration (nq,) at a time in s: a guess, a reference.
+# Configuration (nq,) as a function of time in s: a guess or a reference.
 Motion = Callable[[float], np.ndarray]
 
 
@@ -25,19 +25,19 @@ class Phase:
     """A stretch of motion with a constant set of active contacts.
 
     Args:
-        name: of the phase.
-        duration: s; with ``duration_bounds`` its guess.
+        name: name of the phase.
+        duration: nominal duration, s; with ``duration_bounds`` the guess.
         contacts: names of the active contacts.
-        footholds: points (3,) of the ground, world, m, at which contacts that begin with this phase land, by
-            the contact's name: a contact with a radius touches there, its centre lies above. Without one a
-            contact only has to touch the terrain.
+        footholds: ground points (3,), world, m, at which new contacts of the phase land, by the contact's
+            name. A contact with a radius touches there, with its centre above. Without a foothold a contact
+            only has to touch the terrain.
         duration_bounds: (lower, upper) in s, which make the duration free.
-        impact: whether contacts that begin with the phase land by a rigid impact, in which velocities jump,
-            instead of at zero velocity.
-        surfaces: what active contacts touch instead of the terrain, by their names: a wall, a step, a
-            handrail.
-        patches: bounded faces, by the contact's name: a contact that begins with the phase lands anywhere on
-            its patch, and stays there while it holds.
+        impact: whether new contacts land with a rigid impact, in which velocities jump, instead of at zero
+            velocity.
+        surfaces: surfaces that active contacts touch instead of the terrain, by the contact's name: a wall, a
+            step, a handrail.
+        patches: bounded faces, by the contact's name; a new contact lands anywhere on its patch and stays
+            there while it is active.
 
     Raises:
         InputError: for durations that are not positive, and inconsistent contacts, footholds, surfaces or
@@ -119,11 +119,11 @@ class Phase:
         return self.surfaces.get(contact)
 
     def surface(self, contact: str, terrain: Terrain, radius: float = 0.0) -> Ground:
-        """What an active contact touches according to this phase alone, else the terrain.
+        """The ground of an active contact according to this phase alone.
 
-        In this order: its surface or its patch's, the terrain at its foothold, the terrain. With a ``radius``
-        in m the parallel surface on which the contact's centre lies. See `Schedule.surface` for contacts that
-        hold from an earlier phase.
+        This is its surface or its patch's, else the terrain at its foothold, else the terrain. With a
+        ``radius`` in m it is the parallel surface on which the contact's centre lies. See `Schedule.surface`
+        for contacts that hold from an earlier phase.
         """
         ground: Ground | None = self.own_surface(contact)
         if ground is None:
@@ -132,7 +132,7 @@ class Phase:
         return ground.offset(radius)
 
     def centre(self, contact: Contact, terrain: Terrain) -> np.ndarray | None:
-        """Where the origin (3,) of a contact's frame lands, m, world; None where it has no foothold."""
+        """Where the origin (3,) of a contact's frame lands, m, world; None if it has no foothold."""
         place = self.footholds.get(contact.name)
         if place is None or not contact.radius:
             return place
@@ -193,17 +193,17 @@ class Schedule:
         starts: Mapping[str, np.ndarray] = MappingProxyType({}),
         radius: float = 0.0,
     ) -> Ground:
-        """What an active contact touches: the surface its phase states, or the one it landed on.
+        """The ground of an active contact: the surface its phase states, or the one it landed on.
 
-        A patch, or the terrain under a foothold, holds as long as the contact does.
+        A patch, or the terrain under a foothold, stays the ground as long as the contact is active.
 
         Args:
-            index: of the phase.
-            contact: its name.
+            index: index of the phase.
+            contact: name of the contact.
             terrain: the ground.
-            starts: points of the ground that contacts touch at the start (3,), m, by name, for those with
-                none of these.
-            radius: of the contact, m; with it, the parallel surface on which its centre lies.
+            starts: ground points (3,) that contacts touch at the start, m, by name, for contacts without any
+                of these.
+            radius: radius of the contact, m, for the parallel surface on which its centre lies.
         """
         stated, patch = self.phases[index].own_surface(contact), self.patch(index, contact)
         ground: Ground | None = stated if stated is not None or patch is None else patch.surface
@@ -214,7 +214,7 @@ class Schedule:
         return ground.offset(radius)
 
     def patch(self, index: int, contact: str) -> Patch | None:
-        """The patch on which an active contact of phase ``index`` stands, None where none was named."""
+        """The patch on which an active contact of phase ``index`` stands, None if none was named."""
         for phase in reversed(self.phases[self.beginning(contact, index) : index + 1]):
             if phase.own_surface(contact) is not None:
                 return phase.patches.get(contact)
@@ -248,13 +248,13 @@ class Schedule:
         return tuple(name for name in self.phases[index].contacts if name not in before)
 
     def beginning(self, contact: str, index: int) -> int:
-        """Phase with which an active contact of phase ``index`` began; 0 if it holds from the start."""
+        """Index of the phase with which an active contact of phase ``index`` began; 0 is the start."""
         while index and contact in self.phases[index - 1].contacts:
             index -= 1
         return index
 
     def kept_contacts(self, index: int) -> tuple[str, ...]:
-        """Contacts of phase ``index`` that held before it."""
+        """Contacts of phase ``index`` that were active before it."""
         return tuple(name for name in self.phases[index].contacts if name not in self.new_contacts(index))
 
     def intervals(self, total: int) -> tuple[int, ...]:

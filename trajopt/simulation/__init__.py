@@ -1,4 +1,4 @@
-"""Plans in MuJoCo: the same robot, contacts of finite stiffness, and a controller that tracks the plan."""
+"""Plans simulated in MuJoCo: the same robot, compliant contacts, and a controller that tracks the plan."""
 
 import lazy_loader
 

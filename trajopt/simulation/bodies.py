@@ -1,8 +1,8 @@
 """The MuJoCo model of a `pin.Model`: the same bodies, joints, inertias, armature and gravity.
 
-Every joint becomes one body that carries what Pinocchio has lumped onto it. MuJoCo's compiler refuses bodies
-without mass and inertias that no solid body has, both of which Pinocchio's recursions accept; so bodies are
-compiled with a stand-in and their inertias written into the compiled model.
+Every joint becomes one body with the inertia that Pinocchio has lumped onto it. MuJoCo's compiler refuses
+massless bodies and inertias that no rigid body has, both of which Pinocchio's recursions accept; so bodies
+are compiled with a stand-in inertia, and the true inertias are written into the compiled model.
 """
 
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ from trajopt.errors import InputError
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.coordinates import CoordinateMap, JointAddress
 
-# A column of a joint's motion that turns by less than this is a translation.
+# Columns of a joint's motion with a smaller angular part are translations.
 TRANSLATION = 1e-9
-# Stand-in inertia for compilation: off its frame and not diagonal, so that no special case is compiled in.
+# Stand-in inertia for compilation: offset and not diagonal, so that the compiler takes no special case.
 STAND_IN = {"mass": 1.0, "ipos": [0.1, 0.2, 0.3], "fullinertia": [1.0, 1.1, 1.2, 0.1, 0.1, 0.1]}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bodies:
-    """A specification that can still be added to: ``spec``, and the name of each joint's body."""
+    """A specification ``spec`` before compilation, and the name of each joint's body."""
 
     model: pin.Model
     spec: Any
@@ -58,7 +58,7 @@ def build_bodies(model: pin.Model) -> Bodies:
 
 
 def add_geom(body: Any, name: str, kind: str, **fields: Any) -> str:
-    """Add a geom of a ``kind`` ("sphere", "box", ...) that touches only what pairs name; returns its name."""
+    """Add a geom of a ``kind`` ("sphere", "box", ...) that collides only in named pairs; returns its name."""
     shape = getattr(mujoco_package().mjtGeom, f"mjGEOM_{kind.upper()}")
     body.add_geom(name=name, type=shape, contype=0, conaffinity=0, **fields)
     return name
@@ -74,7 +74,7 @@ def _add_joint(mujoco: Any, body: Any, model: pin.Model, index: int, joint: Join
     hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
     axes = np.eye(3)
     if joint.kind == "freeflyer":
-        # MuJoCo's free joint hangs from the world; elsewhere the same coordinates as four joints.
+        # A free joint of MuJoCo hangs from the world; elsewhere four joints give the same coordinates.
         parts = [(slide, axis) for axis in axes] + [(mujoco.mjtJoint.mjJNT_BALL, axes[2])]
         if model.parents[index] == 0 and model.jointPlacements[index].isIdentity():
             parts = [(mujoco.mjtJoint.mjJNT_FREE, axes[2])]
@@ -94,12 +94,12 @@ def _add_joint(mujoco: Any, body: Any, model: pin.Model, index: int, joint: Join
 
 
 def part_name(index: int, number: int) -> str:
-    """Name of MuJoCo's joint that is one part of a joint, by the joint's index and the part's number."""
+    """Name of the MuJoCo joint for one part of a joint, by the joint's index and the part's number."""
     return f"joint{index}.{number}"
 
 
 def joint_axis(model: pin.Model, index: int) -> tuple[np.ndarray, bool]:
-    """Axis (3,) of a joint of one degree of freedom in its own frame, and whether the joint is revolute."""
+    """Axis (3,) of a joint of one degree of freedom in its own frame, and whether it is revolute."""
     data = model.createData()
     columns = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
     motion = data.oMi[index].actInv(pin.Motion(columns[:, model.joints[index].idx_v]))
@@ -108,7 +108,7 @@ def joint_axis(model: pin.Model, index: int) -> tuple[np.ndarray, bool]:
 
 
 def compile_bodies(bodies: Bodies) -> tuple[Any, CoordinateMap]:
-    """The compiled model with the inertias of the `pin.Model`, and the map of coordinates."""
+    """Compile a model with the inertias of the `pin.Model`; returns it with the map of its coordinates."""
     compiled = bodies.spec.compile()
     addresses = []
     for index, joint in enumerate(Coordinates(bodies.model).joints, start=1):
@@ -139,7 +139,7 @@ def _write_armature(compiled: Any, model: pin.Model, coordinates: CoordinateMap)
 
 
 def write_inertias(compiled: Any, model: pin.Model) -> None:
-    """Write masses, centres and inertias of a model of the same joints into a compiled one."""
+    """Write masses, centres of mass and inertias of a model with the same joints into a compiled one."""
     mujoco = mujoco_package()
     for index in range(1, model.njoints):
         body, inertia = compiled.body(body_name(index)).id, model.inertias[index]

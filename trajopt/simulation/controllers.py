@@ -1,4 +1,4 @@
-"""Controllers of simulations: the tracker of a plan, or any object with its `torque`."""
+"""Controllers for simulations: the tracker of a plan, or any object with a `torque` method."""
 
 from typing import Any, Protocol, runtime_checkable
 
@@ -12,15 +12,15 @@ from trajopt.solution.solution import Solution
 
 @runtime_checkable
 class TorqueController(Protocol):
-    """What a simulation asks for torques; `Tracker` is one."""
+    """Interface of the controllers that a simulation asks for torques; `Tracker` is one."""
 
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        """Torques of the drives (nu,), N m or N, at ``t`` s; arguments as of `Tracker.torque`."""
+        """Drive torques (nu,), N m or N, at time ``t``, s; arguments as in `Tracker.torque`."""
         ...
 
 
 def controller_of(plan: Solution, reference: ReferenceTrajectory, settings: Any) -> TorqueController | None:
-    """The controller that settings ask for; None for the feedback of joints. Raises `InputError`."""
+    """The controller that the settings choose; None for joint feedback. Raises `InputError`."""
     given = settings.controller
     if given == "joints":
         return None
@@ -40,7 +40,7 @@ def controller_of(plan: Solution, reference: ReferenceTrajectory, settings: Any)
 
 
 def name_of(controller: object) -> str:
-    """A controller in messages: its word, or its class."""
+    """Name of a controller in messages: its keyword or its class."""
     return f"'{controller}'" if isinstance(controller, str) else type(controller).__name__
 
 
@@ -51,7 +51,7 @@ def torque_of(
     touching: np.ndarray,
     size: int,
 ) -> np.ndarray:
-    """Torques (nu,) of a controller, its arguments copied. Raises `InputError` for what are none."""
+    """Torques (nu,) of a controller, called with copies. Raises `InputError` if they are invalid."""
     q, v = (part.copy() for part in state)
     torque = numbers_of(controller.torque(t, q, v, np.array(touching, dtype=bool)))
     if torque.shape != (size,) or not np.isfinite(torque).all():

@@ -1,13 +1,13 @@
-"""Pinocchio's coordinates and MuJoCo's: two descriptions of the same joints.
+"""Maps between the coordinates of Pinocchio and MuJoCo for the same joints.
 
-Both count one velocity for each degree of freedom, in the same order within a joint. They differ in
+Both have one velocity per degree of freedom, in the same order within a joint. They differ in
 
     free-flyer, planar   linear velocity in the body's axes (Pinocchio), in the parent's (MuJoCo): v' = R v
     quaternions          (x, y, z, w) and (w, x, y, z)
     continuous, planar   (cos, sin) and the angle itself, which counts whole turns
 
-so that with the orthogonal map T of velocities, v' = T v, forces are f' = T f and accelerations
-a' = T (a + w x v) in the linear rows. Arrays have one row a sample; along them angles go on without jumps.
+so that with the orthogonal map T of velocities, v' = T v, forces become f' = T f, and in the linear rows
+accelerations become a' = T (a + w x v). Arrays have one row per sample; angles are continuous along them.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from trajopt.solution.local_states import rotation_matrices
 
 @dataclass(frozen=True, kw_only=True)
 class JointAddress:
-    """Where a joint's coordinates are in MuJoCo: slices of qpos and of qvel."""
+    """Where MuJoCo stores a joint's coordinates: slices of qpos and of qvel."""
 
     joint: Joint
     q: slice
@@ -29,7 +29,7 @@ class JointAddress:
 
 @dataclass(frozen=True, kw_only=True)
 class CoordinateMap:
-    """Maps between the two, for samples (n, ...). ``nq``: size of MuJoCo's qpos; nv is the same in both."""
+    """Maps samples (n, ...) both ways. ``nq``: size of MuJoCo's qpos; nv is the same in both."""
 
     coordinates: Coordinates
     addresses: tuple[JointAddress, ...]
@@ -37,14 +37,14 @@ class CoordinateMap:
 
     @property
     def rows(self) -> np.ndarray:
-        """Row of MuJoCo's velocity of each row of Pinocchio's (nv,)."""
+        """Index in MuJoCo's velocity of each entry of Pinocchio's (nv,)."""
         rows = np.zeros(self.coordinates.nv, dtype=int)
         for address in self.addresses:
             rows[address.joint.v] = np.arange(address.v.start, address.v.stop)
         return rows
 
     def to_mujoco(self, q: np.ndarray) -> np.ndarray:
-        """MuJoCo's positions (n, nq') of Pinocchio's (n, nq)."""
+        """Convert Pinocchio's configurations (n, nq) to MuJoCo's positions (n, nq')."""
         qpos = np.zeros((len(q), self.nq))
         for address in self.addresses:
             kind, part = address.joint.kind, q[:, address.joint.q]
@@ -60,7 +60,7 @@ class CoordinateMap:
         return qpos
 
     def from_mujoco(self, qpos: np.ndarray) -> np.ndarray:
-        """Pinocchio's configurations (n, nq) of MuJoCo's (n, nq')."""
+        """Convert MuJoCo's positions (n, nq') to Pinocchio's configurations (n, nq)."""
         q = np.zeros((len(qpos), self.coordinates.nq))
         for address in self.addresses:
             kind, part = address.joint.kind, qpos[:, address.q]
@@ -76,21 +76,21 @@ class CoordinateMap:
         return q
 
     def rates_to_mujoco(self, qpos: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """MuJoCo's velocities (or forces, which go the same way) (n, nv) at ``qpos`` (n, nq')."""
+        """Convert Pinocchio's velocities or forces (n, nv) to MuJoCo's at ``qpos`` (n, nq')."""
         qvel = np.zeros_like(v, dtype=float)
         for address in self.addresses:
             qvel[:, address.v] = _turned(address, qpos, v[:, address.joint.v], back=False)
         return qvel
 
     def rates_from_mujoco(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Pinocchio's velocities, or forces, (n, nv) of MuJoCo's at ``qpos`` (n, nq')."""
+        """Convert MuJoCo's velocities or forces (n, nv) to Pinocchio's at ``qpos`` (n, nq')."""
         v = np.zeros_like(qvel, dtype=float)
         for address in self.addresses:
             v[:, address.joint.v] = _turned(address, qpos, qvel[:, address.v], back=True)
         return v
 
     def accelerations_from_mujoco(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
-        """Pinocchio's accelerations (n, nv): a = T' qacc - w x v in the linear rows of a moving base."""
+        """Convert MuJoCo's accelerations (n, nv): a = T' qacc - w x v in the linear rows of a moving base."""
         a, v = self.rates_from_mujoco(qpos, qacc), self.rates_from_mujoco(qpos, qvel)
         for address in self.addresses:
             rows, part = address.joint.v, v[:, address.joint.v]
@@ -103,7 +103,7 @@ class CoordinateMap:
 
 
 def _turned(address: JointAddress, qpos: np.ndarray, rows: np.ndarray, *, back: bool) -> np.ndarray:
-    """Rows (n, .) of a joint with the linear ones turned from the body's axes to the parent's, or back."""
+    """Rotate a joint's linear rows (n, .) from the body's axes to the parent's, or back."""
     kind = address.joint.kind
     if kind not in ("freeflyer", "planar"):
         return rows

@@ -1,4 +1,4 @@
-"""Figures of a simulation: tracking, contacts, falls, by comparison of the record with the plan."""
+"""Figures of a simulation: tracking, contacts and falls, from its record and the plan."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -18,19 +18,19 @@ from trajopt.solution.solution import Solution
 
 # A contact is loaded above this fraction of the weight: far above rounding, far below a leg's share.
 LOADED = 0.02
-# Travel of a loaded contact within a stance that counts as a slip, over the reach.
+# Travel of a loaded contact within a stance, in reaches, that counts as a slip.
 SLIP = 0.01
-# MuJoCo's force on a fast-sliding contact is pulsed: gaps shorter than this fraction of the natural time are
+# MuJoCo pulses the force on a fast-sliding contact: gaps shorter than this fraction of the natural time are
 # ignored.
 PULSES = 0.1
-# A base has fallen if it is lower than planned by this fraction of its mean height over the feet, or turned
+# A base has fallen if it drops below the plan by this fraction of its mean height over the feet, or turns
 # from the planned attitude by more than this, rad.
 SUNK, TURNED = 0.5, np.pi / 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fall:
-    """First moment, s of the plan, and reason of a fall."""
+    """First time of a fall, s of the plan, and its reason."""
 
     time: float
     why: str
@@ -40,9 +40,10 @@ class Fall:
 class SimulatedStance:
     """One planned stance of a contact in the simulation.
 
-    touchdown: s, simulated minus planned; None for one that lasts from the start, or never is loaded
-    (``missed``). travel: m along the surface while loaded, of a sole that of its corners; None where it is
-    held or meant to slide.
+    Args:
+        touchdown: simulated minus planned, s; None from the start, or without load by mid-stance.
+        missed: whether it never carries load, unless it is held or meant to slide.
+        travel: m along the surface while loaded, for a sole that of its corners; None if held or sliding.
     """
 
     contact: int
@@ -54,7 +55,7 @@ class SimulatedStance:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingErrors:
-    """Distances from the plan at n + 1 times: base m, turn rad, worst joint rad or m; joints (n + 1, .)."""
+    """Errors at n + 1 times: base, m; turn, rad; the worst joint's, rad or m; all joints' (n + 1, .)."""
 
     base: np.ndarray
     turn: np.ndarray
@@ -63,7 +64,7 @@ class TrackingErrors:
 
 
 def tracking_errors(plan: Solution, reference: ReferenceTrajectory, q: np.ndarray) -> TrackingErrors:
-    """Errors of simulated q (n + 1, nq) at the starts of periods and at the end of the last."""
+    """Errors of simulated q (n + 1, nq) at the starts of all periods and at the end of the last one."""
     wanted = np.vstack([reference.q, reference.end])[: len(q)]
     model, rows = plan.model, plan.actuated_rows
     distance = np.array([state_distance(model, a, b) for a, b in zip(wanted, q, strict=True)])
@@ -72,20 +73,20 @@ def tracking_errors(plan: Solution, reference: ReferenceTrajectory, q: np.ndarra
 
 
 def loaded_contacts(record: SimulationRecord, world: World) -> np.ndarray:
-    """Whether contacts carry load (n, nc)."""
+    """Whether each contact carries load (n, nc)."""
     force = np.linalg.norm(record.force[:, :, :3], axis=2)
     return np.asarray(force > LOADED * world.units.weight)
 
 
 def phase_surfaces(plan: Solution) -> TouchedSurfaces:
-    """What contacts touch, at the first sample of each phase of the file."""
+    """Surfaces that contacts touch, at the first sample of each phase of the file."""
     return rows_of(MotionQuantities(plan).surfaces, [phase.start for phase in plan.phases])
 
 
 def simulated_stances(
     plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, world: World
 ) -> tuple[SimulatedStance, ...]:
-    """Every planned stance, contact by contact."""
+    """All planned stances, contact by contact."""
     n = min(len(record.feet), reference.planned)
     loaded, surfaces, stances = loaded_contacts(record, world)[:n], phase_surfaces(plan), []
     gap = round(PULSES * world.units.time / reference.period)
@@ -119,13 +120,13 @@ def simulated_stances(
 
 
 def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """First and one past the last index of every stretch of true values."""
+    """First index, and one past the last, of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def _without_gaps(loaded: np.ndarray, gap: int) -> np.ndarray:
-    """Flags (n,) with gaps of at most ``gap`` between true stretches filled."""
+    """Fill gaps of at most ``gap`` between runs of true flags (n,)."""
     closed = loaded.copy()
     for first, end in _runs(~loaded):
         if first and end < len(loaded) and end - first <= gap:
@@ -136,7 +137,7 @@ def _without_gaps(loaded: np.ndarray, gap: int) -> np.ndarray:
 def _slipped(
     plan: Solution, world: World, contact: int, record: SimulationRecord, rows: slice, normal: np.ndarray
 ) -> np.ndarray:
-    """Places (n, c, 3) m of a contact's points; of a ball that rolls its centre, without what it rolls."""
+    """Positions (n, c, 3), m, of a contact's points; for a rolling ball its centre, less the way rolled."""
     feet, turns = record.feet[rows, contact, None], record.turns[rows, contact]
     places = feet + touching_places(plan, contact) @ turns.mT
     radius = float(world.place.radii[contact])
@@ -148,7 +149,7 @@ def _slipped(
 
 
 def farthest_travel(places: np.ndarray, loaded: np.ndarray, normal: np.ndarray) -> float:
-    """Farthest that one of ``places`` (n, c, 3) of a contact moves along its plane without being lifted."""
+    """Largest displacement of any of ``places`` (n, c, 3) along a contact's plane without being lifted."""
     farthest = 0.0
     for first, end in _runs(loaded):
         moved = places[first:end] - places[first]
@@ -160,7 +161,7 @@ def farthest_travel(places: np.ndarray, loaded: np.ndarray, normal: np.ndarray) 
 def swing_load(reference: ReferenceTrajectory, record: SimulationRecord, world: World) -> float:
     """Longest time (s) for which a contact carries load in the middle half of a planned swing.
 
-    Around lift-off and touchdown the contact is merely late or early.
+    Around lift-off and touchdown, a loaded contact is merely late or early.
     """
     n = min(len(record.feet), reference.planned)
     loaded, longest = loaded_contacts(record, world)[:n], 0
@@ -172,7 +173,7 @@ def swing_load(reference: ReferenceTrajectory, record: SimulationRecord, world: 
 
 
 def force_error(reference: ReferenceTrajectory, record: SimulationRecord) -> float | None:
-    """Root mean square over the plan of the difference of all contact forces, N; None without contacts."""
+    """Root mean square over the plan of the error of all contact forces, N; None without contacts."""
     n = min(len(record.force), reference.planned)
     difference = record.force[:n, :, :3] - reference.f[:n, :, :3]
     return float(np.sqrt((difference**2).sum(axis=(1, 2)).mean())) if difference.size else None
@@ -207,7 +208,7 @@ def fall_of(
 def fall_between(
     plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, world: World, rows: slice
 ) -> Fall | None:
-    """The first fall in some periods of a record that may not have ended."""
+    """The first fall within some periods of a record that may be incomplete."""
     part = replace(record, feet=record.feet[rows], touched=record.touched[rows])
     wanted = replace(reference, t=reference.t[rows], q=reference.q[rows])
     if not len(part.feet):
@@ -226,7 +227,7 @@ def base_poses(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 
 def _height_over_feet(plan: Solution, up: np.ndarray) -> float:
-    """Mean height of the base over the contacts that stand, m; zero where none does."""
+    """Mean height of the base over the active contacts, m; zero if there are none."""
     position = contact_places(plan).position
     base = base_poses(plan.model, plan.q)[:, :, 3]
     over = (base[:, None, :] - position) @ up

@@ -1,14 +1,14 @@
-"""Gains of the joints' feedback along a plan, from its inertias and from what its legs have to hold.
+"""Gains of joint feedback along a plan, from its inertias and from the weight that its legs hold up.
 
-With w the feedback's rate, m g l the robot's weight times its reach and n the contacts on the ground,
+With the feedback rate w, the robot's weight times its reach m g l, and n contacts on the ground,
 
     K_p = max(w^2 M_ii, 4 m g l / n)      in legs that the plan has on the ground, else w^2 M_ii
     K_d = 2 sqrt(K_p M_ii)
 
-(4 m g / (l n) for prismatic joints) so that each joint on its own removes an error without overshoot, in the
-same time whatever its inertia. The joints of a stance leg hold the body up, an inverted pendulum that falls
-if their stiffness is below m g l / n. Dampers that would be unstable in discrete time on the free leg are
-weaker, with their springs: where a foot is late, its joints are as free as in the swing.
+(4 m g / (l n) for prismatic joints), so that each joint on its own removes an error without overshoot, in a
+time that does not depend on its inertia. The joints of a stance leg hold up the body, an inverted pendulum
+that falls if their stiffness is below m g l / n. Where dampers would be unstable in discrete time on a free
+leg, dampers and springs are weakened: the joints of a late foot are as free as in the swing.
 """
 
 import copy
@@ -28,15 +28,15 @@ from trajopt.solution.solution import Solution
 
 # Gains are recomputed after this many periods of the controller, and held in between.
 EVERY = 5
-# A discrete damper is stable while its rate times the period stays below 2; half of it leaves room for delay.
+# A discrete damper is stable while its rate times the period is below 2; half of that leaves room for delay.
 FASTEST = 1.0
-# Stiffness of stance legs over the stiffness at which the body just falls.
+# Stiffness of stance legs over that at which the body just falls.
 STIFFER = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Feedback of the actuated rows in n periods, (n, nu); ``rate``: 1/s, of joints that bear no load."""
+    """Feedback gains of the actuated rows in n periods, (n, nu); ``rate``: 1/s, of unloaded joints."""
 
     kp: np.ndarray
     kd: np.ndarray
@@ -62,14 +62,14 @@ def gains_of(
 
 
 def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, picked: np.ndarray) -> np.ndarray:
-    """Mass matrices (n, nv, nv) of the picked periods, with what is carried, in MuJoCo's coordinates."""
+    """Mass matrices (n, nv, nv) of the picked periods, with payloads, in MuJoCo's coordinates."""
     mujoco, model = mujoco_package(), copy.copy(world.compiled)
     data, matrices = mujoco.MjData(model), np.zeros((len(picked), model.nv, model.nv))
     phases, carried = reference.source[picked], -1
     for qpos, phase, matrix in zip(
         world.coordinates.to_mujoco(reference.q[picked]), phases, matrices, strict=True
     ):
-        if phase != carried and plan.description.payloads:
+        if phase != carried:  # the masses of the plan: the feedback does not know others
             write_inertias(model, carrying_model(plan, int(phase)))
             carried = phase
         data.qpos[:] = qpos
@@ -81,7 +81,7 @@ def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, pick
 
 
 def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
-    """Stiffness (n, nu) that legs need to hold the body, for active contacts (n, nc); zero elsewhere."""
+    """Stiffness (n, nu) with which legs hold up the body, for active contacts (n, nc); zero elsewhere."""
     holding = np.zeros((len(active), len(plan.actuated_rows)))
     if base_of(plan.model) == "fixed":
         return holding

@@ -1,9 +1,8 @@
-"""What a robot may touch in a simulation, as MuJoCo geometry: terrain, boards of single phases, obstacles.
+"""Geometry that a robot may touch in a simulation: terrain, boards of single phases, obstacles.
 
-A point contact is a ball so small (`BALL` of the reach) that its rolling is negligible, and a sole has one at
-each corner. The ground that they touch is shifted along its normal, so that a contact of the plan with a
-radius turns about its centre; or, if it rolls, it is a ball of that radius. Links touch the ground where it
-is.
+A point contact is a ball so small (`BALL` of the reach) that its rolling is negligible; a sole has one at
+each corner. The ground below them is shifted along its normal, so that a planned contact with a radius turns
+about its centre; a contact that rolls is a ball of that radius. Links touch the ground where it is.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,18 +22,20 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface, frame_of_normal
 
-# Parts of the robot's reach: radius of the balls; how far ground goes beyond the motion; how thick it is; how
-# far a board goes beyond the contacts on it; side of the cells of smooth ground.
+# In reaches: radius of the balls; margin of the ground around the motion; its thickness; margin of a board
+# around the contacts on it; cell size of smooth ground.
 BALL, AROUND, DEPTH, BOARD, CELL = 1e-3, 2.0, 1.0, 0.1, 1e-2
 MOST_CELLS = 500
 
 
 @dataclass(frozen=True, kw_only=True)
 class GroundGeometry:
-    """Geoms to touch: ``names``, the contacts that may touch them, and links of which legs.
+    """Geoms of the ground, and what may touch them.
 
-    friction: (phases, geoms, nc), that of a contact on a geom in a phase of the file. links: None for a geom
-    that no link touches; otherwise the offset, m, of the ground of links that touch it.
+    Args:
+        friction: (phases, geoms, nc) of each contact on each geom, in each phase of the file.
+        touched_by: the contacts that may touch each geom.
+        links: offset, m, of the ground of the links that may touch each geom; None if no link may.
     """
 
     names: tuple[str, ...]
@@ -45,10 +46,13 @@ class GroundGeometry:
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """Where a plan happens: contact frames (K, nc, 3) at its samples, a box around it, the reach; m.
+    """Surroundings of a plan.
 
-    radii, rolling: (nc,) of the plan's contacts, and which of them roll. offsets: (nc,) m, by which the
-    ground of contacts is higher than planned.
+    Args:
+        feet: (K, nc, 3) positions of the contact frames at the samples, m.
+        radii, rolling: (nc,) of the plan's contacts, m, and whether each rolls.
+        offsets: (nc,) by which the ground of each contact is higher than planned, m.
+        low, high, reach: corners (3,) of a box around the plan, and the robot's reach, m.
     """
 
     feet: np.ndarray
@@ -61,7 +65,7 @@ class Surroundings:
 
     @property
     def ball(self) -> float:
-        """Radius of the balls of contacts that do not roll, and of links, m."""
+        """Radius, m, of the balls of links and of contacts that do not roll."""
         return BALL * self.reach
 
     @property
@@ -71,7 +75,7 @@ class Surroundings:
 
     @property
     def lifts(self) -> np.ndarray:
-        """How far above the plan's ground (nc,) m the balls of contacts touch theirs; negative: below."""
+        """Height (nc,), m, above the planned ground of the ground that each contact's balls touch."""
         return self.radii - self.sizes + self.offsets
 
 
@@ -83,7 +87,7 @@ def surroundings_of(
     settings: SimulationSettings,
     beyond: float = 0.0,
 ) -> Surroundings:
-    """The place of a plan with contacts at ``feet`` (K, nc, 3) and joints at ``bodies`` (K, n, 3) m.
+    """Surroundings of a plan with contacts at ``feet`` (K, nc, 3) and joints at ``bodies`` (K, n, 3), m.
 
     beyond: m, how far the simulation may leave the plan along the ground.
     """
@@ -102,7 +106,7 @@ def surroundings_of(
 
 
 def add_ground(spec: Any, plan: Solution, place: Surroundings) -> GroundGeometry:
-    """Add terrain and boards to a specification: terrain for links, and for contacts of each height."""
+    """Add terrain and boards to a specification; terrain for links, and for contacts at each height."""
     geoms: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], float | None]] = []
     terrain = plan.description.ground
     separate, count = _separate_surfaces(plan, terrain), len(plan.contact_frames)
@@ -125,7 +129,7 @@ def add_ground(spec: Any, plan: Solution, place: Surroundings) -> GroundGeometry
 
 
 def _by_lift(contacts: Sequence[int], place: Surroundings) -> list[tuple[float, tuple[int, ...]]]:
-    """Contacts by how far above the plan's ground they touch theirs."""
+    """Group contacts by how far their ground is above the planned one."""
     return [
         (float(lift), tuple(contact for contact in contacts if place.lifts[contact] == lift))
         for lift in np.unique(place.lifts[list(contacts)])
@@ -139,7 +143,7 @@ def _terrain(
     lift: float,
     place: Surroundings,
 ) -> Iterator[tuple[str, Surface | None, float | None]]:
-    """Add terrain, lifted along its normal by m; names, planes, and friction unless it is each contact's."""
+    """Add terrain, lifted ``lift`` m along its normal; yields names, planes, friction if not per contact."""
     if isinstance(terrain, Surface):
         yield _plane(spec, f"terrain{suffix}", terrain, lift), terrain, None
     elif isinstance(terrain, PiecewiseTerrain):
@@ -154,7 +158,7 @@ def _terrain(
 def _by_phase(plan: Solution, planes: Sequence[Surface | None], usual: np.ndarray) -> np.ndarray:
     """Friction (phases, geoms, nc): ``usual`` (geoms, nc) unless a phase sets it for a geom's plane.
 
-    A contact in the air has that of its next stance, for which it may be early.
+    A contact in the air has the friction of its next stance, since it may touch down early.
     """
     friction, frames = np.tile(usual, (len(plan.phases), 1, 1)), list(plan.contact_frames)
     for phase, surfaces in enumerate(plan.description.surfaces):
@@ -169,7 +173,7 @@ def _by_phase(plan: Solution, planes: Sequence[Surface | None], usual: np.ndarra
 
 
 def _separate_surfaces(plan: Solution, terrain: Any) -> list[tuple[int, int, Surface]]:
-    """(phase, contact, surface) of what single contacts touch that is not the terrain."""
+    """(phase, contact, surface) of single contacts that touch something other than the terrain."""
     faces = terrain.faces if isinstance(terrain, PiecewiseTerrain) else ()
     planes = [face.surface for face in faces] + ([terrain] if isinstance(terrain, Surface) else [])
     frames = list(plan.contact_frames)
@@ -182,7 +186,7 @@ def _separate_surfaces(plan: Solution, terrain: Any) -> list[tuple[int, int, Sur
 
 
 def _standing(plan: Solution, separate: Sequence[tuple[int, int, Surface]]) -> tuple[int, ...]:
-    """Contacts that are on the terrain in some phase, or whose image in a periodic plan is."""
+    """Contacts that touch the terrain in some phase, or whose image in a periodic plan does."""
     elsewhere = {(phase, contact) for phase, contact, _ in separate}
     standing = {
         int(contact)
@@ -200,7 +204,7 @@ def _standing(plan: Solution, separate: Sequence[tuple[int, int, Surface]]) -> t
 def _boards(
     plan: Solution, separate: Sequence[tuple[int, int, Surface]], place: Surroundings
 ) -> list[tuple[Surface, tuple[int, ...], np.ndarray]]:
-    """Unilateral planes, each with its contacts and where they touch it (n, 3), soles at the corners."""
+    """Unilateral planes, each with its contacts and the points (n, 3) that they touch, soles at corners."""
     groups: list[tuple[Surface, list[tuple[int, int]]]] = []
     for phase, contact, surface in separate:
         if surface.bilateral:
@@ -221,7 +225,7 @@ def _boards(
 
 
 def _under(plan: Solution, surface: Surface, place: Surroundings, phase: int, contact: int) -> np.ndarray:
-    """Positions (n, 3) of a contact in a phase; for a sole a square on the plane around its corners."""
+    """Positions (n, 3) of a contact in a phase; for a sole, a square on the plane around its corners."""
     places = place.feet[plan.phase == phase, contact]
     size = plan.description.contacts[contact].half_size
     if size is None:
@@ -243,7 +247,7 @@ def _plane(spec: Any, name: str, surface: Surface, lift: float) -> str:
 
 
 def _prism(spec: Any, name: str, face: Patch, lift: float, place: Surroundings) -> str:
-    """A solid under the part of a face around the motion; no name where there is none."""
+    """Add a solid below the part of a face around the motion; returns its name, empty if there is none."""
     corners = face.vertices
     for axis in (0, 1):
         inward = np.eye(3)[axis]
@@ -261,7 +265,7 @@ def _prism(spec: Any, name: str, face: Patch, lift: float, place: Surroundings) 
 
 
 def _field(spec: Any, name: str, terrain: SmoothTerrain, lift: float, place: Surroundings) -> str:
-    """Smooth ground as a field of heights around the motion."""
+    """Add smooth ground as a height field around the motion."""
     span = (place.high - place.low)[:2]
     cells = np.minimum(np.ceil(span / (CELL * place.reach)).astype(int), MOST_CELLS)
     x, y = (np.linspace(place.low[i], place.high[i], cells[i] + 1) for i in (0, 1))
@@ -283,7 +287,7 @@ def _field(spec: Any, name: str, terrain: SmoothTerrain, lift: float, place: Sur
 def _board(
     spec: Any, name: str, surface: Surface, points: np.ndarray, lift: float, place: Surroundings
 ) -> str:
-    """A box whose front is the plane, around the points (n, 3) where it is touched."""
+    """Add a box whose front is the plane, around the points (n, 3) where it is touched."""
     turn = frame_of_normal(surface.normal)
     local = (points - surface.point) @ turn[:, :2]
     low, high = local.min(axis=0) - BOARD * place.reach, local.max(axis=0) + BOARD * place.reach
@@ -327,7 +331,7 @@ def add_shape(bodies: Bodies, shape: LinkShape, name: str) -> str:
 
 
 def add_capsule(body: Any, name: str, start: np.ndarray, end: np.ndarray, radius: float) -> str:
-    """Add a capsule, or a ball where its segment has no length; returns its name."""
+    """Add a capsule, or a ball if its segment has no length; returns its name."""
     size = [radius, 0, 0]
     if np.allclose(start, end):
         return add_geom(body, name, "sphere", pos=start, size=size)

@@ -1,8 +1,8 @@
 """The MuJoCo model of a simulation as an MJCF file, with the names of the robot.
 
-MuJoCo's own writer rounds to six digits and does not know what is written into a compiled model: the numbers
-of bodies and joints are replaced by the exact ones. Added are a motor for each torque of the plan, in its
-order, and keyframes ``start`` and ``end``. Shapes of links and ground are within the file.
+MuJoCo's own writer rounds to six digits and ignores what was written into a compiled model, so the numbers of
+bodies and joints are replaced by the exact ones. A motor for each torque of the plan, in its order, and the
+keyframes ``start`` and ``end`` are added. The shapes of links and ground are part of the file.
 """
 
 from pathlib import Path
@@ -23,36 +23,35 @@ from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.output import replacing
 from trajopt.solution.solution import Solution
 
-# MuJoCo accepts no body with less mass, kg, or inertia, kg m^2: far below those of the smallest robots.
+# Least mass, kg, and inertia, kg m^2, that MuJoCo accepts: far below those of the smallest robots.
 LEAST = 1e-12
-# The viewer shows this group only where it is asked to: ground that is lifted for contacts with a radius.
+# The viewer shows this group only on request: ground that is lifted for contacts with a radius.
 HIDDEN_GROUP, GROUND_COLOUR = "3", "0.8 0.85 0.9 1"
-# A robot whose links have no shapes is drawn as bones with a radius of this part of its reach.
+# Radius, in reaches, of the bones that represent a robot whose links have no shapes.
 BONE = 0.02
 LIGHT = {"ambient": "0.4 0.4 0.4", "diffuse": "0.6 0.6 0.6", "specular": "0.1 0.1 0.1"}
 SKY = {"type": "skybox", "builtin": "gradient", "rgb1": "1 1 1", "rgb2": "0.7 0.8 0.9"}
 SKY_SIZE = {"width": "256", "height": "256"}
-# Joints that are several of MuJoCo's, and the ends of these names.
+# Joints that become several MuJoCo joints, and the suffixes of their names.
 PARTS = {
     "JointModelPlanar": ("x", "y", "angle"),
     "JointModelTranslation": ("x", "y", "z"),
     "JointModelSphericalZYX": ("rz", "ry", "rx"),
 }
-# Of an element of MJCF, the attribute of a joint and what a compiled model calls it.
+# MJCF attribute of a joint -> its array in a compiled model.
 DRIVE_ATTRIBUTES = {"armature": "dof_armature", "damping": "dof_damping", "frictionloss": "dof_frictionloss"}
 
 
 @checked
 def write_mjcf(solution: SolutionOrFile, path: str | Path) -> Path:
-    """Write the model that `simulate` builds of a plan as an MJCF file; return its path.
+    """Write the model that `simulate` builds for a plan as an MJCF file; return its path.
 
     Args:
         solution: the plan, or the path of its file.
-        path: of the file, which is replaced.
+        path: of the file; an existing one is replaced.
 
     Raises:
-        InputError: for a model that MJCF cannot express, a place that cannot be written, or where MuJoCo is
-            not installed.
+        InputError: for a model that MJCF cannot express, a path that cannot be written, or without MuJoCo.
     """
     text, target = mjcf_of(require_motion(solution_of(solution))), expanded(path)
     with replacing(target) as unfinished:
@@ -67,7 +66,7 @@ def mjcf_of(plan: Solution) -> str:
 
 
 def mjcf_of_world(plan: Solution, world: World) -> str:
-    """Return the MJCF of a plan's model that is built already; raises `InputError`."""
+    """Return the MJCF of a plan's model that is already built; raises `InputError`."""
     with muted_mujoco():
         root = ElementTree.fromstring(world.bodies.spec.to_xml())
         root.set("model", str(plan.description.robot))
@@ -95,7 +94,7 @@ def _numbers(values: ArrayLike) -> str:
 
 
 def _complete_body(root: ElementTree.Element, model: pin.Model, index: int) -> None:
-    """Write place, inertia and axis of one joint's body."""
+    """Write the placement, inertia and axis of one joint's body."""
     body = next(one for one in root.iter("body") if one.get("name") == body_name(index))
     place, body_inertia = model.jointPlacements[index], model.inertias[index]
     body.set("pos", _numbers(place.translation))
@@ -113,7 +112,7 @@ def _complete_body(root: ElementTree.Element, model: pin.Model, index: int) -> N
 
 
 def _complete_joint(joint: ElementTree.Element, world: World) -> None:
-    """Write rotor inertia and friction of a joint; raises `InputError` where its rows have different ones."""
+    """Write a joint's spring, armature, damping and friction; raises `InputError` if its axes differ."""
     compiled, name = world.compiled, str(joint.get("name"))
     number = compiled.joint(name).id
     if compiled.jnt_stiffness[number]:
@@ -129,7 +128,7 @@ def _complete_joint(joint: ElementTree.Element, world: World) -> None:
 
 
 def _light_scene(root: ElementTree.Element) -> None:
-    """Light as in a room, a sky, and ground of another colour than the robot."""
+    """Add room light, a sky, and a colour of the ground that differs from the robot's."""
     visual = ElementTree.SubElement(root, "visual")
     ElementTree.SubElement(visual, "headlight", LIGHT)
     asset = root.find("asset")
@@ -142,9 +141,9 @@ def _light_scene(root: ElementTree.Element) -> None:
 
 
 def _draw_bones(root: ElementTree.Element, radius: float) -> None:
-    """Draw a robot without shapes: a ball at each joint, a bone to the next ones and to contacts.
+    """Draw a robot without shapes: a ball at each joint, and bones to its children and contacts.
 
-    They touch nothing and weigh nothing.
+    They have no mass and touch nothing.
     """
     bodies = list(root.iter("body"))
     if any(geom.get("type", "sphere") != "sphere" for body in bodies for geom in body.findall("geom")):
@@ -165,7 +164,7 @@ def _hold_first_grasps(root: ElementTree.Element, world: World) -> None:
 
 
 def _add_motors(root: ElementTree.Element, plan: Solution) -> None:
-    """Add a motor for each torque: ``ctrl`` is the torque of its drive. Raises `InputError`."""
+    """Add a motor for each torque; its ``ctrl`` is the drive torque. Raises `InputError`."""
     actuator = ElementTree.SubElement(root, "actuator")
     low, high = torque_limits(plan)
     for row, name in enumerate(plan.torque_names):
@@ -207,7 +206,7 @@ def _add_keyframes(root: ElementTree.Element, plan: Solution, world: World) -> N
 
 
 def _names(plan: Solution) -> dict[str, str]:
-    """The robot's names of bodies, joints and contact frames."""
+    """Names of the robot's bodies, joints and contact frames, by their names in the specification."""
     model = plan.model
     names = {f"contact{number}": frame for number, frame in enumerate(plan.contact_frames)}
     links: dict[int, str] = {}

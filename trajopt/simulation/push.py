@@ -1,9 +1,9 @@
 """The largest push that a plan survives, for each direction and each controller.
 
-A push is a level impulse on the centre of mass of the base, a constant force for `DURATION` natural times
-sqrt(l / g), l the robot's reach. It is survived if the robot does not fall (`figures.fall_of`) in the
-`AFTER` natural times that follow, or by the end of a motion that ends earlier. Natural units of an impulse
-are weight * sqrt(l / g): the momentum of the robot at the speed sqrt(g l).
+A push is a horizontal impulse at the centre of mass of the base: a constant force for `DURATION` natural
+times sqrt(l / g), with the robot's reach l. It is survived if the robot does not fall (`figures.fall_of`)
+within `AFTER` natural times from its start, or by the end of a motion that ends earlier. The natural unit of
+impulses is weight * sqrt(l / g): the momentum of the robot at the speed sqrt(g l).
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.meta import jsonable
 from trajopt.solution.solution import Solution
 
-# A push lasts this long, and so long is simulated after its begin, in natural times: in six of them the error
-# of an inverted pendulum grows four-hundredfold.
+# Duration of a push, and of the simulation from its start, in natural times: within six of them, the error of
+# an inverted pendulum grows four-hundredfold.
 DURATION, AFTER = 0.1, 6.0
-# Impulses in natural units: the first that is tried, the largest, and the least that is told from none.
+# Impulses in natural units: the first one tried, the largest, and the least that is distinguished from none.
 FIRST, MOST, LEAST = 0.05, 2.0, 0.003
-# Directions around the robot, unless asked for otherwise; in a plane there are two.
+# Default number of directions around the robot, and of those in a plane.
 DIRECTIONS, IN_A_PLANE = 8, 2
-# Whether the robot has fallen is tested after every stretch of so many natural times.
+# Natural times between two tests for a fall.
 STRETCH = 0.25
 CONTROLLERS: tuple[Controller, ...] = ("joints", "whole-body")
-# Names of directions, degrees.
+# Names of directions, by angle in degrees.
 NAMES = {0.0: "forward", 90.0: "left", 180.0: "backward", 270.0: "right"}
 
 
@@ -48,11 +48,16 @@ NAMES = {0.0: "forward", 90.0: "left", 180.0: "backward", 270.0: "right"}
 class PushReport:
     """Largest impulses that a plan survives.
 
-    time: of the push, s from the start of the plan; duration: s; after: s simulated from its begin. cycles:
-    of a periodic plan. unit: weight * sqrt(l / g), N s. most: largest impulse that was tried, N s; one that
-    equals it may be larger. directions: (n,) degrees from the base's forward axis, counter-clockwise.
-    impulses: (n,) N s by controller; zero where even the smallest push, or none at all, makes it fall.
-    notes: what else must be known.
+    Args:
+        time: start of the push, s from the start of the plan.
+        duration: of the push, s.
+        after: time simulated from the start of the push, s.
+        cycles: of a periodic plan.
+        unit: weight * sqrt(l / g), N s.
+        most: largest impulse that was tried, N s; the limit may be larger where the result equals it.
+        directions: (n,) degrees counter-clockwise from the base's forward axis.
+        impulses: (n,) N s by controller; zero where even the smallest push, or none, makes it fall.
+        notes: further remarks.
     """
 
     problem: str
@@ -74,14 +79,14 @@ class PushReport:
         return tuple(whole / joints if joints else math.nan for joints, whole in pairs)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able figures; ``natural``: impulses in natural units."""
+        """JSON-able figures; ``natural`` has the impulses in natural units."""
         natural = {name: [size / self.unit for size in row] for name, row in self.impulses.items()}
         figures = {name: getattr(self, name) for name in self.__dataclass_fields__}
         ratios = [None if math.isnan(ratio) else ratio for ratio in self.ratios]
         return jsonable({**figures, "natural": natural, "ratios": ratios})
 
     def table(self) -> str:
-        """A line for each direction: impulses in N s and in natural units, and their ratio."""
+        """One line per direction: impulses in N s and in natural units, and their ratio."""
         lines = [
             f"push at {self.time:.3f} s for {1e3 * self.duration:.0f} ms, {self.after:.2f} s simulated from "
             f"it; largest impulse survived, N s (over weight * sqrt(l / g) = {self.unit:.3g} N s)",
@@ -111,22 +116,22 @@ def largest_pushes(
 ) -> PushReport:
     """Measure the largest push that a plan survives in MuJoCo, for each direction and controller.
 
-    Impulses are doubled from `FIRST` (or halved) until one is survived and the next is not, and the interval
-    is bisected: all that were tried below the result were survived.
+    Impulses are doubled (or halved) from `FIRST` until one is survived and the next is not; then the interval
+    is bisected. All impulses that were tried below the result were survived.
 
     Args:
         solution: the plan, or the path of its file.
         controllers: "joints", "whole-body", or both.
-        directions: how many, evenly around the robot from its front, counter-clockwise. None: eight, or two
-            in a plane, to the front and to the back, where no other number is allowed.
+        directions: number of directions, evenly spaced from the front, counter-clockwise. None: eight, or two
+            in a plane, front and back, where no other number is allowed.
         time: of the push, s from the start of the plan. None: the middle of a periodic plan's cycles; the end
             of a plan that ends at rest, where the robot stands; otherwise the middle of the plan.
-        cycles: of a periodic plan. None: as many as let `AFTER` natural times follow the push.
-        accuracy: relative, of the impulses.
+        cycles: of a periodic plan. None: enough for `AFTER` natural times after the push.
+        accuracy: relative accuracy of the impulses.
 
     Raises:
-        InputError: for a robot on a fixed base, a time outside of the motion or at which the base's forward
-            axis points up or down, other directions than two in a plane, a plan that cannot be simulated.
+        InputError: for a robot on a fixed base, a time outside the motion or at which the base's forward axis
+            is vertical, other than two directions in a plane, or a plan that cannot be simulated.
     """
     plan = require_motion(solution_of(solution))
     kind, wanted = base_of(plan.model), tuple(dict.fromkeys(controllers))
@@ -168,7 +173,7 @@ def largest_pushes(
 
 
 def largest_survived(survives: Callable[[float], bool], accuracy: float) -> float:
-    """The largest impulse that is survived, natural units: 0 below `LEAST`, at most `MOST`."""
+    """Largest impulse that is survived, natural units: 0 below `LEAST`, at most `MOST`."""
     low, high = 0.0, math.inf
     size = FIRST
     while size < high and low < MOST:  # upwards until one is too large
@@ -184,9 +189,9 @@ def largest_survived(survives: Callable[[float], bool], accuracy: float) -> floa
 
 @dataclass(frozen=True, kw_only=True)
 class PushTrials:
-    """Simulations of one plan that differ in their push alone: what they share is made once.
+    """Simulations of one plan that differ only in their push; what they share is built once.
 
-    begin: period of the push; end: one past the last that is simulated. unit: weight * sqrt(l / g), N s.
+    begin, end: period of the push, and one past the last period that is simulated.
     """
 
     plan: Solution
@@ -198,7 +203,7 @@ class PushTrials:
 
     @classmethod
     def of(cls, plan: Solution, time: float | None, cycles: int | None) -> PushTrials:
-        """Trials at ``time`` s, see `largest_pushes`. Raises `InputError`."""
+        """Trials with a push at ``time`` s, see `largest_pushes`. Raises `InputError`."""
         settings = SimulationSettings()
         world = build_world(plan, settings)
         follows = AFTER * world.units.time
@@ -228,19 +233,19 @@ class PushTrials:
 
     @property
     def time(self) -> float:
-        """Of the push, s from the start of the plan."""
+        """Time of the push, s from the start of the plan."""
         return self.begin * self.reference.period
 
     @property
     def duration(self) -> float:
-        """Of the push, s: whole periods of the controller, one or more."""
+        """Duration of the push, s: whole periods of the controller, one or more."""
         period = self.reference.period
         return period * max(1, round(DURATION * self.world.units.time / period))
 
     def with_controller(self, controller: Controller) -> Callable[[float, float], bool]:
-        """Simulate up to the push; returns whether one of an angle (degrees) and size (natural) is survived.
+        """Simulate up to the push; returns a test of survival by angle (degrees) and size (natural units).
 
-        Raises `InputError` where the base's forward axis points up or down.
+        Raises `InputError` if the base's forward axis is vertical then.
         """
         settings = SimulationSettings(controller=controller, cycles=self.cycles)
         run = SimulationRun(self.plan, self.reference, self.world, settings)
@@ -273,5 +278,5 @@ class PushTrials:
         return survives
 
     def _falls(self, record: SimulationRecord, first: int, last: int) -> bool:
-        """Whether the robot has fallen in the periods from ``first`` to before ``last``."""
+        """Whether the robot falls in the periods from ``first`` to before ``last``."""
         return fall_between(self.plan, self.reference, record, self.world, slice(first, last)) is not None

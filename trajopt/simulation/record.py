@@ -1,4 +1,4 @@
-"""What is recorded of a simulation, period by period."""
+"""Records of a simulation, period by period."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trajopt.solution.arrays import rows_of
 
 @dataclass(frozen=True, kw_only=True)
 class RequestRecord:
-    """What a whole-body controller asked for in n periods: rows of `TickRequest`.
+    """Requests of a whole-body controller in n periods: rows of `TickRequest`.
 
     forces: (n, nc, 6) N and N m. com: (n, 3) m. feet: (n, nc, 3) m.
     """
@@ -24,7 +24,7 @@ class RequestRecord:
 
     @classmethod
     def empty(cls, periods: int, contacts: int) -> RequestRecord:
-        """A record without entries."""
+        """A record in which every row is `TickRequest.none`."""
         rows = [TickRequest.none(contacts)] * periods
         return cls(
             **{field.name: np.array([getattr(row, field.name) for row in rows]) for field in fields(cls)}
@@ -37,13 +37,14 @@ class RequestRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationRecord:
-    """What happened at the starts of n periods (and at the end), in MuJoCo's coordinates.
+    """States, forces and events at the starts of n periods, and the final state, in MuJoCo's coordinates.
 
-    qpos (n + 1, nq'), qvel (n + 1, nv), qacc (n, nv); torque (n, nu) of the drives, where they are saturated
-    (n, nu), and friction (n, nu) on them; force (n, nc, 6) of the surroundings on contacts, world axes, at
-    the frame's origin; feet (n, nc, 3) m and turns (n, nc, 3, 3) of the contact frames; touched (n,) a link
-    touches the ground; hit (n,) an obstacle. counts: of the ticks of a whole-body controller; requests: what
-    it asked for.
+    Args:
+        qpos, qvel, qacc: (n + 1, nq'), (n + 1, nv), (n, nv).
+        torque, saturated, friction: (n, nu) of the drives, whether they are clipped, and their friction.
+        force: (n, nc, 6) of the surroundings on contacts, world axes, at the frames' origins.
+        feet, turns: (n, nc, 3) m and (n, nc, 3, 3) of the contact frames.
+        touched, hit: (n,) a link touches ground, an obstacle. counts, requests: of a whole-body controller.
     """
 
     qpos: np.ndarray
@@ -61,7 +62,7 @@ class SimulationRecord:
     requests: RequestRecord | None = None
 
     def until(self, count: int) -> SimulationRecord:
-        """The periods before period ``count``, in whose state MuJoCo has diverged.
+        """The periods before period ``count``, at whose state MuJoCo has diverged.
 
         That state and the step to it are left out; a record that ends at once keeps one period at rest.
         """

@@ -1,4 +1,4 @@
-"""The figures of a simulation, their thresholds, and their text."""
+"""The report of a simulation: figures, their thresholds, and their text."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.control.tick_counts import TickCounts
 from trajopt.solution.meta import jsonable
 
-# A plan is tracked if its base ends within this fraction of the robot's reach and within this angle, rad; on
-# a fixed base, if no joint error ever exceeds this, rad or m.
+# A plan is tracked if its base ends within this fraction of the reach and within this angle, rad; on a fixed
+# base, if no joint error ever exceeds the last, rad or m.
 BASE_PASSED, TURN_PASSED, JOINT_PASSED = 0.05, 0.2, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactReport:
-    """A contact over the plan: touchdowns (s, late is positive), missed ones, largest travel (m)."""
+    """One contact over the plan: touchdown errors (s, positive if late), missed ones, largest travel (m)."""
 
     frame: str
     touchdowns: tuple[float, ...]
@@ -28,10 +28,10 @@ class ContactReport:
 
 @dataclass(frozen=True, kw_only=True)
 class TickReport:
-    """Quadratic programs of a whole-body controller: ticks, iterations in all, and time of a tick, s.
+    """Quadratic programs of a whole-body controller: ticks, total iterations, and time per tick, s.
 
-    relaxed: ticks by what was relaxed in them, see `trajopt.control.inverse_dynamics.RELAXED`. slack: largest
-    violation of a row that was relaxed, see `trajopt.control.inverse_dynamics.TickResult`.
+    relaxed: number of ticks by what they relaxed, see `trajopt.control.inverse_dynamics.RELAXED`. slack:
+    largest violation of a relaxed row, see `trajopt.control.inverse_dynamics.TickResult`.
     """
 
     ticks: int
@@ -43,7 +43,7 @@ class TickReport:
 
     @classmethod
     def of(cls, counts: TickCounts) -> TickReport:
-        """The report of what a tracker counted."""
+        """The report of a tracker's counts."""
         times = np.array(counts.times or [0.0])
         return cls(
             ticks=counts.ticks,
@@ -63,14 +63,17 @@ class TickReport:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationReport:
-    """Figures of a simulation; base and joint errors are over the plan, without what is held after it.
+    """Figures of a simulation; base and joint errors are over the plan, without the hold after it.
 
-    reach: m. duration: s of the plan; held: s after it. fell: within both; fall_time s, fall_reason.
-    base_error_* m and base_turn_* rad (None on a fixed base), base_error_held after the hold.
-    joint_error_* rad or m. saturated: share of torques that were clipped. touchdown_error: largest, s;
-    missed: touchdowns that never came; swing_load: s of load in the middle of a swing. slips: stances with a
-    travel beyond `figures.SLIP`; slip_travel: largest, m. force_error: rms, over the weight. obstacle_hit:
-    a capsule touched an obstacle. controller: programs of a whole-body controller.
+    Args:
+        reach, duration, held: m; s of the plan, and of the hold after it.
+        fell, fall_time, fall_reason: within both; the time in s.
+        base_error_*, base_turn_*: m and rad, None on a fixed base; base_error_held: after the hold.
+        joint_error_*: rad or m. saturated: fraction of torques that were clipped.
+        touchdown_error, missed, swing_load: largest, s; touchdowns that never came; load in mid-swing, s.
+        slips, slip_travel: stances with more travel than `figures.SLIP`; the largest travel, m.
+        force_error: rms, over the weight. obstacle_hit: a link touched an obstacle.
+        controller: quadratic programs of a whole-body controller.
     """
 
     problem: str
@@ -106,7 +109,7 @@ class SimulationReport:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """What is beyond its threshold, in words; empty for a plan that is tracked."""
+        """Exceeded thresholds, in words; empty for a plan that is tracked."""
         failures = [f"it fell at {self.fall_time:.3f} s: {self.fall_reason}"] if self.fell else []
         for name, value, threshold, unit in self._judged():
             if value is not None and not value <= threshold:
@@ -124,7 +127,7 @@ class SimulationReport:
 
     @property
     def passed(self) -> bool:
-        """Tracked: no fall, no obstacle touched, errors within the thresholds."""
+        """Whether the plan is tracked: no fall, no obstacle touched, errors within the thresholds."""
         return not self.failures
 
     def to_dict(self) -> dict[str, Any]:
@@ -132,7 +135,7 @@ class SimulationReport:
         return jsonable({"passed": self.passed, "failures": self.failures, **asdict(self)})
 
     def table(self) -> str:
-        """Figures for people, one a line."""
+        """Human-readable figures, one per line."""
         lines = [
             ("simulated", f"{self.duration:.3f} s" + (f", held {self.held:.3f} s" if self.held else "")),
             ("base at the end", _pair(self.base_error_end, self.base_turn_end)),

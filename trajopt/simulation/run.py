@@ -1,10 +1,10 @@
-"""The simulation itself: planned torques, feedback of the joints, MuJoCo's physics, and what is recorded.
+"""The simulation itself: planned torques, joint feedback, MuJoCo's physics, and the record.
 
-At the start of each period of the controller, with the plan's q, v there and its torque in the middle,
+At the start of each controller period, with the plan's q and v at that time and its torque at mid-period,
 
-    tau = tau_plan + K_p (q_plan - q) + K_d (v_plan - v)        cut off at the limits of the drives
+    tau = tau_plan + K_p (q_plan - q) + K_d (v_plan - v)        clipped at the limits of the drives
 
-holds for the period; the gains are those of `gains`.
+is applied for the whole period; the gains are those of `gains`.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from trajopt.simulation.settings import Impulse, SimulationSettings
 from trajopt.simulation.world import World
 from trajopt.solution.solution import Solution
 
-# Level part of the forward axis below which the push is reduced: a base with its nose up or down has no side.
+# Horizontal part of the forward axis below which a push is reduced: a vertical base has no side.
 LEAST_LEVEL = 0.1
 # A push lasts this fraction of the motion, around its middle.
 PUSHED = 0.1
-# Steps of the physics in one simulation: minutes.
+# Most physics steps of one simulation: minutes.
 MOST_STEPS = 20_000_000
-# A contact touches whose force is above this part of the weight.
+# A contact touches if its force is above this fraction of the weight.
 TOUCHING = 1e-3
-# Coefficients that MuJoCo takes to be positive are at least this, as by its own compiler.
+# Least friction coefficient, as in MuJoCo's own compiler, since MuJoCo takes them to be positive.
 LEAST_FRICTION = 1e-5
 
 
 def run_simulation(
     plan: Solution, reference: ReferenceTrajectory, world: World, settings: SimulationSettings
 ) -> SimulationRecord:
-    """Simulate; the record has one row a period, and the last state."""
+    """Simulate a plan; the record has one row per period, and the final state."""
     return SimulationRun(plan, reference, world, settings).record()
 
 
 class SimulationRun:
-    """One simulation, period by period: of a whole plan by `record`, or of parts by `advance`."""
+    """One simulation: of a whole plan by `record`, or of some periods by `advance`."""
 
     def __init__(
         self, plan: Solution, reference: ReferenceTrajectory, world: World, settings: SimulationSettings
@@ -89,18 +89,18 @@ class SimulationRun:
 
     @cached_property
     def gains(self) -> Gains:
-        """Of the feedback of joints, for every period."""
+        """Gains of the joint feedback, for every period."""
         return gains_of(self.plan, self.world, self.reference, self.settings)
 
     def _plan_in_mujoco(self) -> None:
-        """The plan and its torques in MuJoCo's coordinates, row by row."""
+        """Convert the plan and its torques to MuJoCo's coordinates."""
         reference, coordinates = self.reference, self.world.coordinates
         self.qpos = coordinates.to_mujoco(reference.q)
         self.qvel = coordinates.rates_to_mujoco(self.qpos, reference.v)
         self.torque = self._in_mujoco(self.qpos, reference.torque)
 
     def _in_mujoco(self, qpos: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        """Inputs (n, nu) of the plan in MuJoCo's coordinates: those of joints along its axes."""
+        """Convert inputs (n, nu) of the plan to MuJoCo's coordinates: joint torques along MuJoCo's axes."""
         joints = len(self.rows)
         whole = np.zeros((len(torque), self.plan.model.nv))
         whole[:, self.plan.actuated_rows] = torque[:, :joints]
@@ -108,19 +108,19 @@ class SimulationRun:
         return np.hstack([moved, torque[:, joints:]])
 
     def record(self) -> SimulationRecord:
-        """The whole plan, from its start."""
+        """Simulate the whole plan from its start."""
         record = self.start()
         return self.ended(record, self.advance(record, 0, len(self.reference.t)))
 
     def ended(self, record: SimulationRecord, reached: int) -> SimulationRecord:
-        """The record with the state after its last period; of the first ``reached`` if they are not all."""
+        """Complete the record with the final state; if it diverged, cut it by `SimulationRecord.until`."""
         if reached < len(self.reference.t):
             return record.until(reached)
         record.qpos[reached], record.qvel[reached] = self.data.qpos, self.data.qvel
         return record
 
     def start(self) -> SimulationRecord:
-        """Set the start; returns a record for all periods, without entries."""
+        """Set the initial state; returns an empty record for all periods."""
         count, contacts, model = len(self.reference.t), len(self.world.sites), self.model
         self._start()
         return SimulationRecord(
@@ -140,7 +140,7 @@ class SimulationRun:
         )
 
     def branch(self) -> SimulationRun:
-        """A run of its own that goes on from here; of its models one run at a time may advance."""
+        """A copy that continues from here; as they share models, only one run at a time may advance."""
         branched = copy.copy(self)
         branched.data, branched.hardware = copy.copy(self.data), self.hardware.copy()
         branched.tracker = None if self.tracker is None else self.tracker.copy()
@@ -148,9 +148,9 @@ class SimulationRun:
         return branched
 
     def advance(self, record: SimulationRecord, begin: int, end: int) -> int:
-        """Simulate the periods from ``begin`` to before ``end``; less than ``end`` where it diverged."""
+        """Simulate periods ``begin`` to before ``end``; returns ``end``, or where the simulation diverged."""
         model, data = self.model, self.data
-        record.force[begin:end] = 0.0  # forces are summed up
+        record.force[begin:end] = 0.0  # forces are accumulated
         least = TOUCHING * self.world.units.weight
         changes = set(np.flatnonzero(np.diff(self.reference.source, prepend=-1)).tolist())
         for k in range(begin, end):
@@ -163,7 +163,7 @@ class SimulationRun:
             record.torque[k], record.saturated[k] = self._drive(k)
             if self.tracker is not None and record.requests is not None:
                 record.requests.note(k, self.tracker.request)
-            self.mujoco.mj_forward(model, data)  # forces of this state: a step's stages leave others
+            self.mujoco.mj_forward(model, data)  # forces of this state: a step leaves those of its stages
             if not self._is_sane():
                 return k
             record.qacc[k], record.friction[k] = data.qacc, self._friction()
@@ -182,7 +182,7 @@ class SimulationRun:
         return not warnings and bool(np.isfinite(self.data.qacc).all())
 
     def _start(self) -> None:
-        """Set the planned start, with noise if the settings have any."""
+        """Set the planned initial state, with noise if the settings ask for it."""
         self.data.qpos[:], self.data.qvel[:] = self.qpos[0], self.qvel[0]
         if self.settings.noise:
             generator = np.random.default_rng(self.settings.seed)
@@ -192,7 +192,7 @@ class SimulationRun:
             self.data.qvel[:] += size * generator.standard_normal(self.model.nv) / self.world.units.time
 
     def _enter(self, phase: int) -> None:
-        """What changes with a phase of the plan: what is carried, what is held, friction under contacts."""
+        """Apply what changes with a phase of the plan: payloads, grasps, and friction under contacts."""
         changed = self.settings.mass_scale != 1.0 or any(self.settings.com_offset)
         if self.plan.description.payloads or changed:
             write_inertias(self.model, self.world.models[phase])
@@ -214,13 +214,13 @@ class SimulationRun:
         self.data.xfrc_applied[self.base, :3] = force
 
     def forward(self) -> np.ndarray:
-        """Level part (3,) of the base's forward axis in the world."""
+        """Horizontal part (3,) of the base's forward axis in the world."""
         self.mujoco.mj_kinematics(self.model, self.data)
         ahead = self.data.xmat[self.base].reshape(3, 3)[:, 0]
         return np.asarray(ahead - self.up * (self.up @ ahead))
 
     def _force_of(self, impulse: Impulse, k: int) -> np.ndarray:
-        """Force (3,) of an impulse in period ``k``, N: its direction is that of its first period."""
+        """Force (3,), N, of an impulse in period ``k``; its direction is fixed in its first period."""
         period = self.reference.period
         first, lasts = round(impulse.time / period), max(1, round(impulse.duration / period))
         if k == first:
@@ -232,7 +232,7 @@ class SimulationRun:
         return self._forces[impulse] if first <= k < first + lasts else np.zeros(3)
 
     def _drive(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Apply the torques of period ``k``; returns them, and where they were cut off."""
+        """Apply the torques of period ``k``; returns them, and where they were clipped."""
         measured = self.hardware.measure(self.data.qpos, self.data.qvel, self.touching)
         controller = self.controller
         wanted = self._fed_back(k, measured) if controller is None else self._asked(controller, k, measured)
@@ -251,7 +251,7 @@ class SimulationRun:
         return torque, torque != wanted
 
     def _fed_back(self, k: int, measured: Measurement) -> np.ndarray:
-        """Torques (nu,) of the plan and of the joints' feedback."""
+        """Planned torques with joint feedback (nu,)."""
         error = np.zeros(self.model.nv)
         self.mujoco.mj_differentiatePos(self.model, error, 1.0, measured.qpos, self.qpos[k])
         torque = self.torque[k].copy()
@@ -261,7 +261,7 @@ class SimulationRun:
         return torque
 
     def _asked(self, controller: TorqueController, k: int, measured: Measurement) -> np.ndarray:
-        """Torques (nu,) of a controller in MuJoCo's coordinates."""
+        """Torques (nu,) of a controller, in MuJoCo's coordinates."""
         coordinates, qpos = self.world.coordinates, measured.qpos[None]
         q = coordinates.from_mujoco(qpos)[0]
         v = coordinates.rates_from_mujoco(qpos, measured.qvel[None])[0]
@@ -270,23 +270,23 @@ class SimulationRun:
         return self._in_mujoco(qpos, torque[None])[0]
 
     def _friction(self) -> np.ndarray:
-        """Torques (nu,) of friction in the drives on their joints: viscous, and Coulomb's as a constraint."""
+        """Friction torques (nu,) of the drives on their joints: viscous, and Coulomb's as a constraint."""
         whole = self.data.qfrc_passive.copy()
         is_friction = self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
         np.add.at(whole, self.data.efc_id[is_friction], self.data.efc_force[is_friction])
         return np.append(whole[self.rows], np.zeros(len(self.low) - len(self.rows)))
 
     def _contacts(self, force: np.ndarray, feet: np.ndarray) -> tuple[bool, bool]:
-        """Add this step's contacts to ``force`` (nc, 6); whether a link touches ground, or an obstacle.
+        """Add contact wrenches to ``force`` (nc, 6); returns whether a link touches ground, and an obstacle.
 
-        A link that touches it beside a foot does not count.
+        A link that touches the ground next to a foot does not count.
         """
         touching, world = self.data.contact, self.world
         loaded = touching.efc_address >= 0
         geoms = touching.geom[loaded]
         if len(geoms):
             push, owner = self._pushes(loaded), world.contact_of[geoms].max(axis=1, initial=-1)
-            # MuJoCo's forces are on the second geom of a pair.
+            # MuJoCo's forces act on the second geom of a pair.
             push *= np.where(world.contact_of[geoms[:, 0]] >= 0, -1.0, 1.0)[:, None]
             arm = touching.pos[loaded] - feet[owner] if len(feet) else np.zeros_like(push)
             wrench = np.column_stack([push, _cross(arm, push)])[owner >= 0]
@@ -298,7 +298,7 @@ class SimulationRun:
         return bool(fallen.any()), bool(world.obstacles[geoms].any())
 
     def _pushes(self, loaded: np.ndarray) -> np.ndarray:
-        """Forces (n, 3) of contacts in world axes; one without friction has a normal force alone."""
+        """Contact forces (n, 3) in world axes; contacts without friction have only a normal force."""
         touching = self.data.contact
         rows = touching.efc_address[loaded][:, None] + np.arange(3)
         forces = self.data.efc_force[np.minimum(rows, self.data.nefc - 1)]
@@ -306,7 +306,7 @@ class SimulationRun:
         return np.einsum("ni,nij->nj", forces, touching.frame[loaded].reshape(-1, 3, 3))
 
     def _grasped(self, force: np.ndarray) -> None:
-        """Add the wrenches of constraints that hold contacts: those with the same effect on the joints."""
+        """Add the wrenches of grasp constraints: those with the same effect on the joints."""
         for grasp in self.world.grasps:
             number = self.model.equality(grasp.name).id
             if self.data.eq_active[number]:
@@ -323,7 +323,7 @@ class SimulationRun:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of rows (n, 3); NumPy's own takes longer than a step of the physics."""
+    """Cross products of rows (n, 3); NumPy's takes longer than a physics step."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
@@ -332,7 +332,7 @@ def _sizes(world: World) -> np.ndarray:
     """Units (nv,) of positions: the reach for translations, a radian for rotations."""
     sizes = np.ones(world.compiled.nv)
     kinds = mujoco_package().mjtJoint
-    slide, free = int(kinds.mjJNT_SLIDE), int(kinds.mjJNT_FREE)  # NumPy's numbers are not `in` enums
+    slide, free = int(kinds.mjJNT_SLIDE), int(kinds.mjJNT_FREE)  # `in` finds no enum for NumPy's integers
     for joint in range(world.compiled.njnt):
         kind, row = int(world.compiled.jnt_type[joint]), int(world.compiled.jnt_dofadr[joint])
         if kind in (slide, free):
@@ -340,13 +340,13 @@ def _sizes(world: World) -> np.ndarray:
     return sizes
 
 
-# The noise of sensors is drawn apart from the start's, which has the seed alone.
+# Seeds the sensor noise apart from the initial noise, which uses the seed alone.
 SENSORS = 1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """What sensors tell at a tick: qpos (nq',), qvel (nv,) in MuJoCo's coordinates, touching (nc,)."""
+    """Sensor readings at a tick: qpos (nq',), qvel (nv,) in MuJoCo's coordinates, touching (nc,)."""
 
     qpos: np.ndarray
     qvel: np.ndarray
@@ -354,13 +354,13 @@ class Measurement:
 
 
 class Hardware:
-    """Sensors and drives of one simulation, with what they remember.
+    """Sensors and drives of one simulation, with their memory.
 
     Args:
         model: MuJoCo's, compiled.
         settings: of the simulation.
-        units: (nv,) of positions; rates are these over ``time``, the natural time in s.
-        time: see ``units``.
+        units: (nv,) of positions; rates are in these over ``time``.
+        time: natural time, s.
         period: of the controller, s.
         torque: (nu,) before the first tick.
     """
@@ -382,13 +382,13 @@ class Hardware:
         self._torque = torque.copy()
 
     def copy(self) -> Hardware:
-        """Sensors and drives that go on as these would."""
+        """A copy that continues in the same way, with the same random numbers."""
         duplicate = copy.copy(self)
         duplicate._generator, duplicate._history = copy.deepcopy(self._generator), self._history.copy()
         return duplicate
 
     def measure(self, qpos: np.ndarray, qvel: np.ndarray, touching: np.ndarray) -> Measurement:
-        """Measure a state; returns what the controller knows: the state ``delay`` ticks ago, or the first."""
+        """Measure a state; returns the reading of ``delay`` ticks ago, or the first, for the controller."""
         measurement = Measurement(qpos=qpos.copy(), qvel=qvel.copy(), touching=touching)
         if self._settings.sensor_noise:
             size = self._settings.sensor_noise * self._units
@@ -399,7 +399,7 @@ class Hardware:
         return self._history[0]
 
     def command(self, wanted: np.ndarray) -> np.ndarray:
-        """Torques (nu,) for a command: rounded, and as far as they can change from the last ones."""
+        """Torques (nu,) for a command: rounded, and limited in their change from the last ones."""
         torque, step = wanted, self._settings.torque_step
         if step:
             torque = step * np.round(torque / step)
@@ -408,5 +408,5 @@ class Hardware:
         return torque
 
     def deliver(self, torque: np.ndarray) -> None:
-        """Remember the torques (nu,) of a tick, after their limits."""
+        """Store the torques (nu,) of a tick, after clipping."""
         self._torque = torque

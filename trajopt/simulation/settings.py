@@ -1,4 +1,4 @@
-"""Settings of a simulation, and the scales from which everything else follows."""
+"""Settings of a simulation, and the scales from which all else follows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,15 +11,15 @@ from trajopt.errors import InputError, shown
 from trajopt.kinds import Range
 from trajopt.simulation.controllers import TorqueController, name_of
 
-# Shares of the robot's natural time sqrt(l / g), l its reach: the step of the simulation, the time in which
-# a contact pushes a penetration out again, and the time in which the feedback takes out an error of a joint.
+# Fractions of the robot's natural time sqrt(l / g), with its reach l: step of the simulation, time in which a
+# contact pushes out a penetration, and time in which feedback removes an error of a joint.
 STEP, CONTACT_TIME, FEEDBACK_TIME = 1 / 500, 1 / 100, 1 / 25
 LONGEST_STEP = 1e-3
-# Longest step that may be asked for, s: with longer ones a robot's contacts are no longer resolved.
+# Longest step that may be requested, s: longer ones no longer resolve a robot's contacts.
 LONGEST = 0.01
 # Largest offset of a centre of mass or of the ground, m.
 FARTHEST = 10.0
-# Ranges are far beyond any robot, and still numerically sound.
+# Ranges far beyond any robot, yet numerically sound.
 _Gain = Annotated[float, Range(0.0, 1e6)]
 _Share = Annotated[float, Range(0.0, 1.0)]
 _Offset = Annotated[float, Range(-FARTHEST, FARTHEST)]
@@ -32,12 +32,12 @@ Controller = Literal["joints", "whole-body"]
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Impulse:
-    """A level impulse on the base: a constant force at its centre of mass for a short time.
+    """A horizontal impulse on the base: a constant force at its centre of mass for a short time.
 
     Args:
         direction: rad, counter-clockwise from the base's forward axis at that time; in a plane 0 or pi.
         size: N s.
-        time: of its begin, s from the start of the plan.
+        time: start, s from the start of the plan.
         duration: s, at least one period of the controller.
     """
 
@@ -50,27 +50,33 @@ class Impulse:
 @checked
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings:
-    """Settings of a simulation; None is a value that follows from the robot.
+    """Settings of a simulation; None stands for a value that follows from the robot. Raises `InputError`.
 
-    timestep: longest step of the physics, s. control_rate: of the controller, Hz. kp, kd: factors on the
-    gains. friction_scale, mass_scale: factors on all coefficients of friction and on all masses and
-    inertias, of which the plan knows nothing. noise: standard deviation of the start's error, in reaches
-    (m), rad, and their rates over the natural time. seed: of the noise. cycles: of a periodic plan. push: N,
-    level on the base for a tenth of the motion, in its middle, to its left; in a plane to its front.
-    impulse: another push, of any direction and time, see `Impulse`, or several.
-    rolling: whether contacts with a radius are balls fixed to their links, which roll, or turn about their
-    centres; None: each as in the plan. controller: see `Controller`, or an object with the ``torque`` of a
-    `Tracker`, see `TorqueController`; ``kp`` and ``kd`` are of "joints", gains, None for the usual ones, and
-    qp_solver, which solves the programs, of "whole-body".
+    Args:
+        timestep: longest physics step, s.
+        control_rate: of the controller, Hz.
+        kp: factor on the stiffnesses of the controller "joints".
+        kd: factor on its dampings.
+        friction_scale: factor on all friction coefficients.
+        mass_scale: factor on all masses and inertias.
+        noise: standard deviation of the initial error: in reaches (m), rad, and these over the natural time.
+        seed: of all noise.
+        cycles: repetitions of a periodic plan.
+        push: horizontal force on the base, N, to its left (planar: front) in the motion's middle tenth.
+        rolling: whether contacts with a radius roll as balls or turn about their centres; None: as planned.
+        controller: see `Controller`; or an object with the method of `TorqueController`, such as a `Tracker`.
+        gains: of the controller "whole-body"; None: the default ones.
+        qp_solver: of the controller "whole-body".
+        impulse: another push, of any direction and time, see `Impulse`; or several.
+        sensor_noise: standard deviation of the measured state at every tick, in the units of ``noise``.
+        delay: whole ticks by which measured states and contacts are late.
+        torque_step: torques are rounded to its multiples, N m (N for a sliding joint); 0 is off.
+        torque_rate: fastest change of a torque, N m/s; 0 is off.
+        com_offset: offset of the robot's centre of mass, made by moving that of its base link, along the
+            base's forward, left and upward axes, m.
+        ground_offsets: m by contact frame, by which its ground is higher than planned, along the normal.
 
-    Of the hardware: sensor_noise: standard deviation of the measured state at every tick, in the units of
-    ``noise``. delay: whole ticks by which the measured state and contacts are late. torque_step: torques are
-    rounded to its multiples, N m (N of a joint that slides); torque_rate: N m/s, the fastest change of a
-    torque; 0 is off for both.
-    com_offset: m, along the base's forward, left and upward axes: the robot's centre of mass is off by this,
-    because that of its base link is. ground_offsets: m by contact frame: what this contact stands on is so
-    much higher than planned, along its normal. The plan and the controller know of neither.
-    Raises `InputError`.
+    The plan knows nothing of the scales; the plan and the controller know nothing of the offsets.
     """
 
     timestep: Annotated[float, Range(1e-9, LONGEST)] | None = None
@@ -108,11 +114,11 @@ class SimulationSettings:
 
     @property
     def impulses(self) -> tuple[Impulse, ...]:
-        """All of ``impulse``."""
+        """All impulses, as a tuple."""
         if self.impulse is None or isinstance(self.impulse, Impulse):
             return () if self.impulse is None else (self.impulse,)
         return tuple(self.impulse)
 
     def step(self, natural_time: float) -> float:
-        """Longest step of the physics in s."""
+        """Longest physics step, s."""
         return self.timestep or min(STEP * natural_time, LONGEST_STEP)

@@ -1,4 +1,4 @@
-"""From a plan to its simulation in MuJoCo, in one call."""
+"""Simulation of a plan in MuJoCo, in one call."""
 
 import time
 from dataclasses import dataclass, fields
@@ -25,7 +25,7 @@ from trajopt.solution.solution import Solution
 
 @dataclass(frozen=True, kw_only=True)
 class Simulation:
-    """A simulated plan: its report, and everything that was recorded. wall_time: s of the physics."""
+    """A simulated plan: its report, and everything recorded. wall_time: of the physics, s."""
 
     plan: Solution
     settings: SimulationSettings
@@ -46,14 +46,14 @@ class Simulation:
 
 @checked
 def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
-    """Run a plan in MuJoCo with its torques and feedback of the joints.
+    """Simulate a plan in MuJoCo under a feedback controller.
 
     Args:
         solution: the plan, or the path of its file.
         settings: fields of `SimulationSettings`.
 
     Raises:
-        InputError: for settings or a model that cannot be simulated, or where MuJoCo is not installed.
+        InputError: for settings or a model that cannot be simulated, or if MuJoCo is not installed.
     """
     plan = require_motion(solution_of(solution))
     known = [field.name for field in fields(SimulationSettings)]
@@ -85,7 +85,7 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
 
 
 def require_fitting(settings: SimulationSettings, plan: Solution) -> None:
-    """Raise `InputError` for settings that the robot of a plan does not have."""
+    """Raise `InputError` for settings that do not fit a plan's robot."""
     kind = base_of(plan.model)
     if settings.push and kind == "fixed":
         raise InputError(
@@ -106,7 +106,7 @@ def require_fitting(settings: SimulationSettings, plan: Solution) -> None:
 
 
 def require_within(settings: SimulationSettings, reference: ReferenceTrajectory) -> None:
-    """Raise `InputError` unless impulses begin within the simulation."""
+    """Raise `InputError` for an impulse that starts after the simulation."""
     last = reference.period * (len(reference.t) - 1)
     for impulse in settings.impulses:
         if not impulse.time <= last:
@@ -154,7 +154,7 @@ def _report(
 
 
 def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], world: World) -> dict[str, Any]:
-    """Fields of the report about contacts."""
+    """Fields of the report on contacts."""
     times = [abs(stance.touchdown) for stance in stances if stance.touchdown is not None]
     travel = [stance.travel for stance in stances if stance.travel is not None]
     by_contact = [
@@ -178,7 +178,7 @@ def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], worl
 
 
 def _notes(plan: Solution, world: World) -> tuple[str, ...]:
-    """Notes on what is prescribed by the plan instead of simulated."""
+    """Notes on what the plan prescribes or idealises in the simulation."""
     notes = []
     for grasp in world.grasps:
         phases = plan.description.phase_names[grasp.phases[0] : grasp.phases[-1] + 1]

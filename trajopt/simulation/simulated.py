@@ -1,9 +1,9 @@
-"""A simulated motion as a solution, for replay, plot and the file format.
+"""A simulated motion as a solution, for replay, plots and the file format.
 
-Phases are the planned ones, by time, with the posture held after the plan as one more. A contact is active
-in an interval where it carries load; in the first interval of a phase also where the plan says so, since a
-file names the surfaces of a phase by its contacts. Accelerations, torques and forces are those of the physics
-at the samples; an interval has one collocation point, in its middle.
+Phases are the planned ones, by time; the posture held after the plan is one more. A contact is active in an
+interval where it carries load; in the first interval of a phase also if the plan has it active, since a file
+names the surfaces of a phase by its contacts. Accelerations, torques and forces are the simulated ones at the
+samples; an interval has one collocation point, at its middle.
 """
 
 import itertools
@@ -24,16 +24,16 @@ from trajopt.solution.solution import Solution
 from trajopt.solution.statistics import SolveStatistics
 from trajopt.versions import VERSIONED, installed_version
 
-# Periods of the controller in an interval: 4 ms by default, finer than a video frame.
+# Controller periods per interval: 4 ms by default, finer than a video frame.
 PERIODS = 4
 
 
 class MotionReport(Protocol):
-    """What a file says of a simulated motion."""
+    """A report on a simulated motion, as a file stores it."""
 
     @property
     def passed(self) -> bool:
-        """Whether the motion is what it should be."""
+        """Whether the motion is as required."""
         ...
 
     def to_dict(self) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def simulated_solution(
     world: World,
     report: MotionReport,
 ) -> Solution:
-    """The record as a solution of the plan's model."""
+    """Convert a record to a solution of the plan's model."""
     n = len(record.feet)
     steps = round(n * reference.period / world.compiled.opt.timestep)
     chunks = _chunks(reference.phase[:n])
@@ -59,7 +59,7 @@ def simulated_solution(
     a = world.coordinates.accelerations_from_mujoco(record.qpos[:n], record.qvel[:n], record.qacc)
     t = np.append(reference.t[:n], reference.t[n - 1] + reference.period)
     phase = np.array([reference.phase[first] for first, _ in chunks])
-    own = plan.joint_force(q[last], v[last])  # MuJoCo's friction on joints has it, too
+    own = plan.joint_force(q[last], v[last])  # MuJoCo's joint friction includes it
     return Solution(
         description=_description(plan, reference, phase, world),
         statistics=_statistics(plan, report, steps),
@@ -80,7 +80,7 @@ def simulated_solution(
 
 
 def _requests(record: SimulationRecord, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """What a whole-body controller asked for, by its names in a solution."""
+    """Requests of a whole-body controller, by their names in a solution."""
     if record.requests is None:
         return {}
     asked = rows_of(record.requests, rows)
@@ -88,7 +88,7 @@ def _requests(record: SimulationRecord, rows: np.ndarray) -> dict[str, np.ndarra
 
 
 def _chunks(phase: np.ndarray) -> list[tuple[int, int]]:
-    """Intervals of `PERIODS` periods, or fewer before a phase ends, as first and last row."""
+    """Intervals of `PERIODS` periods, shorter at the end of a phase, as first and last row."""
     edges = [0, *(np.flatnonzero(np.diff(phase)) + 1).tolist(), len(phase)]
     return [
         (first, min(first + PERIODS, end))
@@ -104,7 +104,7 @@ def _active(
     world: World,
     chunks: list[tuple[int, int]],
 ) -> np.ndarray:
-    """Whether contacts are active (intervals, nc)."""
+    """Whether each contact is active (intervals, nc)."""
     loaded = loaded_contacts(record, world)
     held = held_samples(plan)[[rows.start for rows in plan.phases]]
     by_interval, before = [], -1
@@ -120,7 +120,7 @@ def _active(
 def _description(
     plan: Solution, reference: ReferenceTrajectory, phase: np.ndarray, world: World
 ) -> PlanDescription:
-    """The plan's, by the phases of the simulation (n_chunks,). It does not repeat; feet roll as here."""
+    """The plan's description with the simulated phases (n_chunks,): not periodic, feet rolling as here."""
     used = int(phase[-1]) + 1
     source = [int(reference.source[np.argmax(reference.phase == i)]) for i in range(used)]
     planned = plan.description

@@ -1,4 +1,4 @@
-"""The whole MuJoCo model of a plan: robot, feet, ground, obstacles, grasps, and what touches what."""
+"""The complete MuJoCo model of a plan: robot, feet, ground, obstacles, grasps, and pairs that may touch."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -38,27 +38,27 @@ from trajopt.simulation.ground import (
 from trajopt.simulation.settings import CONTACT_TIME, SimulationSettings
 from trajopt.solution.solution import Solution
 
-# A penetration meets nearly the whole stiffness from the first touch on: d0, dmax, width in radii
-# of the balls, midpoint and power of MuJoCo's impedance.
+# A penetration meets nearly the whole stiffness from the first touch on: d0, dmax, midpoint and power of
+# MuJoCo's impedance; its width is the radius of the balls.
 IMPEDANCE = (0.95, 0.99, 0.5, 2.0)
-# Of friction against pressure: how much harder a contact resists creeping than penetrating.
+# Ratio of friction to pressure in impedance: a contact resists creeping harder than penetration.
 FRICTION_STIFFNESS = 10.0
-# Links that a plan takes nearer to the ground than this, m, as its feet, touch nothing.
+# Links that a plan takes nearer to the ground than this, m, such as its feet, touch nothing.
 CLEAR = 1e-3
-# A shank that touches the ground this near to its foot, m, does so with it: soft feet give way.
+# A shank that touches the ground this near to its foot, m, counts as the foot: soft feet give way.
 AROUND_FOOT = 1e-2
-# Friction of links on the ground and on obstacles: matters only in a fall.
+# Friction of links on the ground and on obstacles; it matters only in a fall.
 LINK_FRICTION = 0.7
-# Of MuJoCo's solver of contact forces, relative: with its own 1e-8 forces of rolling balls miss the equations
-# of motion by 1e-5 of the weight.
+# Relative tolerance of MuJoCo's solver of contact forces: with its default 1e-8, forces of rolling balls
+# violate the equations of motion by 1e-5 of the weight.
 FORCE_TOLERANCE = 1e-12
-# A contact's time is at least so many steps: MuJoCo's own bound is two.
+# Least time constant of a contact, in steps: MuJoCo's own bound.
 LEAST_STEPS = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grasp:
-    """A contact held over a run of phases: name of its constraint, and whether that holds its turning too."""
+    """A contact held over a run of phases: name of its constraint, and whether that fixes its rotation."""
 
     name: str
     contact: int
@@ -70,11 +70,15 @@ class Grasp:
 class World:
     """A model, its ``bodies`` as specified and ``compiled``, with the indices that the simulation needs.
 
-    sites: id of each contact frame's site (nc,). contact_of: for each geom the contact it belongs to, or -1.
-    links: whether a geom is a link's. feet: (nc,) m from each contact frame within which what touches is the
-    foot. obstacles: whether it is an obstacle. models: the `pin.Model` of each phase of the plan, with what
-    is carried. buried: depth, m, of joints that the plan takes into the ground: they touch nothing. pairs:
-    (n,) ids of feet on grounds, and their friction (phases, n), see `GroundGeometry`.
+    Args:
+        sites: (nc,) ids of the contact frames' sites.
+        contact_of: for each geom, the contact to which it belongs, or -1.
+        links, obstacles: whether each geom belongs to a link, and to an obstacle.
+        feet: (nc,) distance from each contact frame, m, within which a touch counts as the foot's.
+        buried: depth, m, of joints that the plan takes into the ground; they touch nothing.
+        models: the `pin.Model` of each phase of the plan, with payloads and the disturbances of the settings.
+        pairs, friction: (n,) ids of pairs of feet and ground; (phases, n) their friction, see
+            `GroundGeometry`.
     """
 
     bodies: Bodies
@@ -96,7 +100,7 @@ class World:
 
 
 def build_world(plan: Solution, settings: SimulationSettings, beyond: float = 0.0) -> World:
-    """Model of a plan for these settings. Raises `InputError` for what MuJoCo cannot express.
+    """Build the model of a plan for these settings. Raises `InputError` for what MuJoCo cannot express.
 
     beyond: m, how far the simulation may leave the plan along the ground.
     """
@@ -151,14 +155,14 @@ def joint_places(plan: Solution) -> np.ndarray:
 
 
 def _buried(plan: Solution, joints: np.ndarray, place: Surroundings) -> dict[str, float]:
-    """Joints that a plan takes into the ground, where their balls would touch, with the depth in m."""
+    """Depth, m, of the joints that a plan takes so far into the ground that their balls would touch it."""
     lowest = height_over(plan.description.ground, joints).min(axis=0)
     names = list(plan.model.names)[1:]
     return {name: -float(low) for name, low in zip(names, lowest, strict=True) if low < place.ball}
 
 
 def _disturbed(model: pin.Model, settings: SimulationSettings) -> pin.Model:
-    """The robot as it is in a simulation: other masses, another centre of mass."""
+    """The robot as simulated, with scaled masses and a shifted centre of mass."""
     scaled, offset = pin.Model(model), np.array(settings.com_offset)
     for index in range(1, model.njoints):
         inertia = model.inertias[index]
@@ -186,7 +190,7 @@ def _options(spec: Any, step: float) -> None:
 
 
 def touching_places(plan: Solution, contact: int) -> np.ndarray:
-    """Where a contact touches, in its frame: (1, 3) its origin, (4, 3) the corners of a sole, m."""
+    """Points at which a contact touches, in its frame, m: (1, 3) its origin, (4, 3) the corners of a sole."""
     size = plan.description.contacts[contact].half_size
     if size is None:
         return np.zeros((1, 3))
@@ -199,7 +203,7 @@ def _extent(plan: Solution, contact: int) -> float:
 
 
 def _add_mimics(bodies: Bodies, plan: Solution) -> None:
-    """Equalities between the positions of joints, of which one follows the other."""
+    """Add equality constraints between the positions of joints of which one follows the other."""
     mujoco = mujoco_package()
     for mimic in plan.description.mimics:
         names = (part_name(bodies.model.getJointId(name), 0) for name in (mimic.joint, mimic.mimics))
@@ -212,7 +216,7 @@ def _add_mimics(bodies: Bodies, plan: Solution) -> None:
 
 
 def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[str]]:
-    """A site and balls at each contact frame; names of the balls."""
+    """Add sites of thrusters, and a site and balls at each contact frame; returns the names of the balls."""
     names = []
     for thruster in plan.description.thrusters:
         placed = bodies.model.frames[bodies.model.getFrameId(thruster.frame)]
@@ -240,9 +244,10 @@ def _add_feet(bodies: Bodies, plan: Solution, place: Surroundings) -> list[list[
 def _add_links(
     bodies: Bodies, plan: Solution, place: Surroundings, buried: Mapping[str, float]
 ) -> tuple[list[str], list[str], list[str]]:
-    """Names of geoms of links that touch the ground, of those that touch obstacles, and of obstacles.
+    """Add geoms of links and obstacles; returns their names in three groups.
 
-    Shapes of the file; of a file without them balls at the joints, and its capsules.
+    The groups are links that touch the ground, links that touch obstacles, and obstacles. Links have the
+    shapes of the file; without them, balls at the joints and the file's capsules.
     """
     scene = plan.description.capsule_scene(plan.model)
     obstacles = () if scene is None else add_obstacles(bodies.spec, scene.obstacles)
@@ -262,7 +267,7 @@ def _add_links(
 def _offsets_of_links(
     bodies: Bodies, links: Sequence[str], plan: Solution, place: Surroundings
 ) -> dict[str, float]:
-    """How much higher than planned the ground of each link's geom is, m: in a leg that of its contact."""
+    """By how much each link geom's ground is higher than planned, m; in a leg, that of its contact."""
     of_bodies = dict.fromkeys(bodies.names, 0.0)
     joints = [plan.model.frames[plan.model.getFrameId(name)].parentJoint for name in plan.contact_frames]
     chains = [set(plan.model.supports[joint]) for joint in joints]
@@ -274,7 +279,7 @@ def _offsets_of_links(
 
 
 def _add_balls(bodies: Bodies, plan: Solution, place: Surroundings, buried: Mapping[str, float]) -> list[str]:
-    """Balls at the joints of a moving base; their names."""
+    """Add balls at the joints of a robot with a moving base; returns their names."""
     if base_of(plan.model) == "fixed":
         return []
     joints = [i for i in range(1, plan.model.njoints) if plan.model.names[i] not in buried]
@@ -300,7 +305,7 @@ def _sunk(plan: Solution) -> set[str]:
 def _add_grasps(
     bodies: Bodies, plan: Solution, touching: ContactPlaces, stiffness: Mapping[str, list[float]]
 ) -> tuple[Grasp, ...]:
-    """A constraint for each run of phases in which a contact is held on a bilateral surface."""
+    """Add a constraint for each run of phases in which a contact is held on a bilateral surface."""
     mujoco, held = mujoco_package(), held_samples(plan)
     grasps: list[Grasp] = []
     for contact in range(held.shape[1]):
@@ -335,7 +340,7 @@ def _pairs(
     settings: SimulationSettings,
     units: NaturalUnits,
 ) -> tuple[list[str], np.ndarray]:
-    """Pairs of what may touch; names of those of feet, and their friction by phase (phases, pairs)."""
+    """Add pairs that may touch; returns the names of those of feet, and their friction (phases, pairs)."""
     names: list[str] = []
     friction = [np.zeros((len(ground.friction), 0))]
     for geom, (name, contacts) in enumerate(zip(ground.names, ground.touched_by, strict=True)):
@@ -365,7 +370,7 @@ def _pair(
 
 
 def _stiffness(settings: SimulationSettings, units: NaturalUnits) -> dict[str, list[float]]:
-    """Stiffness of contacts and grasps, in MuJoCo's numbers."""
+    """Stiffness of contacts and grasps as MuJoCo parameters."""
     least = LEAST_STEPS * settings.step(units.time)
     d0, d1, middle, power = IMPEDANCE
     return {
@@ -375,7 +380,7 @@ def _stiffness(settings: SimulationSettings, units: NaturalUnits) -> dict[str, l
 
 
 def _friction_of_joints(compiled: Any, coordinates: CoordinateMap, plan: Solution) -> None:
-    """Friction of drives, and springs, damping and dry friction of joints."""
+    """Add friction of drives, and springs, damping and dry friction of joints, to a compiled model."""
     for force in plan.description.joint_forces:
         _, v = force.entries(plan.model)
         row = coordinates.rows[v]

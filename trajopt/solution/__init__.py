@@ -1,4 +1,4 @@
-"""The solution of a problem, and its file."""
+"""Solutions of problems, and their files."""
 
 import lazy_loader
 

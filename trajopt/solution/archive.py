@@ -1,4 +1,4 @@
-"""Arrays of an ``.npz`` archive of unknown origin: sizes are tested before anything is decompressed."""
+"""Arrays from an untrusted ``.npz`` archive: sizes are checked before anything is decompressed."""
 
 import io
 import math
@@ -14,18 +14,18 @@ import numpy as np
 
 from trajopt.errors import SolutionFileError, first_line
 
-# What any archive may hold once decompressed, bytes; a larger one at most so many times its own size: motions
-# have ratios of 1 to 10, of robots that stand still for minutes below 100.
+# Decompressed size allowed for any archive, bytes; larger ones may have at most this ratio to the archive.
+# Motions have ratios of 1 to 10, or below 100 if a robot stands still for minutes.
 FREE_SIZE, MOST_RATIO = 2**28, 100
 # More dimensions than any known array has.
 MOST_DIMENSIONS = 4
 COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# First bytes of an archive, and the ending that NumPy gives its members.
+# First bytes of an archive, and the file ending that NumPy gives its members.
 ARCHIVE, ENDING = b"PK\x03\x04", ".npy"
-# Kinds of numbers as messages name them.
+# Names of number kinds in messages.
 _WORDS = {"U": "text", "fiu": "float", "f": "float", "iu": "int", "b": "bool"}
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-# What readers of damaged bytes raise besides errors of archives.
+# Exceptions that readers raise for damaged bytes, besides those of archives.
 _DAMAGED = (
     *(zipfile.BadZipFile, zlib.error, EOFError, KeyError, struct.error, SyntaxError, tokenize.TokenError),
     *(ValueError, TypeError, OverflowError, NotImplementedError, RuntimeError, MemoryError, OSError),
@@ -33,18 +33,18 @@ _DAMAGED = (
 
 
 def read_members(content: bytes, source: Any, known: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """The known arrays of an archive.
+    """Return the known arrays of an archive.
 
-    Members of other names are not read. Nothing is allocated for what a header claims, only for what its
-    member holds, and of all members not more than `FREE_SIZE` or `MOST_RATIO` times the archive.
+    Members with other names are not read. Memory is allocated for what a member holds, not for what its
+    header claims; in total at most `FREE_SIZE`, or `MOST_RATIO` times the size of the archive.
 
     Args:
-        content: of the file.
-        source: its name, for messages.
-        known: names of arrays, each with the kinds of numbers it may have, as `numpy.dtype.kind` has them.
+        content: Content of the file.
+        source: Name of the file, for messages.
+        known: Names of arrays, each with its allowed number kinds, see `numpy.dtype.kind`.
 
     Raises:
-        SolutionFileError: for anything wrong with the archive or a known member, in one line.
+        SolutionFileError: If the archive or a known member is damaged; one line.
     """
     if not content.startswith(ARCHIVE):
         raise SolutionFileError(f"{source} is not a trajopt-solution file", "an .npz archive")
@@ -63,7 +63,7 @@ def read_members(content: bytes, source: Any, known: Mapping[str, str]) -> dict[
 def _members(
     archive: zipfile.ZipFile, size: int, source: Any, known: Mapping[str, str]
 ) -> dict[str, zipfile.ZipInfo]:
-    """The known members by name, with sizes that are possible. Raises `SolutionFileError`."""
+    """Return the known members by name, after checking their sizes. Raises `SolutionFileError`."""
     members: dict[str, zipfile.ZipInfo] = {}
     for info in archive.infolist():
         name = info.filename.removesuffix(ENDING)
@@ -90,10 +90,10 @@ def _members(
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, source: Any, kinds: str) -> np.ndarray:
-    """The array of a member, whose header has to tell its size exactly."""
+    """Return the array of a member; its header must state the member's exact size."""
     name = info.filename.removesuffix(ENDING)
     with archive.open(info) as member:
-        content = member.read(info.file_size)  # with a size: else one call could decompress all there is
+        content = member.read(info.file_size)  # without a size, one call could decompress without limit
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:

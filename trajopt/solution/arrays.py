@@ -1,4 +1,4 @@
-"""The arrays of a solution: their names and types, ranges of equal indices."""
+"""The arrays of a solution: names, types, and ranges of equal indices."""
 
 import itertools
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ import numpy as np
 from trajopt.errors import InputError
 
 _Record = TypeVar("_Record")
-# Field -> dtype of every array that has one row per sample.
+# Type of each array with one row per sample.
 SAMPLED: dict[str, type] = {
     "t": float,
     "phase": int,
@@ -22,7 +22,7 @@ SAMPLED: dict[str, type] = {
     "f": float,
     "active": bool,
 }
-# What a whole-body controller asked for in a simulation, one row per sample.
+# Requests of a whole-body controller in a simulation, one row per sample.
 REQUESTS: dict[str, type] = {"asked_force": float, "com_goal": float, "foot_goal": float}
 OTHERS: dict[str, type] = {
     "interval_t": float,
@@ -33,14 +33,14 @@ OTHERS: dict[str, type] = {
     "bound_multiplier": float,
     **REQUESTS,
 }
-# Arrays that a solution may lack.
+# Arrays that may be absent from a solution.
 OPTIONAL = (*REQUESTS, "impulse", "impact_index", "row_multiplier", "row_place", "bound_multiplier")
 
 
 def read_only(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Return read-only copies of a solution's arrays in their types, without absent optional ones.
+    """Return read-only copies of a solution's arrays with their types, without absent optional arrays.
 
-    Raises `InputError` for a value that is not an array of its type, or does not have one row per sample.
+    Raises `InputError` if a value is not an array of its type, or does not have one row per sample.
     """
     arrays: dict[str, np.ndarray] = {}
     for name, dtype in {**SAMPLED, **OTHERS}.items():
@@ -62,11 +62,11 @@ def read_only(given: Mapping[str, Any]) -> dict[str, np.ndarray]:
 
 
 def rows_of(record: _Record, rows: slice | int | list[int] | np.ndarray) -> _Record:
-    """Return the record with only these rows of each array."""
+    """Return the record with only the given rows of each array."""
     return type(record)(**{name: array[rows] for name, array in vars(record).items()})
 
 
 def runs(index: np.ndarray) -> tuple[range, ...]:
-    """Ranges of equal consecutive values."""
+    """Return the ranges of equal consecutive values."""
     edges = [0, *(np.flatnonzero(np.diff(index)) + 1).tolist(), len(index)]
     return tuple(range(start, stop) for start, stop in itertools.pairwise(edges) if stop > start)

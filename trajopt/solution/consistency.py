@@ -1,4 +1,4 @@
-"""Consistency of a solution: shapes, finite numbers, times in order, a description that fits the arrays."""
+"""Consistency of a solution: shapes, finite numbers, ordered times, and a matching description."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,17 +13,17 @@ from trajopt.solution.description import PlanDescription
 from trajopt.solution.statistics import SolveStatistics
 
 _Arrays = Mapping[str, np.ndarray]
-# Arrays of points that are NaN where there is none.
+# Arrays of points that are NaN where there is no point.
 GOALS = ("com_goal", "foot_goal")
 
-# Times are sums of steps: equal up to rounding, relative to the duration.
+# Times are sums of steps, so they are equal only up to rounding, relative to the duration.
 SAME_TIME = 1e-9
 
 
 def inconsistency(
     arrays: _Arrays, model: pin.Model, plan: PlanDescription, statistics: SolveStatistics
 ) -> str:
-    """Return the first thing wrong with a solution's arrays and their description, or an empty text."""
+    """Return the first inconsistency of a solution's arrays and description, or an empty string."""
     return (
         _wrong_shape(arrays, model, plan, statistics)
         or wrong_number(arrays)
@@ -34,7 +34,7 @@ def inconsistency(
 
 
 def _wrong_scenes(model: pin.Model, plan: PlanDescription) -> str:
-    """Scenes of bodies that cannot be placed on the model."""
+    """Return which scene of bodies does not fit the model, or an empty string."""
     for key, scene in (("bodies", plan.body_scene), ("collision", plan.capsule_scene)):
         try:
             scene(model)
@@ -48,7 +48,7 @@ def _wrong_scenes(model: pin.Model, plan: PlanDescription) -> str:
 
 
 def _wrong_phases(arrays: _Arrays, plan: PlanDescription) -> str:
-    """Names, surfaces and patches of phases that are not those of the arrays."""
+    """Return which names, surfaces or patches do not fit the phases of the arrays, or an empty string."""
     count = int(arrays["phase"][-1]) + 1
     if len(plan.phase_names) != count:
         return f"phase_names of meta is not a list of {count} texts, one for each phase"
@@ -145,7 +145,7 @@ def _wrong_impacts(arrays: _Arrays, contacts: int) -> str:
 
 
 def _wrong_requests(arrays: _Arrays, contacts: int) -> str:
-    """What a controller asked for comes together, one row per sample; goals are whole points or none."""
+    """Return what is wrong with a controller's requests: all are given with one row per sample, or none."""
     samples, given = len(arrays["t"]), [name for name in REQUESTS if arrays.get(name) is not None]
     if not given:
         return ""
@@ -163,7 +163,7 @@ def _wrong_requests(arrays: _Arrays, contacts: int) -> str:
 
 
 def wrong_number(arrays: _Arrays) -> str:
-    """Return the first array with a number that is not finite, or an empty text."""
+    """Return the first array with a number that is not finite, or an empty string."""
     for name, kind in {**SAMPLED, **OTHERS}.items():
         array = arrays.get(name)
         if array is None or kind is not float:

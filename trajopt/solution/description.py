@@ -1,4 +1,4 @@
-"""What a solution is of: contacts, limits, ground, goals, loads and shapes, as frozen records."""
+"""Description of a plan as frozen records: contacts, limits, ground, goals, payloads and shapes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -29,16 +29,16 @@ GroundShape = Surface | PiecewiseTerrain | SmoothTerrain
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedContact:
-    """A contact of the robot that was planned for.
+    """A contact of the robot for which the motion was planned.
 
     Attributes:
-        name: of the contact.
-        frame: of the model, at its origin the contact acts.
+        name: Name of the contact.
+        frame: Frame of the model at whose origin the contact acts.
         kind: "point", or "surface" for a sole.
-        friction: coefficient on the terrain.
-        half_size: half length and half width of a sole, m; None of a point, and where it is not known.
-        radius: of the ball around a point, m; the frame is its centre.
-        rolling: whether the ball rolls on what it touches.
+        friction: Friction coefficient on the terrain.
+        half_size: Half length and half width of a sole, m; None for a point, and if unknown.
+        radius: Radius of the ball around a point, m; the frame is its centre.
+        rolling: Whether the ball rolls on its surface.
     """
 
     name: str
@@ -51,15 +51,15 @@ class PlannedContact:
 
     @property
     def is_sole(self) -> bool:
-        """Whether it transmits moments."""
+        """Whether the contact transmits moments."""
         return self.kind == "surface"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CarriedBody:
-    """A body that the robot carries: mass kg, centre (3,) m, inertia (3, 3) kg m^2 in a contact frame's axes.
+    """A carried body: mass kg, centre (3,) m and inertia (3, 3) kg m^2 in a contact frame's axes.
 
-    phases: indices of the phases in which it is carried.
+    phases: indices of the phases in which the robot carries it.
     """
 
     frame: str
@@ -70,19 +70,20 @@ class CarriedBody:
 
     @property
     def spatial(self) -> pin.Inertia:
-        """Spatial inertia in the frame's axes, about its origin."""
+        """Spatial inertia about the frame's origin, in its axes."""
         return pin.Inertia(float(self.mass), np.array(self.centre), np.array(self.inertia))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PeriodicImage:
-    """The image that the last state of a periodic plan is of the first, see `trajopt.problem.periodicity`.
+    """The map from the first state of a periodic plan to the last, see `trajopt.problem.periodicity`.
 
     Attributes:
-        index, sign: (nv,) for each row of v the row that it comes from, and its sign.
-        translation: m, or velocity: m/s times the duration, (3,) in the world.
-        turn: about the vertical through origin (3,) m, rad.
-        mirror: in the vertical plane y = origin.
+        index, sign: (nv,) the row of v that each row is the image of, and its sign.
+        origin: (3,) m, world.
+        translation, velocity: (3,) world; a displacement in m, or a velocity in m/s times the duration.
+        turn: Rotation about the vertical through the origin, rad.
+        mirror: Whether it reflects in the vertical plane y = origin.
     """
 
     index: np.ndarray
@@ -94,7 +95,7 @@ class PeriodicImage:
     mirror: bool = False
 
     def moved(self, duration: float) -> np.ndarray:
-        """Translation (3,) m over a duration in s."""
+        """Return the translation (3,) m over a duration in s."""
         if self.velocity is not None:
             return np.array(self.velocity) * duration
         return np.zeros(3) if self.translation is None else np.array(self.translation)
@@ -102,7 +103,7 @@ class PeriodicImage:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyMargins:
-    """Least distances that were asked for: from obstacles m, and between pairs of links (n_pairs,) m."""
+    """Required distances: from obstacles, m, and between pairs of links (n_pairs,), m."""
 
     obstacles: float
     pairs: np.ndarray
@@ -110,33 +111,33 @@ class BodyMargins:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanDescription:
-    """What a plan is of, read once from a file or made once from a problem. nu actuated rows, nc contacts.
+    """Description of a plan with nu actuated rows and nc contacts, from a file or a problem.
 
     Attributes:
-        problem, robot: names.
-        parameters: of the problem's family, JSON-able.
-        contacts: (nc,) in the order of forces.
-        actuation: the control input, "torque", "acceleration" or "velocity".
+        problem, robot: Names.
+        parameters: Parameters of the problem's family, JSON-able.
+        contacts: (nc,) in the order of the forces.
+        actuation: Control input, "torque", "acceleration" or "velocity".
         gravity: (3,) m/s^2.
-        effort_limit: (nu,) N m or N, infinite where there is none; None without any.
+        effort_limit: (nu,) N m or N, infinite where unlimited; None without limits.
         velocity_limit: (nv,) rad/s or m/s, likewise.
-        actuated_rows: rows of v that have a torque; None where they are the last.
-        thrusters: whose forces are the last columns of torques.
-        joint_forces: springs, damping and dry friction at joints, part of the dynamics.
-        mimics: joints that follow others.
-        terrain: None where it is not known.
-        surfaces, patches: for each phase what active contacts touch or stand on, by contact frames; empty
-            where all touch the terrain.
-        goals: targets of the problem.
-        payloads: bodies that are carried.
-        periodicity: None of a plan that does not repeat.
-        drives: (nu,) of the actuated rows, None without; empty without any.
-        bodies: shapes of the robot's links; None where they are not known.
-        margins: least distances of the bodies; None: they may touch.
-        obstacles: in the scene.
-        capsules, capsule_pairs: a scene of links of older files, and pairs of them that must stay apart.
-        visual: where meshes of the robot are.
-        phase_names: of every phase.
+        actuated_rows: Rows of v with a torque; None if they are the last ones.
+        thrusters: Thrusters; their forces are the last columns of the torques.
+        joint_forces: Springs, damping and dry friction at joints; part of the dynamics.
+        mimics: Joints that follow others.
+        terrain: None if unknown.
+        surfaces, patches: For each phase, what active contacts touch or stand on, by contact frame; empty if
+            all touch the terrain.
+        goals: Targets of the problem.
+        payloads: Carried bodies.
+        periodicity: None if the plan is not periodic.
+        drives: (nu,) drives of the actuated rows, None for rows without one; empty without drives.
+        bodies: Shapes of the robot's links; None if unknown.
+        margins: Required distances of the bodies; None if they may touch.
+        obstacles: Obstacles in the scene.
+        capsules, capsule_pairs: Link shapes of older files, and pairs of them that must stay apart.
+        visual: Source of the robot's meshes.
+        phase_names: Names of the phases.
     """
 
     problem: str
@@ -168,17 +169,17 @@ class PlanDescription:
 
     @property
     def ground(self) -> GroundShape | None:
-        """The terrain, flat ground as its plane."""
+        """The terrain; flat ground as a plane."""
         return self.terrain.surface if isinstance(self.terrain, FlatGround) else self.terrain
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Frame of each contact."""
+        """Frames of the contacts."""
         return tuple(contact.frame for contact in self.contacts)
 
     @property
     def soles(self) -> np.ndarray:
-        """Which contacts are soles (nc,)."""
+        """Whether each contact is a sole (nc,)."""
         return np.array([contact.is_sole for contact in self.contacts], dtype=bool)
 
     @property
@@ -188,26 +189,26 @@ class PlanDescription:
 
     @property
     def rolling(self) -> np.ndarray:
-        """Which contacts roll (nc,)."""
+        """Whether each contact rolls (nc,)."""
         return np.array([contact.rolling for contact in self.contacts], dtype=bool)
 
     @property
     def velocity_input(self) -> bool:
-        """Whether rates are the control input: rows are of statics and of velocities, not of motion."""
+        """Whether rates are the control input; the rows are then statics and velocities."""
         return self.actuation == "velocity"
 
     def carried_in(self, phase: int) -> list[CarriedBody]:
-        """Bodies that are carried in a phase."""
+        """Return the bodies that are carried in a phase."""
         return [body for body in self.payloads if phase in body.phases]
 
     def body_scene(self, model: pin.Model) -> CollisionScene | None:
-        """Scene of the links' shapes, the obstacles and the terrain; None without shapes."""
+        """Return the scene of the link shapes, obstacles and terrain; None without shapes."""
         if self.bodies is None or not self.bodies.shapes:
             return None
         return self.bodies.scene(model, self.terrain, self.obstacles)
 
     def capsule_scene(self, model: pin.Model) -> CollisionScene | None:
-        """Scene of obstacles and of the capsules of older files; None without obstacles and capsules."""
+        """Return the scene of obstacles and older files' capsules; None without both."""
         if not (self.obstacles or self.capsules):
             return None
         return CollisionScene(
@@ -215,7 +216,7 @@ class PlanDescription:
         )
 
     def body_margins(self, scene: CollisionScene) -> np.ndarray:
-        """Least distance (n_pairs,) m of each pair of `body_scene`; zero: no contact."""
+        """Return the required distance (n_pairs,) m of each pair of `body_scene`; zero means no contact."""
         margins = np.zeros(len(scene.pairs))
         if self.margins is not None:
             margins[scene.n_ground : scene.n_outer] = self.margins.obstacles

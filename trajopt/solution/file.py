@@ -1,4 +1,4 @@
-"""The solution file of version 1: an ``.npz`` without pickles, written atomically and checked on reading."""
+"""The solution file, version 1: an ``.npz`` without pickles, written atomically and checked when read."""
 
 import io
 import json
@@ -27,17 +27,17 @@ from trajopt.solution.statistics import SolveStatistics
 
 FORMAT = "trajopt-solution"
 VERSION = 1
-# Values in its meta, and how many of them within each other.
+# Largest number of values in ``meta``, and their largest nesting depth.
 MOST_VALUES, DEEPEST = 2_000_000, 50
-# Units of a model are the same up to rounding.
+# Relative difference up to which units of a model are equal.
 SAME_UNITS = 1e-6
 LARGEST_FLOAT = sys.float_info.max
-# Entries of a meta whose numbers reach code that trusts them.
+# Entries of ``meta`` whose numbers are used without further checks.
 BOUNDED = (
     *("gravity", "contact_sizes", "contact_radius", "terrain", "surfaces", "patches", "goals", "payloads"),
     *("periodicity", "bodies", "collision"),
 )
-# Members of a file, with the kinds of their numbers.
+# Number kinds of the members of a file.
 _KINDS = {float: "fiu", int: "iu", bool: "b"}
 KNOWN = {
     "meta": "U",
@@ -49,7 +49,7 @@ KNOWN = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FileContent:
-    """What a solution file holds."""
+    """Content of a solution file."""
 
     description: PlanDescription
     statistics: SolveStatistics
@@ -58,7 +58,7 @@ class FileContent:
 
     @property
     def meta(self) -> dict[str, Any]:
-        """The key ``meta`` of the file, JSON-able."""
+        """The entry ``meta`` of the file, JSON-able."""
         phase, edges = self.arrays["phase"], self.arrays["interval_t"]
         first = [phase[rows.start] for rows in runs(self.arrays["interval"])]
         times = [edges[rows.start : rows.stop] for rows in runs(np.array(first))]
@@ -72,13 +72,13 @@ class FileContent:
         }
 
     def require_consistent(self) -> None:
-        """Raise `InputError` if the parts do not fit each other."""
+        """Raise `InputError` if the parts are inconsistent."""
         wrong = inconsistency(self.arrays, self.model, self.description, self.statistics)
         if wrong:
             raise InputError(f"the solution is inconsistent: {wrong}")
 
     def to_bytes(self) -> bytes:
-        """The content of the file. Raises `InputError` if it is inconsistent, or has no JSON."""
+        """Return the content of the file; raises `InputError` if it is inconsistent or not JSON-able."""
         self.require_consistent()
         try:
             meta = json.dumps(self.meta, allow_nan=False)
@@ -91,7 +91,7 @@ class FileContent:
 
 
 def write_bytes(target: Path, content: bytes) -> None:
-    """Write a file completely, to the disk, or not at all. Raises a one-line `InputError`."""
+    """Write a file to disk completely or not at all; raises a one-line `InputError`."""
     with replacing(target) as unfinished, unfinished.open("wb") as file:
         file.write(content)
         file.flush()
@@ -99,13 +99,13 @@ def write_bytes(target: Path, content: bytes) -> None:
 
 
 def read_solution_file(path: str | Path) -> FileContent:
-    """Read a file; raises a one-line `SolutionFileError`; see `Solution.load`."""
+    """Read a file; raises a one-line `SolutionFileError`. See `Solution.load`."""
     source = expanded(path)
     return parse_solution(_content(source), source)
 
 
 def parse_solution(content: bytes, source: Path) -> FileContent:
-    """As `read_solution_file`, of the content of a file that messages call ``source``."""
+    """Read the content of a file, as `read_solution_file` does; messages call it ``source``."""
     arrays = read_members(content, source, KNOWN)
     meta = _meta(source, arrays)
     missing = [name for name in (*SAMPLED, "interval_t", "model") if name not in arrays]
@@ -134,7 +134,7 @@ def parse_solution(content: bytes, source: Path) -> FileContent:
 
 
 def _require_units(source: Path, meta: Mapping[str, Any], model: pin.Model) -> None:
-    """Raise `SolutionFileError` for natural units that are not the model's; older files state none."""
+    """Raise `SolutionFileError` if the natural units differ from the model's; older files have none."""
     stated, allowed = meta.get("units"), NaturalUnits.of(model).describe()
     same = isinstance(stated, dict) and all(
         is_number(stated.get(name)) and math.isclose(stated[name], value, rel_tol=SAME_UNITS)
@@ -146,7 +146,7 @@ def _require_units(source: Path, meta: Mapping[str, Any], model: pin.Model) -> N
 
 
 def _forces_of_contacts(plan: PlanDescription, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Wrenches (K, nc, 6) without those of payloads, which earlier files have as inactive contacts."""
+    """Return the wrenches (K, nc, 6) without payloads, which older files have as inactive contacts."""
     f = arrays["f"].copy()
     for body in plan.payloads:
         column = plan.frames.index(body.frame)
@@ -167,7 +167,7 @@ def _content(source: Path) -> bytes:
 
 
 def _model(arrays: Mapping[str, np.ndarray]) -> pin.Model:
-    """The model of the arrays that files have beside its text; older files have the text alone."""
+    """Return the model from a file's arrays; older files have only its text."""
     if MODEL_KINDS.keys() & arrays.keys():
         return model_from_arrays(arrays)
     return model_from_untrusted_text(str(arrays["model"]))
@@ -178,7 +178,7 @@ def _meta(source: Path, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
         raise SolutionFileError(f"{source} is not a {FORMAT} file: it has no text 'meta'")
     try:
         meta = json.loads(str(arrays["meta"]))
-    except (ValueError, RecursionError) as error:  # also of digits without end, and lists in lists in lists
+    except (ValueError, RecursionError) as error:  # also for endless digits and deeply nested lists
         raise SolutionFileError(f"{source}: 'meta' is not JSON: {first_line(error)}") from None
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise SolutionFileError(f"{source} is not a {FORMAT} file")
@@ -189,9 +189,9 @@ def _meta(source: Path, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _require_bounded(source: Path, meta: dict[str, Any]) -> None:
-    """Raise `SolutionFileError` for numbers that no scene has, lists within lists, or too many values.
+    """Raise `SolutionFileError` for values that no scene has, deep nesting, or too many values.
 
-    Limits and statistics may hold any number that a float can be.
+    Limits and statistics may hold any floating-point number.
     """
     level, counted, depth = list(meta.items()), 0, 0
     while level:

@@ -1,4 +1,4 @@
-"""The mesh on which a solution was made, its schemes, and values between collocation points."""
+"""The mesh of a solution, its schemes, and interpolation between collocation points."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ from trajopt.solution.solution import Solution
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import Scheme
 
-# Widths computed from a file's times are equal up to the rounding of the times.
+# Widths computed from a file's times are equal up to rounding.
 SAME_WIDTH = 1e-9
 
 
 def mesh_of(solution: Solution) -> Mesh:
-    """The mesh on which a solution was made; raises `InputError` where it names no known scheme.
+    """Return the mesh of a solution; raises `InputError` if it names an unknown scheme.
 
-    Files without a mesh have one scheme; their times give the widths.
+    Files without a mesh have a single scheme, and their times give the widths.
     """
     if solution.statistics.mesh is not None:
         return solution.statistics.mesh
@@ -22,12 +22,12 @@ def mesh_of(solution: Solution) -> Mesh:
 
 
 def interval_schemes(solution: Solution) -> tuple[Scheme, ...]:
-    """Scheme of every interval of a solution."""
+    """Return the scheme of every interval of a solution."""
     return tuple(phase.method for phase in mesh_of(solution).phases for _ in phase.widths)
 
 
 def interpolated(solution: Solution, values: np.ndarray) -> np.ndarray:
-    """Values (K, ...) at collocation points with the interpolants' values at the ends of every interval."""
+    """Extrapolate values (K, ...) from the collocation points to both ends of every interval."""
     extended = values.copy()
     for rows, method in zip(solution.intervals, interval_schemes(solution), strict=True):
         inner = [k for k in rows if solution.collocation[k]]

@@ -1,4 +1,4 @@
-"""Solutions as arguments: objects or files, one or several, and motions that can be shown."""
+"""Solutions as arguments: objects or files, one or several, and checks on them."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,14 +10,14 @@ from trajopt.errors import InputError, shown
 from trajopt.solution.solution import Solution
 
 SolutionOrFile = Solution | str | Path
-# Norms of rotations may be this far from one: interpolation and single precision stay well below.
+# Largest deviation of a rotation's norm from one: interpolation and single precision cause much less.
 UNIT = 1e-2
 
 
 def solution_of(given: SolutionOrFile) -> Solution:
-    """Return a solution: ``given`` itself, or the one in the file at that path.
+    """Return a solution: ``given`` itself, or the one read from that path.
 
-    Raises `InputError` for anything else, `SolutionFileError` for a file that cannot be read.
+    Raises `InputError` for anything else, and `SolutionFileError` if the file cannot be read.
     """
     if isinstance(given, Solution):
         return given
@@ -27,25 +27,25 @@ def solution_of(given: SolutionOrFile) -> Solution:
 
 
 def solutions_of(given: SolutionOrFile | Iterable[SolutionOrFile]) -> list[Solution]:
-    """Return a list of solutions: ``given`` is one as in `solution_of`, or several of them."""
+    """Return a list of solutions from one, as in `solution_of`, or from several."""
     if isinstance(given, Iterable) and not isinstance(given, str):
         return [solution_of(one) for one in given]
     return [solution_of(given)]
 
 
 def consistent_solution(given: SolutionOrFile) -> Solution:
-    """Return a solution as `solution_of`, its consistency tested.
+    """Return a solution as `solution_of` does, after checking its consistency.
 
-    Raises `SolutionFileError` for a file, `InputError` for a solution, that is inconsistent or not finite.
+    Raises `SolutionFileError` for a file and `InputError` for a solution that is inconsistent or not finite.
     """
     solution = solution_of(given)
-    if solution is not given:  # reading a file tests it
+    if solution is not given:  # already checked when read
         return solution
     return solution.require_consistent()
 
 
 def require_motion(solution: Solution) -> Solution:
-    """Return the solution; raises `InputError` for one that is too short or not finite."""
+    """Return the solution; raises `InputError` if it is too short, not finite, or has no unit rotations."""
     if solution.n_samples < 2:
         raise InputError(f"the solution has {solution.n_samples} samples", "allowed: two or more")
     for name in ("t", "q", "v", "a", "tau", "f"):

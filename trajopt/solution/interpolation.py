@@ -1,13 +1,13 @@
-"""A solution between its samples, by numeric Pinocchio: the polynomials of its intervals.
+"""Solutions between their samples by the polynomials of their intervals, without CasADi.
 
-Within an interval the highest derivative y of the local coordinates (see `local_states`) is the polynomial
-through its values at the collocation points; rates and positions are its integrals from the interval's start,
+Within an interval, the highest derivative y of the local coordinates (see `local_states`) is the polynomial
+through its values at the collocation points. Rates and positions are its integrals from the interval's start,
 
     xi'(s) = xi'_k + h int_0^s y,        xi(s) = xi_k + h s xi'_k + h^2 int_0^s int_0^r y,
 
-and torques and wrenches are the polynomials through theirs. Where these integrals do not end at the
-interval's planned end (the classic schemes integrate the velocity by the rule of the acceleration) a linear
-ramp closes the gap, so that the motion passes through its nodes.
+and torques and wrenches are the polynomials through their values. If the integrals do not reach the planned
+end of the interval (the classic schemes integrate the velocity by the rule of the acceleration), a linear
+ramp of rates and a cubic one of positions close the gaps, so that the motion passes through its nodes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from trajopt.solution.local_states import local_state, state_from_local
 
 @dataclass(frozen=True, kw_only=True)
 class MotionSample:
-    """A motion at one time, or at n times with one more axis in front.
+    """A motion at one time, or at n times with one more leading axis.
 
     q (nq,), v, a (nv,), tau (nu,) and f (nc, 6), as in a `Solution`.
     """
@@ -39,11 +39,11 @@ class MotionSample:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionPolynomials:
-    """The polynomials of n intervals with s points each, over their fractions, lowest power first.
+    """Polynomials of n intervals with s points each over the interval's fraction, lowest power first.
 
-    numbers: (n,) of the intervals. start: (n, nq) configurations at their starts. rate: (n, nv) local rates
-    there. step: (n,) s. order: 2, or 1 where the rates are the highest derivative. highest: (n, s, nv), tau:
-    (n, s, nu), f: (n, s, 6 nc). gap: (n, 2, nv) of positions and rates at the ends.
+    numbers: (n,) of the intervals. start: (n, nq) initial configurations. rate: (n, nv) initial local rates.
+    step: (n,) s. order: derivative that is highest: 2, or 1 for velocity input. highest: (n, s, nv),
+    tau: (n, s, nu), f: (n, s, 6 nc) coefficients. gap: (n, 2, nv) gaps of positions and rates at the ends.
     """
 
     model: pin.Model
@@ -61,7 +61,7 @@ class MotionPolynomials:
     def of(
         cls, model: pin.Model, arrays: Mapping[str, np.ndarray], order: int, numbers: np.ndarray
     ) -> MotionPolynomials:
-        """Read intervals with the same number of points; arguments as of `InterpolatedMotion.of`."""
+        """Read intervals with the same number of points; for arguments see `InterpolatedMotion.of`."""
         numbers, intervals = np.asarray(numbers), runs(arrays["interval"])
         points, fractions = (
             np.array(part)
@@ -94,7 +94,7 @@ class MotionPolynomials:
         return replace(open_ends, gap=gap)
 
     def local(self, rows: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return local coordinates (k, nv) and two derivatives at fractions (k,) of ``rows`` (k,)."""
+        """Return local coordinates and their two derivatives (k, nv) at fractions (k,) of ``rows`` (k,)."""
         h, s, j = self.step[rows, None], s[:, None], np.arange(self.highest.shape[1])
         highest, rate, gap = self.highest[rows], self.rate[rows], self.gap[rows]
         value = _sum(s**j, highest)
@@ -106,7 +106,7 @@ class MotionPolynomials:
         return closing + h * s * rate + twice, rate + once + s * gap[:, 1], value
 
     def at(self, rows: np.ndarray, fractions: np.ndarray) -> MotionSample:
-        """Return the motion at ``fractions`` (k,) of the intervals ``rows`` (k,), counted from the first."""
+        """Return the motion at ``fractions`` (k,) of intervals; ``rows`` (k,) index this record's arrays."""
         q, v, a = state_from_local(self.model, self.start[rows], *self.local(rows, fractions))
         powers = fractions[:, None] ** np.arange(self.tau.shape[1])
         f = _sum(powers, self.f[rows]).reshape(len(q), -1, 6)
@@ -119,7 +119,7 @@ def _sum(powers: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class InterpolatedMotion:
-    """A plan between its samples: the polynomials of its intervals, by their number of points."""
+    """A plan between its samples: polynomials of its intervals, grouped by their number of points."""
 
     groups: tuple[MotionPolynomials, ...]
 
@@ -128,16 +128,16 @@ class InterpolatedMotion:
         """Read all intervals.
 
         Args:
-            model: the model that was optimised.
-            arrays: those of a `Solution`, its rotations with unit norm.
-            order: see `MotionPolynomials`.
+            model: The model that was optimised.
+            arrays: Arrays of a `Solution` with unit quaternions.
+            order: See `MotionPolynomials`.
         """
         counts = np.bincount(arrays["interval"][arrays["collocation"]], minlength=len(arrays["interval_t"]))
         alike = [np.flatnonzero(counts == s) for s in set(counts)]
         return cls(groups=tuple(MotionPolynomials.of(model, arrays, order, numbers) for numbers in alike))
 
     def gaps(self, numbers: np.ndarray) -> np.ndarray:
-        """Return what closes the intervals ``numbers`` (k,), see `MotionPolynomials.gap`: (k, 2, nv)."""
+        """Return the gaps (k, 2, nv) of the intervals ``numbers`` (k,), see `MotionPolynomials`."""
         order = np.concatenate([group.numbers for group in self.groups])
         every = np.concatenate([group.gap for group in self.groups])
         return np.asarray(every[np.argsort(order)][numbers])
@@ -157,7 +157,7 @@ class InterpolatedMotion:
 
 
 def _without_turns(model: pin.Model, apart: np.ndarray) -> np.ndarray:
-    """Differences (..., nv) without whole turns of the angles that q stores as cosine and sine."""
+    """Return differences (..., nv) without full turns of the angles that q stores as cosine and sine."""
     for joint in list(model.joints)[1:]:
         if joint.shortname() == "JointModelPlanar" or (joint.nq, joint.nv) == (2, 1):
             angle = joint.idx_v + joint.nv - 1
@@ -166,7 +166,7 @@ def _without_turns(model: pin.Model, apart: np.ndarray) -> np.ndarray:
 
 
 def collocation_fractions(arrays: Mapping[str, np.ndarray], number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the samples (s,) of an interval that are its collocation points, and their fractions of it."""
+    """Return the collocation points of an interval: sample indices (s,) and fractions (s,)."""
     points = np.flatnonzero(arrays["collocation"] & (arrays["interval"] == number))
     start, end = arrays["interval_t"][number]
     return points, (arrays["t"][points] - start) / (end - start)
@@ -181,5 +181,5 @@ def lagrange_coefficients(fractions: np.ndarray, values: np.ndarray) -> np.ndarr
 
 
 def joined(parts: Sequence[MotionSample]) -> dict[str, np.ndarray]:
-    """Return the concatenated arrays of motions, by name."""
+    """Return the concatenated arrays of several motions, by name."""
     return {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}

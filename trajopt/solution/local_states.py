@@ -1,8 +1,8 @@
-"""States in the local coordinates of an interval and back, many at a time, without CasADi.
+"""Conversion of states to and from an interval's local coordinates, many at a time, without CasADi.
 
-The coordinates are relative to the interval's start: the displacement in the world of a free-flyer,
-exponential coordinates of rotations, ``R = R_0 exp(theta)`` with ``omega = Jr(theta) theta'``, and joints as
-they are. All arrays may have more axes in front, the same for all of a call or none for ``start``.
+The coordinates are relative to the interval's start: world displacement of a free-flyer, exponential
+coordinates of rotations, ``R = R_0 exp(theta)`` with ``omega = Jr(theta) theta'``, and unchanged joint
+positions. Arrays may have more leading axes, the same for all arrays of a call, or none for ``start``.
 """
 
 import math
@@ -15,16 +15,16 @@ _State = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _cosine_series(first: int) -> Polynomial:
-    """Sum over n of (-t)^n / (2 n + first)!, to rounding up to t = pi^2."""
+    """Return the series of (-t)^n / (2 n + first)! over n, accurate to rounding up to t = pi^2."""
     return Polynomial([(-1) ** n / math.factorial(2 * n + first) for n in range(SERIES_TERMS)])
 
 
-# Terms of the series in the squared angle of a rotation.
+# Number of terms of the series in the squared rotation angle.
 SERIES_TERMS = 16
 _C2, _C3 = _cosine_series(2), _cosine_series(3)
 _C2_RATE, _C3_RATE = _C2.deriv(), _C3.deriv()
 _CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-# Below this, the sine of half an angle is the half angle, to rounding.
+# Below this value, the sine of half an angle equals the half angle up to rounding.
 SMALL = 1e-8
 
 
@@ -61,9 +61,9 @@ def local_state(model: pin.Model, start: np.ndarray, q: np.ndarray, v: np.ndarra
 def state_from_local(
     model: pin.Model, start: np.ndarray, xi: np.ndarray, rate: np.ndarray, second: np.ndarray
 ) -> _State:
-    """Return q (..., nq), v, a (..., nv) of local coordinates relative to ``start``, as `local_state` reads.
+    """Return q (..., nq), v, a (..., nv) for local coordinates relative to ``start``: inverts `local_state`.
 
-    Quaternions have the sign that is nearer to the start's.
+    Quaternions get the sign that is closer to the start's.
     """
     q, v, a = np.zeros((*xi.shape[:-1], model.nq)), rate.copy(), second.copy()
     for joint in list(model.joints)[1:]:
@@ -99,7 +99,7 @@ def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
-    """Matrices (..., 3, 3) of unit quaternions (x, y, z, w)."""
+    """Return matrices (..., 3, 3) of unit quaternions (x, y, z, w)."""
     axis, w = quaternion[..., :3], quaternion[..., 3, None, None]
     cross = _cross_matrix(axis)
     return np.asarray(np.eye(3) + 2 * (w * cross + cross @ cross))
@@ -113,7 +113,7 @@ def _cross_matrix(vector: np.ndarray) -> np.ndarray:
 
 
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Cross products of vectors (..., 3); for few of them much faster than NumPy's."""
+    """Return cross products of vectors (..., 3); for few vectors much faster than NumPy's."""
     product = np.empty(np.broadcast_shapes(first.shape, second.shape))
     for i, j, k in _CYCLES:
         product[..., i] = first[..., j] * second[..., k] - first[..., k] * second[..., j]
@@ -121,14 +121,14 @@ def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Product of quaternions (x, y, z, w)."""
+    """Return products of quaternions (x, y, z, w)."""
     u, w, v, s = first[..., :3], first[..., 3:], second[..., :3], second[..., 3:]
     axis = w * v + s * u + _cross(u, v)
     return np.concatenate([axis, w * s - np.sum(u * v, axis=-1, keepdims=True)], axis=-1)
 
 
 def _exponential(start: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """Exponential coordinates (..., 3) of rotations relative to ``start``, of at most half a turn."""
+    """Return exponential coordinates (..., 3) of rotations relative to ``start``, up to half a turn."""
     apart = _product(start * np.array([-1.0, -1.0, -1.0, 1.0]), quaternion)
     apart = np.where(apart[..., 3:] < 0, -apart, apart)
     sine = np.linalg.norm(apart[..., :3], axis=-1, keepdims=True)
@@ -137,7 +137,7 @@ def _exponential(start: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
 
 
 def _turned_by(start: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Quaternions of ``start`` followed by exponential coordinates, near the start's sign."""
+    """Return ``start`` rotated by exponential coordinates, with the quaternion sign closer to the start's."""
     half = np.linalg.norm(theta, axis=-1, keepdims=True) / 2
     turn = np.concatenate([theta / 2 * np.sinc(half / np.pi), np.cos(half)], axis=-1)
     turned = _product(np.broadcast_to(start, (*theta.shape[:-1], 4)), turn)
@@ -145,13 +145,13 @@ def _turned_by(start: np.ndarray, theta: np.ndarray) -> np.ndarray:
 
 
 def _angle(start: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Angle from one (cosine, sine) to another, of at most half a turn."""
+    """Return the angle from one (cosine, sine) to another, up to half a turn."""
     cross = start[..., 0] * direction[..., 1] - start[..., 1] * direction[..., 0]
     return np.asarray(np.arctan2(cross, np.sum(start * direction, axis=-1)))
 
 
 def _direction(start: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """(cosine, sine) of ``start`` turned by an angle."""
+    """Return the (cosine, sine) of ``start`` rotated by an angle."""
     return _times(_plane_rotation(np.stack([np.cos(angle), np.sin(angle)], axis=-1)), start)
 
 
@@ -163,18 +163,18 @@ def _plane_rotation(direction: np.ndarray) -> np.ndarray:
 
 
 def _turned(v: np.ndarray, iv: int) -> np.ndarray:
-    """Rate of turning times the velocity turned by a right angle, of a planar joint."""
+    """Return the yaw rate times the velocity rotated by 90 degrees, for a planar joint."""
     return np.asarray(v[..., iv + 2, None] * np.stack([-v[..., iv + 1], v[..., iv]], axis=-1))
 
 
 def _right_jacobian(theta: np.ndarray) -> np.ndarray:
-    """Jr = 1 - c2(t) [theta] + c3(t) [theta]^2 with the cross-product matrix [theta] and t = |theta|^2."""
+    """Return Jr = 1 - c2(t) [theta] + c3(t) [theta]^2, [theta] the cross-product matrix and t = |theta|^2."""
     squared, cross = np.sum(theta * theta, axis=-1)[..., None, None], _cross_matrix(theta)
     return np.asarray(np.eye(3) - _C2(squared) * cross + _C3(squared) * (cross @ cross))
 
 
 def _to_exponential(rows: slice, xi: np.ndarray, rate: np.ndarray, second: np.ndarray) -> None:
-    """Turn body rates into rates of exponential coordinates: omega = Jr(theta) theta'."""
+    """Convert body rates to rates of exponential coordinates in place: omega = Jr(theta) theta'."""
     theta = xi[..., rows]
     to_theta = np.linalg.inv(_right_jacobian(theta))
     rate[..., rows] = _times(to_theta, rate[..., rows])
@@ -182,14 +182,14 @@ def _to_exponential(rows: slice, xi: np.ndarray, rate: np.ndarray, second: np.nd
 
 
 def _from_exponential(rows: slice, xi: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
-    """Turn rates of exponential coordinates into body rates."""
+    """Convert rates of exponential coordinates to body rates in place."""
     theta, to_body = xi[..., rows], _right_jacobian(xi[..., rows])
     a[..., rows] = _times(to_body, a[..., rows]) + _turning(theta, v[..., rows])
     v[..., rows] = _times(to_body, v[..., rows])
 
 
 def _turning(theta: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """(d/dt Jr(theta)) theta' along theta' = ``rate``."""
+    """Return (d/dt Jr(theta)) theta' along theta' = ``rate``."""
     squared = np.sum(theta * theta, axis=-1, keepdims=True)
     change = 2 * np.sum(theta * rate, axis=-1, keepdims=True)
     once = _cross(theta, rate)

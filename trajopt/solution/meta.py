@@ -1,4 +1,4 @@
-"""The key ``meta`` of a solution file, JSON, read into records once, and written from them."""
+"""Conversion between the JSON entry ``meta`` of a solution file and records."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,13 +32,13 @@ from trajopt.transcription.mesh import Mesh, PhaseMesh
 _Read = TypeVar("_Read")
 _Json = dict[str, Any]
 
-# Keys that every file has.
+# Keys in every file.
 REQUIRED = (
     *("format", "version", "problem", "parameters", "robot", "contact_frames", "contact_kinds", "friction"),
     *("effort_limit", "velocity_limit", "terrain", "transcription", "solver", "status", "success"),
     *("iterations", "objective", "tolerance", "wall_time_s", "gravity", "versions"),
 )
-# Keys of descriptions, and keys that follow from arrays: all others are of statistics.
+# Keys of descriptions, then keys derived from arrays; all others belong to statistics.
 DESCRIBED = (
     *("problem", "parameters", "robot", "actuation", "gravity", "effort_limit", "velocity_limit"),
     *("actuated_rows", "thrusters", "joint_forces", "mimics"),
@@ -48,17 +48,17 @@ DESCRIBED = (
     *("visual", "phase_names"),
 )
 DERIVED = ("format", "version", "durations", "intervals", "units", "simulated")
-# Fields of statistics that are numbers, words or flags, by their type.
+# Statistics that are strings, flags or counts.
 TEXTS = ("transcription", "solver", "status", "solver_status", "advice", "hessian", "worst_figure")
 FLAGS = ("success", "converged", "warm_start", "certified_infeasible")
 COUNTS = ("iterations", "variables", "constraints", "functions_compiled", "seed")
-# Those that are never null.
+# Statistics that are never null.
 STATED = ("transcription", "solver", "status", "success", "tolerance", "wall_time_s")
 PERIODIC = ("index", "sign", "origin", "translation", "velocity", "turn", "mirror")
 
 
 def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
-    """Read what a plan is of. Raises `SolutionFileError` for an entry that is not of its form."""
+    """Read a plan's description; raises `SolutionFileError` for an invalid entry."""
     contacts = tuple(_contacts(meta))
     frames = [contact.frame for contact in contacts]
     bodies = _optional(meta, "bodies", RobotShapes.from_description)
@@ -93,7 +93,7 @@ def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
 
 
 def statistics_of(meta: Mapping[str, Any]) -> SolveStatistics:
-    """Read how a solution was found. Raises `SolutionFileError` for an entry that is not of its form."""
+    """Read how a solution was found; raises `SolutionFileError` for an invalid entry."""
     typed = {field.name for field in fields(SolveStatistics)} - {"more"}
     values: _Json = {}
     for name in typed & set(meta):
@@ -131,14 +131,14 @@ def statistics_of(meta: Mapping[str, Any]) -> SolveStatistics:
 
 
 def require_keys(meta: Mapping[str, Any]) -> None:
-    """Raise `SolutionFileError` where a key of every file is missing."""
+    """Raise `SolutionFileError` if a key that every file has is missing."""
     missing = [key for key in REQUIRED if key not in meta]
     if missing:
         raise SolutionFileError("meta lacks " + ", ".join(repr(key) for key in missing))
 
 
 def meta_of(description: PlanDescription, statistics: SolveStatistics) -> _Json:
-    """The JSON-able entries of both records, without those that follow from arrays."""
+    """Return the JSON-able entries of both records, without those derived from arrays."""
     plan, contacts = description, description.contacts
     described: _Json = {
         "problem": plan.problem,
@@ -175,7 +175,7 @@ def meta_of(description: PlanDescription, statistics: SolveStatistics) -> _Json:
 
 
 def _described_options(plan: PlanDescription) -> _Json:
-    """Entries that a file has only where there is something to describe."""
+    """Return the entries that are only in files with something to describe."""
     options: _Json = {}
     if plan.rolling.any():
         options["contact_rolling"] = plan.rolling
@@ -210,7 +210,7 @@ def _described_by_phase(phases: Sequence[Mapping[str, Surface]] | Sequence[Mappi
 
 
 def jsonable(value: Any) -> Any:
-    """Plain Python for JSON: lists for tuples and arrays, None for numbers that are not finite."""
+    """Convert to plain Python for JSON: tuples and arrays to lists, non-finite numbers to None."""
     if isinstance(value, Mapping):
         return {str(key): jsonable(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -410,7 +410,7 @@ def _require(holds: bool, key: str, allowed: str) -> None:
 
 
 def _entry(key: str, read: Callable[[Any], _Read], value: Any) -> _Read:
-    """Read one entry; an error in it names the key."""
+    """Read one entry; errors name its key."""
     try:
         return read(value)
     except SolutionFileError:

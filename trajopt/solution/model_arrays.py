@@ -1,14 +1,14 @@
-"""A Pinocchio model as plain arrays: tested before Pinocchio sees them, and built again through its API.
+"""A Pinocchio model as plain arrays, which are checked before the model is rebuilt through Pinocchio's API.
 
-Loaded in a process of its own for the text of older files (see `model_text`): it imports little.
+Imports are few because the text of older files is read in a separate process (see `model_text`).
 
-`_FORMS` has the arrays, which are named ``model_KEY``; rows are in Pinocchio's order, the universe first:
+`_FORMS` lists the arrays, named ``model_KEY``; rows are in Pinocchio's order, the universe first:
 
-- joint_kind: without "JointModel", empty for the universe. joint_axis: of kinds that leave it open, else 0.
-- placement: rotation (3, 3) and translation (m) beside it, in the axes of the parent or the frame's joint.
+- joint_kind: without "JointModel", empty for the universe. joint_axis: axis of kinds with a free one, else 0.
+- placement: rotation (3, 3) beside translation (m), in the axes of the parent joint or the frame's joint.
 - inertia: mass, centre of mass, and xx, xy, xz, yy, yz, zz about it.
-- frame_joint, frame_parent: indices of the frame's joint, and of the frame before it.
-- bodies: `pin.Model.nbodies`, a count.
+- frame_joint, frame_parent: indices of the frame's joint and of its parent frame.
+- bodies: the count `pin.Model.nbodies`.
 """
 
 import math
@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError, first_line
 
-# Joints by kind, with the sizes of their positions and velocities: those that trajopt.dynamics supports.
+# Sizes of position and velocity by kind of joint, for all kinds that trajopt.dynamics supports.
 JOINT_SIZES: dict[str, tuple[int, int]] = {
     "FreeFlyer": (7, 6),
     "Planar": (4, 3),
@@ -34,17 +34,17 @@ JOINT_SIZES: dict[str, tuple[int, int]] = {
 }
 FRAME_TYPES = ("OP_FRAME", "JOINT", "FIXED_JOINT", "BODY", "SENSOR")
 UNIVERSE = "universe"
-# More than any robot has: memory and time of Pinocchio's algorithms grow with their squares.
+# More than any robot has: memory and time of Pinocchio's algorithms grow quadratically.
 MOST_JOINTS, MOST_FRAMES = 1000, 10_000
 LONGEST_NAME = 500
-# Largest length (m), mass (kg), inertia (kg m^2), friction, damping or gravity: their products stay finite.
+# Largest length (m), mass (kg), inertia (kg m^2), friction, damping or gravity, so that products stay finite.
 LARGEST = 1e9
-# Rounding of a rotation's numbers written as decimals, and of the length of an axis.
+# Rounding error of decimal rotation entries, and of the length of an axis.
 ROTATION_ERROR = 1e-6
-# Control characters and halves of surrogate pairs, which are no text that could be shown.
+# Control characters and lone surrogates, which cannot be displayed.
 UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
-# Key without "model_" -> field of `pin.Model`, its size, and the largest number in it.
+# Key without "model_" -> field of `pin.Model`, its size, and its largest allowed value.
 _FIELDS: dict[str, tuple[str, str, float]] = {
     "effort_lower": ("lowerEffortLimit", "nv", math.inf),
     "effort_upper": ("upperEffortLimit", "nv", math.inf),
@@ -60,7 +60,7 @@ _FIELDS: dict[str, tuple[str, str, float]] = {
     "position_upper": ("upperPositionLimit", "nq", math.inf),
     "position_margin": ("positionLimitMargin", "nq", LARGEST),
 }
-# Key without "model_" -> kinds of its numbers, as `numpy.dtype.kind` has them, and its shape.
+# Key without "model_" -> allowed number kinds, as in `numpy.dtype.kind`, and shape.
 _FORMS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "name": ("U", ()),
     "bodies": ("iu", ()),
@@ -88,7 +88,7 @@ _Arrays = Mapping[str, np.ndarray]
 
 
 def model_to_arrays(model: pin.Model) -> dict[str, np.ndarray]:
-    """The arrays of a model, which `model_from_arrays` takes. Raises `InputError` for one that it refuses."""
+    """Return the arrays of a model for `model_from_arrays`; raises `InputError` if it would refuse them."""
     frames = list(model.frames)
     references = {entry.key(): np.array(entry.data()) for entry in model.referenceConfigurations}
     arrays = {
@@ -116,14 +116,14 @@ def model_to_arrays(model: pin.Model) -> dict[str, np.ndarray]:
 
 
 def model_from_arrays(arrays: _Arrays) -> pin.Model:
-    """The model of `model_to_arrays`, equal in every field.
+    """Return a model equal in every field to the one given to `model_to_arrays`.
 
-    Every count, index, name and number is tested first: Pinocchio trusts its input. Raises `InputError`.
+    Every count, index, name and number is checked first: Pinocchio trusts its input. Raises `InputError`.
     """
     _require_valid(arrays)
     try:
         return _built({key.removeprefix("model_"): arrays[key] for key in MODEL_KINDS})
-    except (ValueError, RuntimeError) as error:  # what Pinocchio itself refuses
+    except (ValueError, RuntimeError) as error:  # raised by Pinocchio
         raise InputError(f"the model cannot be built: {first_line(error)}") from None
 
 
@@ -135,7 +135,7 @@ def _built(given: _Arrays) -> pin.Model:
     for index in range(1, len(names)):
         joint = _joint(kinds[index], given["joint_axis"][index])
         model.addJoint(int(given["joint_parent"][index]), joint, placements[index], names[index])
-    for _ in range(int(given["bodies"]) - model.nbodies):  # counts; the inertias themselves come next
+    for _ in range(int(given["bodies"]) - model.nbodies):  # only for the count; inertias are set below
         model.appendBodyToJoint(0, pin.Inertia.Zero(), pin.SE3.Identity())
     for index, entry in enumerate(given["joint_inertia"]):
         model.inertias[index] = _inertia(entry)
@@ -161,7 +161,7 @@ def _built(given: _Arrays) -> pin.Model:
 
 
 def _require_valid(arrays: _Arrays) -> None:
-    """Raise `InputError` for the first thing that Pinocchio must not see."""
+    """Raise `InputError` for the first value that Pinocchio must not receive."""
     missing = [key for key in MODEL_KINDS if key not in arrays]
     if missing:
         raise InputError(f"the model lacks {', '.join(missing)}")
@@ -181,7 +181,7 @@ def _require_valid(arrays: _Arrays) -> None:
 
 
 def _require_forms(given: _Arrays) -> None:
-    """Numbers and shapes of all arrays; kinds of joints, from which the sizes of others follow."""
+    """Check kinds and shapes of all arrays; the kinds of joints determine the other sizes."""
     sizes = {}
     for what, least, most in (
         ("joint", 1, MOST_JOINTS),
@@ -232,7 +232,7 @@ def _require_names(given: _Arrays) -> None:
 
 
 def _require_tree(given: _Arrays) -> None:
-    """Joints come after their parents, depth first; frames are on joints and behind frames that exist."""
+    """Check that joints follow their parents, depth first, and that frames refer to existing ones."""
     parents, branch = given["joint_parent"].tolist(), [0]
     for index, parent in enumerate(parents):
         if not 0 <= parent < max(index, 1):
@@ -250,7 +250,7 @@ def _require_tree(given: _Arrays) -> None:
 
 
 def _require_rotations(given: _Arrays) -> None:
-    """Axes are unit vectors, placements have rotations."""
+    """Check that axes have unit length and placements have rotation matrices."""
     with_axis = np.isin(given["joint_kind"], _WITH_AXIS)
     lengths = np.linalg.norm(given["joint_axis"][with_axis], axis=1)
     if not (np.abs(lengths - 1.0) <= ROTATION_ERROR).all():
@@ -259,7 +259,7 @@ def _require_rotations(given: _Arrays) -> None:
         )
     for key in ("joint_placement", "frame_placement"):
         rotations = given[key][:, :, :3].astype(float)
-        with np.errstate(all="ignore"):  # numbers that are not finite are no rotations
+        with np.errstate(all="ignore"):  # non-finite numbers fail the test
             errors = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)).max(axis=(1, 2))
             wrong = np.flatnonzero(~(errors <= ROTATION_ERROR) | ~(np.linalg.det(rotations) > 0))
         if len(wrong):
@@ -277,18 +277,18 @@ def _kind(joint: pin.JointModel) -> str:
 
 
 def _axis(model: pin.Model, index: int) -> list[float]:
-    """Axis of a joint whose kind leaves it open; of the others zero."""
+    """Return the axis of a joint whose kind leaves it free, else zeros."""
     joint = model.joints[index]
     if not index or _kind(joint) not in _WITH_AXIS:
         return [0.0, 0.0, 0.0]
     data = joint.createData()
     joint.calc(data, pin.neutral(model))
-    subspace = np.ravel(data.S)  # the bindings do not show the axis of every kind
+    subspace = np.ravel(data.S)  # the bindings do not expose the axis of every kind
     return (subspace[:3] + subspace[3:]).tolist()
 
 
 def _joint(kind: str, axis: np.ndarray) -> pin.JointModel:
-    if kind == "RevoluteUnboundedUnaligned":  # the bindings cannot make one: from a text of our own making
+    if kind == "RevoluteUnboundedUnaligned":  # the bindings cannot construct one, so it is read from a text
         text, known = _continuous()
         model = pin.Model()
         model.loadFromString(text.replace(known, _words(axis)))
@@ -301,7 +301,7 @@ def _joint(kind: str, axis: np.ndarray) -> pin.JointModel:
 
 @lru_cache(maxsize=1)
 def _continuous() -> tuple[str, str]:
-    """The text of a model with one continuous joint, and the part of it that is the axis."""
+    """Return the text of a model with one continuous joint, and its substring for the axis."""
     model = pin.buildModelFromXML(
         '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous">'
         '<parent link="a"/><child link="b"/><axis xyz="0.48 0.6 0.64"/></joint></robot>'
@@ -326,7 +326,7 @@ def _inertias(values: Sequence[pin.Inertia]) -> np.ndarray:
 
 
 def _inertia(entry: np.ndarray) -> pin.Inertia:
-    """An inertia by its fields: the constructor refuses some that descriptions of robots have."""
+    """Set an inertia field by field: the constructor rejects some values found in robot descriptions."""
     matrix = np.zeros((3, 3))
     matrix[_UPPER] = matrix.T[_UPPER] = entry[4:]
     inertia = pin.Inertia.Zero()

@@ -1,7 +1,7 @@
-"""The model of older files: Pinocchio's text, read by a process that may die of it.
+"""Models of older files: Pinocchio's text, read in a separate process that may crash.
 
-The reader of such a text trusts its counts and indices, so that a damaged one ends its process. The process
-hands back plain arrays, which are tested as any other input.
+Pinocchio's text reader trusts counts and indices, so a damaged text can crash its process. The process
+returns plain arrays, which are checked like any other input.
 """
 
 import io
@@ -17,16 +17,16 @@ from trajopt.errors import InputError
 from trajopt.solution.archive import read_members
 from trajopt.solution.model_arrays import MODEL_KINDS, model_from_arrays, model_to_arrays
 
-# Time that the process may take, s, and memory, bytes. A robot's text takes 0.4 s, most of it to start.
+# Limits of the process: time, s, and memory, bytes. A robot's text takes 0.4 s, mostly to start.
 LONGEST, LARGEST = 60.0, 4 * 2**30
-# Texts whose arrays are kept: the files of one robot are often read one after another.
+# Number of texts whose arrays are cached: files of one robot are often read in sequence.
 MOST_TEXTS = 16
-# The process imports what this one does, whatever its working directory holds.
+# The process has the same import path as this one, regardless of its working directory.
 _CODE = "import sys; sys.path[:] = sys.argv[1:]; from trajopt.solution.model_text import _answer; _answer()"
 
 
 def model_from_untrusted_text(text: str) -> pin.Model:
-    """The model of a ``pin.Model.saveToString()`` of unknown origin. Raises `InputError`."""
+    """Return the model from an untrusted ``pin.Model.saveToString()``; raises `InputError`."""
     wrong = InputError("the model in the solution is damaged or of another Pinocchio version")
     try:
         return model_from_arrays(read_members(_arrays(text), "the model", MODEL_KINDS))
@@ -36,7 +36,7 @@ def model_from_untrusted_text(text: str) -> pin.Model:
 
 @lru_cache(maxsize=MOST_TEXTS)
 def _arrays(text: str) -> bytes:
-    """The answer of the process: an archive of `model_to_arrays`."""
+    """Return the output of the process: an archive of `model_to_arrays`."""
     command = [sys.executable, "-I", "-c", _CODE, *filter(None, sys.path)]
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     given = text.encode()
@@ -46,8 +46,8 @@ def _arrays(text: str) -> bytes:
 
 
 def _answer() -> None:
-    """What the process does: read a text from stdin, write the arrays of its model to stdout."""
-    import resource  # not on every system, and needed here alone
+    """Read a text from stdin and write the arrays of its model to stdout; runs in the process."""
+    import resource  # not available on every system
 
     resource.setrlimit(resource.RLIMIT_AS, (LARGEST, LARGEST))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -56,4 +56,4 @@ def _answer() -> None:
     np.savez(answer, allow_pickle=False, **model_to_arrays(model))
     sys.stdout.buffer.write(answer.getvalue())
     sys.stdout.buffer.flush()
-    os._exit(0)  # what a damaged text may have left in memory is not tidied up
+    os._exit(0)  # skip the cleanup of memory that a damaged text may have corrupted

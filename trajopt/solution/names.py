@@ -8,7 +8,7 @@ import pinocchio as pin
 from trajopt.dynamics.manifold import Coordinates, Joint
 from trajopt.errors import InputError, shown
 
-# Order of a quaternion's entries; axes of a moving base's velocity and acceleration.
+# Order of a quaternion's entries, and axes of a moving base's velocity and acceleration.
 QuaternionOrder = Literal["xyzw", "wxyz"]
 BaseAxes = Literal["body", "world"]
 QUATERNION_ORDERS: tuple[QuaternionOrder, ...] = ("xyzw", "wxyz")
@@ -17,7 +17,7 @@ LINEAR, ANGULAR = (tuple(f"{kind}_{axis}" for axis in "xyz") for kind in ("linea
 
 
 def require_convention(quaternion: str, base_velocity: str) -> None:
-    """Raise `InputError` for an order of quaternions or axes of a base that are not known."""
+    """Raise `InputError` for an unknown quaternion order or unknown axes of the base velocity."""
     if quaternion not in QUATERNION_ORDERS:
         raise InputError(f"quaternion is {shown(quaternion)}", "allowed: 'xyzw' or 'wxyz'")
     if base_velocity not in BASE_AXES:
@@ -25,7 +25,7 @@ def require_convention(quaternion: str, base_velocity: str) -> None:
 
 
 def position_names(model: pin.Model, quaternion: QuaternionOrder = "xyzw") -> tuple[str, ...]:
-    """Names (nq,) of the entries of q: the joint's, and the entry's where a joint has several."""
+    """Return names (nq,) of the entries of q: the joint, with the entry if the joint has several."""
     turn = tuple(f"q{entry}" for entry in quaternion)
     entries = {
         "freeflyer": ("x", "y", "z", *turn),
@@ -37,7 +37,7 @@ def position_names(model: pin.Model, quaternion: QuaternionOrder = "xyzw") -> tu
 
 
 def velocity_names(model: pin.Model, base_velocity: BaseAxes = "body") -> tuple[str, ...]:
-    """Names (nv,) of the entries of v; those along axes of a body or of the world end with which."""
+    """Return names (nv,) of the entries of v; those along body or world axes end with "body" or "world"."""
 
     def entries(joint: Joint) -> tuple[str, ...]:
         axes = base_velocity if is_base(model, joint) else "body"
@@ -51,7 +51,7 @@ def velocity_names(model: pin.Model, base_velocity: BaseAxes = "body") -> tuple[
 
 
 def is_base(model: pin.Model, joint: Joint) -> bool:
-    """Whether a joint is a base that moves as one joint: the first, a free-flyer or planar."""
+    """Return whether a joint is the base: the first joint, if it is a free-flyer or planar."""
     return joint.kind in ("freeflyer", "planar") and model.names[1] == joint.name
 
 

@@ -1,4 +1,4 @@
-"""Output files: the path is checked before anything is computed; then written completely or not at all."""
+"""Output files: paths are checked before any computation, and files are written completely or not at all."""
 
 import contextlib
 import os
@@ -11,14 +11,14 @@ from trajopt.errors import InputError, expanded
 
 ALLOWED = "allowed: a file in an existing folder that can be written"
 ALLOWED_FOLDER = "allowed: a new name in an existing folder that can be written"
-# Bits of a file's mode that allow writing.
+# Mode bits that allow writing.
 WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
-# First bytes of solution files.
+# First bytes of a solution file.
 ARCHIVE = b"PK"
 
 
 def check_output(path: Path) -> Path:
-    """The path, if a file can be written there; raises `InputError` before anything is computed."""
+    """Return the path if a file can be written there, else raise `InputError`."""
     target = expanded(path)
     _require_file(target)
     _require_place(target, ALLOWED)
@@ -26,13 +26,13 @@ def check_output(path: Path) -> Path:
 
 
 def require_ending(path: Path, ending: str) -> None:
-    """Raise `InputError` unless a file's name has that ending."""
+    """Raise `InputError` unless a file's name has the given ending."""
     if path.suffix.lower() != ending:
         raise InputError(f"the name of {path} does not end with {ending}", f"allowed: NAME{ending}")
 
 
 def check_solution_output(path: Path) -> Path:
-    """As `check_output`, of a solution file (.npz); one that holds something else is not written over."""
+    """Check the path of a solution file (.npz) as `check_output`; other files are not overwritten."""
     target = check_output(path)
     if target.suffix:
         require_ending(target, ".npz")
@@ -47,7 +47,7 @@ def check_solution_output(path: Path) -> Path:
 
 @contextlib.contextmanager
 def replacing(target: Path) -> Iterator[Path]:
-    """Give a file to write, and move it to ``target`` at the end; after an error the old file stays.
+    """Provide a temporary file that replaces ``target`` at the end; after an error the old file remains.
 
     The file has the target's name, in a temporary folder beside it. Raises a one-line `InputError` if it
     cannot be written.
@@ -64,10 +64,10 @@ def replacing(target: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def replacing_folder(target: Path, marker: str) -> Iterator[Path]:
-    """Give an empty folder to fill, and move it to ``target`` at the end; after an error the old one stays.
+    """Provide an empty folder that replaces ``target`` at the end; after an error the old one remains.
 
-    marker: path within such a folder of a file that it always has. Raises a one-line `InputError` if it
-    cannot be written, or something else is in its place.
+    ``marker`` is the relative path of a file that every such folder contains. Raises a one-line `InputError`
+    if the folder cannot be written, or something else is at ``target``.
     """
     check_folder(target, marker)
     try:
@@ -83,9 +83,9 @@ def replacing_folder(target: Path, marker: str) -> Iterator[Path]:
 
 
 def check_folder(target: Path, marker: str) -> Path:
-    """The path, if a folder can be written there; raises `InputError` before anything is computed.
+    """Return the path if a folder can be written there, else raise `InputError`.
 
-    What is in its place, if anything, has to be a folder that is empty or has the file ``marker``.
+    An existing folder must be empty or contain the file ``marker``.
     """
     with contextlib.suppress(OSError):
         if target.is_dir() and any(target.iterdir()) and not (marker and (target / marker).exists()):
@@ -99,19 +99,19 @@ def check_folder(target: Path, marker: str) -> Path:
 
 
 def _require_file(target: Path) -> None:
-    """Raise `InputError` where something other than a file, or one that may not be written, has that path."""
-    with contextlib.suppress(OSError):  # such as a name that is too long, which writing reports
+    """Raise `InputError` if the path exists and is not a file that may be written."""
+    with contextlib.suppress(OSError):  # for example, a name that is too long: writing reports it
         if target.is_dir():
             raise InputError(f"cannot write {target}: it is a folder", ALLOWED)
         if target.exists() and not target.is_file():
             raise InputError(f"cannot write {target}: it is not a regular file", ALLOWED)
-        # An administrator may write any file: the mode counts, too.
+        # The superuser has access to any file, so the mode is checked as well.
         if target.exists() and not (os.access(target, os.W_OK) and target.stat().st_mode & WRITABLE):
             raise InputError(f"cannot write {target}: it is write-protected", ALLOWED)
 
 
 def check_apart(targets: Sequence[Path | None], sources: Sequence[Path]) -> None:
-    """Raise `InputError` where an output would replace an input, or two outputs are one file."""
+    """Raise `InputError` if an output would replace an input, or two outputs are the same file."""
     read = {_place(source) for source in sources}
     written: set[Path] = set()
     for target in filter(None, targets):
@@ -124,13 +124,13 @@ def check_apart(targets: Sequence[Path | None], sources: Sequence[Path]) -> None
 
 
 def _place(path: Path) -> Path:
-    with contextlib.suppress(OSError, RuntimeError):  # a loop of links, an unknown home
+    with contextlib.suppress(OSError, RuntimeError):  # a loop of links, or an unknown home folder
         return path.expanduser().resolve()
     return path
 
 
 def _require_place(target: Path, allowed: str) -> None:
-    """Raise `InputError` unless something can be written there as it will be: beside it, then renamed."""
+    """Raise `InputError` unless a file can be created beside the target and renamed."""
     try:
         tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.").cleanup()
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A motion at the times that a robot or a program asks for: one value a time, with names."""
+"""A motion sampled at requested times, one value per time, with names."""
 
 import csv
 from collections.abc import Callable
@@ -20,22 +20,22 @@ AXES = "xyz"
 @picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledMotion:
-    """A motion at n times, one value each, from `Solution.sample`; SI units, arrays are read-only.
+    """A motion at n times, one value each, from `Solution.sample`; SI units, read-only arrays.
 
-    problem, robot: their names. success: of the solution. t: (n,) s.
+    problem, robot: names. success: of the solution. t: (n,) s.
     q: (n, nq), ``position_names``; Pinocchio's convention, but quaternions in the order ``quaternion``.
-    v, a: (n, nv), ``velocity_names``. Those of a free-flyer or planar base are along ``base_velocity``: axes
-        of the body, as in Pinocchio (``a`` is the derivative of ``v``), or of the world, where they are the
-        derivatives of the base's position, its angular velocity and its angular acceleration.
-    tau: (n, nu) torques of the actuated rows, ``torque_names``; without joint friction.
-    drive_torque: (n, nu) torques that the drives deliver: ``tau`` and the joints' friction, which only robots
-        that ``has_drives`` know.
-    angle: (n, m) angles, ``angle_names``, that q has as cosine and sine; they count whole turns.
-    f: (n, nc, 6) force N and moment N m of the surroundings on each of ``contact_frames``, in world axes at
-        the frame's origin; the moment of a "point" (``contact_kinds``) is zero.
-    active: (n, nc) the contact is active. phase: (n,) index into ``phase_names``.
-    extrapolated: (n,) the time lies before the first or after the last collocation point of its interval:
-        a, tau, drive_torque and f are values of its polynomials, on which no limits are imposed there.
+    v, a: (n, nv), ``velocity_names``. For a free-flyer or planar base they are along ``base_velocity``: body
+        axes as in Pinocchio (``a`` is the derivative of ``v``), or world axes, as derivatives of the base
+        position, angular velocity and angular acceleration.
+    tau: (n, nu) torques of the actuated rows, ``torque_names``, without joint friction.
+    drive_torque: (n, nu) torques delivered by the drives: ``tau`` plus joint friction, which is known only
+        if the robot ``has_drives``.
+    angle: (n, m) angles, ``angle_names``, that q stores as cosine and sine; they count full turns.
+    f: (n, nc, 6) force N and moment N m of the environment on each of ``contact_frames``, in world axes at
+        the frame's origin; the moment is zero for a "point" (``contact_kinds``).
+    active: (n, nc) whether the contact is active. phase: (n,) index into ``phase_names``.
+    extrapolated: (n,) whether the time is before the first or after the last collocation point of its
+        interval, where polynomials give a, tau, drive_torque and f without limits being imposed.
     """
 
     problem: str
@@ -71,7 +71,7 @@ class SampledMotion:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """All arrays by name."""
+        """Return all arrays by name."""
         named = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: value for name, value in named.items() if isinstance(value, np.ndarray)}
 
@@ -87,9 +87,9 @@ class SampledMotion:
 
     @property
     def joint_position(self) -> np.ndarray:
-        """Positions (n, nu) of the joints with a torque, rad or m, in the order of ``torque_names``.
+        """Positions (n, nu) of the actuated joints, rad or m, in the order of ``torque_names``.
 
-        Raises `InputError` where such a joint has several degrees of freedom.
+        Raises `InputError` if such a joint has several degrees of freedom.
         """
         names, values = (*self.position_names, *self.angle_names), np.hstack([self.q, self.angle])
         missing = [name for name in self.torque_names if name not in names]
@@ -99,7 +99,7 @@ class SampledMotion:
 
     @property
     def joint_velocity(self) -> np.ndarray:
-        """Velocities (n, nu) of the joints with a torque, rad/s or m/s, in the order of ``torque_names``."""
+        """Velocities (n, nu) of the actuated joints, rad/s or m/s, in the order of ``torque_names``."""
         names = list(self.velocity_names)
         missing = [name for name in self.torque_names if name not in names]
         if missing:
@@ -108,11 +108,11 @@ class SampledMotion:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """All values as columns (n,) by name.
+        """Return all values as columns (n,) by name.
 
-        ``t`` s; ``phase``, by name; ``q/...``, ``v/...``, ``a/...``, ``angle/...``, ``tau/...`` and, with
-        drives, ``drive_torque/...`` by the names of their entries; of each contact ``active/FRAME``,
-        ``force/FRAME/x`` and, of a sole, ``moment/FRAME/x``; ``extrapolated``.
+        These are ``t`` s; ``phase`` by name; ``q/...``, ``v/...``, ``a/...``, ``angle/...``, ``tau/...`` and,
+        with drives, ``drive_torque/...`` by the names of their entries; for each contact ``active/FRAME``,
+        ``force/FRAME/x`` and, for a sole, ``moment/FRAME/x``; and ``extrapolated``.
         """
         table = {"t": self.t, "phase": np.array(self.phase_names, dtype=object)[self.phase]}
         groups = {
@@ -134,7 +134,7 @@ class SampledMotion:
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is true of all samples: names, success and conventions."""
+        """Return what holds for all samples: names, success and conventions."""
         return {
             "problem": self.problem,
             "robot": self.robot,
@@ -145,21 +145,21 @@ class SampledMotion:
         }
 
     def to_pandas(self) -> Any:
-        """Return a ``pandas.DataFrame`` of `columns`, with `facts` as its ``attrs``.
+        """Return `columns` as a ``pandas.DataFrame`` with `facts` as its ``attrs``.
 
-        Raises `InputError` where pandas is not installed.
+        Raises `InputError` if pandas is not installed.
         """
         frame = optional_package("pandas").DataFrame(self.columns)
         frame.attrs.update(self.facts)
         return frame
 
     def save(self, path: str | Path) -> Path:
-        """Write a file of the kind that the path's ending names, completely or not at all; return its path.
+        """Write a file in the format of the path's ending, completely or not at all; return its path.
 
-        ``.csv``: `columns` under a line of names, numbers in full, flags as 0 and 1. ``.parquet``: `columns`
-        in their types, with `facts` as metadata; it needs pyarrow. ``.npz``: all fields by their names.
+        ``.csv``: `columns` below a line of names, numbers in full, flags as 0 and 1. ``.parquet``: `columns`
+        with their types and `facts` as metadata; requires pyarrow. ``.npz``: all fields by name.
 
-        Raises `InputError` for another ending, a place that cannot be written, or without pyarrow.
+        Raises `InputError` for another ending, a path that cannot be written, or without pyarrow.
         """
         target = expanded(path)
         write = _WRITERS.get(target.suffix.lower())

@@ -1,4 +1,4 @@
-"""Where the samples of a motion are, and the conventions that they are given in."""
+"""Sample times of a motion, and the conventions of its samples."""
 
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
@@ -13,16 +13,16 @@ from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.local_states import local_state, rotation_matrices
 from trajopt.solution.names import BaseAxes, QuaternionOrder, is_base
 
-# The interval that a node belongs to: contacts begin and end there, velocities, torques and forces may jump.
+# Interval of a node: there contacts begin and end, and velocities, torques and forces may jump.
 Side = Literal["after", "before"]
-# More samples than this, of 200 s at 1 kHz, are a mistake, and take gigabytes.
+# A larger number of samples than 200 s at 1 kHz is a mistake and needs gigabytes.
 MOST_SAMPLES = 200_000
 
 
 def sample_times(edges: np.ndarray, sampled: np.ndarray, rate: float | None, times: Any) -> np.ndarray:
-    """Times (n,) s of samples within a motion; raises `InputError`; see `Solution.sample`.
+    """Return times (n,) s of samples within a motion; raises `InputError`. See `Solution.sample`.
 
-    edges: (I, 2) of its intervals. sampled: (K,) times of its samples, taken where neither is given.
+    edges: (I, 2) s of its intervals. sampled: (K,) s of its samples, used without ``rate`` and ``times``.
     """
     start, end = float(edges[0, 0]), float(edges[-1, 1])
     same = SAME_TIME * (end - start)
@@ -66,7 +66,7 @@ def _within(times: np.ndarray, start: float, end: float) -> np.ndarray:
 
 
 def located(edges: np.ndarray, t: np.ndarray, side: Side) -> tuple[np.ndarray, np.ndarray]:
-    """Intervals at times ``t`` (n,), and fractions of them; a node belongs to the one on its ``side``."""
+    """Return intervals at times ``t`` (n,) and fractions of them; a node is in the one on its ``side``."""
     if side not in get_args(Side):
         raise InputError(f"side is {shown(side)}", "allowed: 'after' or 'before'")
     same = SAME_TIME * float(edges[-1, 1] - edges[0, 0])
@@ -80,9 +80,9 @@ def located(edges: np.ndarray, t: np.ndarray, side: Side) -> tuple[np.ndarray, n
 
 
 def is_extrapolated(arrays: Mapping[str, np.ndarray], numbers: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Whether times ``t`` (n,) lie before the first or after the last point of intervals ``numbers`` (n,).
+    """Return whether times ``t`` (n,) are outside the collocation points of intervals ``numbers`` (n,).
 
-    A polynomial through one point is constant: it is not extrapolated.
+    A polynomial through one point is constant and does not extrapolate.
     """
     points, of_point = arrays["t"][arrays["collocation"]], arrays["interval"][arrays["collocation"]]
     first = points[np.searchsorted(of_point, numbers, side="left")]
@@ -94,7 +94,7 @@ def is_extrapolated(arrays: Mapping[str, np.ndarray], numbers: np.ndarray, t: np
 def in_convention(
     model: pin.Model, motion: MotionSample, quaternion: QuaternionOrder, base_velocity: BaseAxes
 ) -> MotionSample:
-    """The motion with quaternions in that order, and velocities of its base along those axes."""
+    """Convert the motion to a quaternion order and to axes of the base velocity."""
     q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
     for joint in Coordinates(model).joints:
         if base_velocity == "world" and is_base(model, joint):
@@ -113,9 +113,9 @@ def in_convention(
 def angles_of(
     model: pin.Model, plan: Mapping[str, np.ndarray], t: np.ndarray, q: np.ndarray
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Names and values (n, m) of the angles that q has as cosine and sine, at times ``t`` (n,) of a plan.
+    """Return names and values (n, m) of the angles that q stores as cosine and sine, at times ``t`` (n,).
 
-    They count whole turns since the plan's start, whatever the times.
+    They count full turns since the start of the plan, regardless of the times.
     """
     names, columns = [], []
     for joint in Coordinates(model).joints:

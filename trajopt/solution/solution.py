@@ -1,4 +1,4 @@
-"""A solution: the planned motion, sampled, with all that is needed to check and replay it."""
+"""A solution: the sampled motion, with all that is needed to check and replay it."""
 
 from __future__ import annotations
 
@@ -48,31 +48,31 @@ from trajopt.solution.statistics import SolveStatistics
 class Solution:
     """Samples of a motion, grouped by interval in time order: start node, collocation points, end node.
 
-    A node shared by two intervals appears twice (limit from the left and from the right). ``a``,
-    ``tau`` and ``f`` at a sample that is not a collocation point are values of the interval's
-    interpolating polynomials through its collocation points. `sample` gives one value a time, at any rate.
-    SI units; arrays are copied and read-only. K samples, I intervals, nc contacts, J impacts.
+    A node shared by two intervals appears twice (limits from the left and from the right). At samples that
+    are not collocation points, ``a``, ``tau`` and ``f`` are values of the interval's polynomials through its
+    collocation points. `sample` gives one value per time, at any rate. SI units; arrays are copied and
+    read-only. K samples, I intervals, nc contacts, J impacts.
 
-    description: what the plan is of: names, contacts, limits, ground, goals, loads, shapes.
+    description: the plan: names, contacts, limits, ground, goals, payloads, shapes.
     statistics: how it was found: solver, status, size, times, residuals.
     model: the model that was optimised.
-    t: (K,) s. phase, interval: (K,) index. interval_t: (I, 2) start and end.
-    collocation: (K,) the dynamics are imposed here.
+    t: (K,) s. phase, interval: (K,) index. interval_t: (I, 2) start and end, s.
+    collocation: (K,) whether the dynamics are imposed at the sample.
     q, v, a: (K, nq), (K, nv), (K, nv) in Pinocchio's convention.
-    tau: (K, nu) torques of the actuated rows, which come last in v.
-    f: (K, nc, 6) force N and moment N m of the surroundings on the robot, world-aligned axes at
-        the contact frame's origin; zero when inactive. What a robot carries is in ``description.payloads``.
-    active: (K, nc) the contact is active.
+    tau: (K, nu) torques of the actuated rows, and forces of thrusters after them.
+    f: (K, nc, 6) force N and moment N m of the environment on the robot, world-aligned axes at
+        the contact frame's origin; zero when inactive. Payloads are in ``description.payloads``.
+    active: (K, nc) whether the contact is active.
     impulse, impact_index: (J, nc, 6) N s and N m s, (J,) sample just after; None without impacts.
-    row_multiplier, row_place, bound_multiplier: multipliers of the NLP's rows (R,), for each row its block
-        (in ``statistics.row_names``), stage and point (R, 3), and multipliers of variables' bounds (X,), in
-        the solver's scaled units; a warm start uses them. None where there are none.
-    asked_force, com_goal, foot_goal: (K, nc, 6), (K, 3), (K, nc, 3) what a whole-body controller asked for
-        in a simulation (`trajopt.control.TickRequest`): contact forces as ``f``, and where the centre of mass
-        and contact frames in the air should be, m, NaN where nothing was asked. None where there was none.
+    row_multiplier, row_place, bound_multiplier: (R,) multipliers of the NLP's rows, (R, 3) each row's block
+        (index in ``statistics.row_names``), stage and point, (X,) multipliers of variable bounds, in the
+        solver's scaled units, for warm starts. None without multipliers.
+    asked_force, com_goal, foot_goal: (K, nc, 6), (K, 3), (K, nc, 3) requests of a whole-body controller in a
+        simulation (`trajopt.control.TickRequest`): contact forces as ``f``, and goals for the centre of mass
+        and for contact frames in the air, m, NaN without a request. None without a controller.
 
-    Raises `InputError` for an array of another type or number of rows. The full test of consistency,
-    `consistency.inconsistency`, runs when a file is written or read.
+    Raises `InputError` if an array has the wrong type or number of rows. `consistency.inconsistency`
+    is checked in full when a file is written or read.
     """
 
     description: PlanDescription = field(repr=False)
@@ -105,23 +105,23 @@ class Solution:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """All arrays by name, without those that are None."""
+        """All arrays by name, without absent ones."""
         named = {name: getattr(self, name) for name in (*SAMPLED, *OTHERS)}
         return {name: array for name, array in named.items() if array is not None}
 
     @property
     def contact_frames(self) -> tuple[str, ...]:
-        """Frame of each contact, in the order of ``f`` and ``active``."""
+        """Frames of the contacts, in the order of ``f`` and ``active``."""
         return self.description.frames
 
     @property
     def contact_names(self) -> tuple[str, ...]:
-        """Name of each contact, in the same order; of files without names their frames."""
+        """Names of the contacts, in the same order; for files without names, their frames."""
         return tuple(contact.name for contact in self.description.contacts)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Joints of the model in Pinocchio's order, a moving base's among them."""
+        """Joints of the model in Pinocchio's order, including a moving base."""
         return tuple(self.model.names)[1:]
 
     @property
@@ -131,39 +131,39 @@ class Solution:
 
     @property
     def position_names(self) -> tuple[str, ...]:
-        """Entries (nq,) of ``q``: the joint, and the entry where a joint has several (``root_joint/qx``)."""
+        """Names (nq,) of the entries of ``q``: the joint, with the entry if several (``root_joint/qx``)."""
         return position_names(self.model)
 
     @property
     def velocity_names(self) -> tuple[str, ...]:
-        """Entries (nv,) of ``v`` and ``a``; those of a moving base are along its body's axes."""
+        """Names (nv,) of the entries of ``v`` and ``a``; a moving base is along its body axes."""
         return velocity_names(self.model)
 
     @property
     def torque_names(self) -> tuple[str, ...]:
-        """Entries (nu,) of ``tau``."""
+        """Names (nu,) of the entries of ``tau``."""
         names = self.velocity_names
         thrusters = (thruster.name for thruster in self.description.thrusters)
         return (*(names[row] for row in self.actuated_rows), *thrusters)
 
     @property
     def phase_names(self) -> tuple[str, ...]:
-        """Names of the phases; where the file has none, their numbers."""
+        """Names of the phases; for files without names, their numbers."""
         return self.description.phase_names
 
     @property
     def success(self) -> bool:
-        """The verdict: the solver converged, and the motion is within the tolerances it was judged by."""
+        """Whether the solver converged and the motion meets the tolerances of the check."""
         return self.statistics.success
 
     @property
     def converged(self) -> bool:
-        """The solver met its tolerance: all rows hold at the points."""
+        """Whether the solver met its tolerance: all rows hold at the points."""
         return self.statistics.converged
 
     @property
     def meta(self) -> dict[str, Any]:
-        """The key ``meta`` of the file, JSON-able, made anew from `description` and `statistics`."""
+        """The entry ``meta`` of the file, JSON-able, from `description` and `statistics`."""
         return self._content.meta
 
     @property
@@ -178,26 +178,26 @@ class Solution:
 
     @cached_property
     def actuated_rows(self) -> np.ndarray:
-        """Rows of v that have a torque, in the order of ``tau``; forces of thrusters come after them."""
+        """Rows of v with a torque, in the order of ``tau``, where thruster forces come after them."""
         rows = self.description.actuated_rows
         nv, joints = self.v.shape[1], self.tau.shape[1] - len(self.description.thrusters)
         return np.arange(nv - joints, nv) if rows is None else rows
 
     @cached_property
     def unactuated_rows(self) -> np.ndarray:
-        """Rows of v without torque: those of a moving base, which come first, and of passive joints."""
+        """Rows of v without torque: those of a moving base, which come first, and passive joints."""
         return np.setdiff1d(np.arange(self.v.shape[1]), self.actuated_rows)
 
     @cached_property
     def actuation(self) -> Actuation:
-        """The map from ``tau`` to generalised forces."""
+        """Map from ``tau`` to generalised forces."""
         unit = NaturalUnits.of(self.model).generalized_force(self.model)
         return Actuation.of(
             self.model, self.actuated_rows, self.description.thrusters, self.description.mimics, unit
         )
 
     def joint_force(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Forces (..., nv) of springs, damping and dry friction at states (..., nq), (..., nv)."""
+        """Return forces (..., nv) of joint springs, damping and dry friction at q (..., nq), v (..., nv)."""
         return joint_force(self.model, self.description.joint_forces, q, v)
 
     @property
@@ -207,64 +207,64 @@ class Solution:
 
     @property
     def drives(self) -> tuple[Drive | None, ...]:
-        """Drive of each actuated row (nu,), None without."""
+        """Drive of each actuated row (nu,), None where there is none."""
         return self.description.drives or (None,) * self.tau.shape[1]
 
     @property
     def order(self) -> int:
-        """Derivative of positions that is a polynomial in each interval: 2, with velocity input 1."""
+        """Order of the derivative of positions that is polynomial in each interval: 2; velocity input, 1."""
         return 1 if self.description.velocity_input else 2
 
     @cached_property
     def polynomials(self) -> InterpolatedMotion:
-        """The motion at any time: the polynomials of the intervals, with rotations of unit norm."""
+        """The motion at any time by the intervals' polynomials, with unit quaternions."""
         arrays = self.arrays | {"q": np.array([pin.normalize(self.model, row) for row in self.q])}
         return InterpolatedMotion.of(self.model, arrays, self.order)
 
     @property
     def drive_torque(self) -> np.ndarray:
-        """Torques (K, nu) that the drives deliver, joint side: ``tau`` and the joints' friction."""
+        """Torques (K, nu) delivered by the drives, joint side: ``tau`` plus joint friction."""
         return drive_torque_values(self.drives, self.tau, self.actuation.rates(self.v))
 
     @cached_property
     def intervals(self) -> tuple[range, ...]:
-        """Samples of each interval."""
+        """Sample ranges of the intervals."""
         return runs(self.interval)
 
     @cached_property
     def phases(self) -> tuple[range, ...]:
-        """Samples of each phase."""
+        """Sample ranges of the phases."""
         return runs(self.phase)
 
     @property
     def phase_durations(self) -> tuple[float, ...]:
-        """Duration of each phase, s."""
+        """Durations of the phases, s."""
         return tuple(float(self.t[rows.stop - 1] - self.t[rows.start]) for rows in self.phases)
 
     def intervals_of(self, phase: int) -> range:
-        """Return the numbers of a phase's intervals."""
+        """Return the indices of a phase's intervals."""
         rows = self.phases[phase]
         return range(int(self.interval[rows.start]), int(self.interval[rows.stop - 1]) + 1)
 
     def interval_at(self, t: ArrayLike) -> np.ndarray:
-        """Return the numbers of the intervals at ``t`` (s): the later one at a node, the nearest outside."""
+        """Return the indices of the intervals at ``t`` (s), clipped; at a node, the later interval."""
         numbers = np.searchsorted(self.interval_t[:, 0], t, side="right") - 1
         return np.clip(numbers, 0, self.n_intervals - 1)
 
     def with_arrays(self, **arrays: np.ndarray | None) -> Solution:
-        """Return the same solution with other arrays."""
+        """Return the solution with some arrays replaced."""
         return replace(self, **arrays)  # type: ignore[arg-type]
 
     def with_description(self, **changes: Any) -> Solution:
-        """Return the same solution with other entries of its description."""
+        """Return the solution with some entries of its description replaced."""
         return replace(self, description=replace(self.description, **changes))
 
     def with_statistics(self, **changes: Any) -> Solution:
-        """Return the same solution with other entries of its statistics."""
+        """Return the solution with some entries of its statistics replaced."""
         return replace(self, statistics=replace(self.statistics, **changes))
 
     def normalized(self) -> Solution:
-        """Return the same solution with rotations of unit norm."""
+        """Return the solution with unit quaternions."""
         return replace(self, q=np.array([pin.normalize(self.model, row) for row in self.q]))
 
     def sample(
@@ -276,19 +276,19 @@ class Solution:
         quaternion: QuaternionOrder = "xyzw",
         base_velocity: BaseAxes = "body",
     ) -> SampledMotion:
-        """Return the motion at given times, from the polynomials of its intervals.
+        """Return the motion at given times from the polynomials of its intervals.
 
         Args:
-            rate: samples a second, Hz, from the start on, and one at the end; the last step is shorter where
-                the motion's duration is no multiple of the others.
-            times: (n,) s, within the motion, in any order. Without rate or times: those of ``t``, each once.
-            side: "after" or "before" a node, where torques, forces and, in impacts, velocities jump.
-            quaternion: order of the entries of quaternions, "xyzw" (Pinocchio) or "wxyz".
-            base_velocity: axes of a moving base's velocity and acceleration, "body" (Pinocchio) or "world".
+            rate: Sampling rate, Hz, from the start, plus a sample at the end; the last step is shorter if
+                the duration is not a multiple of the others.
+            times: (n,) s, within the motion, in any order. Without rate and times: those of ``t``, each once.
+            side: "after" or "before" a node, where torques, forces and, at impacts, velocities jump.
+            quaternion: Order of quaternion entries, "xyzw" (Pinocchio) or "wxyz".
+            base_velocity: Axes of a moving base's velocity and acceleration, "body" (Pinocchio) or "world".
 
         Raises:
-            InputError: for a rate that is not positive or gives over 200,000 samples, times outside the
-                motion, other words than these, and a solution with NaN or infinity.
+            InputError: If the rate is not positive or gives over 200,000 samples, times are outside the
+                motion, a word is unknown, or the solution has NaN or infinity.
         """
         require_convention(quaternion, base_velocity)
         wrong = wrong_number({name: self.arrays[name] for name in (*SAMPLED, "interval_t")})
@@ -326,7 +326,7 @@ class Solution:
         )
 
     def to_pandas(self, rate: float | None = None, **sampling: Any) -> Any:
-        """Return `sample` with these arguments as a ``pandas.DataFrame``, see `SampledMotion.to_pandas`."""
+        """Return `sample` with these arguments as a ``pandas.DataFrame``; see `SampledMotion.to_pandas`."""
         return self.sample(rate, **sampling).to_pandas()
 
     @property
@@ -336,14 +336,14 @@ class Solution:
         )
 
     def require_consistent(self) -> Solution:
-        """Return this solution; raises `InputError` if its arrays, model and description do not fit."""
+        """Return this solution; raises `InputError` if arrays, model and description are inconsistent."""
         self._content.require_consistent()
         return self
 
     def save(self, path: str | Path) -> Path:
         """Write the file (version 1) completely or not at all; return its path.
 
-        Raises `InputError` if the place cannot be written or the solution is inconsistent.
+        Raises `InputError` if the path cannot be written or the solution is inconsistent.
         """
         target = expanded(path)
         file.write_bytes(target, self.to_bytes())
@@ -355,13 +355,13 @@ class Solution:
         return cls._of(file.read_solution_file(path))
 
     def to_bytes(self) -> bytes:
-        """The content of the file that `save` writes. Raises `InputError` if the solution is inconsistent."""
+        """Return the content of the file that `save` writes; raises `InputError` if inconsistent."""
         return self._content.to_bytes()
 
     @classmethod
     @checked
     def from_bytes(cls, content: bytes, name: str = "solution") -> Solution:
-        """The solution of `to_bytes`; raises a `SolutionFileError`, which calls it ``name``."""
+        """Return the solution of `to_bytes`; raises a `SolutionFileError` that calls it ``name``."""
         return cls._of(file.parse_solution(content, Path(name)))
 
     @classmethod

@@ -1,4 +1,4 @@
-"""How a solution was found: solver, status, size, times, residuals, and rounds of refinement."""
+"""How a solution was found: solver, status, size, times, residuals, and refinement rounds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from trajopt.transcription.mesh import Mesh
 
 @dataclass(frozen=True, kw_only=True)
 class RoundStatistics:
-    """One solve of a refinement: its mesh in words, its size, its effort, and errors of the phases in m."""
+    """One solve of a refinement: mesh in words, size, effort, and error of each phase in m."""
 
     transcription: str
     intervals: tuple[int, ...]
@@ -24,9 +24,9 @@ class RoundStatistics:
 
 @dataclass(frozen=True, kw_only=True)
 class GradedStatistics:
-    """What a solve to a grade did: whether and why it ended, s of the solver and of checks, all rounds.
+    """A solve to an accuracy grade: whether and why it ended, all rounds, times of solver and checks in s.
 
-    target_m, error_m: the error of a phase that was asked for, and the largest of the result.
+    target_m: required accuracy of each phase. error_m: largest error of the result.
     """
 
     reached: bool
@@ -40,19 +40,19 @@ class GradedStatistics:
 
 @dataclass(frozen=True, kw_only=True)
 class SolveStatistics:
-    """How a solution was found. Times in s, residuals scaled; None where there is no such figure.
+    """How a solution was found; times in s, residuals scaled, None where a value is unknown.
 
     Attributes:
-        success: the verdict: the solver converged and the motion is within the tolerances it was judged by.
-        converged: the solver met its tolerance: all rows hold at the points.
-        status, solver_status: in words, the library's and the solver's. advice: in lines, what fails, where,
-            and what to try.
-        worst_blocks: where rows are violated most, each with block, phase, node, point, time, violation.
-        failures, worst_figure, tolerance_used: figures beyond a tolerance; the worst one, over its tolerance.
-        row_names: blocks of rows that the arrays of multipliers name.
-        mesh: None where it follows from the times of the samples.
-        graded: rounds of refinement. simulation: report of a simulated motion.
-        more: figures of the solver, and entries of other programs, JSON-able.
+        success: Whether the solver converged and the motion meets the tolerances of the check.
+        converged: Whether the solver met its tolerance: all rows hold at the points.
+        status, solver_status: The library's and the solver's status in words.
+        advice: Lines that say what fails, where, and what to try.
+        worst_blocks: Largest violations by block, with phase, node, point, time, violation.
+        failures, worst_figure, tolerance_used: Figures beyond a tolerance; the worst one, over its tolerance.
+        row_names: Blocks of rows to which the multiplier arrays refer.
+        mesh: None if it follows from the sample times.
+        graded: Refinement rounds. simulation: Report of a simulated motion.
+        more: Further values of the solver and entries of other programs, JSON-able.
     """
 
     transcription: str
@@ -103,10 +103,10 @@ class SolveStatistics:
 
     @property
     def simulated(self) -> bool:
-        """Whether the motion is one of a physics engine."""
+        """Whether the motion was simulated by a physics engine."""
         return self.simulation is not None
 
     @property
     def rounds(self) -> tuple[RoundStatistics | SolveStatistics, ...]:
-        """All solves that led to the solution: of its refinement, or itself."""
+        """All solves that led to the solution: those of its refinement, or itself."""
         return (self.graded and self.graded.rounds) or (self,)

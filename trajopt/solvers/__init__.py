@@ -1,1 +1,1 @@
-"""Solvers of the sparse NLP: one driver per solver, one result type for all."""
+"""Solvers for the sparse NLP: one driver per solver, one result type for all."""

@@ -1,6 +1,6 @@
-"""The solvers of the NLP by name: what callers must know of each, and one call for all.
+"""Registry of NLP solvers: what callers must know of each, and one call for all.
 
-A new solver is one entry of `SOLVERS` and one module with its driver; nothing else asks for a solver by name.
+A new solver needs one entry in `SOLVERS` and one module with its driver; nothing else names a solver.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # the command line names the solvers in its help, and loads n
 
 
 class Driver(Protocol):
-    """The function of a solver that solves."""
+    """Interface of the function that runs a solver."""
 
     def __call__(
         self,
@@ -35,15 +35,15 @@ class Driver(Protocol):
         """Solve from scaled variables ``x0``; never raises because the solver did not converge.
 
         Args:
-            nlp: Functions, and in its ``transcription`` bounds, rows and stages.
-            x0: (n_unknowns,).
+            nlp: Functions of the problem; its ``transcription`` has bounds, rows and stages.
+            x0: Scaled variables (n_unknowns,).
             stop: When to stop; the status says which limit was reached.
-            options: The solver's own.
-            callback: Called at every iteration; where it returns False the solve ends as interrupted.
-            warm: Given where ``x0`` comes from another solution, with its multipliers if there are any.
+            options: Options of the solver.
+            callback: Called at each iteration; if it returns False, the solve ends as interrupted.
+            warm: Given if ``x0`` comes from another solution, with its multipliers if it has any.
 
         Raises:
-            ValueError: For an option that is unknown, or a value that is not allowed.
+            ValueError: For an unknown option, or a value that is not allowed.
         """
         ...
 
@@ -53,11 +53,11 @@ class Solver:
     """A solver, and what callers must know of it.
 
     Args:
-        driver: ``module:function`` of its `Driver`, loaded when it is used.
-        hessians: Those that it takes.
+        driver: ``module:function`` of its `Driver`, imported on first use.
+        hessians: Hessians that it supports.
         feasibility_share: Its tolerance on rows as a fraction of that on optimality.
-        certifies_with: Hessians with which its figures show that it gets nowhere, so that the problem is then
-            tested for being infeasible.
+        certifies_with: Hessians with which its figures reveal a stalled solve, which is then tested for
+            infeasibility.
     """
 
     driver: str
@@ -66,14 +66,14 @@ class Solver:
     certifies_with: tuple[str, ...] = ()
 
     def load_driver(self) -> Driver:
-        """The function that solves."""
+        """Import and return the driver."""
         module, _, name = self.driver.partition(":")
         driver: Driver = getattr(importlib.import_module(module), name)
         return driver
 
 
 SOLVERS = {
-    # The tolerance on rows is tighter than that on optimality, so that a solution passes a check at it.
+    # The tolerance on rows is tighter than ``tolerance``, so that a solution passes a check at ``tolerance``.
     "ipopt": Solver(
         driver="trajopt.solvers.ipopt:solve_ipopt",
         hessians=HESSIANS,
@@ -84,7 +84,7 @@ SOLVERS = {
 
 
 def check_solver(name: str, hessian: str) -> Solver:
-    """The solver of that name; raises `InputError` if it is unknown, or does not take the Hessian."""
+    """Return the solver of that name; raises `InputError` for an unknown name or unsupported Hessian."""
     if name not in SOLVERS:
         raise InputError(f"unknown solver '{name}'", f"allowed: {', '.join(SOLVERS)}")
     if hessian not in HESSIANS:
@@ -105,9 +105,9 @@ def run_solver(
     callback: Callback,
     warm: WarmMultipliers | None = None,
 ) -> Result:
-    """Solve from ``x0`` with the solver of that name; arguments as of a `Driver`.
+    """Solve from ``x0`` with the named solver; arguments as of a `Driver`.
 
-    Raises InputError for a solver or option that is unknown, and for what the solver does not take.
+    Raises InputError for an unknown solver or option, and for a Hessian or value that is not supported.
     """
     chosen = check_solver(solver, nlp.hessian)
     stop = replace(stop, feasibility_share=chosen.feasibility_share)

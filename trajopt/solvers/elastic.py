@@ -1,17 +1,17 @@
-"""The elastic problem: how near to feasible can an iterate come?
+"""The elastic problem: find the least constraint violation near an iterate.
 
-Every row may be violated at a price of one per scaled unit, and the objective is left out:
+Every row may be violated at a cost of one per scaled unit, and the objective is dropped:
 
     min over x, s   sum s + prox/2 |x - centre|^2
     with   low <= g(x) + s_low - s_high <= high,   s >= 0,   bounds of x
 
-(Nocedal and Wright, "Numerical Optimization", 2006, chapter 17.2.) A point where nothing is violated is
-feasible. A minimum with a violation above zero is a certificate that the problem is infeasible near it; then
-the multipliers, at most one in magnitude, say which rows and bounds stand against those that give way.
-Steps of the solver are regular wherever it starts, as slacks make up for what the rows lack: where a solver
-of the problem itself creeps, this takes 15 to 50 iterations. prox selects the nearest of equal minima; as it
-may also hold the variables back, what is found is solved again from there with a smaller one, until the
-violation stays.
+(Nocedal and Wright, "Numerical Optimization", 2006, chapter 17.2.) A point without violation is feasible. A
+minimum with a violation above zero certifies that the problem is locally infeasible; its multipliers, at most
+one in magnitude, then tell which rows and bounds conflict with the violated ones.
+The elastic problem is regular at any start, as slacks absorb all violations: it takes 15 to 50 iterations
+where the problem itself stalls. The proximal term prox selects the nearest of equal minima. As it may also
+hold the variables back, the problem is solved again from its solution with a smaller prox, until the
+violation no longer falls.
 """
 
 import time
@@ -27,18 +27,18 @@ from trajopt.solvers.result import LEAST_TIME, Callback, Option
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.sparse_maps import SparseMatrix
 
-# Weights of the distance from the start, of the first minimum and of those that are searched from there. With
-# ten times the second, tall hops and long jumps that can be done end at a violation.
+# Proximal weights of the first minimisation and of the following ones. With ten times the second, feasible
+# tall hops and long jumps end at a violation.
 FAR, NEAR = 1e-4, 1e-6
-# A violation of one row that is clear, and one that a solver can mend, in scaled units. Measured: points of
-# feasible problems end below 1e-3, of infeasible ones above 1.2e-2: the gap is narrow near what can just be
-# done, and a point between them is no verdict.
+# Violation of one row, in scaled units, that is clear, and one that a solver can remove. Measured: feasible
+# problems end below 1e-3, infeasible ones above 1.2e-2. The gap is narrow for barely feasible problems, and a
+# point between the two is no verdict.
 CLEAR, MENDED = 1e-2, 1e-3
-# A minimum below this fraction of the last one says that prox had held that back: the violation may fall on.
+# If a minimum is below this fraction of the last one, prox held that back; the violation may fall further.
 HELD_BACK = 0.5
 # Slacks start this far beyond the violations: well inside their bounds for the first barrier.
 FIRST_SLACK = 1e-3
-# A certificate needs few digits, the way to it fewer. Barriers are small, as both start near an iterate.
+# A certificate needs few digits, and the first minimum even fewer. Barriers start small, near an iterate.
 _FIRST: dict[str, Option] = {
     "mu_init": 1e-2,
     "tol": 1e-2,
@@ -53,17 +53,21 @@ _SECOND: dict[str, Option] = {
     "dual_inf_tol": 1e-2,
     "compl_inf_tol": 1e-4,
 }
-# Distance of the start from bounds, over the first barrier.
+# Distance of the start from bounds, relative to the initial barrier parameter.
 PUSH = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElasticPoint:
-    """Where the solver of the elastic problem ended, in scaled units.
+    """Result of the elastic problem, in scaled units.
 
-    x: variables (n_unknowns,). gives (n_rows,): by how much each row gives way. weights (n_rows +
-    n_unknowns,): multipliers of rows, then of bounds. minimum: it is one, not held back by prox. stopped: by
-    the callback. iterations, and function_time in s: what was spent.
+    Attributes:
+        x: Variables (n_unknowns,).
+        gives: Violation of each row (n_rows,).
+        weights: Multipliers (n_rows + n_unknowns,) of rows, then of bounds.
+        minimum: Whether it is a minimum that prox does not hold back.
+        stopped: Whether the callback stopped the solve.
+        iterations, function_time: Iterations and time (s) in functions that were spent.
     """
 
     x: np.ndarray
@@ -76,30 +80,30 @@ class ElasticPoint:
 
     @property
     def missed(self) -> float:
-        """Sum of the violations that no solver would mend."""
+        """Sum of the violations that are too large for a solver to remove."""
         return float(self.gives[self.gives > MENDED].sum())
 
     @property
     def feasible(self) -> bool:
-        """Whether hardly anything is violated."""
+        """Whether no row is violated by more than `MENDED`."""
         return bool(self.gives.max(initial=0.0) <= MENDED) and not self.stopped
 
     @property
     def infeasible(self) -> bool:
-        """Whether the violation is clear and cannot be reduced nearby: a certificate."""
+        """Whether it certifies local infeasibility: a minimum with a clear violation."""
         return self.minimum and bool(self.gives.max(initial=0.0) >= CLEAR)
 
 
 def least_violation(
     nlp: Nlp, start: np.ndarray, callback: Callback, *, max_iterations: int, max_time: float
 ) -> ElasticPoint:
-    """The least sum of violations near scaled variables ``start``, by IPOPT.
+    """Minimise the sum of violations near scaled variables ``start``, by IPOPT.
 
     Args:
-        nlp: With an exact Hessian.
+        nlp: The NLP, with an exact Hessian.
         start: Scaled variables (n_unknowns,).
-        callback: As of a solver; the variables it may read are those of the NLP.
-        max_iterations: Limit of iterations in all.
+        callback: Callback as of a solver; it reads the variables of the NLP, without slacks.
+        max_iterations: Limit of iterations in total.
         max_time: Limit of wall time, s.
     """
     deadline, missed = time.perf_counter() + max_time, np.inf
@@ -117,7 +121,7 @@ def least_violation(
 
 
 def counted_from(number: int, callback: Callback) -> Callback:
-    """The callback of a solve that goes on after ``number`` iterations of another."""
+    """Return a callback that counts iterations from ``number``, for a solve that continues another."""
     return lambda figures, read: callback({**figures, "iteration": figures["iteration"] + number}, read)
 
 
@@ -130,7 +134,7 @@ def _solved(
     max_iterations: int,
     max_time: float,
 ) -> ElasticPoint:
-    """One elastic problem with its centre at the start."""
+    """Solve one elastic problem with its centre at the start."""
     t = nlp.transcription
     x = np.clip(start, t.lower_x, t.upper_x)
     n, (rows, signs) = len(x), _slacks(t.lower_g, t.upper_g)
@@ -169,7 +173,7 @@ def _solved(
 
 
 def _slacks(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and signs (n_slacks,) of the slacks: one up for every lower bound, one down for every upper."""
+    """Return rows and signs (n_slacks,) of the slacks: +1 for each lower bound, -1 for each upper bound."""
     lower, upper = np.flatnonzero(np.isfinite(low)), np.flatnonzero(np.isfinite(high))
     rows = np.concatenate([lower, upper])
     return rows, np.concatenate([np.ones(len(lower)), -np.ones(len(upper))])
@@ -178,7 +182,7 @@ def _slacks(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _with_slacks(
     nlp: Nlp, rows: np.ndarray, signs: np.ndarray, centre: np.ndarray, prox: float
 ) -> _engine.Nlp:
-    """The NLP's functions without its costs, slacks behind its variables, and the price of both."""
+    """Return the NLP without its costs, with slacks after its variables and the elastic objective."""
     old, n, count = nlp.parts, len(centre), len(rows)
     total, linear = n + count, nlp.transcription.linear
     columns = n + np.arange(count)
@@ -219,7 +223,7 @@ def _with_slacks(
 
 
 class _Merged:
-    """A pattern with further entries: all rows and columns, and where kept and added entries are."""
+    """A sparsity pattern with added entries: its rows and columns, and positions of old and new entries."""
 
     def __init__(
         self, width: int, row: np.ndarray, column: np.ndarray, new_row: np.ndarray, new_column: np.ndarray
@@ -232,7 +236,7 @@ class _Merged:
 
 
 def _prices(centre: np.ndarray, n_slacks: int, prox: float, diagonal: np.ndarray) -> dict[str, Any]:
-    """The objective as one group, a stage for every variable: price z + prox/2 (z - centre)^2."""
+    """Return the objective as one group with a stage per variable: price z + prox/2 (z - centre)^2."""
     z, p, sigma = ca.SX.sym("z"), ca.SX.sym("p", 3), ca.SX.sym("sigma")
     cost, nothing = p[0] * z + p[1] / 2 * (z - p[2]) ** 2, ca.SX(0, 1)
     slope = ca.densify(ca.gradient(cost, z))

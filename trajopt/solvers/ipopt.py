@@ -10,10 +10,10 @@ from trajopt.solvers.status import Status
 from trajopt.transcription.hessians import LIMITED_MEMORY
 from trajopt.transcription.nlp import Nlp
 
-# The NLP is scaled by units, so the solvers' own scaling is off; a solution "to an acceptable level" does not
+# The NLP is scaled by units, so IPOPT's own scaling is off; a solution "to an acceptable level" does not
 # count. The bound relaxation is far below the tolerance. Multipliers start at zero: least-squares estimates
-# at a guess off the constraints are large and make the first Hessians indefinite, which doubles the
-# iterations of IPOPT on the jump. Solutions are refined where residuals ask for it.
+# at an infeasible guess are large and make the first Hessians indefinite, which doubles the iterations on the
+# jump. Linear solutions are refined only if their residuals require it.
 IPOPT_OPTIONS: dict[str, Option] = {
     "nlp_scaling_method": "none",
     "mu_strategy": "adaptive",
@@ -24,12 +24,12 @@ IPOPT_OPTIONS: dict[str, Option] = {
     "print_level": 0,
     "sb": "yes",
 }
-# Multipliers of bounds balance costs: they start as large as this part of the entries of the costs' gradient,
-# from the least value to the largest.
+# Multipliers of bounds balance costs: they start at this quantile of the magnitudes in the costs' gradient,
+# clipped to the smallest and largest value.
 BALANCED, LEAST_MULTIPLIER, MOST_MULTIPLIER = 0.99, 3e-3, 1.0
-# A start from another solution (docs/warm-starts.md). IPOPT's default distance from bounds, 1e-2, and its
-# default initial multipliers discard the solution's information. With the solution's multipliers iterates
-# stay where they are; without them a small first barrier keeps them there.
+# Options for a start from another solution (docs/warm-starts.md). IPOPT's default distance from bounds, 1e-2,
+# and its default multipliers discard the solution's information. The solution's multipliers keep iterates
+# near the start; without them a small initial barrier does.
 IPOPT_WARM: dict[str, Option] = {
     "warm_start_init_point": "yes",
     "warm_start_bound_push": 1e-5,
@@ -46,14 +46,14 @@ IPOPT_WARM_WITHOUT_MULTIPLIERS: dict[str, Option] = {
     "slack_bound_push": 1e-5,
     "slack_bound_frac": 1e-5,
 }
-# A start that new rows exclude, whose steps end at its bounds at once: this barrier takes it away from them.
-# Where `IPOPT_WARM` succeeds it takes fewer iterations (docs/warm-starts.md).
+# Options for a start that new rows exclude, so that steps are cut short at bounds: this barrier moves it away
+# from them. If `IPOPT_WARM` succeeds, it takes fewer iterations (docs/warm-starts.md).
 IPOPT_PUSHED: dict[str, Option] = {
     **{name: 1e-3 for name in IPOPT_WARM if "push" in name or "frac" in name},
     "mu_strategy": "monotone",
     "mu_init": 1e-3,
 }
-# IPOPT's option, and its value for the engine's factorisation stage by stage.
+# IPOPT's option for the linear solver, and its value for the engine's stagewise factorisation.
 LINEAR_SOLVER, STAGES = "linear_solver", "stages"
 
 _IPOPT_STATUS = {
@@ -83,7 +83,7 @@ def solve_ipopt(
     callback: Callback,
     warm: WarmMultipliers | None,
 ) -> Result:
-    """A `Driver`: with the engine's factorisation stage by stage, or another linear solver of IPOPT."""
+    """Run IPOPT, as a `Driver`, with the engine's stagewise factorisation or another linear solver."""
     t = nlp.transcription
     lam_g, lam_x = (None, None) if warm is None else (warm.lam_g, warm.lam_x)
     restart = IPOPT_WARM_WITHOUT_MULTIPLIERS if lam_g is None else IPOPT_WARM
@@ -114,7 +114,7 @@ def solve_ipopt(
 
 
 def _from_guess(nlp: Nlp, x0: np.ndarray) -> dict[str, Option]:
-    """Options of a start from a guess: Mehrotra's corrector, and multipliers of bounds by the costs there."""
+    """Return options for a start from a guess: an affine corrector, bound multipliers from the costs."""
     t = nlp.transcription
     slopes = np.abs(nlp.engine.gradient(x0))[t.lower_x < t.upper_x]
     size = float(np.quantile(slopes, BALANCED)) if len(slopes) else 0.0

@@ -11,14 +11,14 @@ import numpy as np
 
 from trajopt.solvers.status import Status
 
-# A solver's limit of time is positive, s; with less than this it makes no useful iteration.
+# Smallest time limit of a solver, s; it must be positive, and less allows no useful iteration.
 LEAST_TIME = 1e-3
 Option = str | int | float
-# Called at every iteration with its figures and a function that returns the variables there (empty where the
-# solver does not give them), to be called before the callback returns. False stops at the iterate.
+# Called at each iteration with its figures and a function that returns the variables (empty if the solver
+# does not provide them), to be called before the callback returns. False stops the solver at the iterate.
 Callback = Callable[[dict[str, float], Callable[[], np.ndarray]], bool]
 
-# Figures with the same name in the engine's outcome of a solve and in the result.
+# Fields with the same name in the engine's output and in `Result`.
 SAME_NAMES = (
     "x", "lam_g", "lam_x", "iterations", "wall_time", "function_time", "primal", "dual", "complementarity",
 )  # fmt: skip
@@ -26,12 +26,12 @@ SAME_NAMES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Outcome of a solve in scaled units; ``wall_time`` and ``function_time`` in s.
+    """Result of a solve in scaled units; ``wall_time`` and ``function_time`` in s.
 
-    lam_g, lam_x: multipliers of rows and bounds, of the Lagrangian f + lam_g . g + lam_x . x.
-    recent_primal: median of primal over the last iterations, where they were watched.
-    primal, dual, complementarity: the solver's own infeasibilities (largest entries, unscaled by its
-    multipliers) at ``x``; NaN where it was not started. figures: further figures of the solver.
+    ``lam_g`` and ``lam_x`` are multipliers of rows and bounds in the Lagrangian f + lam_g . g + lam_x . x.
+    ``primal``, ``dual`` and ``complementarity`` are the solver's infeasibilities (largest entries, unscaled
+    by its multipliers) at ``x``; NaN if it was not started. ``recent_primal`` is the median of ``primal``
+    over the last iterations, inf if not recorded. ``figures`` are further figures of the solver.
     """
 
     x: np.ndarray
@@ -51,7 +51,7 @@ class Result:
 
     @classmethod
     def from_engine(cls, raw: Mapping[str, Any], status: Status) -> Result:
-        """The result of a solve by the engine, as it returns it, with what its status means."""
+        """Return the result for the engine's output ``raw``, with the given status."""
         same = {name: raw[name] for name in SAME_NAMES}
         figures = {f"{name}_time_s": raw["timings"][name][0] for name in ("factorization", "substitution")}
         figures["kkt_operations"] = raw["operations"]
@@ -60,7 +60,7 @@ class Result:
 
 @dataclass(frozen=True, kw_only=True)
 class WarmMultipliers:
-    """Multipliers of a warm start, as `Result`'s; None where there are none."""
+    """Multipliers of a warm start, as in `Result`; None if there are none."""
 
     lam_g: np.ndarray | None = None
     lam_x: np.ndarray | None = None
@@ -68,9 +68,9 @@ class WarmMultipliers:
 
 @dataclass(frozen=True, kw_only=True)
 class StoppingCriteria:
-    """When a solver stops: ``tolerance`` of optimality in scaled units, iterations, s.
+    """When a solver stops: ``tolerance`` on optimality in scaled units, limits of iterations and time (s).
 
-    feasibility_share: the tolerance on rows as a fraction of it, see `Solver`.
+    ``feasibility_share`` is the tolerance on rows as a fraction of ``tolerance``, see `Solver`.
     """
 
     tolerance: float = 1e-6
@@ -80,11 +80,11 @@ class StoppingCriteria:
 
     @property
     def feasibility(self) -> float:
-        """Largest violation of a row, scaled units."""
+        """Largest allowed violation of a row, scaled units."""
         return self.feasibility_share * self.tolerance
 
     def left(self, iterations: int, seconds: float) -> StoppingCriteria:
-        """What is left of the limits after so much; never no time at all, which solvers refuse."""
+        """Return the limits left after so much is spent; the time stays positive, as solvers require."""
         return replace(
             self,
             max_iterations=max(self.max_iterations - iterations, 0),

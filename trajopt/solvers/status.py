@@ -1,10 +1,10 @@
-"""What a solver's stop means, and what to try."""
+"""Status of a solve: what it means, and what to try."""
 
 from enum import Enum
 
 
 class Status(Enum):
-    """Result of a solve; the value is what it means and, after a colon, what to try."""
+    """Status of a solve; its value says what it means and, after a colon, what to try."""
 
     SOLVED = "solved to tolerance"
     INFEASIBLE = (
@@ -35,11 +35,11 @@ class Status(Enum):
     FAILED = "the solver stopped for another reason: see the solver's own status"
 
     def told(self, where: str = "") -> str:
-        """Advice in short lines: what the status means, where that is, if it is known, and what to try."""
+        """Return advice in short lines: what the status means, where, if known, and what to try."""
         what, _, remedy = self.value.partition(": ")
         return "\n".join(filter(None, (what, where, remedy)))
 
     @property
     def word(self) -> str:
-        """The status as one lower-case word, as files and JSON carry it."""
+        """The status as one lower-case word, as used in files and JSON."""
         return self.name.lower()

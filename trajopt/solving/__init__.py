@@ -1,4 +1,4 @@
-"""From a problem to a solution: one call, warm starts, sequences, refinement, references."""
+"""Solve a problem: in one call, from a warm start, as a sequence, with refinement, or to a reference."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Solve within a time: to the grade first, then finer, while another round is expected to fit."""
+"""Solve within a time budget: reach the grade first, then refine while another round is expected to fit."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,28 +9,28 @@ from trajopt.problem.problem import Problem
 from trajopt.solving.graded import solve_graded
 from trajopt.solving.rounds import Graded, phase_errors
 
-# The part of the last error that the next round aims at.
+# Target of the next round, as a fraction of the last measured error.
 GAIN = 0.1
-# An iteration of that round is expected to take this many times as long: a tenth of the error takes a third
-# more intervals at degree four, and phases that miss are split in two.
+# The next round is expected to take this many times as long as the last: a tenth of the error needs a third
+# more intervals at degree four, and phases that miss their target are split in two.
 GROWTH = 2.0
 
 
 @checked
 def solve_within(problem: Problem, budget: Positive, **settings: Any) -> Graded:
-    """The most accurate motion of the grade that is found in a time of the solver.
+    """Return the most accurate motion within the grade that the solver finds in a given time.
 
-    A first solve goes to the grade. Each further round refines the mesh to a tenth of the measured error,
-    as long as the iterations of the last round, at the time that each took, leave room for it. Building
-    and compiling, which happen once, do not count.
+    The first solve reaches the grade. Each further round refines the mesh for a tenth of the measured error,
+    as long as twice the solver time of the last round is left. Building and compiling do not count against
+    the budget.
 
     Args:
-        problem: What to solve.
-        budget: Time of the solver, s.
-        **settings: Those of `trajopt.solving.solve_graded` but ``accuracy`` and ``max_time``.
+        problem: The problem to solve.
+        budget: Solver time, s.
+        **settings: Arguments of `trajopt.solving.solve_graded` except ``accuracy`` and ``max_time``.
 
     Returns:
-        The motion with its measured error, all rounds, and why they ended.
+        The motion with its measured error, all rounds, and the reason why they ended.
 
     Raises:
         InputError: As `trajopt.solve` does.
@@ -42,7 +42,7 @@ def solve_within(problem: Problem, budget: Positive, **settings: Any) -> Graded:
     accuracy, why = measure(made.solution), made.why
     rounds = (*made.rounds[:-1], replace(made.rounds[-1], errors=phase_errors(accuracy)))
     made = replace(made, accuracy=accuracy, rounds=rounds)
-    for name in ("start", "seed", "perturb", "exchange"):  # of the first solve
+    for name in ("start", "seed", "perturb", "exchange"):  # only the first solve uses these
         settings.pop(name, None)
     while made.solution.success and not made.interrupted:
         left = budget - sum(one.wall_time for one in rounds)
@@ -55,7 +55,7 @@ def solve_within(problem: Problem, budget: Positive, **settings: Any) -> Graded:
             first=made.solution,
             exchange=made.exchange,
             accuracy=GAIN * made.error,
-            max_time=left + made.solution.statistics.wall_time_s,  # that of the first round counts, too
+            max_time=left + made.solution.statistics.wall_time_s,  # the given first round counts against it
         )
         rounds += finer.rounds[1:]
         if not finer.solution.success or finer.error >= made.error:

@@ -1,4 +1,4 @@
-"""Rows that contradict each other, in words: which have to give way, and which stand against them."""
+"""Explain infeasibility in words: which rows must be violated, and which rows they conflict with."""
 
 from dataclasses import dataclass
 
@@ -9,20 +9,22 @@ from trajopt.transcription.names import NlpNames, Site
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import Transcription
 
-# Rows of the motion itself: they pass a conflict on from place to place, and give way last.
+# Rows of the motion itself: they propagate a conflict along the motion, and are blamed last.
 MOTION = ("defect", "base_dynamics", "contact_acceleration", "contact_velocity", "impact_dynamics")
-# Multipliers below the first are noise of the interior-point method; sums of multipliers below this fraction
-# of the largest are ignored.
+# Multipliers below NOISE are numerical noise; sums below the fraction PART of the largest are ignored.
 NOISE, PART = 1e-4, 0.1
 NAMED = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConflictMember:
-    """Rows or bounds of one block and subject in one phase.
+    """The rows or bounds of one block and subject in one phase.
 
-    amount: the unavoidable violation, natural units; 0 for rows in conflict with it.
-    weight: multipliers, added up over the phase. place: of the largest.
+    Args:
+        what: Block and subject.
+        amount: Unavoidable violation in natural units; 0 for rows that conflict with a violated one.
+        weight: Sum of the multipliers over the phase.
+        place: Where the violation or the multiplier is largest.
     """
 
     what: str
@@ -33,7 +35,7 @@ class ConflictMember:
 
     @property
     def block(self) -> str:
-        """Their block."""
+        """Name of the block."""
         return self.what.split(" [", 1)[0]
 
     def __str__(self) -> str:
@@ -43,14 +45,14 @@ class ConflictMember:
 
 
 def rows_of_motion(t: Transcription) -> np.ndarray:
-    """Which rows are of the motion itself (n_rows,)."""
+    """Return a mask (n_rows,) of the rows of the motion itself."""
     return np.isin(t.rows.block, [i for i, name in enumerate(t.rows.names) if name in MOTION])
 
 
 def why_infeasible(nlp: Nlp, point: ElasticPoint) -> str:
-    """In one line: what is missed at a point of least violation, where, and what stands against it.
+    """Say in one line what is violated at a point of least violation, where, and what conflicts with it.
 
-    Of rows of the motion itself only where no others are missed: they pass on what goals ask.
+    Rows of the motion are named only if no others are violated: they propagate what goals demand.
     """
     t = nlp.transcription
     names = NlpNames(nlp, point.x)
@@ -59,13 +61,13 @@ def why_infeasible(nlp: Nlp, point: ElasticPoint) -> str:
     giving = str(next((each for each in missed if each.block not in MOTION), missed[0]))
     limits = np.concatenate(
         [t.lower_g < t.upper_g, t.lower_x < t.upper_x]
-    )  # goals only pass on what they ask
+    )  # equalities are left out: goals propagate what they demand
     members = members_against(names, give, np.where(limits, point.weights, 0.0))[:1]
     return "".join([giving, *(f", against {one.what}" for one in members)])
 
 
 def members_giving(names: NlpNames, give: np.ndarray) -> tuple[ConflictMember, ...]:
-    """Rows that give way by more than zero, ``give`` (n_rows,), the worst of each block and subject first."""
+    """Return the rows with a violation ``give`` (n_rows,) above zero, one member a subject and phase."""
     parties: dict[tuple[str, str], ConflictMember] = {}
     for row in np.argsort(-give)[: np.count_nonzero(give)].tolist():
         name, amount = names.row(row), float(give[row])
@@ -76,9 +78,9 @@ def members_giving(names: NlpNames, give: np.ndarray) -> tuple[ConflictMember, .
 
 
 def members_against(names: NlpNames, give: np.ndarray, weights: np.ndarray) -> tuple[ConflictMember, ...]:
-    """Limits, bounds and goals with the largest multipliers, added up over time.
+    """Return the limits, bounds and goals with the largest multipliers, summed over each phase.
 
-    give: as in `members_giving`. weights (n_rows + n_unknowns,): multipliers of rows, then of bounds.
+    ``give`` is as in `members_giving`; ``weights`` (n_rows + n_unknowns,) are multipliers of rows and bounds.
     """
     giving = {names.block(row) for row in np.flatnonzero(give).tolist()}
     entries_of: dict[tuple[str, str], list[tuple[float, Site]]] = {}

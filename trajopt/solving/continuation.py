@@ -1,4 +1,4 @@
-"""A sequence of problems over a parameter, each started from the last solution (Allgower and Georg, 1990)."""
+"""Continuation in a parameter: each problem starts from the last solution (Allgower and Georg, 1990)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,17 +16,21 @@ from trajopt.solving.rounds import Graded
 from trajopt.transcription.transcription import chosen_mesh
 
 MAX_HALVINGS = 4
-# Solves of a search for the nearest value, the first and the one asked for among them.
+# Solves in the search for the nearest value, including the first value and the requested one.
 NEAREST_SOLVES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContinuationStep:
-    """One solve to the grade: at ``value``, started from the solution at ``origin``.
+    """One solve to the grade.
 
-    ``warm``: whether it was started from a solution, without an origin from that of a file. ``asked``: the
-    value is one of the sequence, not an intermediate one. ``cold``: the same problem from its default guess,
-    for comparison.
+    Args:
+        value: Value of the parameter.
+        solution: The result.
+        origin: Value of the solution from which it started; None for the default guess or a given start.
+        asked: Whether the value belongs to the sequence; False for intermediate values.
+        warm: Whether it started from a solution.
+        cold: Solution of the same problem from its default guess, for comparison.
     """
 
     value: float
@@ -37,7 +41,7 @@ class ContinuationStep:
     cold: Solution | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """The step's figures."""
+        """Return the figures of the step."""
         cold = None if self.cold is None else solve_figures(self.cold)
         step = {"value": self.value, "origin": self.origin, "asked": self.asked}
         return {**step, **solve_figures(self.solution), "warm_start": self.warm, "cold": cold}
@@ -45,28 +49,28 @@ class ContinuationStep:
 
 @dataclass(frozen=True, kw_only=True)
 class Continuation:
-    """All solves in the order they were made, with those that failed; ``values`` are the sequence."""
+    """All solves in order, including failed ones; ``values`` is the requested sequence."""
 
     values: tuple[float, ...]
     steps: tuple[ContinuationStep, ...]
 
     @property
     def solutions(self) -> dict[float, Solution]:
-        """Last solution of every value of the sequence that converged, whatever its verdict."""
+        """The last converged solution of each value in the sequence, whatever its verdict."""
         return {step.value: step.solution for step in self.steps if step.asked and step.solution.converged}
 
     @property
     def solved(self) -> tuple[float, ...]:
-        """Values of the sequence whose motion holds at any time."""
+        """Values in the sequence whose motion satisfies the check at all times."""
         return tuple(value for value, solution in self.solutions.items() if solution.success)
 
     @property
     def success(self) -> bool:
-        """Every value of the sequence has a motion that holds at any time."""
+        """Whether every value in the sequence is solved."""
         return len(self.solved) == len(set(self.values))
 
     def to_dict(self) -> dict[str, Any]:
-        """Steps, their totals (all solves), and the totals from default guesses where compared."""
+        """Return the steps, totals over all solves, and totals from default guesses if compared."""
         cold = [step.cold for step in self.steps if step.cold is not None]
         record: dict[str, Any] = {
             "values": list(self.values),
@@ -94,23 +98,22 @@ def continuation(
     intervals: int | None = None,
     **settings: Any,
 ) -> Continuation:
-    """Solve ``load(value)`` for every value in turn, each from the last solution.
+    """Solve ``load(value)`` for each value in turn, starting from the last solution.
 
-    Every value is solved to the grade, as by `trajopt.solve`: on the mesh of the last solution, refined where
-    it misses, and with its rows for bodies. Functions are compiled once where a parameter
-    changes numbers alone.
+    Each value is solved to the grade as by `trajopt.solve`, on the mesh of the last solution, refined where
+    needed, and with its collision rows. Functions are compiled once if the parameter changes only numbers.
 
     Args:
-        load: Makes the problem at a value of the parameter.
+        load: Returns the problem at a value of the parameter.
         values: Values in the order in which they are solved.
-        start: A solution, or its file, for the first value; default: the first problem's guess.
-        compare: Solve every value from its default guess, too, for the time saved.
-        max_halvings: Where a value is not solved, the step from the last solved one is halved up to so many
-            times; then the value's default guess is tried.
-        on_step: Called after every value, and every step between.
-        transcription: Scheme of a mesh that stays, as in `trajopt.solve`.
-        intervals: Its number of intervals over the whole schedule.
-        **settings: Those of `trajopt.solve`; the limit of time is for each value.
+        start: Solution, or its file, for the first value; default: the first problem's guess.
+        compare: Also solve each value from its default guess, to measure the time saved.
+        max_halvings: If a value is not solved, the step from the last solved one is halved up to this many
+            times; then the default guess is tried.
+        on_step: Called after each value and each intermediate step.
+        transcription: Scheme of a fixed mesh, as in `trajopt.solve`.
+        intervals: Number of its intervals over the whole schedule.
+        **settings: Arguments of `trajopt.solve`; the time limit applies to each solve.
 
     Raises:
         InputError: As ``load`` and `trajopt.solve` do.
@@ -138,19 +141,19 @@ def nearest(
     on_step: Callable[[ContinuationStep], None] | None = None,
     **settings: Any,
 ) -> ContinuationStep | None:
-    """The step at the value nearest to ``asked`` that was solved, by bisection from the side of ``first``.
+    """Return the solved step nearest to ``asked``, found by bisection from ``first``.
 
-    Every solve starts from the solution nearest to it. None where ``first`` is not solved.
+    Each solve starts from the last solution. Returns None if ``first`` is not solved.
 
     Args:
-        load: Makes the problem at a value of the parameter.
+        load: Returns the problem at a value of the parameter.
         first: A value that can be solved.
-        asked: The value that is wanted, tried second.
-        most: Limit of solves.
-        transcription: Scheme of a mesh to stay on, as in `trajopt.solve`.
-        intervals: Its number of intervals.
-        on_step: Called after every solve.
-        **settings: Those of `trajopt.solve`; limits of time and iterations are for each solve.
+        asked: The requested value, tried second.
+        most: Largest number of solves.
+        transcription: Scheme of a fixed mesh, as in `trajopt.solve`.
+        intervals: Number of its intervals.
+        on_step: Called after each solve.
+        **settings: Arguments of `trajopt.solve`; limits of time and iterations apply to each solve.
 
     Raises:
         InputError: As ``load`` and `trajopt.solve` do.
@@ -173,7 +176,7 @@ def nearest(
 
 @dataclass
 class _Walk:
-    """The steps made so far, and the last solve with its value (None: of no value in the sequence)."""
+    """The steps so far, and the last usable solution with its value (None: a given start)."""
 
     load: Callable[[float], Problem]
     grid: GridLevel
@@ -185,7 +188,7 @@ class _Walk:
     steps: list[ContinuationStep] = field(default_factory=list)
 
     def to(self, value: float, halvings: int, compare: bool) -> bool:
-        """Go on to ``value``, with steps between where needed; False when the user stops it."""
+        """Continue to ``value``, with intermediate steps if needed; return False if the user stops it."""
         targets = [value]
         while targets:
             made = self.solve(targets[-1], asked=len(targets) == 1)
@@ -203,7 +206,7 @@ class _Walk:
         return not (compare and self.compare(value))
 
     def solve(self, value: float, *, asked: bool = True, default_guess: bool = False) -> Graded:
-        """One solve to the grade, from the last solution or from the problem's default guess."""
+        """Solve to the grade, from the last solution or from the problem's default guess."""
         start = None if default_guess else self.start
         made = self._graded(value, f"value {value:g}", start)
         origin = None if start is None else self.origin
@@ -234,7 +237,7 @@ class _Walk:
         )
 
     def compare(self, value: float) -> bool:
-        """Solve from the default guess, unless the last step at ``value`` did; whether the user stops it."""
+        """Solve from the default guess unless the last step at ``value`` did; True if the user stops it."""
         index = max(i for i, step in enumerate(self.steps) if step.asked and step.value == value)
         cold, stopped = self.steps[index].solution, False
         if self.steps[index].warm:
@@ -245,5 +248,5 @@ class _Walk:
 
 
 def _usable(made: Graded) -> bool:
-    """Whether the next solve can start there: it converged, with the rows for bodies that it needs."""
+    """Return whether the next solve can start there: the motion and the last round both converged."""
     return made.solution.converged and made.rounds[-1].solved

@@ -1,10 +1,10 @@
-"""Rows that keep bodies apart at all times: added where a motion breaks them, until it does not.
+"""Exchange method for collision avoidance: add rows where a motion collides, until it no longer does.
 
-A robot's links make hundreds of pairs that could meet, and hardly any of them does. So a motion is solved
-without them and looked at along all of it, between points too; pairs that come too near get rows (see
-`trajopt.collision.planes`) at the moments where they are near, and it is solved again from there, until
-it is clear. This is the exchange method for semi-infinite programs (Blankenship and Falk, "Infinitely
-constrained optimization problems", 1976). No pair enters that never matters.
+A robot's links form hundreds of pairs that could collide, of which hardly any do. The motion is therefore
+solved without collision rows and sampled along its whole length, also between collocation points. Pairs that
+come too near get rows (see `trajopt.collision.planes`) at the moments where they are near, and the problem is
+solved again from there, until the motion is clear. This is the exchange method for semi-infinite programs
+(Blankenship and Falk, "Infinitely constrained optimization problems", 1976).
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ from trajopt.solution.interpolation import collocation_fractions
 from trajopt.solution.solution import Solution
 from trajopt.terms.moments import LinkDistance, MomentConstraint, PlaneSide, joint_row, plane_row
 
-# Pairs that are too near somewhere get rows wherever they are nearer than their margin plus a multiple of
-# what they lacked at most, within these parts of the length: a motion that gives way there may come near
-# here.
+# A pair that is too near somewhere gets rows wherever its distance is below its margin plus REACH times its
+# largest violation, clipped to these fractions of the robot's length: a motion that yields in one place may
+# come near in another.
 REACH, LEAST_BAND, BAND = 4.0, 0.005, 0.04
-# Rows are met to this, m.
+# Tolerance to which rows are met, m.
 LEAST_SLACK = 2e-5
-# Between its nodes an interval is looked at this many times, evenly, and at its points; more often where a
-# coordinate changes by more than this from look to look, in natural units (rad, lengths of the robot).
+# Each interval is sampled at its collocation points and at this many even fractions between its nodes; more
+# where a coordinate changes by more than LOOK_STEP between samples, in natural units (rad, robot lengths).
 LOOKS, LOOK_STEP = 5, 0.03
-# After so many looks in which a pair with rows is too near its distance is no longer fitted, and it gets rows
-# wherever it is too near instead of where it is nearest: a motion slips through between them.
+# If a pair that has rows is too near in this many looks, its distance is no longer fitted (MOST_MISSES) and
+# it gets rows wherever it is too near, not only at local minima (MOST_SLIPS): a motion slips between those.
 MOST_MISSES, MOST_SLIPS = 3, 4
-# Moments that agree to this many digits are the same.
+# Moments are rounded to this many digits to compare them.
 DIGITS = 12
 
-# Phase, fraction of its duration; and a motion (K, nq) over K of these.
+# A phase and a fraction of its duration; and a motion that returns (K, nq) at K of these.
 PhaseMoment = tuple[int, float]
 PhaseMotion = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Look:
-    """Distances (K, n_pairs) m along a motion at K moments; ``regular`` (K,) are its nodes and points."""
+    """Distances (K, n_pairs) m along a motion at K moments; ``regular`` (K,) marks nodes and points."""
 
     distances: np.ndarray
     moments: tuple[PhaseMoment, ...]
@@ -63,11 +63,17 @@ class Look:
 
 @dataclass
 class Exchange:
-    """Which pairs of bodies have rows, when, and for which corners: they grow from look to look.
+    """Pairs of bodies with rows, their moments and their corners; these sets only grow from look to look.
 
-    lacking: by how much each of them came nearer than its margin at most, m.
+    Args:
+        problem: The problem without collision rows.
+        moments: Moments at which each pair has rows.
+        corners: Corners (n, 3) m by pair, moment, their frame and the body that carries the plane.
+        lacking: Largest violation of each pair's margin so far, m.
+        misses: Number of looks in which a pair was too near although it had rows.
+        beyond_feet: Whether planes are laid so that feet are beyond them, see `planes.beyond_foot`.
 
-    Raises `InputError` for a problem whose bodies are in each other at its start or at a goal.
+    Raises `InputError` for a problem whose bodies overlap at its start or at a goal.
     """
 
     problem: Problem
@@ -85,20 +91,20 @@ class Exchange:
 
     @property
     def band(self) -> float:
-        """Largest distance beyond its margin within which a pair has rows, m."""
+        """Largest distance beyond its margin at which a pair gets rows, m."""
         return BAND * self.problem.robot.length
 
     @cached_property
     def _least(self) -> np.ndarray:
-        """Least distance (n_pairs,) m at which a pair is not too near: rows keep margins to `TOO_NEAR`.
+        """Smallest allowed distance (n_pairs,) m: the margin less `TOO_NEAR`.
 
-        Feet that stand in the ground may not get deeper than the check allows.
+        The ground is penetrated by no more than the check allows.
         """
         margins = self.bodies.margins
         return np.minimum(np.maximum(margins - TOO_NEAR, -PENETRATION), margins - LEAST_SLACK)
 
     def moved_to(self, problem: Problem) -> Exchange:
-        """The same pairs, moments and corners of links for a problem with other parameters."""
+        """Return the same pairs, moments and link corners for a problem with other parameters."""
         made = Exchange(problem, beyond_feet=self.beyond_feet)
         known = set(made.bodies.pairs)
         made.moments.update({pair: set(moments) for pair, moments in self.moments.items() if pair in known})
@@ -110,10 +116,10 @@ class Exchange:
         return made
 
     def look(self, solution: Solution, times: Sequence[float] = ()) -> Look:
-        """Distances of all pairs along a solution, and at ``times`` s, exact where they are within the band.
+        """Sample the distances of all pairs along a solution, and at ``times`` s; exact within the band.
 
-        Those of a foot from the ground that its active contact touches count as infinite: the contact holds
-        it there, and rows beside the contact's own would depend on them.
+        The distance of a foot from the ground that its active contact touches counts as infinite: the contact
+        holds it there, and further rows would be linearly dependent on the contact's.
         """
         plan = solution.normalized()
         units = Units(self.problem.robot).position
@@ -125,18 +131,19 @@ class Exchange:
         return Look(distances=np.where(standing, np.inf, distances), moments=moments, regular=regular)
 
     def missing(self, look: Look) -> tuple[ShapePair, ...]:
-        """Pairs that are too near somewhere."""
+        """Return the pairs that are too near somewhere."""
         short = (look.distances - self._least).min(axis=0, initial=np.inf)
         return tuple(pair for pair, distance in zip(self.bodies.pairs, short, strict=True) if distance < 0)
 
     def depth(self, look: Look) -> float:
-        """By how much the worst pair is too near, m; zero if none is."""
+        """Return by how much the worst pair is too near, m; zero if none is."""
         return float((self._least - look.distances).max(initial=0.0))
 
     def sideless_depth(self, look: Look, known: bool) -> float:
-        """As `depth`, of pairs whose bodies may pass each other on several sides.
+        """Return `depth` over the pairs whose bodies may pass each other on several sides.
 
-        They are not with the ground, nor links whose distance is fitted. known: also those that have rows.
+        This leaves out pairs with the ground and links whose distance is fitted, and unless ``known`` pairs
+        that have rows.
         """
         n, pairs = self.bodies.scene.n_ground, self.bodies.pairs
         sided = [
@@ -145,9 +152,9 @@ class Exchange:
         return float((self._least - look.distances)[:, sided].max(initial=0.0))
 
     def add(self, look: Look, kept: Sequence[ShapePair] = ()) -> bool:
-        """Add the moments where pairs that are, or were, too near are near; whether there are new ones.
+        """Add moments where pairs are near that are or were too near; return whether any are new.
 
-        kept: pairs that get rows where they are near, too.
+        The pairs in ``kept`` get rows where they are near as well.
         """
         before, length = sum(map(len, self.moments.values())), self.problem.robot.length
         missing = self.missing(look)
@@ -167,7 +174,7 @@ class Exchange:
         return sum(map(len, self.moments.values())) > before
 
     def take_up(self, solution: Solution) -> None:
-        """Give rows to the pairs that had some in a solution of such a problem, where they are near there."""
+        """Add rows for the pairs that had rows in a given solution, where they are near in it."""
         known = set(solution.statistics.row_names)
         held = [pair for pair in self.bodies.pairs if known & self._row_names(pair)]
         if held:
@@ -181,11 +188,11 @@ class Exchange:
         return {plane_row(one, other), plane_row(other, one)} | ({joint_row(joints)} if joints else set())
 
     def constrained(self, motion: PhaseMotion, last: PhaseMotion | None = None) -> Problem:
-        """The problem with rows at all moments so far, their planes laid along a motion.
+        """Return the problem with rows at all moments so far, with planes laid along a motion.
 
         Args:
-            motion: phases, fractions (K,) -> configurations (K, nq), as `along` or `guess` give it.
-            last: the motion that was too near, if that is another: its nearest corners get rows, too.
+            motion: Phases, fractions (K,) -> configurations (K, nq), for example `along` or `guess`.
+            last: The motion that was too near, if different: its nearest corners get rows as well.
         """
         if last is not None:
             for _ in self._laid(last):
@@ -207,7 +214,7 @@ class Exchange:
         return replace(self.problem, terms=(*self.problem.terms, *terms, *self._distances(motion)))
 
     def _distances(self, motion: PhaseMotion) -> Iterator[LinkDistance]:
-        """Rows of the links whose distances are fitted, around a motion."""
+        """Yield rows for links whose distances are fitted, around a motion."""
         model, names = self.problem.robot.model, self.problem.schedule.names
         for pair in filter(self._fitted, self.moments):
             moments = sorted(self.moments[pair])
@@ -222,15 +229,15 @@ class Exchange:
                 )
 
     def _fitted(self, pair: ShapePair) -> bool:
-        """Whether a pair's distance is a polynomial, which is no bound: not where that does not help."""
+        """Return whether a pair's distance is fitted by a polynomial; not after too many misses."""
         return self.misses[pair] < MOST_MISSES and bool(self.fits.joints(pair))
 
     def starts(
         self, solution: Solution, guess_first: bool = False
     ) -> Iterator[tuple[Problem, Solution | None]]:
-        """Problems with rows, and from where to solve them: the last motion, then the guess, or in turn.
+        """Yield problems with rows and their starts: the last motion, then the guess (None), or vice versa.
 
-        Then the same with planes beyond feet, and from then on only those: see `planes.beyond_foot`.
+        The same follows with planes that feet are beyond, which are then kept: see `planes.beyond_foot`.
         """
         if not self.moments:
             yield from ((self.problem, solution), (self.problem, None))
@@ -245,13 +252,13 @@ class Exchange:
                     yield self.constrained(last), solution
 
     def guess(self, phases: np.ndarray, fractions: np.ndarray) -> np.ndarray:
-        """The problem's guess (K, nq) at fractions of phases (K,)."""
+        """Return the problem's guess (K, nq) at fractions of phases (K,)."""
         durations = np.array([entry.duration for entry in self.problem.schedule.phases])
         times = (np.cumsum(durations) - durations)[phases] + fractions * durations[phases]
         return np.array([self.problem.guess_at(time) for time in times.tolist()])
 
     def guess_is_clear(self) -> bool:
-        """Whether pairs are apart along the guess wherever they have rows."""
+        """Return whether the pairs with rows are far enough apart along the guess at all their moments."""
         every = sorted({moment for moments in self.moments.values() for moment in moments})
         if not every:
             return True
@@ -287,7 +294,7 @@ class Exchange:
 
     @cached_property
     def _standing(self) -> np.ndarray:
-        """Which pairs (n_phases, n_pairs) are of a foot with the ground on which its contact holds it."""
+        """Mask (n_phases, n_pairs) of feet and the ground on which their active contacts hold them."""
         bodies, phases = self.bodies, self.problem.schedule.phases
         standing = np.zeros((len(phases), len(bodies.pairs)), dtype=bool)
         shapes = {shape.name: shape for shape in bodies.scene.shapes}
@@ -297,7 +304,7 @@ class Exchange:
         return standing
 
     def _feet(self, pair: ShapePair, poses: Mapping[str, pin.SE3]) -> PlacedBody | None:
-        """The contacts of the first link of a pair, as points in the world."""
+        """Return the contacts of the first link of a pair as points in the world."""
         contacts = self._contacts[pair[0]]
         if not contacts:
             return None
@@ -306,7 +313,7 @@ class Exchange:
 
 
 def along(solution: Solution) -> PhaseMotion:
-    """The motion of a solution by phase and fraction."""
+    """Return the motion of a solution as a function of phase and fraction."""
     motion = SolutionMotion(solution)
     return lambda phases, fractions: motion.in_phases(phases, fractions, np.full(len(phases), 0.5)).q
 
@@ -314,9 +321,9 @@ def along(solution: Solution) -> PhaseMotion:
 def _moments_to_look_at(
     plan: Solution, units: np.ndarray, times: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers and fractions (K,) of intervals, and which of them are nodes and points.
+    """Return interval numbers and fractions (K,) to sample, and a mask of nodes and collocation points.
 
-    The end of an interval is the start of the next one, where that is looked at; only the last has its own.
+    The end of an interval is sampled as the start of the next one.
     """
     numbers, fractions, regular = [], [], []
     for number in range(plan.n_intervals):
@@ -336,7 +343,7 @@ def _moments_to_look_at(
 
 
 def _in_phases(plan: Solution, numbers: np.ndarray, fractions: np.ndarray) -> tuple[PhaseMoment, ...]:
-    """Phase and fraction of it at fractions of intervals."""
+    """Convert fractions of intervals to fractions of phases."""
     start, end = plan.interval_t[numbers].T
     times = start + fractions * (end - start)
     phases = plan.phase[[rows.start for rows in plan.intervals]][numbers]
@@ -349,6 +356,6 @@ def _in_phases(plan: Solution, numbers: np.ndarray, fractions: np.ndarray) -> tu
 
 
 def _least_around(values: np.ndarray) -> np.ndarray:
-    """Which of the values (K,) are not above their neighbours."""
+    """Return a mask of the values (K,) that are not above their neighbours."""
     padded = np.concatenate([[np.inf], values, [np.inf]])
     return np.asarray((values <= padded[:-2]) & (values <= padded[2:]))

@@ -1,4 +1,4 @@
-"""From solved variables to a Solution: samples of motion, torques and contact wrenches."""
+"""Convert NLP variables to a Solution: samples of the motion, torques and contact wrenches."""
 
 import math
 import sys
@@ -34,7 +34,7 @@ from trajopt.transcription.timeline import NodeLayout, StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.versions import VERSIONED, installed_version
 
-# Statistics of a motion that no solver has ended on.
+# Statistics of a motion that is not the result of a solve.
 UNSOLVED: dict[str, Any] = {
     "solver": "",
     "status": "",
@@ -48,16 +48,15 @@ UNSOLVED: dict[str, Any] = {
 
 
 def extract(transcription: Transcription, x: np.ndarray, **statistics: Any) -> Solution:
-    """Solution of scaled variables ``x``.
+    """Return the solution for scaled variables ``x``.
 
-    Rotations are normalised: they leave the manifold only by the residual of the defects, which
-    ``rotation_norm_error`` of the statistics records.
+    Rotations are normalised. They leave the manifold only by the residual of the defects, which is recorded
+    as ``rotation_norm_error`` in the statistics.
 
     Args:
-        transcription: of the problem.
-        x: (n_unknowns,) scaled.
-        **statistics: entries of `SolveStatistics` that are known; default: those of a motion that was not
-            solved for.
+        transcription: Transcription of the problem.
+        x: Scaled variables (n_unknowns,).
+        **statistics: Known entries of `SolveStatistics`; the others are those of an unsolved motion.
     """
     layout, problem = transcription.layout, transcription.problem
     unknowns = x * transcription.scale
@@ -103,7 +102,7 @@ def extract(transcription: Transcription, x: np.ndarray, **statistics: Any) -> S
 
 
 def _impacts(problem: Problem, layout: Layout, unknowns: np.ndarray) -> dict[str, np.ndarray]:
-    """Impulses of every impact, and the sample just after it."""
+    """Return the impulses of each impact, and the index of the sample just after it."""
     stages = layout.transitions_of(StageKind.IMPACT)
     if not stages:
         return {}
@@ -118,7 +117,7 @@ def _impacts(problem: Problem, layout: Layout, unknowns: np.ndarray) -> dict[str
 
 
 def _labels(layout: Layout) -> dict[str, np.ndarray]:
-    """Phase, interval, collocation and active of every sample."""
+    """Return ``phase``, ``interval``, ``collocation`` and ``active`` of every sample."""
     widths = _widths(layout, layout.interval_stages)
     inner = np.ones(widths.sum(), dtype=bool)
     ends = np.cumsum(widths)
@@ -133,23 +132,23 @@ def _labels(layout: Layout) -> dict[str, np.ndarray]:
 
 
 def contact_activity(robot: Robot, schedule: Schedule) -> np.ndarray:
-    """Which contacts of a robot are active in each phase (n_phases, nc)."""
+    """Return a mask (n_phases, nc) of the active contacts of a robot in each phase."""
     active = [[contact.name in phase.contacts for contact in robot.contacts] for phase in schedule.phases]
     return np.array(active, dtype=bool).reshape(len(schedule.phases), -1)
 
 
 def _widths(layout: Layout, stages: np.ndarray) -> np.ndarray:
-    """Number of samples of each of these intervals: its points and its two nodes."""
+    """Return the number of samples of each interval: its collocation points and two nodes."""
     return np.array([layout.scheme_of(int(layout.phase_of[k])).s + 2 for k in stages], dtype=int)
 
 
 def _interval(
     problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, h: float, time_scale: float
 ) -> dict[str, np.ndarray]:
-    """Motion of the whole robot from the collocation map, torques from numeric Pinocchio.
+    """Return the motion of the whole robot by the collocation map, and torques by numeric Pinocchio.
 
-    ``q``, ``v``, ``a`` are at the start, the points and the end; ``tau`` and ``f`` (s, nc, 6) at the points.
-    h: step, s. time_scale: duration over the nominal one.
+    ``q``, ``v``, ``a`` are at the start, the collocation points and the end; ``tau`` and ``f`` (s, nc, 6) at
+    the points. ``h`` is the step in s, ``time_scale`` the duration over the nominal duration.
     """
     phase, form = int(layout.phase_of[k]), layout.forms[k]
     method = layout.scheme_of(phase)
@@ -197,7 +196,7 @@ def _in_pinocchio(
 
 
 def _torques(robot: Robot, motion: list[np.ndarray], f: np.ndarray) -> np.ndarray:
-    """Actuated rows of RNEA(q, v, a) - J^T f at every point, of the robot with what it carries."""
+    """Return the actuated rows of RNEA(q, v, a) - J^T f at every point, for the robot with its payload."""
     model, data = robot.model, robot.model.createData()
     frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
     forces = [
@@ -211,7 +210,7 @@ def _torques(robot: Robot, motion: list[np.ndarray], f: np.ndarray) -> np.ndarra
 def _wrenches(
     layout: Layout, contacts: tuple[Contact, ...], w: np.ndarray, levers: Mapping[str, np.ndarray]
 ) -> np.ndarray:
-    """Wrench of every contact of the robot (nc, 6), zero where inactive; ``levers`` of those that roll."""
+    """Return the wrenches of all contacts (nc, 6), zero if inactive; ``levers`` are of rolling contacts."""
     names = [contact.name for contact in layout.robot.contacts]
     f, start = np.zeros((len(names), 6)), 0
     for contact in contacts:
@@ -222,7 +221,7 @@ def _wrenches(
 
 
 def described(problem: Problem) -> PlanDescription:
-    """What the solutions of a problem are of."""
+    """Return the description of a problem's solutions."""
     return PlanDescription(
         problem=problem.name,
         parameters=dict(problem.parameters),
@@ -234,7 +233,7 @@ def described(problem: Problem) -> PlanDescription:
 
 
 def described_robot(problem: Problem) -> dict[str, Any]:
-    """Entries of a description about the robot: contacts and what they touch, limits, drives, shapes."""
+    """Return the robot's entries of a description: contacts and their surfaces, limits, drives, shapes."""
     robot, periodicity = problem.robot, problem.periodicity
     limits = {"effort_limit": robot.torque_limit, "velocity_limit": robot.velocity_limit}
     for term in problem.point_constraints:
@@ -267,7 +266,7 @@ def described_robot(problem: Problem) -> dict[str, Any]:
 
 
 def described_bodies(problem: Problem) -> dict[str, Any]:
-    """Entries of a description about shapes of links and obstacles."""
+    """Return the entries of a description for link shapes and obstacles."""
     shapes, clearance = shapes_of(problem), clearance_of(problem)
     entries: dict[str, Any] = {"obstacles": tuple(clearance.obstacles), "bodies": None, "margins": None}
     if shapes.shapes or shapes.missing:
@@ -293,7 +292,7 @@ def _contact(contact: Contact, friction: float) -> PlannedContact:
 
 
 def _payloads(problem: Problem) -> tuple[CarriedBody, ...]:
-    """What is carried, and the indices of the phases in which it is."""
+    """Return the payloads with the indices of the phases in which they are carried."""
     names = [phase.name for phase in problem.schedule.phases]
     return tuple(
         CarriedBody(
@@ -308,9 +307,9 @@ def _payloads(problem: Problem) -> tuple[CarriedBody, ...]:
 
 
 def _surfaces(problem: Problem) -> tuple[dict[str, Surface], ...]:
-    """For each phase what contacts touch instead of flat terrain, by their frames; empty if nothing else.
+    """Return for each phase the surfaces of contacts other than flat terrain, by frame; empty if none.
 
-    Of piecewise terrain the planes of the faces they stand on; curved ground follows from the terrain.
+    On piecewise terrain these are the planes of the faces; curved ground follows from the terrain itself.
     """
     flat, robot, schedule = isinstance(problem.terrain, FlatGround), problem.robot, problem.schedule
     phases = tuple(
@@ -326,7 +325,7 @@ def _surfaces(problem: Problem) -> tuple[dict[str, Surface], ...]:
 
 
 def _patches(problem: Problem) -> tuple[dict[str, Patch], ...]:
-    """For each phase the patches on which active contacts stand, by their frames; empty if there are none."""
+    """Return for each phase the patches of active contacts, by frame; empty if there are none."""
     robot, schedule = problem.robot, problem.schedule
     phases = tuple(
         {
@@ -340,5 +339,5 @@ def _patches(problem: Problem) -> tuple[dict[str, Patch], ...]:
 
 
 def _finite(limit: np.ndarray | None) -> np.ndarray | None:
-    """A limit as Pinocchio's models have it: the largest number where there is none."""
+    """Return a limit as Pinocchio's models store it: the largest float instead of infinity."""
     return None if limit is None else np.minimum(limit, sys.float_info.max)

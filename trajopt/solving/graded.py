@@ -1,7 +1,7 @@
-"""Solve to a grade: solve on a coarse mesh, examine the motion, refine where it misses, solve again from it.
+"""Solve to a grade: solve on a coarse mesh, check the motion, refine the mesh where it fails, solve again.
 
-The first mesh has two fifths of the problem's intervals, a quarter on a fixed base, of degree four; see
-`refinement`.
+The first mesh is of degree four and has two fifths of the problem's intervals, or a quarter on a fixed base;
+see `refinement`.
 """
 
 import math
@@ -26,22 +26,22 @@ from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.transcription import chosen_mesh
 
-# Scheme of the first mesh, and its part of the problem's own intervals: on gaits and small jumps more
-# accurate than two points on all of them, in half the time. On a fixed base fewer do: errors of a stance on
-# two feet grow, and with a quarter of the intervals a dozen gaits are not tracked in MuJoCo.
+# Scheme of the first mesh, and its number of intervals as a fraction of the problem's own: on gaits and small
+# jumps more accurate than two points on all intervals, in half the time. Fewer suffice on a fixed base; on
+# two feet errors grow, and with a quarter of the intervals a dozen gaits are not tracked in MuJoCo.
 FIRST_SCHEME, FIRST_PART, FIXED_BASE_PART = "legendre:4", 0.4, 0.25
-# Widest interval of the first mesh, in the NLP's scale of time.
+# Widest interval of the first mesh, in the NLP's unit of time.
 WIDEST = 1.0
 MOST_ROUNDS = 10
-# The solver's tolerance, as a fraction of an accuracy over the robot's reach, and its least: the error grows
-# along the motion.
+# The solver's tolerance as a fraction of the accuracy over the robot's reach (the error grows along the
+# motion), with its smallest and largest value.
 TOLERANCE_SHARE, LEAST_TOLERANCE, USUAL_TOLERANCE = 1e-3, 1e-10, 1e-6
 
 
 def first_mesh(problem: Problem, least: bool = False) -> Mesh:
-    """The mesh on which a solve to a grade begins; that of the problem where it names a scheme of its own.
+    """Return the first mesh of a solve to a grade; the problem's own mesh if it names its own scheme.
 
-    least: as coarse as on a fixed base, for what is refined by measurement.
+    With ``least`` the mesh is as coarse as on a fixed base, for refinement by measured errors.
     """
     counts = problem.schedule.intervals(problem.default_intervals)
     if problem.default_transcription != USUAL_SCHEME:
@@ -56,7 +56,7 @@ def first_mesh(problem: Problem, least: bool = False) -> Mesh:
 
 
 def tolerance_for(accuracy: float, length: float) -> float:
-    """A solver's tolerance that leaves a small part of ``accuracy`` (m) on a robot of reach ``length``."""
+    """Return a solver tolerance far below an ``accuracy`` (m) on a robot with reach ``length`` (m)."""
     return float(np.clip(TOLERANCE_SHARE * accuracy / length, LEAST_TOLERANCE, USUAL_TOLERANCE))
 
 
@@ -71,23 +71,24 @@ def solve(
     draft: bool = False,
     **settings: Any,
 ) -> Solution:
-    """Solve a problem until its motion holds at any time; never raises because that is not reached.
+    """Solve a problem until its motion passes the check at all times; never raises if it does not.
 
-    The mesh is refined, see `solve_graded`. A mesh that is named is solved once, like that of a reduced model
-    without legs.
+    The mesh is refined, see `solve_graded`. A mesh that is given is not refined; a reduced model without legs
+    is solved once on its own mesh.
 
     Args:
-        problem: What to solve.
-        transcription: Scheme of a mesh to solve on once, as in `trajopt.solving.solving.solve`.
-        intervals: Its number of intervals over the whole schedule.
-        mesh: That mesh, instead of both.
-        fixed_mesh: Solve once, on the problem's own mesh where none is named.
-        draft: Solve once, on the first mesh of a refinement.
-        **settings: Those of `trajopt.solving.solving.solve`.
+        problem: The problem to solve.
+        transcription: Scheme of a fixed mesh, as in `trajopt.solving.solving.solve`.
+        intervals: Number of its intervals over the whole schedule.
+        mesh: The fixed mesh, instead of the two above.
+        fixed_mesh: Keep the mesh, which is the problem's own if none is given.
+        draft: Stop after one round on the first mesh.
+        **settings: Arguments of `trajopt.solving.solving.solve`.
 
     Returns:
-        The best motion. Its ``success`` is the verdict of the check, ``converged`` that all rows hold at its
-        points; its statistics have in ``graded`` the meshes, in ``failures`` and ``advice`` what is missed.
+        The best motion. ``success`` is the verdict of the check, ``converged`` says that all rows hold at the
+        collocation points. In its statistics ``graded`` has the meshes; ``failures`` and ``advice`` say what
+        fails.
 
     Raises:
         InputError: For a value that is not allowed.
@@ -114,24 +115,25 @@ def solve_graded(
     solver_time: bool = False,
     **settings: Any,
 ) -> Graded:
-    """Solve a problem until its motion is within ``tolerances`` at any time, or no mesh is left to try.
+    """Solve a problem until its motion is within ``tolerances`` at all times, or refinement ends.
 
-    A reduced model without legs is solved once, on its own mesh, and not examined.
+    A reduced model without legs is solved once, on its own mesh, and not checked.
 
     Args:
-        problem: What to solve.
-        mesh: The first one; default: that of ``start``, or `first_mesh`.
-        start: A solution, or its file, from which the first solve starts, with rows for the bodies that rows
-            kept apart there.
-        first: A solution of this problem, examined instead of a first solve.
-        exchange: Rows for bodies of another solve of such a problem, which the first solve has already.
+        problem: The problem to solve.
+        mesh: The first mesh; default: that of ``start``, or `first_mesh`.
+        start: Solution, or its file, from which the first solve starts, with collision rows for the pairs
+            that had rows there.
+        first: Solution of this problem that is checked instead of a first solve.
+        exchange: Collision rows of another solve of a similar problem, used from the first solve on.
         tolerances: The grade.
-        accuracy: Largest error of a phase besides, m, and the solver's tolerance by it; see `phase_errors`.
-        max_rounds: Limit of motions that are solved for and examined; one is a draft.
-        refine: False keeps the first mesh: only rows for bodies that come too near are added.
-        solver_time: Whether the limit of time is one of the solver's time alone.
-        **settings: Those of `trajopt.solve`; the limit of time is for all solves, with their guesses and
-            checks, that of iterations for each.
+        accuracy: Also bound the error of each phase by this, in m, see `phase_errors`; tightens the solver's
+            tolerance as needed.
+        max_rounds: Largest number of motions that are checked; with one the result is a draft.
+        refine: If False, keep the first mesh and only add collision rows.
+        solver_time: Whether the time limit counts only the solver's time.
+        **settings: Arguments of `trajopt.solve`; the time limit applies to all solves, guesses and checks
+            together, the iteration limit to each solve.
 
     Raises:
         InputError: As `trajopt.solve` does.

@@ -1,4 +1,4 @@
-"""Grid sequencing: solve on a coarse grid, resample the solution onto a finer one, solve again."""
+"""Mesh sequencing: solve on a coarse mesh, resample the solution onto a finer one, solve again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,26 +12,26 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve_graded
 from trajopt.transcription.transcription import chosen_mesh
 
-# A scheme and a number of intervals over the whole schedule; None is the problem's.
+# A scheme and a number of intervals over the whole schedule; None stands for the problem's own.
 GridLevel = tuple[str | None, int | None]
-# The label of a solve that others are compared with.
+# Label of the solve that others are compared with.
 FROM_DEFAULT_GUESS = "from the default guess"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ladder:
-    """Solutions on all grids, coarse to fine, and on the finest from the default guess if asked for."""
+    """Solutions on all meshes in order, and on the last one from the default guess if requested."""
 
     rungs: tuple[Solution, ...]
     cold: Solution | None = None
 
     @property
     def solution(self) -> Solution:
-        """The solution on the finest grid."""
+        """The solution on the last mesh that was solved."""
         return self.rungs[-1]
 
     def to_dict(self) -> dict[str, Any]:
-        """Figures of every solve and their totals, and of the solve from the default guess."""
+        """Return the figures of every solve, their totals, and those of the solve from the default guess."""
         return {
             "rungs": [solve_figures(rung) for rung in self.rungs],
             "total": total_effort(self.rungs),
@@ -40,7 +40,7 @@ class Ladder:
 
 
 def solve_figures(solution: Solution) -> dict[str, Any]:
-    """How a solution was found: grid, start, status, objective; iterations and time of all its rounds."""
+    """Return the mesh, start, status and objective of a solve, and iterations and time of all its rounds."""
     keys = ("transcription", "warm_start", "status", "success", "objective")
     last = ("build_time_s", "compile_time_s", "functions_compiled")
     figures = {key: getattr(solution.statistics, key) for key in (*keys, *last)}
@@ -48,7 +48,7 @@ def solve_figures(solution: Solution) -> dict[str, Any]:
 
 
 def total_effort(solutions: Sequence[Solution]) -> dict[str, Any]:
-    """Iterations and the solver's time in s of several solves together, each with all its rounds."""
+    """Return the total iterations and solver time (s) of several solves with all their rounds."""
     rounds = [each for solution in solutions for each in solution.statistics.rounds]
     return {key: sum(getattr(each, key) for each in rounds) for key in ("iterations", "wall_time_s")}
 
@@ -63,21 +63,21 @@ def solve_ladder(
     perturb: float = 0.0,
     **settings: Any,
 ) -> Ladder:
-    """Solve on every grid of ``ladder`` in turn, each from the last one solved.
+    """Solve on every mesh of ``ladder`` in turn, each time from the last converged solution.
 
-    On every grid bodies are kept apart and the motion is judged as by `trajopt.solve` on a named mesh; rows
-    for bodies go on to the next one. A solution that is not feasible does not start the next solve.
+    On each mesh the motion is kept clear of collisions and judged as by `trajopt.solve` on a fixed mesh.
+    Collision rows are passed on to the next mesh.
 
     Args:
-        problem: What to solve.
-        ladder: Pairs of scheme and number of intervals over the whole schedule, None for the problem's.
-        start: A solution, or its file, for the first grid.
-        compare: Solve on the last grid from the default guess, too.
+        problem: The problem to solve.
+        ladder: Pairs of scheme and number of intervals over the whole schedule; None for the problem's own.
+        start: Solution, or its file, for the first mesh.
+        compare: Also solve on the last mesh from the default guess.
         perturb: Noise on the first start, as in `trajopt.solve`.
-        **settings: Those of `trajopt.solve`; the limit of time is for each rung.
+        **settings: Arguments of `trajopt.solve`; the time limit applies to each rung.
 
     Raises:
-        InputError: As `trajopt.solve` does, and for a ladder without grids.
+        InputError: As `trajopt.solve` does, and for an empty ladder.
     """
     rungs = [chosen_mesh(problem, *entry) for entry in ladder]
     if not rungs:

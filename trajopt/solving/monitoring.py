@@ -1,6 +1,6 @@
-"""Monitoring a solve: iterates, the callbacks that see them, and the solver's own callback that calls these.
+"""Monitor a solve: iterates, user callbacks, and the solver callback that calls them.
 
-The motion of an iterate is computed when it is first used.
+The motion of an iterate is computed only when it is used.
 """
 
 import warnings
@@ -27,10 +27,13 @@ ProgressCallback = Callable[[dict[str, float]], bool]
 class Iterate:
     """One iterate of a solve.
 
-    stage: ``guess`` before the solver starts, ``iteration``, or ``end`` where it has returned.
-    figures: iteration, objective (in the problem's weights), primal and dual infeasibility (scaled), barrier,
-    step, regularization, line_search (trials), restoration; empty for a guess, the first four for an end.
-    label: which of several solves this is, or empty. status: how it ended, in words, or empty.
+    Args:
+        stage: ``guess`` before the solver starts, ``iteration``, or ``end`` after it has returned.
+        figures: iteration, objective (in the problem's weights), primal and dual infeasibility (scaled),
+            barrier, step, regularization, line_search (trials), restoration; empty for a guess, only the
+            first four at the end.
+        label: Which of several solves this is, or empty.
+        status: How the solve ended, in words, or empty.
     """
 
     stage: IterateStage
@@ -43,24 +46,24 @@ class Iterate:
 
     @cached_property
     def unknowns(self) -> np.ndarray | None:
-        """Scaled variables (n,), None where the solver does not provide them.
+        """Scaled variables (n,); None if the solver does not provide them.
 
-        First read while the watch is called; a copy is kept for later. Raises RuntimeError when it is first
-        read afterwards: the solver has gone on.
+        Read them while the watch is called; a copy is kept. The first read raises RuntimeError if the solver
+        has moved on.
         """
         unknowns = np.array(self.read(), dtype=float)
         return unknowns if unknowns.size == self.transcription.layout.n_unknowns else None
 
     @property
     def grid(self) -> str:
-        """Scheme and intervals in words."""
+        """Scheme and number of intervals, in words."""
         layout = self.transcription.layout
         return f"{layout.mesh.transcription}, {layout.n_intervals} intervals"
 
     def solution(self) -> Solution:
-        """The iterate as a solution: motion, torques, wrenches; some 40 ms of numeric Pinocchio on a jump.
+        """Return the iterate as a solution with motion, torques and wrenches; takes some 40 ms on a jump.
 
-        Raises as ``unknowns``, and RuntimeError where the solver does not provide them.
+        Raises as ``unknowns``, and RuntimeError if the solver does not provide the variables.
         """
         if self.unknowns is None:
             raise RuntimeError(f"{self.solver} does not provide the variables of this iteration")
@@ -73,9 +76,9 @@ class Iterate:
         )
 
     def configurations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Times (n,) in s, configurations (n, nq) and phases (n,) at the nodes that are finite.
+        """Return times (n,) s, configurations (n, nq) and phases (n,) at all nodes with finite values.
 
-        The cheap part of `solution`. A node between two phases is the later one's; rotations are normalised.
+        Cheaper than `solution`. A node between two phases belongs to the later one; rotations are normalised.
         """
         layout = self.transcription.layout
         if self.unknowns is None:
@@ -96,9 +99,9 @@ Watch = Callable[[Iterate], None]
 
 
 def combine_watches(*watches: Watch | None) -> Watch:
-    """One watch that calls several, each guarded: one that fails is left out, with one warning.
+    """Combine several watches into one; a watch that raises is dropped with a warning.
 
-    An exception in a watch must not end a solve; an interrupt from the keyboard passes through.
+    An exception in a watch must not end a solve; a keyboard interrupt passes through.
     """
     left = [watch for watch in watches if watch is not None]
 
@@ -115,7 +118,7 @@ def combine_watches(*watches: Watch | None) -> Watch:
 
 
 class ProgressReporter:
-    """The solver's callback: calls progress and watch, with the objective in the problem's weights."""
+    """Solver callback that calls progress and watch, with the objective in the problem's weights."""
 
     def __init__(
         self,
@@ -129,7 +132,7 @@ class ProgressReporter:
         self.progress, self.watch = progress, watch and combine_watches(watch)
 
     def __call__(self, figures: dict[str, float], unknowns: Callable[[], np.ndarray]) -> bool:
-        """One iteration; ``unknowns`` may be called before this returns. False stops the solver."""
+        """Report one iteration; ``unknowns`` may be called until this returns. False stops the solver."""
         told = {**figures, "objective": self.transcription.objective_unit * figures["objective"]}
         go_on = self.progress is None or self.progress(told)
         self.see("iteration", unknowns, told)
@@ -165,7 +168,7 @@ class ProgressReporter:
 
 
 def _by_phase(layout: Layout, unknowns: np.ndarray, nodes: np.ndarray, phases: np.ndarray) -> np.ndarray:
-    """Configurations of the whole robot at nodes in time order, one call of its functions a phase."""
+    """Return configurations of the whole robot at nodes in time order, computed phase by phase."""
     parts = []
     for phase in dict.fromkeys(phases.tolist()):
         form = layout.form_of(phase)

@@ -1,13 +1,13 @@
-"""Multipliers of a solution, resampled onto the rows and bounds of another grid of the same problem.
+"""Resample the multipliers of a solution onto the rows and bounds of another mesh of the same problem.
 
-A multiplier of a row at a collocation point is the integral's weight times a function of time,
-lambda_i = h b_i lambda(t_i); of a defect a costate, a function of time itself; of a row or a bound at all
-nodes of a phase the spacing of nodes times a function of time (Hager, "Runge-Kutta methods in optimal
-control and the transformed adjoint system", Numerische Mathematik, 2000). These functions are interpolated
-linearly in the fraction of their phase. Rows are matched by name, phase, place and number; rows without a
-match start at zero, as without a warm start. Multipliers of rows at moments are shared among the rows of the
-same term in the same part of the phase: there are others, and more of them, after each look. Planes that a
-link carries are laid anew along each motion, and their rows start at zero.
+The multiplier of a row at a collocation point is a quadrature weight times a function of time,
+lambda_i = h b_i lambda(t_i). The multiplier of a defect is a costate, itself a function of time. The
+multiplier of a row or bound at all nodes of a phase is the node spacing times a function of time (Hager,
+"Runge-Kutta methods in optimal control and the transformed adjoint system", Numerische Mathematik, 2000).
+These functions are interpolated linearly in the fraction of their phase. Rows are matched by name, phase,
+place and number; rows without a match start at zero, as without a warm start. Multipliers of moment rows are
+shared among the rows of the same term in the same part of the phase, since moments change in each round.
+Planes that a link carries are laid anew along each motion, and their rows start at zero.
 """
 
 from collections import defaultdict
@@ -25,17 +25,17 @@ from trajopt.transcription.row_collection import RowInfo
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 
-# Fraction of an interval by which its points move inwards: the ends of two intervals are one time.
+# Fraction of an interval by which its points are moved inwards, since neighbouring intervals share an end.
 INSIDE = 1e-9
 
 
-# What rows must share to be samples of one function: block, phase, kind of place, number of rows.
+# Rows with the same block, phase, kind of place and number of rows are samples of one function.
 _Key = tuple[str, int, str, int]
 
 
 @dataclass(frozen=True)
 class _Block:
-    """Rows of one block at one place: their numbers, fraction of the phase, and weight in the integral."""
+    """Rows of one block at one place: their indices, fraction of the phase, and quadrature weight."""
 
     key: _Key
     rows: np.ndarray
@@ -46,7 +46,7 @@ class _Block:
 def with_multipliers(
     solution: Solution, transcription: Transcription, rows: np.ndarray, bounds: np.ndarray
 ) -> Solution:
-    """The solution with its multipliers and what names their rows, if all are finite; else as it is."""
+    """Return the solution with its multipliers and their row labels; unchanged unless all are finite."""
     if not (np.isfinite(rows).all() and np.isfinite(bounds).all()):
         return solution
     info = transcription.rows
@@ -60,7 +60,7 @@ def with_multipliers(
 
 
 def resampled_multipliers(transcription: Transcription, solution: Solution) -> WarmMultipliers | None:
-    """The solution's multipliers on the rows and bounds of ``transcription``; None where none fit."""
+    """Return the solution's multipliers on the rows and bounds of ``transcription``; None if none fit."""
     if solution.row_multiplier is None or solution.bound_multiplier is None:
         return None
     old = _layout_of(transcription.layout, solution, solution.bound_multiplier)
@@ -82,7 +82,7 @@ def resampled_multipliers(transcription: Transcription, solution: Solution) -> W
 
 
 def _resample(old: Iterable[_Block], known: np.ndarray, new: Iterable[_Block], result: np.ndarray) -> None:
-    """Put multipliers of new blocks in ``result``, interpolated linearly, constant beyond the samples."""
+    """Write the multipliers of new blocks to ``result``: linear interpolation, constant extrapolation."""
     members: defaultdict[_Key, list[_Block]] = defaultdict(list)
     for block in old:
         members[block.key].append(block)
@@ -98,7 +98,7 @@ def _resample(old: Iterable[_Block], known: np.ndarray, new: Iterable[_Block], r
 
 
 def _at_moments(layout: Layout, info: RowInfo, term: MomentConstraint) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (n,) of a term, and the intervals (n, 2) in which they lie, in fractions of its phase."""
+    """Return the rows (n,) of a term and their intervals (n, 2), in fractions of its phase."""
     phase = layout.schedule.names.index(term.during)
     known = info.names.index(term.name) if term.name in info.names else -1
     stages = layout.intervals_of(phase)
@@ -114,7 +114,7 @@ def _spread(
     new: tuple[np.ndarray, np.ndarray],
     result: np.ndarray,
 ) -> None:
-    """Share the multipliers of rows at moments among the new rows of the same interval: their sum stays."""
+    """Share the multipliers of moment rows among the new rows of the same interval, preserving their sum."""
     (rows, spans), (places, others) = old, new
     if not (len(rows) and len(places)):
         return
@@ -124,7 +124,7 @@ def _spread(
 
 
 def _layout_of(layout: Layout, solution: Solution, bounds: np.ndarray) -> Layout | None:
-    """The solution's own layout, if its variables are those of this problem on its grid."""
+    """Return the layout on the solution's mesh; None if its number of variables differs."""
     mesh = mesh_of(solution)
     if len(mesh.phases) != len(layout.mesh.phases):
         return None
@@ -133,7 +133,7 @@ def _layout_of(layout: Layout, solution: Solution, bounds: np.ndarray) -> Layout
 
 
 def _rows_of(old: Layout, solution: Solution) -> RowInfo | None:
-    """What names the rows of the solution's multipliers, if they are in that layout."""
+    """Return the labels of the rows of the solution's multipliers; None if they do not fit the layout."""
     if solution.row_place is None:
         return None
     block, stage, point = solution.row_place.T
@@ -146,7 +146,7 @@ def _rows_of(old: Layout, solution: Solution) -> RowInfo | None:
 
 
 def _blocks(layout: Layout, info: RowInfo) -> Iterator[_Block]:
-    """All rows, those of one block at one place together."""
+    """Yield all rows, grouped by block and place."""
     edges = np.flatnonzero(np.any(np.diff([info.block, info.stage, info.point], axis=1), axis=0)) + 1
     for rows in np.split(np.arange(len(info.block)), edges):
         if len(rows):
@@ -173,7 +173,7 @@ def _block(layout: Layout, name: str, k: int, point: int, rows: np.ndarray) -> _
 
 
 def _at_node(layout: Layout, name: str, k: int, rows: np.ndarray) -> _Block:
-    """A node within a phase is one of many, its ends are places of their own."""
+    """Return a block at a node; the first and last node of a phase are separate kinds of place."""
     place = layout.timeline.places[k]
     if place is None:
         return _Block((name, layout.phase_at(k), "repeated", len(rows)), rows, 0.0, 1.0)
@@ -187,14 +187,14 @@ def _at_node(layout: Layout, name: str, k: int, rows: np.ndarray) -> _Block:
 
 
 def _nodes(layout: Layout) -> Iterator[_Block]:
-    """The variables of every node; nothing else has bounds."""
+    """Yield the variables of every node; no other variables have bounds."""
     for k in range(layout.n_stages + 1):
         node = layout.node(k)
         yield _at_node(layout, "node", k, np.arange(node.start, node.stop))
 
 
 def _interval_in_phase(layout: Layout, k: int) -> tuple[int, tuple[float, float]]:
-    """Phase of an interval, and its start and end as fractions of it."""
+    """Return the phase of an interval, and the interval's start and end as fractions of it."""
     phase = int(layout.phase_of[k])
     index = k - int(layout.intervals_of(phase)[0])
     fractions = layout.mesh.phases[phase].fractions

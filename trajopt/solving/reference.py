@@ -1,9 +1,9 @@
-"""A converged reference of a problem: finer meshes until two successive solutions agree.
+"""Compute a converged reference solution: refine the mesh until two successive solutions agree.
 
-The first mesh is the problem's. The second keeps its intervals and raises the degree, every further one
-doubles the intervals; each solve starts from the last. Two solutions agree when objective, durations and the
-whole motion do. The first two are not compared: an error that vanishes at the nodes is the same on both
-meshes.
+The first mesh is the problem's own. The second has the same intervals but the reference's scheme, and each
+further mesh doubles the intervals; each solve starts from the last solution. Two solutions agree if
+objective, durations and the whole motion do. Agreement of the first two does not count, since an error that
+vanishes at the nodes is the same on both meshes.
 """
 
 import time
@@ -20,26 +20,26 @@ from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import DEFAULT_SOLVER, solve
 
-# Degree three: order six where controls are smooth; where a limit becomes active or inactive within an
+# Degree three has order six where controls are smooth; if a limit becomes active or inactive within an
 # interval, only more intervals help.
 SCHEME = "legendre:3"
-# Far below the compared differences: along a flat direction an optimum moves by the root of the error in the
-# objective.
+# Far below the compared differences: along a flat direction the optimum moves by the square root of the error
+# in the objective.
 TOLERANCE = 1e-9
-# Relative change of the objective between two meshes: weights are not meaningful to more digits.
+# Relative change of the objective between two meshes; weights are not meaningful to more digits.
 OBJECTIVE = 1e-5
 # Largest distance between two motions, over the robot's reach: half a millimetre for a dog-sized robot.
 DISTANCE = 1e-3
-# Motions further apart than this, over the reach, are tested for being different optima.
+# Motions further apart than this, over the reach, may be different optima and are tested.
 APART = 0.02
-# So are those this many times as far apart as the two before them: finer meshes alone reduce the distance.
+# So are motions this many times as far apart as the two before them: refinement alone reduces the distance.
 GREW = 2.0
-# A solution on the coarser mesh belongs to the finer one's optimum if it is nearer to it than this fraction
-# of the gap.
+# A solution on the coarser mesh belongs to the finer mesh's optimum if its distance from it is below this
+# fraction of the gap.
 SAME_SIDE = 0.25
 MAX_UNKNOWNS = 200_000
 MAX_TIME = 600.0
-# A solver that is called just before the end has this long, s, to return.
+# Smallest time limit, s, of a solve that starts just before the deadline.
 LEAST_TIME = 1.0
 
 Start = Solution | str | Path | None
@@ -47,9 +47,10 @@ Start = Solution | str | Path | None
 
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """How far two solutions may be apart: relative objective; part of the reach l (times: of sqrt(l / g)).
+    """How far two solutions that agree may be apart.
 
-    Joints may differ by ``distance`` rad: they may turn without any named point moving.
+    ``objective`` is relative; ``distance`` is over the reach l, or over sqrt(l / g) for durations. Joints are
+    compared too, in rad (over l in m if l > 1 m): they may turn without any named point moving.
     """
 
     objective: float = OBJECTIVE
@@ -60,7 +61,7 @@ class Agreement:
             require_positive(f"the {name} of an agreement", getattr(self, name))
 
     def holds(self, apart: Comparison, units: NaturalUnits) -> bool:
-        """Whether a comparison is within these bounds."""
+        """Return whether a comparison is within these bounds."""
         return (
             apart.objective_gap is not None
             and abs(apart.objective_gap) <= self.objective
@@ -72,10 +73,10 @@ class Agreement:
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSolve:
-    """One solve; ``apart`` is how far it is from the last one, None for the first.
+    """One solve of the sequence; ``apart`` compares it with the previous one, None for the first.
 
-    other_optimum: both optima were found on the coarser of the two meshes, so that they differ by more than
-    their meshes; False where that was not tested.
+    ``other_optimum`` says that it is a different optimum from the previous one: the coarser mesh has both.
+    False if not tested.
     """
 
     scheme: str
@@ -100,14 +101,14 @@ class MeshSolve:
 
 @dataclass(frozen=True, kw_only=True)
 class ConvergedReference:
-    """A converged solution, how far it is from the one before it, and all solves that led to it."""
+    """A converged solution, its comparison with the previous mesh, and all solves that led to it."""
 
     solution: Solution = field(repr=False)
     agreement: Comparison
     rungs: tuple[MeshSolve, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Agreement and solves, JSON-able."""
+        """Return the agreement and the solves, JSON-able."""
         return {"agreement": asdict(self.agreement), "rungs": [asdict(rung) for rung in self.rungs]}
 
     def __str__(self) -> str:
@@ -121,7 +122,7 @@ class ConvergedReference:
 
 
 class NoReferenceError(TrajoptError):
-    """No two successive meshes agreed; ``rungs`` are the solves that were made."""
+    """No two successive solutions agree; ``rungs`` are the solves so far."""
 
     def __init__(self, what: str, rungs: tuple[MeshSolve, ...]) -> None:
         self.rungs = rungs
@@ -129,7 +130,7 @@ class NoReferenceError(TrajoptError):
 
 
 def _in_words(apart: Comparison) -> str:
-    """A comparison in a few words."""
+    """Summarise a comparison."""
     gap = (
         "no objective" if apart.objective_gap is None else f"{abs(apart.objective_gap):.1e} of the objective"
     )
@@ -150,23 +151,23 @@ def converged_reference(
     start: Start = None,
     progress: Callable[[MeshSolve], None] | None = None,
 ) -> ConvergedReference:
-    """Refine until two successive solutions agree, and return the finer one with how far they are apart.
+    """Refine until two successive solutions agree; return the finer one with their comparison.
 
     Args:
-        problem: What to solve.
-        scheme: Of all meshes but the first.
-        solver: As in `solve`, like ``threads``.
-        tolerance: The solver's.
-        agreement: Bounds on objective, motion and durations.
-        max_unknowns: Budget of one solve.
-        max_time: Budget of all solves together, s.
-        threads: For functions and linear systems.
-        start: Of the first solve, as in `solve`.
-        progress: Called with every solve.
+        problem: The problem to solve.
+        scheme: Scheme of all meshes but the first.
+        solver: Name of the solver, as in `solve`.
+        tolerance: Tolerance of the solver.
+        agreement: Bounds on the differences of objective, motion and durations.
+        max_unknowns: Largest number of variables of one solve.
+        max_time: Time limit of all solves together, s.
+        threads: Threads for functions and linear systems.
+        start: Start of the first solve, as in `solve`.
+        progress: Called with each solve.
 
     Raises:
-        NoReferenceError: Where the budget ends first or a mesh is not solved; it says how far the last two
-            solutions agree and whether they are different optima.
+        NoReferenceError: If the budget runs out or a mesh is not solved; the message says how far the last
+            two solutions agree and whether they are different optima.
         InputError: As `solve` does.
     """
     for name, value in (("max_time", max_time), ("max_unknowns", max_unknowns)):
@@ -185,7 +186,7 @@ def converged_reference(
 
 @dataclass(kw_only=True)
 class _Climb:
-    """How each mesh is solved, the budget of all solves together, and the solves so far."""
+    """Settings of the solves, their common budget, and the solves so far."""
 
     problem: Problem
     settings: Mapping[str, Any]
@@ -238,7 +239,7 @@ class _Climb:
             self.progress(rung)
 
     def _solved(self, start: Start) -> Solution:
-        """The solution on the next mesh; from the default guess where ``start`` does not lead to one."""
+        """Return the solution on the next mesh; tries the default guess if ``start`` does not converge."""
         scheme, intervals = self._mesh()
         self.begun = time.monotonic()
         for origin in (start, None) if start is not None else (None,):
@@ -258,7 +259,7 @@ class _Climb:
         raise self._failure(f"{mesh} is not solved ({solution.statistics.status.replace('_', ' ')})")
 
     def _mesh(self) -> tuple[str | None, int | None]:
-        """Scheme and intervals of the next mesh, None for the problem's; raises where the budget is spent."""
+        """Return scheme and intervals of the next mesh, None for the problem's; raises if over budget."""
         if not self.rungs:
             return None, None
         if self.left <= 0:
@@ -269,7 +270,7 @@ class _Climb:
         return self.scheme, finer * last.intervals
 
     def _is_other(self, coarse: Solution, fine: Solution, apart: Comparison) -> bool:
-        """Whether two solutions are different optima; tested where they are far apart, or ever further."""
+        """Return whether two solutions are different optima; tested only if far apart or diverging."""
         before = self.rungs[-1].apart
         grew = before is not None and apart.farthest > GREW * before.farthest
         far = apart.farthest > APART * NaturalUnits.of(coarse.model).length
@@ -287,11 +288,11 @@ class _Climb:
 
 
 def in_other_optimum(problem: Problem, coarse: Solution, fine: Solution, **settings: Any) -> bool:
-    """Whether ``coarse`` differs from a finer solution by more than its mesh: its own mesh has both optima.
+    """Return whether ``coarse`` and a finer solution are different optima, not just on different meshes.
 
-    The problem is solved anew on the mesh of ``coarse``, starting from ``fine``. Where that ends near
-    ``fine`` and not near ``coarse``, the two are different optima; where it is not solved nothing is known,
-    and the answer is False. settings: of `solve`. Raises `InputError` as `compare` and `solve`.
+    The problem is solved again on the mesh of ``coarse``, starting from ``fine``. If the result is much
+    nearer to ``fine`` than ``coarse`` is, the coarse mesh has both optima. Without convergence the answer is
+    False. ``settings`` are arguments of `solve`. Raises `InputError` as `compare` and `solve` do.
     """
     apart = compare(coarse, fine).farthest
     back = solve(problem, mesh=mesh_of(coarse), start=fine, **settings)

@@ -1,9 +1,9 @@
-"""Rounds of solve, examination and remeshing, until a motion holds at any time.
+"""Mesh refinement: rounds of solving, checking and remeshing, until a motion passes the check at all times.
 
-A mesh is refined by the figures of the check: local errors and drift by phase, figures that are broken
-between points by interval. Where an accuracy is asked for, too, the error of a phase is what the planned
-torques do in it (`accuracy.measure`: open loop by numeric Pinocchio, from the phase's planned start), or the
-drift of its contacts where that is larger.
+A mesh is refined by the figures of the check: local errors and contact drift by phase, violations between
+collocation points by interval. If an accuracy is requested, too, the error of a phase is the larger of its
+open-loop error (`accuracy.measure`: planned torques integrated by numeric Pinocchio from the phase's planned
+start) and the drift of its contacts.
 """
 
 import math
@@ -41,35 +41,35 @@ from trajopt.terms.limits import with_far_limits
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.transcription import chosen_mesh
 
-# The scheme for which a problem's own number of intervals is meant, unless it names another.
+# Scheme for which a problem's own number of intervals is meant, unless it names another.
 USUAL_SCHEME = "legendre:2"
-# Bodies this deep in each other, m, are moved apart before the mesh is refined.
+# Bodies that penetrate by this much, m, are separated before the mesh is refined.
 DEEP = 5e-3
-# Figures of a check that are about a joint's limits.
+# Figures of the check for joint limits.
 LIMITS = ("effort_excess", "velocity_excess", "position_excess")
-# Planes are laid anew until the objective changes by less than this part of it: the motion that they allow is
-# then the best one near it.
+# Planes are laid anew until the relative change of the objective is below this: the motion within them is
+# then locally optimal.
 SETTLED = 5e-3
 MOST_VARIABLES = 100_000
-# In a phase that misses in more rounds than this, one after the other, neighbours of intervals that are split
-# are split, too, and no interval stays this many times as wide as the next one.
+# If a phase fails in more than PATIENCE successive rounds, the neighbours of intervals that are split are
+# split as well, and no interval stays BALANCE times as wide as the next one.
 PATIENCE, BALANCE = 3, 2.5
-# Limit of the time of all rounds, s.
+# Default time limit of all rounds, s.
 MAX_TIME = 600.0
-# A solve from a motion on a coarser mesh is given up after so many times the iterations of the round before,
-# and at least so many of iterations times variables: to give up a small one gains nothing. It is begun again
-# farther from its bounds, then from other starts, and taken up without that limit where none of them is
-# solved. The limit is DEEPER times as high where bodies were deep in each other: the motion will be another.
+# A solve from the last motion is given up after GIVE_UP times the iterations of the last round, but not below
+# GIVE_UP_LEAST iterations times variables, since giving up a small solve gains nothing. It is repeated with
+# larger distances from bounds, then from other starts, and without the limit if none of them converges. The
+# limit is DEEPER times as high if bodies were deep in each other, since the motion will change much.
 GIVE_UP, GIVE_UP_LEAST, DEEPER = 2, 2.5e5, 2
-# After so many rounds whose best motion is still this many times beyond what is allowed all is begun anew.
+# If after FAR_ROUNDS rounds the best motion is still FAR times beyond a tolerance, the refinement restarts.
 FAR_ROUNDS, FAR = 4, 20.0
-# Iterations on the first mesh after which the problem's own is tried; then the first one is taken up again.
+# Iterations on the first mesh before the problem's own mesh is tried; then the first is solved without limit.
 MOST_FIRST = 200
 
 
 @dataclass(frozen=True)
 class _Examined:
-    """A solution with its examination, and where an accuracy is asked for its own."""
+    """A solution with its examination, and its accuracy if one is requested."""
 
     solution: Solution
     examination: Examination
@@ -80,8 +80,8 @@ class _Examined:
 class Refinement:
     """The rounds so far, the last solution, and the best one with its examination.
 
-    missed: (n_phases,) in how many of the last rounds, one after the other, a phase missed. solver_time:
-    whether the limit of time is one of the solver alone, not of all but compilation.
+    ``missed`` (n_phases,) counts the successive rounds up to the last in which each phase failed.
+    ``solver_time`` says that the time limit counts only the solver, not everything but compilation.
     """
 
     problem: Problem
@@ -103,10 +103,9 @@ class Refinement:
     def run(
         self, mesh: Mesh, start: Solution | str | Path | None, first: Solution | None, rounds: int
     ) -> str:
-        """Solve, examine, refine; return why it ends.
+        """Solve, check and refine; return the reason why it ends.
 
-        A round is a motion that is examined. Its mesh may take several solves, from the last motion and from
-        the guess.
+        Each round checks one motion. It may take several solves, from the last motion and from the guess.
         """
         solution = self._first(mesh, start) if first is None else self._given(first)
         examined = 0
@@ -117,7 +116,7 @@ class Refinement:
             report = latest.examination.report
             deepest = [name for name in report.failures(self.tolerances) if name in BODIES]
             times = [report.places[name].time for name in deepest]
-            if times and self.exchange.depth(look) <= 0:  # between the moments that were looked at
+            if times and self.exchange.depth(look) <= 0:  # collides only between the sampled moments
                 look = self.exchange.look(solution, times)
             near = self.exchange.depth(look)
             if self._used(latest) <= 1 and near <= 0 and self.settled:
@@ -125,12 +124,12 @@ class Refinement:
             if examined >= rounds:
                 return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
             imposed = self._far_limits_imposed(report)
-            # A motion from a start passes bodies where that does.
+            # A motion from a given start passes bodies on the side that the start chose.
             deep = self.exchange.sideless_depth(look, known=not self.settled) >= DEEP
             sideless = deep and start is None
             self.exchange.add(look)
             mesh = mesh_of(solution)
-            if self.refine and near < DEEP and not imposed:  # else the motion will be another one
+            if self.refine and near < DEEP and not imposed:  # otherwise the motion will change much
                 mesh = self._refined(mesh, latest)
             if mesh == mesh_of(solution) and near <= 0 and self.settled and not imposed:
                 return "a finer mesh does not mend what is missed" if self.refine else "the mesh is fixed"
@@ -147,7 +146,7 @@ class Refinement:
         return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
 
     def _far_limits_imposed(self, report: CheckReport) -> bool:
-        """Whether limits that seemed out of reach have got rows because the motion exceeds a limit."""
+        """If the motion exceeds a limit, add those that seemed out of reach; return whether any are new."""
         if not any(name.startswith(LIMITS) for name in report.failures(self.tolerances)):
             return False
         terms = with_far_limits(self.problem.terms, self.problem.robot)
@@ -157,10 +156,10 @@ class Refinement:
         return True
 
     def _first(self, mesh: Mesh, start: Solution | str | Path | None) -> Solution | None:
-        """The solution on the first mesh, or on the problem's own mesh where that fails or takes long.
+        """Return the solution on the first mesh, or on the problem's own mesh if that fails or takes long.
 
-        Not where it is certified as infeasible without rows for bodies: IPOPT alone solved none of 14
-        such settings on the own mesh, from two starts each.
+        The own mesh is not tried if the problem is certified infeasible without collision rows: IPOPT
+        solved none of 14 such problems there, from two starts each.
         """
         own = chosen_mesh(self.problem) if self.refine else mesh
         for tried in dict.fromkeys((mesh, own)):
@@ -176,9 +175,9 @@ class Refinement:
         return self._solved(mesh, start) if left else None
 
     def _begun_anew(self) -> Solution | None:
-        """The solution from the guess on the problem's own mesh, without rows for bodies; None if none.
+        """Solve from the guess on the problem's own mesh, without collision rows; None if that fails.
 
-        Where rounds from a coarse mesh do not come near the grade, they follow another optimum.
+        If rounds from a coarse mesh do not come near the grade, they follow another optimum.
         """
         own = chosen_mesh(self.problem)
         if not self.refine or own == self.rounds[0].mesh:
@@ -197,14 +196,14 @@ class Refinement:
         return first if first.converged else None
 
     def _left(self) -> float:
-        """Time that is left, s."""
+        """Return the remaining time, s."""
         used = sum(round_.wall_time for round_ in self.rounds)
         if not self.solver_time:
             used = max(used, time.perf_counter() - self.begun - self.compiled)
         return self.settings.get("max_time", MAX_TIME) - used
 
     def _is_over(self) -> bool:
-        """Whether the user has stopped the last round, or no time is left for another."""
+        """Return whether the user stopped the last round, or no time is left for another."""
         return self.rounds[-1].status == INTERRUPTED or self._left() <= LEAST_TIME
 
     def _solved(
@@ -216,10 +215,10 @@ class Refinement:
         options: Mapping[str, Option] | None = None,
     ) -> Solution | None:
         given, number = self.settings.get("label", ""), len(self.rounds) + 1
-        # A named mesh is usually solved once; a refinement has several meshes.
+        # A fixed mesh is usually solved once; a refinement has several meshes.
         label = ", ".join(filter(None, [given, f"mesh {number}" if self.refine or number > 1 else ""]))
         limit: dict[str, Any] = {}
-        if self.settings.get("max_time", MAX_TIME) > 0:  # else it is refused
+        if self.settings.get("max_time", MAX_TIME) > 0:  # otherwise the solve rejects it
             limit["max_time"] = max(self._left(), LEAST_TIME)
         if most is not None:
             limit["max_iterations"] = min(most, self.settings.get("max_iterations", most))
@@ -233,18 +232,18 @@ class Refinement:
             **{**self.settings, **limit, "label": label, "judge": False},
         )
         self.compiled += self.last.statistics.compile_time_s or 0.0
-        self.settings.pop("perturb", None)  # noise is for the first start
+        self.settings.pop("perturb", None)  # noise applies only to the first start
         self.rounds.append(Round.of(mesh, self.last))
         return self.last if self.last.converged else None
 
     def _solved_from(
         self, mesh: Mesh, solution: Solution, sideless: bool, patience: int = 1
     ) -> Solution | None:
-        """From the last motion or from the guess, whichever is on the right side of bodies to pass.
+        """Solve from the last motion or from the guess, whichever passes obstacles on the right side.
 
-        A motion that goes deep through a body may be on no side of it (``sideless``); a guess that is clear
-        passes it where its author wants it to. From then on motions are on that side, and planes along them
-        hold them back less than those along the guess.
+        A motion deep inside a body may be on neither side of it (``sideless``); a collision-free guess passes
+        it on the side that its author intended. Later motions are on that side, and planes along them
+        restrict them less than planes along the guess.
         """
         starts = self.exchange.starts(solution, sideless and self.exchange.guess_is_clear())
         least = math.ceil(GIVE_UP_LEAST / unknowns_on_mesh(self.problem, mesh))
@@ -268,13 +267,13 @@ class Refinement:
         return solved
 
     def _may_be_pushed(self) -> bool:
-        """Whether the last solve may succeed farther from its bounds: IPOPT's, not shown to be infeasible."""
+        """Return whether a start farther from the bounds may help: for IPOPT, unless infeasible."""
         ipopt = self.settings.get("solver", DEFAULT_SOLVER) == DEFAULT_SOLVER
         certified = self.last is not None and self.last.statistics.certified_infeasible
         return ipopt and not certified and not self._is_over()
 
     def _examine(self, solution: Solution) -> _Examined:
-        """Check and measure the solution of the last round; keep it if it is the best."""
+        """Check and measure the solution of the last round; keep it if it is the best so far."""
         begun = time.perf_counter()
         accuracy = None if self.target is None else measure(solution)
         examined = _Examined(solution, examine(solution, self.tolerances), accuracy)
@@ -287,7 +286,7 @@ class Refinement:
         return examined
 
     def _used(self, examined: _Examined) -> float:
-        """The figure or the error that is farthest beyond what is allowed, over that; inf where unknown."""
+        """Return the largest ratio of a figure or error to its tolerance; inf if unknown."""
         used = examined.examination.report.worst(self.tolerances)[1]
         if examined.accuracy is not None and self.target is not None:
             used = max(used, max(phase_errors(examined.accuracy)) / self.target)
@@ -308,14 +307,14 @@ class Refinement:
         )
         errors = [PhaseErrors(local=local, phase=worst, unknowns=sizes) for local, worst, sizes in parts]
         broken = self._pressed(mesh, errors, examination.broken)
-        # A scheme that a problem names suits its kinks: torques of least time ring at a higher degree.
+        # A problem that names its scheme has kinks: minimum-time torques ring at a higher degree.
         usual = self.problem.default_transcription == USUAL_SCHEME
         return remeshed(mesh, errors, broken, length, raise_degree=usual)
 
     def _pressed(self, mesh: Mesh, errors: Sequence[PhaseErrors], broken: np.ndarray) -> np.ndarray:
-        """What is ``broken`` (I,), and something around it in phases that miss round after round.
+        """Return ``broken`` (I,), extended to neighbours in phases that fail round after round.
 
-        There an optimum moves to intervals that are still wide.
+        In such phases the violation moves to intervals that are still wide.
         """
         parts = np.split(broken, np.cumsum(mesh.counts)[:-1])
         missed = [phase.phase > 1 or part.max() > 1 for phase, part in zip(errors, parts, strict=True)]
@@ -326,7 +325,7 @@ class Refinement:
         ])  # fmt: skip
 
     def _error(self, report: CheckReport, index: int) -> float:
-        """Error of a phase in what it does, over what is allowed."""
+        """Return the largest local or open-loop error of a phase, over its tolerance."""
         phase = report.phases[index]
         names = ("local_position", "local_joints", *(OPEN_LOOP if phase.stable else ()))
         ratios = [
@@ -337,7 +336,7 @@ class Refinement:
         return max(ratios, default=0.0)
 
     def result(self, why: str) -> Graded:
-        """The best motion with its verdict, recorded in its statistics."""
+        """Return the best motion with its verdict, which its statistics record as well."""
         best = None if self.best is None else self.best[1]
         solution, examination = (self.last, None) if best is None else (best.solution, best.examination)
         assert solution is not None
@@ -362,7 +361,7 @@ class Refinement:
 
 
 def _balanced(widths: np.ndarray, broken: np.ndarray) -> np.ndarray:
-    """What is ``broken`` (n,), with neighbours, and with intervals much wider than these will be."""
+    """Return ``broken`` (n,), extended to neighbours and to intervals much wider than the next ones."""
     result, halved = broken.copy(), np.nextafter(1.0, 2.0)
     wide = np.convolve(broken > 1, np.ones(3), mode="same") > 0
     while wide.any():

@@ -1,14 +1,14 @@
-"""Which mesh meets a target: intervals split, or a phase's degree raised, where the error between points is.
+"""Choose a mesh that meets an error target, by splitting intervals or raising the degree of a phase.
 
-The local error of an interval of width h with s points is that of its quadrature,
+The local error of an interval of width h with s points is modelled as its quadrature error
 
     e = L c_s x^(p + 1),      x = h / l,      c_s: `Scheme.error_constant`
 
-with L the robot's length and l the time scale of the motion there, which follows from a measured e. Cut into
-k parts with s' points each it makes k L c_s' (x / k)^(p' + 1). The error of a phase is the sum of its local
-errors times the growth that was measured. Of all degrees and cuts that meet the target by this model, the one
-with fewest variables is taken; parts grow with e^(1 / (p + 1)), which spreads the error evenly (de Boor,
-"Good approximation by splines with variable knots", 1973).
+with the robot's length L and the local time scale l of the motion, which follows from the measured e. Split
+into k parts with s' points each, the interval has the error k L c_s' (x / k)^(p' + 1). The error of a phase
+is the sum of its local errors times the measured growth. Among the degrees and splits that meet the target by
+this model, the one with the fewest variables is chosen. The number of parts grows with e^(1 / (p + 1)), which
+distributes the error evenly (de Boor, "Good approximation by splines with variable knots", 1973).
 """
 
 import math
@@ -20,11 +20,11 @@ import numpy as np
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import Scheme
 
-# Fraction of the target that the model aims at: its growth and time scale are estimates.
+# Fraction of the target that the model aims at, since its growth and time scale are estimates.
 AIM = 0.5
-# Most parts of an interval in one round: errors on a coarse mesh predict those on a fine one only roughly.
+# Largest number of parts per interval and round: errors on a coarse mesh predict a fine one only roughly.
 MOST_PARTS = 4
-# Where a phase diverges, growth is unknown: its local errors are reduced to this fraction.
+# If a phase diverges, its growth is unknown; its local errors are then reduced to this fraction.
 RUN_AWAY = 1e-2
 # Smallest local error above rounding, over the robot's length.
 ROUNDING = 1e-15
@@ -32,9 +32,9 @@ ROUNDING = 1e-15
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseErrors:
-    """Local errors (n,) m of a phase's intervals, and the error of the whole phase over what is allowed.
+    """Errors of a phase: ``local`` (n,) m of its intervals, ``phase`` of the whole over its tolerance.
 
-    ``unknowns``: (per node, per collocation point) of the phase.
+    ``unknowns`` is the number of variables per node and per collocation point.
     """
 
     local: np.ndarray
@@ -49,10 +49,10 @@ def remeshed(
     length: float,
     raise_degree: bool = True,
 ) -> Mesh:
-    """The mesh for the next round of a motion that misses tolerances.
+    """Return the mesh for the next round of a motion that exceeds its tolerances.
 
-    Phases whose error, in units of what is allowed, is above one are remeshed by their local errors.
-    Intervals in which a figure is ``broken`` (I,) times its tolerance are split at least.
+    Phases whose error is above one are remeshed by their local errors. ``broken`` (I,) is the largest ratio
+    of a figure to its tolerance in each interval; intervals above one are split at least in two.
     """
     phases, ends = [], np.cumsum(mesh.counts)
     parts = np.where(broken > 1, np.clip(np.ceil(np.sqrt(broken)), 2, MOST_PARTS), 1).astype(int)
@@ -83,7 +83,7 @@ def _remeshed_phase(
 
 
 def _errors_of(local: np.ndarray, old: Scheme, new: Scheme, length: float) -> np.ndarray:
-    """Local errors that another scheme would make on the same intervals, m."""
+    """Return the local errors of another scheme on the same intervals, m."""
     if old is new:
         return local
     x = (local / (length * old.error_constant)) ** (1 / (old.order + 1))
@@ -91,7 +91,7 @@ def _errors_of(local: np.ndarray, old: Scheme, new: Scheme, length: float) -> np
 
 
 def _parts(local: np.ndarray, order: int, allowed: float) -> np.ndarray:
-    """Parts (n,) of each interval, at most `MOST_PARTS`, that keep the sum of local errors within bounds."""
+    """Return the parts (n,) of intervals, at most `MOST_PARTS`, whose summed error is at most ``allowed``."""
     shape = local ** (1 / (order + 1))
 
     def total(scale: float) -> tuple[np.ndarray, float]:

@@ -1,4 +1,4 @@
-"""A robot at rest in its reference posture, as a problem: the first picture of a new robot."""
+"""The problem of a robot at rest in its reference posture: a first look at a new robot."""
 
 import numpy as np
 
@@ -12,17 +12,17 @@ from trajopt.terrain.flat import FlatGround
 
 # Long enough to look at, s; a motion at rest needs no fine grid.
 DURATION, INTERVALS = 1.0, 4
-# Weight of wrenches beside that of accelerations: balanced forces are shared out without changing the motion.
+# Weight of wrenches relative to accelerations: it distributes forces without changing the motion.
 SPREAD = 1e-6
-# Rubber on a dry floor.
+# Friction coefficient of rubber on a dry floor.
 FRICTION = 0.7
 
 
 def rest(robot: Robot, duration: float = DURATION) -> Problem:
-    """Return the problem to stay in the reference posture for ``duration`` s, on the feet if it has some.
+    """Return the problem of staying in the reference posture for ``duration`` s, on the feet if any.
 
-    Accelerations cost, and wrenches very little, so that they are spread. Torques are not limited, and the
-    robot starts at rest: a posture that falls over falls.
+    The cost is on accelerations, with a small weight on wrenches to distribute them. Torques are not limited,
+    and the robot starts at rest: a posture that is not balanced falls over.
     """
     feet = standing_feet(robot)
     spread = (WrenchCost(weight=SPREAD),) if feet else ()

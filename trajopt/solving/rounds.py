@@ -1,4 +1,4 @@
-"""What a solve to a grade did: its solves, and the motion it ends with."""
+"""Record of a solve to a grade: its rounds, and the motion it ends with."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from trajopt.solving.exchange import Exchange
 from trajopt.solving.verdicts import finite_or_none
 from trajopt.transcription.mesh import Mesh
 
-# The status of a solve that the user interrupted: nothing starts from it.
+# Status of a solve that the user interrupted: nothing starts from it.
 INTERRUPTED = Status.INTERRUPTED.word
 
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """One solve: its mesh, size, and the error of each phase in m (None where it was not measured)."""
+    """One solve: its mesh, size, and the error of each phase in m (None if not measured)."""
 
     mesh: Mesh
     variables: int
@@ -35,7 +35,7 @@ class Round:
 
     @classmethod
     def of(cls, mesh: Mesh, solution: Solution) -> Round:
-        """The round of a solution on a mesh, not yet measured."""
+        """Return the round of a solution on a mesh, without errors."""
         statistics = solution.statistics
         return cls(
             mesh=mesh,
@@ -58,7 +58,7 @@ class Round:
 
     @property
     def statistics(self) -> RoundStatistics:
-        """The round as solutions record it; an error that is not finite is None."""
+        """The round as recorded in solutions; errors that are not finite are None."""
         return RoundStatistics(
             transcription=self.mesh.transcription,
             intervals=self.mesh.counts,
@@ -72,10 +72,13 @@ class Round:
 
 @dataclass(frozen=True, kw_only=True)
 class Graded:
-    """The best motion found, its examination, the solves, and what ended them.
+    """The best motion found, its examination, the rounds, and ``why`` they ended.
 
-    examined: s of all checks. exchange: the rows that keep bodies apart; None without legs. target: error of
-    a phase that was asked for, m, or None; accuracy: of the motion then.
+    Args:
+        examined: Time of all checks, s.
+        exchange: The collision rows; None without legs.
+        target: Requested error of a phase, m; None if there is none.
+        accuracy: Measured accuracy of the motion; None if not measured.
     """
 
     solution: Solution
@@ -89,32 +92,32 @@ class Graded:
 
     @property
     def report(self) -> CheckReport | None:
-        """The check of the motion, where it was examined."""
+        """The check of the motion; None if it was not checked."""
         return None if self.examination is None else self.examination.report
 
     @property
     def error(self) -> float:
-        """Largest error of a phase of the solution, m; inf where nothing was solved and measured."""
+        """Largest error of a phase of the solution, m; inf if not measured."""
         return largest_error(self.accuracy)
 
     @property
     def reached(self) -> bool:
-        """Whether the motion has the grade, and the accuracy that was asked for."""
+        """Whether the motion is within the grade and the requested accuracy."""
         return self.solution.success and (self.target is None or self.error <= self.target)
 
     @property
     def interrupted(self) -> bool:
-        """Whether the user stopped it."""
+        """Whether the user stopped the last round."""
         return self.rounds[-1].status == INTERRUPTED
 
     @property
     def spent(self) -> float:
-        """Time of the solver in all rounds, s."""
+        """Solver time of all rounds, s."""
         return sum(solved.wall_time for solved in self.rounds)
 
     @property
     def statistics(self) -> GradedStatistics:
-        """What was done, as solutions record it."""
+        """The record of the solve as stored in solutions."""
         return GradedStatistics(
             reached=self.reached,
             why=self.why,
@@ -126,22 +129,22 @@ class Graded:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The statistics, JSON-able."""
+        """Return the statistics, JSON-able."""
         return jsonable(asdict(self.statistics))
 
 
 def largest_error(accuracy: Accuracy | None) -> float:
-    """Largest error of a phase, m; inf where nothing was solved and measured."""
+    """Return the largest error of a phase, m; inf if not measured."""
     return math.inf if accuracy is None else max(phase_errors(accuracy))
 
 
 def phase_errors(accuracy: Accuracy) -> tuple[float, ...]:
-    """Error of each phase in m: open loop from its planned start, or the drift of its contacts."""
+    """Return the error of each phase, m: the larger of its open-loop error and its contact drift."""
     return tuple(max(phase.open_loop.position, phase.foot_drift or 0.0) for phase in accuracy.phases)
 
 
 def unknowns_by_phase(problem: Problem) -> list[tuple[int, int]]:
-    """Approximate number of variables of each phase per node and per point: states, inputs, wrenches."""
+    """Return the approximate number of variables per node and per collocation point of each phase."""
     robot = problem.robot
     wrenches = [
         sum(robot.contact(name).dimension for name in phase.contacts) for phase in problem.schedule.phases
@@ -150,7 +153,7 @@ def unknowns_by_phase(problem: Problem) -> list[tuple[int, int]]:
 
 
 def unknowns_on_mesh(problem: Problem, mesh: Mesh) -> int:
-    """Approximate number of variables of a problem on a mesh."""
+    """Return the approximate number of variables of a problem on a mesh."""
     return sum(
         phase.count * (node + phase.method.s * point)
         for phase, (node, point) in zip(mesh.phases, unknowns_by_phase(problem), strict=True)

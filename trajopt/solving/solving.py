@@ -45,7 +45,7 @@ MAX_PERTURBATION = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedProblem:
-    """A problem ready to be solved from its guess; ``build_time`` in s is all but compilation."""
+    """A problem ready to be solved from its guess; ``build_time`` in s excludes compilation."""
 
     transcription: Transcription
     nlp: Nlp
@@ -66,10 +66,10 @@ def prepare(
     start: Solution | str | Path | None = None,
     max_time: float = math.inf,
 ) -> PreparedProblem:
-    """Transcribe, compile (or fetch from the cache) and assemble; arguments as in `solve`.
+    """Transcribe, compile (or load from the cache) and assemble the NLP; arguments as in `solve`.
 
-    The guess is the solution ``start``, resampled, or the problem's, which stays where it is when
-    ``max_time`` s are over. Raises `InputError`.
+    The guess is the resampled solution ``start``, or the problem's guess, whose computation stops after
+    ``max_time`` s. Raises `InputError`.
     """
     begun = time.perf_counter()
     transcribed = transcribe(problem, transcription, intervals, mesh)
@@ -119,28 +119,28 @@ def solve(
     """Solve a problem on one mesh; never raises because the solver did not converge.
 
     Args:
-        problem: What to solve.
-        transcription: Scheme by name, for example ``legendre:2``, or one for each phase, separated by commas;
-            default: the problem's.
-        intervals: Number over the whole schedule; default: the problem's.
-        mesh: Schemes and widths of intervals by phase, instead of both.
-        solver: Of `trajopt.solvers.drivers.SOLVERS`; ``ipopt``, or one of your own.
-        tolerance: On feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
+        problem: The problem to solve.
+        transcription: Name of the scheme, for example ``legendre:2``, or one for each phase, separated by
+            commas; default: the problem's.
+        intervals: Number of intervals over the whole schedule; default: the problem's.
+        mesh: Schemes and widths of intervals by phase, instead of the two above.
+        solver: Name in `trajopt.solvers.drivers.SOLVERS`: ``ipopt``, or one that you add.
+        tolerance: Tolerance on feasibility and optimality, in natural units (weight, length, sqrt(l/g)).
         max_iterations: Limit of the solver's iterations.
         max_time: Limit of wall time, s, without compilation, which is done once.
-        seed: Of the noise on the guess.
+        seed: Seed of the noise on the guess.
         perturb: Standard deviation of that noise, scaled units.
         hessian: ``exact``, ``gauss-newton`` (of costs that are squares, without curvature of constraints),
-            or with IPOPT ``limited-memory`` (a quasi-Newton approximation: no second derivative is compiled).
-        threads: For functions and linear systems; the result is the same, bit by bit.
-        options: The solver's own; unknown ones are refused.
+            or with IPOPT ``limited-memory`` (quasi-Newton: no second derivatives are compiled).
+        threads: Threads for functions and linear systems; the result is the same, bit by bit.
+        options: Options of the solver; unknown ones are rejected.
         progress: Called at each iteration with its figures; returns False to stop there.
-        watch: Called with the guess, each `Iterate` and the end; what it raises becomes a warning.
+        watch: Called with the guess, each `Iterate` and the end; exceptions in it become warnings.
         label: Which of several solves this is, for the watch.
-        start: A solution, or its file, to start from instead of the problem's guess: of the same joints and
-            phases, on any grid, scheme, durations or parameters (see `warm_start`).
-        judge: Check a motion that converged; False where the caller does.
-        solver_time: Whether ``max_time`` is one of the solver's time alone.
+        start: Solution, or its file, to start from instead of the problem's guess, with the same joints and
+            phases, but on any mesh and with any durations and parameters (see `warm_start`).
+        judge: Check a motion that converged; False if the caller does.
+        solver_time: Whether ``max_time`` limits only the solver's time.
 
     Returns:
         A solution whose ``statistics`` have status, success, advice, iterations, objective, times and the
@@ -189,19 +189,19 @@ def solve_prepared(
     label: str = "",
     judge: bool = True,
 ) -> Solution:
-    """Solve what `prepare` made, any number of times; never raises because the solver did not converge.
+    """Solve a prepared problem, any number of times; never raises because the solver did not converge.
 
     Args:
-        prepared: The problem's NLP.
+        prepared: The result of `prepare`.
         start: Scaled variables (n_unknowns,).
-        origin: Where the start comes from, for the statistics: ``seed`` and ``perturb`` at least.
-        solver: As in `solve`, like what follows.
+        origin: Where the start comes from, for the statistics: at least ``seed`` and ``perturb``.
+        solver: As in `solve`.
         stop: Tolerance, and limits of iterations and time.
-        options: The solver's own.
-        progress: Called at each iteration.
-        watch: Called with the guess, each iterate and the end.
-        label: Which of several solves this is.
-        judge: Check a motion that converged.
+        options: As in `solve`.
+        progress: As in `solve`.
+        watch: As in `solve`.
+        label: As in `solve`.
+        judge: As in `solve`.
     """
     stop = stop or StoppingCriteria()
     place = nonfinite_place(prepared.nlp, start)

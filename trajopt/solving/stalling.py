@@ -1,9 +1,9 @@
-"""A solve that gets nowhere: certified as infeasible, or started anew from a feasible point.
+"""Handle a solve that stalls: certify it as infeasible, or restart it from a feasible point.
 
-While IPOPT runs, its figures are tested for progress. Where there is none, the elastic problem is solved from
-the iterate, within the same limits. A minimum of the violations that is clear ends the solve as infeasible; a
-point where the rows hold is where the solve starts anew; without either the solve just goes on, and is tested
-again after twice as many iterations. So no solve that would succeed is ended by the test of progress alone.
+While IPOPT runs, its figures are tested for progress. If it stalls, the elastic problem is solved from the
+iterate, within the same limits. A minimum with a clear violation ends the solve as infeasible. From a point
+where all rows hold, the solve starts again. Otherwise the solve continues, and is tested again after twice as
+many iterations. So the test alone never ends a solve that would succeed.
 """
 
 import time
@@ -20,23 +20,25 @@ from trajopt.solvers.status import Status
 from trajopt.transcription.nlp import Nlp
 
 CERTIFIED = "Certified_Infeasible"
-# IPOPT's name for the limit that iterations of elastic problems have used up.
+# IPOPT's status if iterations of elastic problems have reached the limit.
 LIMITED = "Maximum_Iterations_Exceeded"
-# Ends of IPOPT that are no verdict on the problem: its restoration fails, or no step makes progress.
+# Statuses of IPOPT that do not settle feasibility: its restoration fails, or no step makes progress.
 GIVEN_UP = Status.INFEASIBLE, Status.STEP_FAILED
-# Figures of iterations of the elastic problem after that.
+# Figures for the elastic problem that is solved afterwards.
 NO_FIGURES = {"barrier": 0.0, "step": 0.0, "regularization": 0.0, "line_search": 0}
-# Last iterations that tell whether a solve that stops is feasible: now and then one leaves the rows.
+# Number of last iterations whose median decides whether a solve ends feasible: single ones may violate rows.
 RECENT = 20
-# Iterations of one search for the least violation: those that end take 20 to 200.
+# Iteration limit of one search for the least violation: successful ones take 20 to 200.
 MOST_ELASTIC = 250
 
 
 class StallTest:
-    """A solver's callback that passes on to another, and looks for a verdict where there is no progress.
+    """Solver callback that forwards to another one, and tests feasibility if the solve stalls.
 
-    verdict: the elastic point that ended the solve. spent: iterations of elastic problems, which count
-    against the limit. limited: they have used up the limit.
+    Attributes:
+        verdict: The elastic point that ended the solve; None if there is none.
+        spent: Iterations of elastic problems, which count against the limit.
+        limited: Whether these have used up the limit.
     """
 
     def __init__(self, nlp: Nlp, callback: Callback, stop: StoppingCriteria) -> None:
@@ -49,7 +51,7 @@ class StallTest:
         self.verdict: ElasticPoint | None = None
 
     def __call__(self, figures: dict[str, float], unknowns: Callable[[], np.ndarray]) -> bool:
-        """One iteration of the solver; False where the callback stops it, or a verdict is found."""
+        """Handle one iteration; return False if the callback stops it, or a verdict is found."""
         told = {**figures, "iteration": figures["iteration"] + self.spent}
         if not self.callback(told, unknowns):
             return False
@@ -65,7 +67,7 @@ class StallTest:
         return len(x) == 0 or self.look(told, x)
 
     def look(self, figures: dict[str, float], x: np.ndarray) -> bool:
-        """Look for a verdict from variables ``x``; False where there is one, or the callback stops it."""
+        """Search for a verdict from variables ``x``; return False if found, or if the callback stops it."""
         left = int(self.stop.max_iterations - figures["iteration"])
         seconds = self.deadline - time.perf_counter()
         if left <= 0 or seconds <= 0:  # the solver stops by itself
@@ -97,7 +99,7 @@ def solve_or_certify(
     callback: Callback,
     warm: WarmMultipliers | None = None,
 ) -> tuple[Result, ElasticPoint | None]:
-    """As `run_solver`, with the test of progress where that is measured; the certificate if infeasible."""
+    """Call `run_solver` with the progress test if the solver supports it; also return any certificate."""
     if nlp.hessian not in check_solver(solver, nlp.hessian).certifies_with:
         return run_solver(nlp, start, solver, stop, options, callback, warm), None
     begun = time.perf_counter()
@@ -130,7 +132,7 @@ def solve_or_certify(
 
 
 def _certified(nlp: Nlp, result: Result, point: ElasticPoint) -> Result:
-    """The point of least violation; multipliers of the elastic problem are not those of the problem."""
+    """Return the point of least violation, without multipliers: those are of the elastic problem."""
     return replace(
         result,
         x=point.x,

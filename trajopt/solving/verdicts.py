@@ -1,4 +1,4 @@
-"""Status of a solve: the solver's, checked against the violations, and failures of the motion itself."""
+"""Status of a solve: the solver's own, checked against the violations, and failures of the motion itself."""
 
 import math
 import time
@@ -13,11 +13,11 @@ from trajopt.errors import TrajoptError
 from trajopt.solution.solution import Solution
 from trajopt.solvers.status import Status
 
-# A solver's "solved" is believed up to this multiple of its tolerance, measured anew on all rows.
+# "Solved" is accepted if the recomputed violation of all rows is below this multiple of the tolerance.
 TRUSTED_VIOLATION = 10.0
-# A solver that finds no step this far from feasible (natural units) has found no feasible point.
+# A solver that fails to find a step with a violation above this (natural units) has found no feasible point.
 STILL_FEASIBLE = 1e-3
-# Why a solver may not converge at a feasible point: where rows lose rank there are no multipliers.
+# Why a solver may not converge at a feasible point: if rows lose rank, multipliers may not exist.
 DEPENDENT = (
     "all rows hold, so they may depend on each other there, as of a goal at a singular posture or stated"
     " twice: trajopt diagnose names them"
@@ -25,7 +25,7 @@ DEPENDENT = (
 
 
 def status_by_violation(status: Status, worst: float, tolerance: float) -> Status:
-    """The solver's status, by the largest violation ``worst`` of any row or bound, in natural units."""
+    """Correct the solver's status by the largest violation ``worst`` of any row or bound, natural units."""
     if status is Status.SOLVED and not worst <= TRUSTED_VIOLATION * tolerance:
         return Status.INACCURATE
     if status is Status.STEP_FAILED and not worst <= STILL_FEASIBLE:
@@ -34,13 +34,13 @@ def status_by_violation(status: Status, worst: float, tolerance: float) -> Statu
 
 
 def advice_for(status: Status, place: str | None, feasible: bool) -> str:
-    """Return what to try after a status; ``place``: of a value that is not finite."""
+    """Return what to try after a status; ``place`` is where a value is not finite."""
     stuck = feasible and status in (Status.STEP_FAILED, Status.ITERATION_LIMIT)
     return status.told(DEPENDENT if place is None and stuck else place or "")
 
 
 def certified_infeasible(solution: Solution, why: str) -> Solution:
-    """Mark a solution as a point of least violation, see `trajopt.solvers.elastic`; ``why``: in one line."""
+    """Mark a solution as a point of least violation, see `trajopt.solvers.elastic`; ``why`` is one line."""
     advice = Status.INFEASIBLE.told(why)
     return solution.with_statistics(advice=advice, certified_infeasible=True)
 
@@ -62,7 +62,7 @@ def fail_on_gimbal_lock(solution: Solution) -> Solution:
 
 
 def judged(solution: Solution, tolerances: Tolerances = AT_POINTS) -> Solution:
-    """Judge a solution that converged by its check; one that is beyond a tolerance is no success."""
+    """Judge a converged solution by its check; it is a success only within all tolerances."""
     if not solution.converged:
         return solution
     begun = time.perf_counter()
@@ -76,9 +76,9 @@ def judged(solution: Solution, tolerances: Tolerances = AT_POINTS) -> Solution:
 
 
 def judged_by(solution: Solution, report: CheckReport, tolerances: Tolerances) -> Solution:
-    """Judge a solution that converged by a check of it; the advice names the worst figure and its place.
+    """Judge a converged solution by a given check; the advice names the worst figure and its place.
 
-    Its statistics have that figure and its value over what is allowed: ``worst_figure``, ``tolerance_used``.
+    The statistics record that figure and its ratio to the tolerance: ``worst_figure``, ``tolerance_used``.
     """
     failures = report.failures(tolerances)
     name, used = report.worst(tolerances)
@@ -101,5 +101,5 @@ def _failed(solution: Solution, advice: str) -> Solution:
 
 
 def finite_or_none(value: float) -> float | None:
-    """The value, or None where it is not finite, as JSON wants it."""
+    """Return the value, or None if it is not finite, for JSON."""
     return value if math.isfinite(value) else None

@@ -1,12 +1,12 @@
-"""A solution as the start of another solve: resampled onto another grid, scheme, durations, parameters.
+"""Warm starts: resample a solution onto another mesh, with other durations or parameters.
 
-Phases are matched one by one. Within a phase of the solution, of duration T_old, and of the problem, of
-duration T, states at equal fractions of the phase are taken as equal configurations, so that
+Phases are matched one by one. Configurations are equal at equal fractions of a phase, which has the duration
+T_old in the solution and T in the problem, so that
 
     q(t) = q_old(t T_old / T),    v = v_old T_old / T,    a = a_old (T_old / T)^2
 
-Wrenches are those of the solution, impulses scale with the rates. A free duration starts as the solution's,
-within its bounds. The state at the start is the problem's own where that is fixed.
+Wrenches are those of the solution; impulses scale with the velocities. A free duration starts at the
+solution's, clipped to its bounds. Variables that are fixed, such as the initial state, keep their values.
 """
 
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ from trajopt.transcription.variable_bounds import initial_state
 
 @dataclass(frozen=True, kw_only=True)
 class WarmStart:
-    """Scaled variables ``x`` (n_unknowns,) and multipliers, None where the solution has none that fit."""
+    """Scaled variables ``x`` (n_unknowns,) and multipliers; None if the solution has none that fit."""
 
     x: np.ndarray
     multipliers: WarmMultipliers | None
@@ -43,8 +43,8 @@ class WarmStart:
 class _Source(MotionSource):
     """The solution's motion in the time of a layout.
 
-    ``time_scales`` (n_phases,): duration over nominal duration; ``stretch`` (n_phases,): duration over the
-    solution's; ``columns``: the solution's column of a contact's frame; ``known_impulses`` (nc, 6) by phase.
+    ``time_scales`` and ``stretch`` (n_phases,) are durations over the nominal and the solution's durations,
+    ``columns`` the solution's column of each contact frame, ``known_impulses`` (nc, 6) by phase.
     """
 
     layout: Layout
@@ -82,14 +82,14 @@ class _Source(MotionSource):
 
     @cached_property
     def _first_points(self) -> np.ndarray:
-        """Of each stage the row of `_samples` of its first point."""
+        """The row of `_samples` of each stage's first collocation point."""
         stages = self.layout.stages
         points = [self.layout.scheme_of(each.phase).s * (each.kind is StageKind.INTERVAL) for each in stages]
         return len(self.layout.forms) + np.cumsum([0, *points])
 
     @cached_property
     def _samples(self) -> MotionSample:
-        """The motion at all nodes and then all points, in its new time: inside their phases and intervals."""
+        """The motion at all nodes, then at all collocation points, in the layout's time."""
         layout, times = self.layout, self.layout.node_times
         phases = [node_phase(layout, k) for k in range(len(layout.forms))]
         stages = [layout.intervals_of(phase) for phase in range(len(layout.schedule.phases))]
@@ -113,9 +113,9 @@ class _Source(MotionSource):
 def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
     """Resample ``solution`` onto the variables of ``transcription``.
 
-    On the grid, scheme and durations of the solution these are the solver's own variables, up to rounding and
-    to the norm of quaternions, which a solution normalises. Raises InputError where the solution is of other
-    joints, phases or contacts.
+    On the mesh and with the durations of the solution this recovers the solver's variables, up to rounding
+    and the norm of quaternions, which a solution normalises. Raises InputError if the joints, phases or
+    contacts differ.
     """
     layout = transcription.layout
     _require_same_robot(layout, solution)
@@ -142,7 +142,7 @@ def _require_same_robot(layout: Layout, solution: Solution) -> None:
 
 
 def _require_same_phases(layout: Layout, solution: Solution) -> None:
-    """As many phases, each with the same contacts; names may differ."""
+    """Require the same number of phases with the same contacts; names may differ."""
     frames = np.array(solution.contact_frames)
     solved = [set(frames[solution.active[rows.start]].tolist()) for rows in solution.phases]
     wanted = [{contact.frame for contact in contacts} for contacts in layout.touching]

@@ -1,4 +1,4 @@
-"""Many solves: batches of cases, suites of problems, sweeps over settings, and the one runner of all."""
+"""Many solves: batches of cases, suites of problems, sweeps over settings, and their common runner."""
 
 import lazy_loader
 

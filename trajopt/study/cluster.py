@@ -13,13 +13,13 @@ from trajopt.study.runner import local_executor
 from trajopt.study.workers.executor import processors
 from trajopt.versions import optional_package
 
-# Seconds in which a scheduler has to answer.
+# Seconds within which a scheduler has to answer.
 PATIENCE = 10.0
-# Tasks at a time for each process on this machine, and of an executor that does not say how many workers it
-# has.
+# Tasks submitted at a time: per process on this machine, and to an executor that does not report its number
+# of workers.
 AHEAD_HERE, MOST_AHEAD = 2, 1000
-# Tasks at a time for each thread of Dask's workers, so that none waits for the next one; at least so many
-# while workers come.
+# Tasks submitted at a time per thread of Dask's workers, so that none waits for the next one, and their least
+# number while workers join.
 AHEAD, LEAST_AHEAD = 3, 8
 RUNS = "running"
 # Seconds after which workers are counted again.
@@ -30,7 +30,7 @@ ALLOWED = "allowed: tcp://HOST:PORT of a Dask scheduler"
 
 @dataclass(frozen=True, kw_only=True)
 class Cluster:
-    """An executor of a cluster; its ``window`` of tasks; ``check`` raises where the scheduler is gone."""
+    """An executor; ``window``: tasks to submit at a time; ``check`` raises if the scheduler is gone."""
 
     executor: Executor
     window: Callable[[], int]
@@ -39,7 +39,7 @@ class Cluster:
 
 @contextmanager
 def local_or(executor: Executor | None, jobs: int | None) -> Iterator[Cluster]:
-    """An executor that is given, or processes on this machine, ended at the end."""
+    """The given executor, or processes on this machine that end with the context."""
     if executor is not None:
         workers = getattr(executor, "_max_workers", None)
         most = AHEAD_HERE * workers if workers else MOST_AHEAD
@@ -60,7 +60,7 @@ def chosen_cluster(scheduler: str | None, jobs: int | None) -> Iterator[Cluster]
 
 
 def last_for(seconds: float) -> Callable[[Callable[[], int]], Callable[[], int]]:
-    """Return a decorator of functions whose value holds so long, s."""
+    """Return a decorator that caches a function's value for this many seconds."""
 
     def decorate(function: Callable[[], int]) -> Callable[[], int]:
         known: list[float] = []
@@ -80,7 +80,7 @@ def last_for(seconds: float) -> Callable[[Callable[[], int]], Callable[[], int]]
 def dask_cluster(address: str) -> Iterator[Cluster]:
     """Connect to a scheduler, such as ``tcp://127.0.0.1:8786``. Raises `InputError` if none answers."""
     distributed = optional_package("distributed", what="--scheduler", extra="batch")
-    # A client of another address raises, and again at the end of the process.
+    # A client with an invalid address raises, and again when the process ends.
     match = re.fullmatch(ADDRESS, address)
     if not match or int(match[1]) > LAST_PORT:
         raise InputError(f"no scheduler answers at '{address}': the form is wrong", ALLOWED)
@@ -105,13 +105,13 @@ def dask_cluster(address: str) -> Iterator[Cluster]:
         # Not pure: two cases with the same parameters are two tasks.
         yield Cluster(executor=client.get_executor(pure=False), window=window, check=check)
     finally:
-        # Without a scheduler nobody answers: the reason is told by `check`, not by this wait.
+        # Without a scheduler, nobody answers: `check` gives the reason, not this wait.
         with suppress(OSError):
             client.close(timeout=PATIENCE if client.status == RUNS else 0)
 
 
 def _silence() -> None:
-    """Keep Dask and its event loop from logging tracebacks of lost connections: they are one line here."""
+    """Keep Dask and its event loop from logging tracebacks of lost connections, which are one line here."""
     for name in [*logging.root.manager.loggerDict]:
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -10,14 +10,14 @@ from trajopt.problem.published import PublishedOptimum
 from trajopt.solving.solving import solve
 from trajopt.study.workers.display import figure_table
 
-# Of a scheme that is exact for polynomials of these problems; switches of the input fall on its nodes or are
-# resolved by as many intervals.
+# The scheme is exact for the polynomials of these problems; switches of the input fall on its nodes or are
+# resolved by this many intervals.
 TRANSCRIPTION, INTERVALS = "legendre:3", 60
 
 
 @dataclass(frozen=True, kw_only=True)
 class OptimumResult:
-    """What was found for a published optimum. apart: relative difference. seconds: of the solver."""
+    """The result for a published optimum. apart: relative difference. seconds: of the solver."""
 
     name: str
     quantity: str
@@ -33,16 +33,16 @@ class OptimumResult:
 
     @property
     def agrees(self) -> bool:
-        """Whether it converged, to the published value within the tolerance."""
+        """Whether the solve converged to the published value within the tolerance."""
         return self.converged and abs(self.apart) <= self.tolerance
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able."""
+        """JSON-able fields."""
         return {**asdict(self), "agrees": self.agrees}
 
 
 def compared(optima: Sequence[PublishedOptimum]) -> Iterator[OptimumResult]:
-    """Solve each and compare its value."""
+    """Solve each problem and compare its value with the published one."""
     for optimum in optima:
         solution = solve(optimum.build(), transcription=TRANSCRIPTION, intervals=INTERVALS)
         found = optimum.value(solution)
@@ -62,7 +62,7 @@ def compared(optima: Sequence[PublishedOptimum]) -> Iterator[OptimumResult]:
 
 
 def comparison_table(comparisons: Sequence[OptimumResult]) -> Table:
-    """One line for each."""
+    """One row per problem."""
     rows = [
         {
             "problem": one.name,

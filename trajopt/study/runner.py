@@ -1,4 +1,4 @@
-"""The loop of all studies: tasks go to an executor, and what became of them is yielded as they end."""
+"""The loop of all studies: tasks go to an executor, and their outcomes are yielded as they end."""
 
 import functools
 import multiprocessing
@@ -23,22 +23,22 @@ from trajopt.study.workers.task import (
 
 # Seconds between two calls of ``check`` during a wait.
 LOOK = 0.1
-# Tasks that one process does: robots and functions are loaded for the first of them.
+# Most tasks per process: only the first has to load robots and functions.
 MOST_TASKS = 50
-# What became of a task: it has a value; it cannot have one; it took too long; its process was lost; it was
-# not begun.
+# Outcomes of a task: it has a value; it cannot have one; it took too long; its process was lost; it was not
+# started.
 DONE, REFUSED, TIME_LIMIT, LOST, NOT_RUN = "done", "refused", "time_limit", "lost", "not_run"
 
 Key = TypeVar("Key")
 
 
 class NotRunError(TaskError):
-    """A task that is not begun, because of what became of others."""
+    """A task that is not started because of the outcome of others."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimedCall:
-    """A picklable function with its arguments and its time limit, s. ``name``: for a display."""
+    """A picklable function with its arguments and its time limit, s; ``name`` is for a display."""
 
     name: str
     limit: float
@@ -48,7 +48,7 @@ class TimedCall:
 
 @dataclass(frozen=True, kw_only=True)
 class Ended(Generic[Key]):
-    """What became of a task: its value if it is `DONE`, else the reason in ``detail``."""
+    """Outcome of a task: its value if it is `DONE`, else the reason in ``detail``."""
 
     key: Key
     name: str
@@ -68,19 +68,19 @@ def run_tasks(
     check: Callable[[], object] = bool,
     show: Callable[[Collection[str]], object] = len,
 ) -> Iterator[Ended[Key]]:
-    """Run tasks, and those that the caller appends meanwhile; yield each as it ends.
+    """Run tasks, including those that the caller appends meanwhile; yield each as it ends.
 
     Args:
         waiting: keys of tasks; the caller may change it between two results.
-        make: the task of a key, called when it is begun; one that raises a `TaskError` has ended with it.
-        executor: any; one that is not of processes of their own starts such processes on its workers.
-        window: most tasks that it has at a time: more wait here.
-        attempts: a task whose process is lost is run again, up to so many times in all.
+        make: returns the task of a key when it is started; a `TaskError` that it raises is the outcome.
+        executor: any; unless it is a `ProcessPerTaskExecutor`, its workers start processes for the tasks.
+        window: most tasks to submit at a time; others wait here.
+        attempts: most times that a task is run if its process is lost.
         check: called several times a second; an exception from it ends the run.
-        show: called as often with the names of the tasks that run.
+        show: called as often with the names of the running tasks.
 
     Raises:
-        InputError: where the executor has broken down, or the script lacks its main guard.
+        InputError: if the executor breaks down, or the script lacks its main guard.
     """
     run = limited if isinstance(executor, ProcessPerTaskExecutor) else limited_anywhere
     running: dict[Future[Any], tuple[Key, str]] = {}
@@ -121,7 +121,7 @@ def run_tasks(
 
 
 def limited(seconds: float, function: Callable[..., Any], *args: Any) -> Any:
-    """The result of a function, as a task whose process ends after so many seconds."""
+    """Run a function in a task whose process ends after this many seconds."""
     limit_time(seconds)
     return function(*args)
 
@@ -131,21 +131,21 @@ def limited_anywhere(seconds: float, function: Callable[..., Any], *args: Any) -
 
     A task that crashes, hangs or runs out of memory does not take the worker with it. Raises a `TaskError`.
     """
-    # Daemonic processes, as the workers that Dask's nannies start, may have no children because these would
-    # not end with their parent; ours do.
+    # Daemonic processes, such as workers that Dask's nannies start, may have no children, because these might
+    # outlive their parent; ours do not.
     getattr(multiprocessing.current_process(), "_config", {}).pop("daemon", None)
     return _processes(os.getpid()).submit(limited, seconds, function, *args).result()
 
 
 def local_executor(jobs: int) -> ProcessPerTaskExecutor:
-    """Processes on this machine, so many at a time, with the modules of all studies loaded."""
+    """An executor with this many processes on this machine, and the modules of all studies loaded."""
     studies = (f"trajopt.study.{name}" for name in ("batch.solved_case", "suite.run", "sweep.run"))
     return ProcessPerTaskExecutor(jobs, preload=(*problem_modules(), *studies), most_tasks=MOST_TASKS)
 
 
 @functools.cache
 def _processes(worker: int) -> ProcessPerTaskExecutor:
-    """The processes of the worker with that process id; as many at a time as the worker has tasks.
+    """The executor of the worker with that process id, with at most one task per processor.
 
     A worker that is forked from another does not have its threads.
     """
@@ -157,7 +157,7 @@ def _ended(future: Future[Any], key: Key, name: str, attempts: int) -> Ended[Key
         return Ended(key=key, name=name, value=future.result(), attempts=attempts)
     except (BrokenExecutor, CancelledError, UnguardedScriptError):
         raise
-    except Exception as error:  # of the task, or of the executor: a worker that was lost too often
+    except Exception as error:  # from the task, or the executor: a worker was lost too often
         return Ended(key=key, name=name, kind=_kind(error), detail=_text(error), attempts=attempts)
 
 

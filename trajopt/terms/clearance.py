@@ -1,4 +1,4 @@
-"""What the robot's links must stay clear of: obstacles, the ground, each other."""
+"""Clearance of the robot's links from obstacles, the ground and each other."""
 
 from dataclasses import dataclass
 
@@ -17,15 +17,15 @@ class Clearance(Term):
         d_ij(q(t)) >= min(margin, d_ij(q_reference))     links i and j
         d_ij(q(t)) >= 0                                  link i and the ground
 
-    with d the signed distance in m. A problem without this term has the one with the defaults. It is no row
-    itself: a solve looks along the whole motion and adds rows for the pairs that come too near, where they do
-    (`trajopt.solving.exchange`).
+    with d the signed distance in m. A problem without this term uses it with its defaults. The term has no
+    rows itself: a solve inspects the whole motion and adds rows for pairs that come too near, at the moments
+    where they do (`trajopt.solving.exchange`).
 
     Args:
-        obstacles: placed in the world.
+        obstacles: obstacles, placed in the world.
         margin: least distance from obstacles and between links, m.
-        shapes: of the robot's links; default those of its description (`robot_shapes`).
-        self_collision: keep links apart from each other.
+        shapes: shapes of the robot's links; default those of its description (`robot_shapes`).
+        self_collision: whether links are kept apart from each other.
 
     Raises:
         InputError: for a negative margin, and two obstacles of the same name.

@@ -1,8 +1,8 @@
 """Inputs of a term at one point: symbols of the state, and of the robot's functions of it.
 
 Terms are written in two layers. The robot's functions (generalised forces, contact placements, velocities,
-accelerations) are *symbols* here; their graph is joined, and differentiated, once for all terms in
-`trajopt.transcription.stage_functions`. So a term stays a small expression.
+accelerations) are *symbols* here. Their graph is joined and differentiated once for all terms, in
+`trajopt.transcription.stage_functions`, so that a term stays a small expression.
 """
 
 from collections.abc import Callable, Mapping
@@ -35,19 +35,18 @@ class Context(Parameters):
     the contact frame's origin, N and N m (impulses N s and N m s).
 
     Args:
-        robot: in the coordinates used here.
-        coordinates: of the robot.
-        contacts: active ones whose wrenches are variables.
+        robot: the robot, in the coordinates used here.
+        coordinates: local coordinates of the robot.
+        contacts: active contacts whose wrenches are variables.
         node: shorthand for ``place=Place.NODE``.
         place: where the symbols are evaluated, default a collocation point.
         time_scales: number of time scales in a node, and the index of this phase's (None in nominal time).
         actuation: the control input.
-        surfaces: what every active contact touches, by its name.
+        surfaces: the ground that each active contact touches, by the contact's name.
         mode: minimal coordinates of the phase, None for the whole robot's.
-        kept_rows: rows of each contact's motion that are independent of the others', by its name; default
-            all.
-        near: a node's state (n_node,) from which goals take their whole turns; None for no whole turns.
-        guess: the guess's configuration (nq,) at a node, evaluated when it is asked for.
+        kept_rows: independent rows of each contact's motion, by the contact's name; default all.
+        near: state of a node (n_node,) from which goals take their whole turns; None for no whole turns.
+        guess: the guess's configuration (nq,) at a node, evaluated on demand.
     """
 
     def __init__(
@@ -103,7 +102,7 @@ class Context(Parameters):
 
     @property
     def dxi(self) -> ca.SX:
-        """Rates of the local coordinates (nv,); before the jump at an impact."""
+        """Rates of the local coordinates (nv,); at an impact, those before the jump."""
         if self.actuation == "velocity" and self.place is Place.NODE:
             raise InputError(
                 "a term asks for rates at a node, where a velocity source has none",
@@ -113,7 +112,7 @@ class Context(Parameters):
 
     @property
     def rates(self) -> ca.SX:
-        """Rates (nv,) that a change of coordinates maps: zero where a node has none."""
+        """Rates (nv,) for a change of coordinates; zero if a node has none."""
         return self._rates
 
     @property
@@ -146,7 +145,7 @@ class Context(Parameters):
         return (self._mode.floating if self._mode else self.robot).contact(name)
 
     def actuated(self, values: np.ndarray) -> np.ndarray:
-        """Values of the whole robot's actuated rows (nu,) in the order of this context's torques."""
+        """Values (nu,) of the whole robot's actuated rows, in the order of this context's torques."""
         rows = np.array(values, dtype=float)
         if rows.shape != (self.robot.nu,):
             raise InputError(
@@ -170,7 +169,7 @@ class Context(Parameters):
             return {}
         full = dict(self.unknown_wrenches)
         for contact in self.contacts:
-            if not contact.transmits_all:  # zeros where a contact within a plane transmits nothing
+            if not contact.transmits_all:  # a contact within a plane transmits some components only
                 full[contact.name] = ca.SX.zeros(3 if contact.kind == "point" else 6)
                 full[contact.name][list(contact.rows)] = self.unknown_wrenches[contact.name]
         if self._mode is None or self.place is not Place.POINT:
@@ -182,13 +181,13 @@ class Context(Parameters):
         return full | {self._mode.embedded.name: force}
 
     def held_rows(self, contact: Contact) -> tuple[int, ...]:
-        """Rows of an active contact's motion that do not depend on other contacts' (see ``redundancy``)."""
+        """Rows of an active contact's motion that do not depend on other contacts (see ``redundancy``)."""
         if self.slides_on(contact) is not None:
             return contact.rows
         return self._kept_rows.get(contact.name, contact.rows)
 
     def slides_on(self, contact: Contact) -> Surface | None:
-        """The surface along which an active contact slides (see ``sliding``), None where it is held."""
+        """The surface along which an active contact slides (see `SlidingFriction`), None if it is held."""
         surface = self._surfaces.get(contact.name)
         return surface if isinstance(surface, Surface) and surface.slip_speed is not None else None
 
@@ -230,7 +229,7 @@ class Context(Parameters):
     def generalized_forces(self) -> ca.SX:
         """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joints.
 
-        For a velocity source RNEA(q, 0, 0) - J^T w, statics; at an impact M (v+ - v-) - J^T impulses.
+        For a velocity source this is static, RNEA(q, 0, 0) - J^T w; at an impact, M (v+ - v-) - J^T impulses.
         """
         if self._generalized_forces is None:
             self._generalized_forces = ca.SX.sym("tau", self.coordinates.nv)
@@ -238,7 +237,7 @@ class Context(Parameters):
 
     @property
     def base_rows(self) -> ca.SX:
-        """What no input makes of the generalised forces; the dynamics hold where it vanishes."""
+        """Residual of the generalised forces that no input can produce; the dynamics hold if it vanishes."""
         actuation = self.robot.actuation
         if actuation.is_selection:
             return self._made_by_inputs[actuation.free.tolist()]
@@ -257,7 +256,7 @@ class Context(Parameters):
 
     @property
     def input_rates(self) -> ca.SX:
-        """Rates (nu,) of what the inputs push: of joints, and of thrusters along their axes, rad/s or m/s."""
+        """Rates (nu,) conjugate to the inputs: of joints, and of thrusters along their axes, rad/s or m/s."""
         rows = self.robot.actuated_rows.tolist()
         if self.robot.actuation.is_selection:
             return self.dxi[rows]
@@ -285,7 +284,7 @@ class Context(Parameters):
         return self._frames[name]
 
     def square(self, residual: ca.SX, weight: ca.SX) -> None:
-        """Record a least-squares part of a cost for Gauss-Newton: its weights count as constants.
+        """Record a least-squares part of a cost for Gauss-Newton, which treats its weights as constants.
 
         Args:
             residual: (n,).
@@ -301,21 +300,21 @@ class Context(Parameters):
         return residuals, rate * ca.vertcat(ca.SX(0, 1), *[weight for _, weight in self._squares])
 
     def lever(self, contact: Contact) -> np.ndarray | None:
-        """From where an active contact that rolls touches to its centre (3,), world, m; None of others."""
+        """Lever (3,) of a rolling contact, from where it touches to its centre, world, m; else None."""
         return contact.lever(self._surfaces.get(contact.name))
 
     def contact_velocity(self, contact: Contact) -> ca.SX:
-        """Twist (6,) of an active contact, world axes; of one that rolls without what it rolls."""
+        """Twist (6,) of an active contact in world axes; for a rolling one, minus that of pure rolling."""
         twist, lever = self.frame(contact.frame).velocity, self.lever(contact)
         return twist if lever is None else without_rolling(twist, ca.DM(lever))
 
     def contact_acceleration(self, contact: Contact) -> ca.SX:
         """Classical acceleration of an active contact (held rows), in world or base axes.
 
-        Of one that rolls it is without what it rolls.
+        For a rolling contact, the acceleration of pure rolling is subtracted.
 
-        The axes are the base link's for a free-flyer, the world's otherwise. That suffices for rows that
-        vanish, and is cheaper, since no orientation enters.
+        The axes are the base link's for a free-flyer, the world's otherwise. This suffices for rows that
+        vanish and is cheaper, because no orientation enters.
         """
         if contact not in self._accelerations:
             self._accelerations[contact] = ca.SX.sym(f"a_{contact.name}", len(self.held_rows(contact)))
@@ -351,7 +350,7 @@ class Context(Parameters):
 
     @property
     def has_free_flyer(self) -> bool:
-        """Whether the root is a free-flyer in world axes, the world's only joint: base axes may be used."""
+        """Whether base axes may be used: a single free-flyer at the root, and contacts held in all rows."""
         model = self.robot.model
         roots = [i for i in range(1, model.njoints) if model.parents[i] == 0]
         return (

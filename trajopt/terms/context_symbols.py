@@ -1,4 +1,4 @@
-"""Where terms are evaluated, the kinds of control input, symbols of a frame and of parameters."""
+"""Places where terms are evaluated, kinds of control input, and symbols of frames and parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Place(Enum):
 
 
 def without_rolling(motion: ca.SX, lever: ca.SX | ca.DM) -> ca.SX:
-    """Twist or acceleration (6,) of a ball's centre without what it rolls, in the axes of its lever (3,).
+    """Twist or acceleration (6,) of a ball's centre minus that of rolling, in the axes of its lever (3,).
 
     It vanishes for a ball that rolls without slip on a plane: v = omega x lever, a = omega' x lever.
     """
@@ -35,9 +35,9 @@ ACTUATIONS: tuple[Actuation, ...] = get_args(Actuation)
 
 @dataclass(frozen=True)
 class FrameSymbols:
-    """Symbols of one frame, world axes: placement (m), velocity and classical acceleration.
+    """Symbols of one frame in world axes: placement (m), velocity and classical acceleration.
 
-    The last two have 6 entries: linear, angular.
+    Velocity and acceleration have 6 entries: linear, then angular.
     """
 
     rotation: ca.SX  # (3, 3)
@@ -100,11 +100,11 @@ class Parameters:
 
     @property
     def parameter_values(self) -> np.ndarray:
-        """Their numeric values; of varying ones those at the schedule's start."""
+        """Numeric values of all parameters; for varying ones, those at the schedule's start."""
         return self.parameter_values_at(0.0)
 
     def parameter_values_at(self, t: float) -> np.ndarray:
-        """Their numeric values at nominal time ``t`` s. Raises InputError for values that are not finite."""
+        """Numeric values at nominal time ``t`` in s. Raises InputError for values that are not finite."""
         parts = [value(t) if callable(value) else value for value in self._values]
         values = np.concatenate([np.zeros(0), *parts])
         if not np.all(np.isfinite(values)):

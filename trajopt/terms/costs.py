@@ -1,7 +1,7 @@
 """Running costs at collocation points, the cost of impulses at impacts, and costs at single nodes.
 
-Costs at nodes are linear in a quantity over its natural unit, negative for a quantity to maximise: with a
-weight of one, a rise by the robot's length is worth as much as torques of weight times length for sqrt(l/g).
+Costs at nodes are linear in a quantity over its natural unit, with a minus sign if it is to be maximised.
+With a weight of one, a rise by the robot's length l is worth as much as torques of m g l for sqrt(l / g).
 """
 
 from abc import ABC, abstractmethod
@@ -46,8 +46,8 @@ class AccelerationCost(Cost):
 
         w |xi'' / u|^2 / nv
 
-    with xi'' (nv,) in m/s^2 or rad/s^2 and the unit u of each entry, g or g / l. Of a free-flyer xi'' is the
-    linear acceleration in world axes and the angular one in the base's axes.
+    with xi'' (nv,) in m/s^2 or rad/s^2 and the unit u of each entry, g or g / l. For a free-flyer, xi'' is
+    the linear acceleration in world axes and the angular one in the base's axes.
 
     Args:
         weight: w, dimensionless.
@@ -69,8 +69,8 @@ class VelocityCost(Cost):
 
         w |xi' / u|^2 / nv
 
-    with xi' (nv,) in m/s or rad/s and the unit u of each entry, sqrt(g l) or sqrt(g / l). Of a free-flyer xi'
-    is the linear velocity in world axes and the angular one in the base's axes.
+    with xi' (nv,) in m/s or rad/s and the unit u of each entry, sqrt(g l) or sqrt(g / l). For a free-flyer,
+    xi' is the linear velocity in world axes and the angular one in the base's axes.
 
     Args:
         weight: w, dimensionless.
@@ -121,8 +121,8 @@ class WrenchCost(Cost):
 
         w sum_c (|f_c / (m g)|^2 + |n_c / (m g l)|^2) / n
 
-    over the active contacts c, with force f_c in N and, of a sole, moment n_c in N m, in world axes, and n
-    the number of their entries together. It is zero in flight.
+    over the active contacts c, with force f_c in N and, for a sole, moment n_c in N m, in world axes, and n
+    the total number of their entries. It is zero in flight.
 
     Args:
         weight: w, dimensionless.
@@ -160,8 +160,8 @@ class ImpulseCost(Cost):
 
         w sum_c (|F_c / (m sqrt(g l))|^2 + |N_c / (m l sqrt(g l))|^2) / n
 
-    over the active contacts c, with impulse F_c in N s and, of a sole, angular impulse N_c in N m s, in world
-    axes, and n the number of their entries together. It makes landings soft and the impulses of redundant
+    over the active contacts c, with impulse F_c in N s and, for a sole, angular impulse N_c in N m s, in
+    world axes, and n the total number of their entries. It makes landings soft and the impulses of redundant
     contacts unique.
 
     Args:
@@ -196,7 +196,7 @@ class NodeCost(Term, ABC):
         weight: w, dimensionless, finite and at least zero.
 
     Raises:
-        InputError: for another weight.
+        InputError: for a weight that is negative or not finite.
     """
 
     acts_at_points: ClassVar[bool] = False
@@ -222,7 +222,7 @@ class NodeCost(Term, ABC):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class FrameHeightCost(AtMoment, NodeCost):
-    """As high as possible: minus the height of a frame at one moment.
+    """Reward for height: minus the height of a frame at one moment.
 
         -w p_z / l
 
@@ -251,7 +251,7 @@ class FrameHeightCost(AtMoment, NodeCost):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class DistanceCost(AtMoment, NodeCost):
-    """As far as possible: minus a frame's coordinate along a direction at one moment.
+    """Reward for distance: minus a frame's coordinate along a direction at one moment.
 
         -w direction . p / l
 

@@ -1,8 +1,8 @@
 """Constraints and costs on drives: voltage, current and copper losses of the motor, and the power drawn.
 
-The mechanical power of a joint is p = tau rate, where tau is what its drive delivers (with joint friction). A
-fraction ``recovered`` of the power that flows back counts: 1 all of it (a lossless battery), 0 none, and -1
-means that braking costs as much as driving, |p|, as in most figures of cost of transport:
+The mechanical power of a joint is p = tau rate, where tau is what its drive delivers (with joint friction).
+The fraction ``recovered`` of the power that flows back is regained: 1 for all of it (a lossless battery), 0
+for none; -1 makes braking cost as much as driving, |p|, as in most figures for the cost of transport:
 
     drawn(p) = (1 + recovered) / 2 p + (1 - recovered) / 2 |p|
 
@@ -26,9 +26,9 @@ from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Cost, PointConstraint, Rows
 
-# Width over which |p| is rounded at zero, in natural units of power: with a tenth of it Newton's method needs
-# three times the iterations for a cost of transport 3 % lower (docs/modelling/objectives.md). The rounded |p|
-# is too small by at most this.
+# Width over which |p| is rounded at zero, in natural units of power. With a tenth of it, Newton's method
+# needs three times the iterations for a cost of transport 3 % lower (docs/modelling/objectives.md). The
+# rounded |p| is too small by at most this width.
 SMOOTHING = 0.1
 
 
@@ -51,13 +51,13 @@ class DriveLimits(PointConstraint):
 
         |tau_m / stall_torque + omega_m / no_load_speed| <= 1        |tau_m / torque_limit| <= 1
 
-    with tau_m the motor torque of what the drive delivers, friction included, in N m, and omega_m its speed
+    with tau_m the motor torque in N m for what the drive delivers, friction included, and omega_m its speed
     in rad/s; for a joint without a drive, with tau on the joint side,
 
         |tau / torque_limit of the robot| <= 1
 
-    Together with `TorqueLimits` the same row would appear twice. Rows that cannot bind, as judged by `Units`,
-    are left out; the check verifies them.
+    Together with `TorqueLimits`, the same row would appear twice. Rows that `Units` judges out of reach are
+    left out; the check verifies them.
     """
 
     @override
@@ -81,14 +81,14 @@ class DriveLimits(PointConstraint):
 def _drive_rows(drive: Drive, units: Units) -> list[np.ndarray]:
     """Factors of (torque, rate), joint side, that give voltage and current as fractions of their limits.
 
-    Only for limits that can be reached. Factors are parameters: another voltage needs no new code.
+    Limits out of reach have none. The factors are parameters, so that another voltage needs no new code.
     """
     reach = min(drive.torque_limit, units.unreachable_torque / abs(drive.gear_ratio))
     speed = abs(drive.gear_ratio) * units.unreachable_velocity
     rows = []
     if reach / drive.stall_torque + speed / drive.no_load_speed > 1:
         rows.append(np.array([drive.voltage_use(1.0, 0.0), drive.voltage_use(0.0, 1.0)]))
-    # Below its no-load speed a motor on its voltage line has at most twice the stall torque, braking.
+    # Below its no-load speed, a motor on its voltage line has at most twice the stall torque, when braking.
     if drive.joint_torque_limit < units.unreachable_torque and drive.torque_limit < 2 * drive.stall_torque:
         rows.append(np.array([drive.motor_torque(1.0) / drive.torque_limit, 0.0]))
     return rows
@@ -97,7 +97,7 @@ def _drive_rows(drive: Drive, units: Units) -> list[np.ndarray]:
 @checked
 @dataclass(frozen=True, kw_only=True)
 class MotorTorqueCost(Cost):
-    """Cost on motor torques: the share of copper losses.
+    """Cost on motor torques, as fractions of the copper losses at the limit.
 
         w |tau_m / tau_0|^2 / n
 
@@ -144,9 +144,9 @@ class PowerCost(Cost):
         w sum_j ((1 + r) / 2 p_j + (1 - r) / 2 (sqrt(p_j^2 + s^2) - s) + h_j tau_j^2)
 
     with the mechanical power p_j = tau_j xi_j' of each joint and the heat h_j tau_j^2 of a drive with a
-    voltage line, both over m g sqrt(g l), r = ``recovered`` and s = ``smoothing``. Powers are added, without
-    a mean of squares: energies add up. Gauss-Newton keeps the curvature of |p| as a function of p, and that
-    of the heat in the torques.
+    voltage line, both over m g sqrt(g l), r = ``recovered`` and s = ``smoothing``. Powers are summed, not
+    averaged as squares, because energies add up. Gauss-Newton keeps the curvature of |p| as a function of p,
+    and that of the heat in the torques.
 
     Args:
         weight: w, dimensionless.

@@ -50,11 +50,11 @@ class BaseDynamics(PointConstraint):
 
 @dataclass(frozen=True, kw_only=True)
 class FollowingJoints(PointConstraint):
-    """Joints follow others, as `MimicJoint` has it.
+    """Mimic joints follow their leaders, see `MimicJoint`.
 
-        xi_j'' - r xi_i'' = 0        of a velocity source  xi_j' - r xi_i' = 0
+        xi_j'' - r xi_i'' = 0        for a velocity source:  xi_j' - r xi_i' = 0
 
-    Rows are over g or g / l, and sqrt(g l) or sqrt(g / l). With a start that is so, positions follow, too.
+    Rows are over g or g / l, and sqrt(g l) or sqrt(g / l). Positions follow too if they do at the start.
     """
 
     @override
@@ -72,8 +72,8 @@ class FollowingJoints(PointConstraint):
 class ContactAcceleration(PointConstraint):
     """Active contacts do not accelerate.
 
-        J a + J' v = 0           held contacts: linear and for a sole angular, 3 or 6 rows
-        a - w' x r n = 0         balls of radius r that roll, with a of the centre and w of the link
+        J a + J' v = 0           held contacts: linear and, for a sole, angular; 3 or 6 rows
+        a - w' x r n = 0         rolling balls of radius r, with a of the centre and w of the link
         n^T (J a + J' v) = 0     sliding contacts: along the normal n of their surface
 
     Rows are over g or g / l. Axes are the base's for a free-flyer, the world's otherwise.
@@ -97,9 +97,9 @@ class ContactAcceleration(PointConstraint):
 class ContactVelocity(PointConstraint):
     """Active contacts do not move: for velocity sources, in place of `ContactAcceleration`.
 
-        J v = 0        of balls that roll  v - w x r n = 0
+        J v = 0        for rolling balls:  v - w x r n = 0
 
-    linear and for a sole angular, in world axes. Rows are over sqrt(g l) or sqrt(g / l).
+    linear and, for a sole, angular, in world axes. Rows are over sqrt(g l) or sqrt(g / l).
     """
 
     @override
@@ -133,7 +133,7 @@ def sliding_surfaces(phase: Phase) -> dict[str, Surface]:
 
 
 def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tuple[str, ...]) -> None:
-    """Raise `InputError` for a contact that slides where that is not supported; ``modes`` names phases."""
+    """Raise `InputError` for sliding that is not supported; ``modes`` are phases in minimal coordinates."""
     for phase, after in zip(schedule.phases, (*schedule.phases[1:], None), strict=True):
         for name in sliding_surfaces(phase):
             contact, allowed = robot.contact(name), ""
@@ -152,9 +152,9 @@ def require_sliding(robot: Robot, schedule: Schedule, actuation: str, modes: tup
 def require_rolling(
     robot: Robot, schedule: Schedule, grounds: Sequence[Mapping[str, Ground]], modes: tuple[str, ...]
 ) -> None:
-    """Raise `InputError` for a contact that rolls where that is not supported.
+    """Raise `InputError` for rolling that is not supported.
 
-    ``grounds``: by phase what its contacts touch; ``modes`` names phases in minimal coordinates.
+    ``grounds`` gives what each phase's contacts touch; ``modes`` are phases in minimal coordinates.
     """
     for phase, touched in zip(schedule.phases, grounds, strict=True):
         for name in phase.contacts:
@@ -176,7 +176,7 @@ def require_rolling(
 @checked
 @dataclass(frozen=True, kw_only=True)
 class SlidingFriction(PointConstraint):
-    """Friction law of this module at every sliding contact: the force is unilateral and opposes the motion.
+    """Friction law of this module at sliding contacts: the force is unilateral and opposes the motion.
 
         f_t + mu f_n v_t / sqrt(|v_t|^2 + v_s^2) = 0        f_n >= 0
 

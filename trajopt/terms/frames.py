@@ -49,7 +49,7 @@ class FramePose(AtMoment, NodeConstraint):
     """A frame has a given position, orientation or both at one moment.
 
         p = position                         3 rows over l
-        2 tan(angle / 2) axis = 0            3 rows, of the turn rotation^T R
+        2 tan(angle / 2) axis = 0            3 rows, for the relative rotation, rotation^T R
 
     with p the frame's origin and R its axes in the world.
 
@@ -130,7 +130,7 @@ class FrameVelocity(AtMoment, NodeConstraint):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class FramesAbove(DuringPhases, NodeConstraint):
-    """Frames stay above a height at all nodes of its phases except the start of a phase.
+    """Frames stay above a height at all nodes of the chosen phases, except at each phase's start.
 
         p_z >= height
 
@@ -166,7 +166,7 @@ class FramesAbove(DuringPhases, NodeConstraint):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class FrameDirection(AtMoment, NodeConstraint):
-    """An axis of a frame points near a direction at one moment.
+    """An axis of a frame is within an angle of a direction at one moment.
 
         direction . R axis >= cos(angle)
 

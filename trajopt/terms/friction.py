@@ -28,11 +28,11 @@ from trajopt.terrain.surface import Surface
 # Fraction of the weight below which the apex of a friction cone is smoothed. With a sharper apex IPOPT needs
 # several times the iterations where forces start at zero (talos-wall: 16 at 1e-2, 102 at 1e-3).
 APEX = 1e-2
-# Violation of a row of the cone, as a force over the weight, up to which forces near the apex stay within
-# Coulomb's law: solvers' default tolerance. For that the tip of the cone is left out, up to a normal force of
-# sqrt(TIGHT APEX) / mu: 1e-4 / mu of the weight.
+# Violation of a row of the cone, as a force over the weight, up to which forces near the apex obey Coulomb's
+# law: the solvers' default tolerance. To this end the tip of the cone is cut off, up to a normal force of
+# sqrt(TIGHT APEX) / mu, which is 1e-4 / mu of the weight.
 TIGHT = 1e-6
-# Largest N = mu f_n over the weight that this tightening reaches, by exp(-(N / w)^2).
+# Range w of this tightening exp(-(N / w)^2), with N = mu f_n over the weight.
 TIP = APEX / 6
 
 
@@ -41,8 +41,8 @@ TIP = APEX / 6
 class ContactConstraint(PointConstraint):
     """A constraint on the wrenches of unilateral contacts, and at an impact on their impulses.
 
-    Contacts on bilateral surfaces have no rows, because a grasp holds, nor have sliding contacts, whose force
-    follows a law (`trajopt.terms.dynamics`).
+    Contacts on bilateral surfaces have no rows, because a grasp holds them. Sliding contacts have none
+    because their force follows a law (`trajopt.terms.dynamics`).
 
     Args:
         friction: coefficient in place of that of the surfaces.
@@ -103,15 +103,15 @@ class ContactConstraint(PointConstraint):
 
 
 def _turning(contact: Contact) -> tuple[int, ...]:
-    """Axes of a sole about which it transmits a moment: in a plane only the one normal to it."""
+    """Axes about which a sole transmits a moment; in a planar model, only the one normal to the plane."""
     return (0, 1, 2) if contact.dimension == 6 else tuple(row - 3 for row in contact.rows if row > 2)
 
 
 def surface_force(context: Context, contact: Contact) -> ca.SX:
     """Force (3,) of an active contact along the two tangents and the normal of its surface, N.
 
-    World axes on level ground; on other planes the axes are parameters, so that one compiled function serves
-    any normal; on curved ground they follow from the contact's position.
+    On level ground these are the world axes. On other planes the axes are parameters, so that one compiled
+    function serves any normal. On curved ground they follow from the contact's position.
     """
     surface, force = context.surface(contact), context.wrenches[contact.name][:3]
     if isinstance(surface, CurvedSurface):
@@ -122,10 +122,10 @@ def surface_force(context: Context, contact: Contact) -> ca.SX:
 
 @dataclass
 class _ConeRows:
-    """Rows that are >= 0, and rows that are zero: forces that a contact without friction cannot transmit.
+    """Rows that are >= 0, and rows that are zero, for forces that a frictionless contact cannot transmit.
 
-    Without friction the sides of a pyramid are pairs of inequalities that leave no interior, and the smooth
-    cone has no gradient: solvers fail on both, but not on equations.
+    Without friction, the sides of a pyramid are pairs of inequalities without an interior, and the smooth
+    cone has no gradient. Solvers fail on both, but not on equations.
     """
 
     entries: list[tuple[ca.SX, float, float]] = field(default_factory=list)  # row, upper bound, unit
@@ -178,11 +178,11 @@ class FrictionCone(ContactConstraint):
 
         (N^2 - f_1^2 - f_2^2) / sqrt(N^2 + d^2) - e exp(-(N / w)^2) >= 0        d = APEX, e = TIGHT, w = TIP
 
-    Away from the apex its set is the cone, and its value about twice the distance from the cone's side. No
-    smooth row has the whole cone as its set and a gradient at its apex; this one leaves out the tip, on the
-    safe side. A violation v <= e then means a force outside of Coulomb's law by 2 v at most: with f_t the
-    force along the surface, |f_t|^2 - N^2 <= (v - e exp(-(N / w)^2)) sqrt(N^2 + d^2), which is negative near
-    the apex, and elsewhere at most 4 v N. Without friction f_1 = f_2 = 0.
+    Away from the apex its feasible set is the cone, and its value is about twice the distance from the cone's
+    side. No smooth row describes the whole cone and has a gradient at its apex; this one cuts off the tip,
+    which is conservative. A violation v <= e then means that the force exceeds Coulomb's law by at most 2 v:
+    with f_t the force along the surface, |f_t|^2 - N^2 <= (v - e exp(-(N / w)^2)) sqrt(N^2 + d^2), which is
+    negative near the apex and at most 4 v N elsewhere. Without friction f_1 = f_2 = 0.
 
     Args:
         friction: mu in place of the surfaces' coefficient, dimensionless.
@@ -286,10 +286,10 @@ class NormalForce(PointConstraint):
     with n the surface's normal, from it to the robot, and f the force on the robot. The row is over m g.
 
     Args:
-        contact: its name.
-        lower: N, None for no bound. Positive is the surface pushing the robot away; negative, on bilateral
-            surfaces, is holding it.
-        upper: N, None for no bound.
+        contact: name of the contact.
+        lower: lower bound, N; None for no bound. A positive force pushes the robot away from the surface; a
+            negative one, on bilateral surfaces, holds it.
+        upper: upper bound, N; None for no bound.
 
     Raises:
         InputError: without a bound, or for lower > upper.
@@ -324,7 +324,7 @@ class NormalForce(PointConstraint):
 
 @checked
 def contact_cones(contacts: Iterable[Contact]) -> tuple[ContactConstraint, ...]:
-    """Friction pyramids where there are point contacts, wrench cones where there are soles."""
+    """Friction pyramids if there are point contacts, and wrench cones if there are soles."""
     kinds = {contact.kind for contact in contacts}
     cones: tuple[tuple[str, ContactConstraint], ...] = (("point", FrictionPyramid()), ("surface", SoleCone()))
     return tuple(cone for kind, cone in cones if kind in kinds)

@@ -8,9 +8,8 @@ the same on any robot. With w the weight and r (n,) the quantity over its unit, 
 Natural units follow from the robot's mass m, its length l and gravity g (see `Units`). The symbols m, l, g, w
 have this meaning in the docstrings of all terms.
 
-A term acts in the phases it names (``during``, by default in all), or at a moment (``at``, see
-`trajopt.terms.interfaces`). Constraint rows are divided by their natural unit before the solver sees
-them.
+A term acts in the phases it names (``during``, by default in all), or at a moment (``at``, see `AtMoment`).
+Constraint rows are divided by their natural unit before the solver sees them.
 """
 
 from __future__ import annotations
@@ -42,14 +41,14 @@ SAME_FRACTION = 1e-9
 class Term:
     """Common interface of costs and constraints.
 
-    A term about contact forces may also act on the impulses of an impact with which one of its phases begins.
+    A term on contact forces may also act on the impulses of an impact with which one of its phases begins.
     """
 
     acts_at_points: ClassVar[bool] = True
     acts_at_impacts: ClassVar[bool] = False
-    # Whether a function made it for a schedule, in which it may have no node to act at.
+    # Whether a function created it for a schedule, in which it may have no node to act at.
     made_for_schedule: ClassVar[bool] = False
-    # Whether it is about the forces of active contacts: without one it has nothing to act on.
+    # Whether it concerns the forces of active contacts, without which it has no effect.
     acts_on_forces: ClassVar[bool] = False
 
     @property
@@ -60,7 +59,7 @@ class Term:
 
     @property
     def phases(self) -> tuple[str, ...] | None:
-        """Names of the phases in which it acts; None where it names none, and acts in all that it can."""
+        """Names of the phases in which the term acts; None if it names none and acts wherever it can."""
         return None
 
     def acts_in(self, phase: str) -> bool:
@@ -68,10 +67,10 @@ class Term:
         return self.phases is None or phase in self.phases
 
     def idle(self, robot: Robot, schedule: Schedule) -> str:
-        """Why the term would have no effect with this robot and schedule; empty where it can act.
+        """Why the term would have no effect with this robot and schedule; empty if it can act.
 
-        For what names of phases, contacts and frames do not tell. A problem refuses a term with a reason. A
-        term that names no phases, about contacts that a schedule happens not to have is no error.
+        This covers what names of phases, contacts and frames do not reveal. A problem rejects a term that
+        gives a reason. A term that names no phases may concern contacts that the schedule does not use.
         """
         if self.acts_on_forces and self.phases is not None:
             touching = [phase.contacts for phase in schedule.phases if self.acts_in(phase.name)]
@@ -80,7 +79,7 @@ class Term:
         return ""
 
     def targets(self) -> tuple[Target, ...]:
-        """Goals of the term at single moments, to be drawn; default: none."""
+        """Goals of the term at single moments, for guesses, checks and drawings; default: none."""
         return ()
 
 
@@ -113,7 +112,7 @@ class Cost(DuringPhases, ABC):
         during: name of the phase in which it acts, or names of several; default all phases.
 
     Raises:
-        InputError: for another weight.
+        InputError: for a weight that is negative or not finite.
     """
 
     weight: NonNegative
@@ -160,8 +159,8 @@ class Rows:
 
         Args:
             expression: the rows (n,).
-            lower: bounds, -inf where there is none, not above ``upper``.
-            upper: bounds, inf where there is none.
+            lower: lower bounds, -inf where there is none, not above ``upper``.
+            upper: upper bounds, inf where there is none.
             unit: natural unit of each row.
 
         Raises:
@@ -235,10 +234,10 @@ class NodePlace:
 
     Args:
         phase: the phase.
-        index: of the node among those of the phase.
-        fractions: of the phase's duration, of all its nodes.
+        index: index of the node within the phase.
+        fractions: all nodes of the phase, as fractions of its duration.
         last: whether the node is the last of the schedule.
-        before: the same node as the last of the phase before; None at an impact, and elsewhere.
+        before: the same node as the last of the phase before; None after an impact and inside a phase.
     """
 
     phase: Phase
@@ -277,9 +276,9 @@ class NodePlace:
 
 
 def nodes_of(phases: Sequence[Phase], index: int, fractions: tuple[float, ...]) -> Iterator[NodePlace]:
-    """Nodes of a phase, without its last one, which belongs to the next phase, unless that has an impact.
+    """Nodes of a phase; its last node belongs to the next phase, unless that begins with an impact.
 
-    ``fractions`` of its duration are those of all nodes of a phase.
+    ``fractions`` gives all nodes of every phase as fractions of its duration.
     """
     phase, count = phases[index], len(fractions) - 1
     ends = index == len(phases) - 1
@@ -308,13 +307,13 @@ class NodeConstraint(Term, ABC):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class AtMoment(Term):
-    """A term at one moment: at the node that is nearest to it.
+    """A term that acts at one moment, at the node nearest to it.
 
     Args:
         at: the moment, default the end of the motion; see `start_of`, `middle_of` and `end_of`.
 
     Raises:
-        InputError: for anything else.
+        InputError: for an ``at`` that is not a moment.
     """
 
     at: Moment = END
@@ -328,5 +327,5 @@ class AtMoment(Term):
         return None if self.at.phase is None else (self.at.phase,)
 
     def acts_at(self, place: NodePlace) -> bool:
-        """Whether this is that node."""
+        """Whether ``place`` is the node nearest to the moment."""
         return place.is_at(self.at)

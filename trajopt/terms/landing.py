@@ -21,15 +21,15 @@ ACROSS = 1e-6
 
 
 def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
-    """Components (1, n) along a surface's normal of columns (3, n) in world axes.
+    """Components (1, n) of world-axes columns (3, n) along a surface's normal.
 
-    On level ground the third row; elsewhere the normal is a parameter.
+    On level ground this is the third row; elsewhere the normal is a parameter.
     """
     return columns[2, :] if surface.is_level else ca.mtimes(context.parameter(surface.normal).T, columns)
 
 
 def along_ground(context: Context, ground: Ground, point: ca.SX) -> ca.SX:
-    """Height of a point (3,): vertical over smooth ground, else along the normal from the world's origin."""
+    """Height of a point (3,): vertical above smooth ground, else along the normal from the world's origin."""
     if isinstance(ground, CurvedSurface):
         return ground.symbolic_gap(point, context.parameter)
     return along_normal(context, ground, point)
@@ -41,20 +41,20 @@ class ContactLanding(AtMoment, NodeConstraint):
     """New contacts of a phase lie on their surface, patch or foothold and do not move.
 
         p = foothold          or, without one,        n . p = d
-        n . R e_x = n . R e_y = 0                     of a sole, which lies flat
-        a_i . p_k >= b_i + margin                     on a patch, of its edges i and the corners k of a sole
-        J v = 0                                       of a sliding contact  n^T J v = 0,
-                                                      of a ball that rolls  v - w x r n = 0
+        n . R e_x = n . R e_y = 0                     for a sole, which lies flat
+        a_i . p_k >= b_i + margin                     on a patch with edges i, for the corners k of a sole
+        J v = 0                                       for a sliding contact  n^T J v = 0,
+                                                      for a rolling ball     v - w x r n = 0
 
     with p the frame's origin, n the normal and d the height of the surface that the phase states for the
-    contact, else of the terrain; a contact with a radius touches it. Over smooth ground the second row is the
-    height of p over it. Rows are over l, sqrt(g l) and sqrt(g / l).
+    contact, else of the terrain. A contact with a radius touches it with its ball. Over smooth ground the
+    second row is the height of p above it. Rows are over l, sqrt(g l) and sqrt(g / l).
 
     Args:
         at: the start of that phase.
         contacts: names of the new contacts.
         terrain: the ground.
-        held: names of contacts that hold through an impact and do not move after it either.
+        held: names of contacts that stay active through an impact and do not move after it either.
     """
 
     contacts: tuple[str, ...]
@@ -103,17 +103,17 @@ def _places(
     tilting = [0 if row == 4 else 1 for row in held if row in (3, 4)]
     if contact.dimension == 6:
         tilting = [0, 1][: sum(row > 2 for row in held)]
-    # Axes of a sole that must lie in its surface: for a planar robot the one in its plane.
+    # Axes of a sole that must lie in its surface; for a planar robot, only the one in its plane.
     if tilting and isinstance(ground, Surface):
         rows.append(Rows.create(along_normal(context, ground, frame.rotation[:, tilting]).T, 0.0, 0.0, 1.0))
     return rows + edges
 
 
 def _inside(context: Context, units: Units, contact: Contact, patch: Patch) -> list[Rows]:
-    """Rows of every edge for the contact's point or corners.
+    """Rows of every edge, for the contact's point or corners.
 
-    The distance from the plane has its own row, so these rows use directions in the plane only: independent
-    of it. A robot that moves in a plane of the world gets no rows for edges along that plane.
+    The distance from the plane has its own row, so these rows use directions in the plane only and are
+    independent of it. A robot that moves in a plane of the world has no rows for edges along that plane.
     """
     moves = [row for row in contact.rows if row < 3]
     edges = np.linalg.norm(patch.inward[:, moves], axis=1) > ACROSS

@@ -23,7 +23,7 @@ from trajopt.terms.interfaces import PointConstraint, Rows, Term
 def _rows_within(
     values: Callable[[], ca.SX], lower: np.ndarray, upper: np.ndarray, unit: np.ndarray
 ) -> Rows | None:
-    """Rows of the ``values`` with a finite limit; the other values are not built."""
+    """Rows of the ``values`` with a finite limit; without any limit the values are not built."""
     bound = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
     if len(bound) == 0:
         return None
@@ -35,7 +35,7 @@ def _rows_within(
 class TorqueLimits(PointConstraint):
     """Joint torques within limits.
 
-        |tau_j| <= limit_j,      least_j <= u_j <= limit_j of a thruster
+        |tau_j| <= limit_j,      for a thruster:  least_j <= u_j <= limit_j
 
     with tau (nu,) the torques that the drives deliver, joint side. Rows are over m g l. Limits of 30 m g l or
     more are out of reach and have no row, unless ``far``: see `with_far_limits`.
@@ -58,7 +58,7 @@ class TorqueLimits(PointConstraint):
             raise InputError(f"limit of {self.name} holds {wrong:g}", "allowed: numbers >= 0, or inf, N m")
 
     def left_out(self, robot: Robot) -> np.ndarray:
-        """Which of the limits (nu,) have no row since they seem out of reach."""
+        """Mask (nu,) of the limits that have no row because they seem out of reach."""
         limit = robot.torque_limit if self.limit is None else np.asarray(self.limit)
         return np.zeros(0, dtype=bool) if limit is None else self._far(limit, Units(robot))
 
@@ -96,7 +96,7 @@ class VelocityLimits(PointConstraint):
     far: bool = False
 
     def left_out(self, robot: Robot) -> np.ndarray:
-        """Which of the limits (nv,) have no row since they seem out of reach."""
+        """Mask (nv,) of the limits that have no row because they seem out of reach."""
         limit = robot.velocity_limit
         far = np.isfinite(limit) & (limit >= Units(robot).unreachable_velocity) & (not self.far)
         far[: BASE_ROWS[robot.base]] = False
@@ -135,7 +135,7 @@ class PositionLimits(PointConstraint):
     far: bool = False
 
     def left_out(self, robot: Robot) -> np.ndarray:
-        """Which of the limits (2, nq), lower and upper, have no row since they seem out of reach."""
+        """Mask (2, nq) of the lower and upper limits that have no row because they seem out of reach."""
         limits = np.array([robot.position_lower, robot.position_upper])
         away = np.array([robot.reference - limits[0], limits[1] - robot.reference])
         return np.isfinite(limits) & (away >= 2 * math.pi) & (not self.far)
@@ -164,10 +164,10 @@ class PositionLimits(PointConstraint):
 
 
 def with_far_limits(terms: Sequence[Term], robot: Robot) -> tuple[Term, ...]:
-    """The terms with rows for all limits of a robot that they know; the terms themselves if none is left out.
+    """The terms, with rows also for a robot's limits that seem out of reach; unchanged if there are none.
 
-    A limit that is far out of reach has no row: barriers of placeholders in descriptions cost iterations.
-    A motion that exceeds one all the same is solved again with these terms (`trajopt.solving.refinement`).
+    Such limits normally have no row, because barriers for placeholder values in descriptions cost iterations.
+    If a motion exceeds one all the same, it is solved again with these terms (`trajopt.solving.refinement`).
     """
     limits = TorqueLimits | VelocityLimits | PositionLimits
     return tuple(

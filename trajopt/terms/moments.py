@@ -1,8 +1,8 @@
 """Constraints at chosen moments of a phase: at points, at nodes and between them.
 
-A semi-infinite constraint, one at every time, is met by rows at finitely many moments where it comes near
-its bound: those are exchanged until it holds in between (Hettich and Kortanek, "Semi-infinite programming",
-SIAM Review 35, 1993). Which moments, `trajopt.solving.exchange` finds.
+A semi-infinite constraint, which holds at every time, is imposed by rows at the finitely many moments where
+it comes near its bound. These moments are exchanged until it also holds in between (Hettich and Kortanek,
+"Semi-infinite programming", SIAM Review 35, 1993); `trajopt.solving.exchange` finds them.
 """
 
 import math
@@ -29,8 +29,8 @@ class MomentConstraint(Term, ABC):
 
     Args:
         during: name of the phase.
-        fractions: of the phase's duration (n,), each from 0 to 1.
-        parameters: of the row at each moment (n, n_p).
+        fractions: the moments (n,) as fractions of the phase's duration, each from 0 to 1.
+        parameters: parameters (n, n_p) of the row at each moment.
 
     Raises:
         InputError: for fractions outside 0 to 1, parameters of another length or not finite.
@@ -73,12 +73,12 @@ class MomentConstraint(Term, ABC):
 
 
 def plane_row(frame: str | None, body: str | None) -> str:
-    """Name of a row that keeps what one frame carries beyond what another does; None for the world."""
+    """Name of a row that keeps the bodies of two frames apart by a plane; None for the world."""
     return f"clearance of {frame or 'the world'} and {body or 'the world'}"
 
 
 def joint_row(joints: Sequence[str]) -> str:
-    """Name of a row that keeps the links apart that these joints are between."""
+    """Name of a row that keeps apart the two links between which these joints lie."""
     return f"clearance by {', '.join(joints)}"
 
 
@@ -86,13 +86,13 @@ def joint_row(joints: Sequence[str]) -> str:
 class PlaneSide(MomentConstraint):
     """A point stays on the positive side of a plane: normal . x >= offset at each moment.
 
-    Point or plane moves with a frame of the robot, or is fixed in the world. The parameters of a moment are
-    the point (3,) m in the axes of ``frame``, the unit normal (3,) and the offset in m in those of ``body``.
-    A plane that separates two convex bodies keeps them apart, whatever else they do; see
-    `trajopt.collision.planes` for those of least distance.
+    Point and plane each move with a frame of the robot or are fixed in the world. The parameters of a moment
+    are the point (3,) in m in the axes of ``frame``, and the unit normal (3,) and the offset in m in those of
+    ``body``. A plane that separates two convex bodies keeps them apart, whatever else they do; see
+    `trajopt.collision.planes` for the planes at least distance.
 
     Args:
-        frame: that carries the point; None for the world.
+        frame: frame that carries the point; None for the world.
         body: frame that carries the plane; None for the world.
 
     Raises:
@@ -132,10 +132,10 @@ class PlaneSide(MomentConstraint):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkDistance(MomentConstraint):
-    """Two links stay apart, by a polynomial of the angles of the joints between them.
+    """Two links stay apart: a polynomial in the angles of the joints between them is at least zero.
 
-    The parameters of a moment are the angles (n,) rad around which the polynomial is, and its coefficients
-    (m,) m; see `trajopt.collision.joint_distance`.
+    The parameters of a moment are the angles (n,) in rad about which the polynomial is expanded, and its
+    coefficients (m,) in m; see `trajopt.collision.joint_distance`.
 
     Args:
         joints: names of the joints between the links, each with one degree of freedom.
@@ -167,8 +167,8 @@ class LinkDistance(MomentConstraint):
 class JointSide(MomentConstraint):
     """A joint's position or velocity stays on one side of a bound at each moment.
 
-    The parameters of a moment are the side, 1 for at least and -1 for at most, and side times bound, rad, m,
-    rad/s or m/s.
+    The parameters of a moment are the side, 1 for a lower bound and -1 for an upper one, and side times
+    bound, in rad, m, rad/s or m/s.
 
     Args:
         joint: name of a joint with one degree of freedom.
@@ -198,8 +198,8 @@ class JointSide(MomentConstraint):
 class ForceSide(MomentConstraint):
     """A contact's force stays on the positive side of a plane through the origin at each moment.
 
-    The parameters of a moment are the plane's normal (3,), world axes: of a friction cone mu n - u, with the
-    surface's normal n and a unit tangent u, is such a plane, which touches the cone along one line.
+    The parameters of a moment are the plane's normal (3,) in world axes. For a friction cone the normal is
+    mu n - u, with the surface's normal n and a unit tangent u: this plane touches the cone along one line.
 
     Args:
         contact: name of an active contact.

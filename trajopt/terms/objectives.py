@@ -1,16 +1,16 @@
 """Named goals of a motion, as terms in natural units: the same weights on every robot.
 
     effort      torques, squared
-    time        duration of phases that are free
+    time        duration of the free phases
     height      a frame as high as possible, in the middle of a phase
     distance    a frame as far as possible along a direction, at the end
     transport   energy over weight and distance: the cost of transport
     smooth      accelerations, squared
     track       distance from a reference motion
 
-To make the motion unique, a hundredth of the costs of `effort` is added; a tenth for time, height and
-distance, which have no curvature of their own: without it torques jump from limit to limit, and a robot
-without torque limits could jump to any height.
+To make the motion unique, a hundredth of the costs of `effort` is added. For time, height and distance it is
+a tenth, because these have no curvature of their own: without it torques would jump from limit to limit, and
+a robot without torque limits could jump to any height.
 """
 
 import math
@@ -42,9 +42,9 @@ from trajopt.terms.tracking import TrackingCost
 Goal = Literal["effort", "time", "height", "distance", "transport", "smooth", "track"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
 
-# Factor of the costs of effort added to another goal: enough to make the motion unique, too little to change
-# it; and to a linear goal, for which a tenth of that means up to three times the iterations and motions that
-# need finer grids (docs/modelling/objectives.md).
+# Factors of the effort costs that are added to another goal, and to a linear one. The first makes the motion
+# unique and hardly changes it. A linear goal with a tenth of its factor needs up to three times the
+# iterations, and its motion a finer grid (docs/modelling/objectives.md).
 REST = 1e-2
 REST_OF_LINEAR = 1e-1
 
@@ -56,7 +56,7 @@ def effort_costs(
     """Costs of effort: torques, and small weights on everything else, so that the optimum is unique.
 
     Args:
-        acceleration: weight of accelerations, where that of torques is one.
+        acceleration: weight of accelerations; that of torques is one.
         velocity: weight of rates.
         posture: weight of the distance from the reference posture.
         joints_only: whether accelerations and rates of the base are left out.
@@ -84,7 +84,7 @@ def goal_terms(
     effort: Sequence[Cost] | None = None,
     rest: float | None = None,
 ) -> tuple[Term, ...]:
-    """Cost terms of a goal out of ``GOALS``, with costs of effort that make its motion unique.
+    """Cost terms of one of the ``GOALS``, with effort costs that make its motion unique.
 
     Args:
         goal: name of the goal.
@@ -96,7 +96,7 @@ def goal_terms(
         travel: distance that the motion has to cover, m, for "transport".
         reference: q(t) (nq,), for "track".
         effort: costs of effort, default `effort_costs()`.
-        rest: their factor when added to another goal, default ``REST`` or ``REST_OF_LINEAR``.
+        rest: factor of the effort costs when added to another goal, default ``REST`` or ``REST_OF_LINEAR``.
 
     Raises:
         InputError: for an unknown goal, or one without its argument.

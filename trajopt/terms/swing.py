@@ -1,12 +1,12 @@
 """Swing clearance: contacts in the air stay above the ground, at nodes.
 
-The least height follows `swing_profile` over the swing: zero and flat at lift-off and touchdown. It is that
-of the lowest point: the centre of a contact with a radius stays above the parallel surface. Over flat and
-smooth ground a swing is one phase (`SwingClearance`), or spans several (`SwingArc`). Over piecewise
-ground (`SwingOver`) a foot that has to pass an edge stays on its side of it until it is as high as the ground
-behind it; on the way down it keeps that height until it has passed the edge. At one node at least both hold,
-so between any two nodes one of them holds at both ends: no interval cuts the edge. All of these rows are
-linear in the foot's position. The terms for all swings of a schedule: `trajopt.terms.swing_planning`.
+The least height over a swing follows `swing_profile`, which is zero and flat at lift-off and touchdown. It
+applies to the lowest point: the centre of a contact with a radius stays above the parallel surface. Over flat
+and smooth ground a swing is one phase (`SwingClearance`) or spans several (`SwingArc`). Over piecewise ground
+(`SwingOver`) a foot that has to pass an edge stays on its side of it until it is as high as the ground behind
+it; on the way down it keeps that height until it has passed the edge. Both hold at one node at least, so
+between any two nodes one of them holds at both ends, and no interval cuts the edge. All of these rows are
+linear in the foot's position. `trajopt.terms.swing_planning` creates the terms for all swings of a schedule.
 """
 
 from collections.abc import Iterator, Mapping
@@ -39,7 +39,7 @@ SAME_TIME = 1e-9
 
 
 def _acts_at(place: NodePlace, between_phases: bool) -> bool:
-    """Whether a node is the first of its phase, or else one inside it."""
+    """Whether a node is the first of its phase, if ``between_phases``, or else inside it."""
     return place.index == 0 if between_phases else 0 < place.index < place.count
 
 
@@ -52,8 +52,7 @@ class SwingClearance(DuringPhases, NodeConstraint):
 
     at the fraction s of the phase, with p the contact's point, or each of the four corners of a sole, and the
     plane n . p = d of flat ground, raised by the contact's radius. Over smooth ground the left side is the
-    height of p over it, vertically. Rows are over l. Piecewise ground has edges, for which there is
-    `SwingOver`.
+    vertical height of p above it. Rows are over l. For piecewise ground, which has edges, use `SwingOver`.
 
     Args:
         height: least distance from the ground in mid swing, m.
@@ -119,8 +118,8 @@ class SwingArc(NodeConstraint):
 
         n . p - d >= height 16 s^2 (1 - s)^2
 
-    as of `SwingClearance`, with s the fraction of the whole swing. Nothing is imposed where a swing begins
-    and ends: the contact's stance determines its position. `swing_arcs` creates these terms.
+    as for `SwingClearance`, with s the fraction of the whole swing. Nothing is imposed where a swing begins
+    or ends, because the contact's stance determines its position. `swing_arcs` creates these terms.
 
     Args:
         height: least height in mid swing, m.
@@ -171,7 +170,7 @@ class SwingCrossing:
     """One swing of a contact over piecewise ground.
 
     Args:
-        contact: its name.
+        contact: name of the contact.
         begin: nominal time of the lift-off, s.
         end: nominal time of the touchdown, s.
         parts: (begin, duration) of the phases of the swing, s, by their names.

@@ -1,4 +1,4 @@
-"""Swing terms of a whole schedule: which contacts swing when, and over what ground."""
+"""Swing terms for a whole schedule: which contacts swing when, and over what ground."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -21,7 +21,7 @@ from trajopt.terrain.surface import Surface
 from trajopt.terrain.swing_paths import crossing_of, require_clearance
 from trajopt.terrain.terrain import Terrain
 
-# Number of samples of the guess's swing in which to find where it passes an edge.
+# Number of samples along the guess's swing, to find where it passes an edge.
 SAMPLES = 101
 
 
@@ -29,9 +29,9 @@ SAMPLES = 101
 def swing_clearance(
     robot: Robot, schedule: Schedule, terrain: Terrain, *, height: float, guess: Motion
 ) -> tuple[Term, ...]:
-    """Terms that keep swinging contacts above any terrain: `SwingClearance`, or `SwingOver` with edges.
+    """Terms that keep swinging contacts above any terrain: `SwingClearance`, or `SwingOver` if it has edges.
 
-    On piecewise ground contacts that do not touch again, or have not touched before, are left out.
+    On piecewise ground, swings without a stance before or after them are left out.
 
     Args:
         robot: the robot.
@@ -39,7 +39,7 @@ def swing_clearance(
         terrain: the ground.
         height: clearance in mid swing, m.
         guess: motion t -> q (nq,). On piecewise ground it gives the start and end of each contact's swing
-            where no foothold does, and when it passes edges.
+            where no foothold does, and the times at which the contact passes edges.
 
     Raises:
         InputError: for a clearance that is negative or not finite.
@@ -158,7 +158,7 @@ def swing_arcs(
         terrain: flat or smooth ground.
         next_name: for a periodic schedule, the contact whose motion each contact continues after the end:
             itself, or for half a cycle the one on the other side. Swings then continue from the end to the
-            beginning. None: the schedule begins and ends once.
+            beginning. None for a schedule that is not periodic.
 
     Raises:
         InputError: for a clearance that is negative or not finite.

@@ -46,7 +46,7 @@ def free_directions(
         contacts: names of the active contacts.
         normals: unit normals (3,) of the surfaces of sliding contacts, by the contact's name; these contacts
             are held along the normal alone.
-        levers: of contacts that roll (3,), m, by the contact's name, None of others, see `Contact.lever`.
+        levers: levers (3,) of rolling contacts, m, by the contact's name, else None; see `Contact.lever`.
     """
     if not contacts:
         return robot.actuation.independent if robot.mimics else np.eye(robot.nv)
@@ -72,8 +72,8 @@ class TerminalState(NodeConstraint):
 
         N^T ((xi - xi*) / u) = 0
 
-    with N (nv, n) the `free_directions` at q and u the unit of each coordinate, l or 1 rad. Of a rotation the
-    difference is 2 tan(angle / 2) times its axis.
+    with N (nv, n) the `free_directions` at q and u the unit of each coordinate, l or 1 rad. For a rotation,
+    the difference is 2 tan(angle / 2) times its axis.
 
     Args:
         q: configuration (nq,), m and rad.
@@ -91,7 +91,7 @@ class TerminalState(NodeConstraint):
 
 
 def free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX) -> Rows:
-    """Rows that make a quantity (nv,), over its unit, vanish in the directions contacts leave free at q."""
+    """Rows on which a quantity (nv,), over its unit, vanishes in the directions that contacts leave free."""
     require_configuration(context.robot.model, np.asarray(q, dtype=float), "q")
     surfaces = {name: context.slides_on(context.robot.contact(name)) for name in place.phase.contacts}
     normals = {name: surface.normal for name, surface in surfaces.items() if surface is not None}
@@ -143,7 +143,7 @@ class TerminalRest(NodeConstraint):
 
 
 def guessed_posture(context: Context) -> np.ndarray:
-    """Configuration (nq,) of the guess at a node, or the reference where no guess is known."""
+    """Configuration (nq,) of the guess at a node, or the reference if there is no guess."""
     return context.robot.reference if context.guess is None else context.guess()
 
 
@@ -158,7 +158,7 @@ class TerminalVelocity(NodeConstraint):
 
     Args:
         q: configuration at the end (nq,), m and rad.
-        v: Pinocchio's velocity (nv,): of a free-flyer linear and angular in its own axes, m/s and rad/s.
+        v: Pinocchio's velocity (nv,), m/s and rad/s; that of a free-flyer is in its own axes.
     """
 
     q: np.ndarray
@@ -185,7 +185,7 @@ class TerminalLinear(NodeConstraint):
         value: c (n,).
 
     Raises:
-        InputError: for other shapes, a row of zeros, and joints that are rotations of several coordinates.
+        InputError: for other shapes, a row of zeros, and positions of joints that are 3D rotations.
     """
 
     position: np.ndarray
@@ -223,26 +223,26 @@ class TerminalLinear(NodeConstraint):
         return Rows.create(quantity, 0, 0, sizes.max(axis=1))
 
 
-# Rows of v that are the base's translation along the world's x and y, by kind of base; -1 has none.
+# Rows of v that are the base's translation along the world's x and y, by kind of base; -1 if it has none.
 HORIZONTAL = {"planar": (0, -1), "freeflyer": (0, 1)}
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class TerminalPosture(NodeConstraint):
-    """The motion ends in a given posture wherever a contact has landed, without turning.
+    """The motion ends in a given posture, shifted horizontally to wherever a contact has landed.
 
         N^T ((xi - xi* - B (p - p*)) / u) = 0
 
-    as of `TerminalState`, with p the contact's position, p* that in q, and B the horizontal part on the
-    base's rows. The base is a free-flyer or planar, in the world's axes.
+    as for `TerminalState`, with p the contact's position, p* its position in q, and B the map of the
+    horizontal part to the base's rows. The base is a free-flyer or planar, in the world's axes.
 
     Args:
         q: configuration (nq,); it is displaced horizontally to where the contact stands.
         over: name of the contact.
 
     Raises:
-        InputError: for another base.
+        InputError: for another kind of base.
     """
 
     q: np.ndarray

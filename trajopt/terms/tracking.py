@@ -36,18 +36,17 @@ class TrackingCost(Cost):
 
         w |e|^2 / n        e = (xi - xi*) / u,    2 sin((xi - xi*) / 2),    2 sin(angle / 2) axis
 
-    for a joint with limits or a position, an angle without whole turns, and a rotation, with the unit u of
-    each coordinate, l or 1 rad: smooth, and independent of a quaternion's sign.
+    for plain joints and positions, for angles without whole turns, and for rotations, respectively, with the
+    unit u of each coordinate, l or 1 rad. It is smooth and independent of a quaternion's sign.
 
     Args:
         weight: w, dimensionless.
-        reference: q(t) (nq,) of nominal time, s, from the schedule's start: where durations are free the
-            reference stretches with its phase. Its values are parameters: another reference needs no
-            compilation.
+        reference: q(t) (nq,) of nominal time in s from the schedule's start; in phases of free duration it
+            stretches with the phase. Its values are parameters, so another reference needs no compilation.
         part: "all" coordinates, those of the "joints" or of the "base".
 
     Raises:
-        InputError: for another part.
+        InputError: for an unknown part.
     """
 
     reference: Motion
@@ -85,14 +84,14 @@ class TrackingCost(Cost):
         return super().idle(robot, schedule)
 
     def _state(self, context: Context, t: float) -> np.ndarray:
-        """The reference at a time as rotations and additive positions of the context's coordinates."""
+        """The reference at time t, as rotations and additive positions in the context's coordinates."""
         coordinates = context.coordinates
         q = context.posture(self.reference(t))
         return coordinates.node_from_pinocchio(q, np.zeros(coordinates.nv))[: -coordinates.nv]
 
 
 def _distance(context: Context, joint: Joint, goal: ca.SX, quaternion: ca.SX | None, units: Units) -> ca.SX:
-    """Residual (nv of the joint) from local coordinates ``goal`` and, for rotations, a quaternion."""
+    """Residual of a joint, from its goal in local coordinates and, for rotations, as a quaternion."""
     away = context.xi[joint.v] - goal
     if quaternion is not None:
         inverse = quaternion * ca.SX([-1, -1, -1, 1])
@@ -124,7 +123,7 @@ class KeyFrames:
 
 
 def key_frames(robot: Robot, times: Sequence[float], configurations: np.ndarray) -> KeyFrames:
-    """A motion through key frames: geodesics between them, at rest before the first and after the last.
+    """A motion through key frames: geodesics between them, constant before the first and after the last.
 
     Args:
         robot: the robot.

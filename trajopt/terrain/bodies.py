@@ -1,4 +1,4 @@
-"""Convex hulls, and the ground as convex bodies: a half-space, or what lies below plane faces."""
+"""Convex hulls, and the ground as convex bodies: a half-space, or the volumes below plane faces."""
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -10,15 +10,15 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch, cut_polygon
 from trajopt.terrain.piecewise import PiecewiseTerrain
 
-# Ground below faces reaches this far below the lowest of them, m: deeper than any link.
+# The ground extends this far below the lowest face, m: deeper than any link.
 DEPTH = 5.0
 # Heights within this of each other are the same, m: rounding of corners far from the origin.
 SAME = 1e-6
-# Part of a footprint smaller than this is a crack between faces, m^2.
+# A part of a footprint smaller than this is a crack between faces, m^2.
 CRACK_AREA = 1e-4
-# Terrains whose bodies are kept.
+# Number of terrains whose bodies are cached.
 MOST_TERRAINS = 32
-# Twice the area of a triangle below this, over the extent squared, is that of points on one line.
+# Three points are collinear if twice the area of their triangle is below this times the extent squared.
 ON_LINE = 1e-12
 # A half-plane of the (x, y) plane: inward (3,) @ p >= offset, with no part along z.
 _HalfPlane = tuple[np.ndarray, float]
@@ -26,9 +26,9 @@ _HalfPlane = tuple[np.ndarray, float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hull:
-    """Convex hull in space: its ``corners`` (k, 3), and of its triangles (m, 3) corners and planes.
+    """Convex hull in space: ``corners`` (k, 3), m, and ``triangles`` (m, 3), indices of their corners.
 
-    Outward unit ``normals`` (m, 3) and ``offsets`` (m,): inside, normals @ p <= offsets.
+    The triangles have outward unit ``normals`` (m, 3) and ``offsets`` (m,): inside, normals @ p <= offsets.
     """
 
     corners: np.ndarray
@@ -38,7 +38,7 @@ class Hull:
 
 
 def convex_hull(points: np.ndarray) -> Hull:
-    """Hull of points (n, 3) with volume, by Qhull in Coal: SciPy's takes a while to load."""
+    """Hull of points (n, 3) that span a volume, by Qhull in Coal: SciPy takes a while to load."""
     given = coal.StdVec_Vec3s()
     for point in np.asarray(points, dtype=float):
         given.append(point)
@@ -55,7 +55,7 @@ def convex_hull(points: np.ndarray) -> Hull:
 def outline(points: np.ndarray) -> np.ndarray:
     """Indices (k,) of the corners of the hull of points (n, 2), counter-clockwise; k < 3 without area.
 
-    Andrew's monotone chain: the lower, then the upper side, from left to right and back.
+    Andrew's monotone chain: the lower side from left to right, then the upper side back.
     """
     order = np.lexsort((points[:, 1], points[:, 0])).tolist()
     least = ON_LINE * float(np.ptp(points, axis=0).max(initial=0.0)) ** 2 if len(points) else 0.0
@@ -106,11 +106,11 @@ GroundBody = HalfSpace | ConvexGround
 
 
 def ground_bodies(terrain: FlatGround | PiecewiseTerrain) -> tuple[GroundBody, ...]:
-    """Return the convex bodies whose union is the ground: of a plane the half-space below it.
+    """Return the convex bodies whose union is the ground; for a plane, the half-space below it.
 
-    Of faces, what lies below each of them, as far as `DEPTH` below the lowest. A body continues under higher
-    ground and beyond the edges where the ground goes on convexly, so that it has a side only where there is
-    a riser or an end of the ground: steps, the sides of boxes and pits, holes.
+    For faces, they are the volumes below each face, down to `DEPTH` below the lowest. A body extends under
+    higher ground, and beyond edges where the ground continues convexly. It therefore has sides only at risers
+    and where the ground ends: steps, the sides of boxes and pits, holes.
     """
     if isinstance(terrain, FlatGround):
         surface = terrain.surface
@@ -120,7 +120,7 @@ def ground_bodies(terrain: FlatGround | PiecewiseTerrain) -> tuple[GroundBody, .
 
 @dataclass(frozen=True)
 class _KeyedTerrain:
-    """A terrain that is equal to another with the same faces."""
+    """A terrain that compares equal to any terrain with the same faces."""
 
     content: bytes
     terrain: PiecewiseTerrain = field(compare=False)
@@ -149,7 +149,7 @@ def _contains(body: ConvexGround, other: ConvexGround) -> bool:
 
 
 def _grown(face: Patch, terrain: PiecewiseTerrain) -> np.ndarray:
-    """Top corners (k, 3) of the body of a face: its own, and of its neighbours as far as it stays ground."""
+    """Top corners (k, 3) of a face's body: its own, and neighbours' as long as the body stays ground."""
     slope, level = _height_of(face)
 
     def under(other: Patch) -> np.ndarray:
@@ -159,7 +159,7 @@ def _grown(face: Patch, terrain: PiecewiseTerrain) -> np.ndarray:
 
     tops, waiting = face.vertices, [other for other in terrain.faces if other is not face]
     higher = [other for other in waiting if (other.vertices @ [*-slope[:2], 1.0] >= level - SAME).all()]
-    # Most often all higher ground at once: stairs from there on. Else one face after the other.
+    # Usually all higher ground can be joined at once, as on stairs; otherwise one face after the other.
     joined = np.concatenate([tops, *(under(other) for other in higher)])
     touching = any(_touch(tops, other.vertices) for other in higher)
     if touching and _is_ground(joined, terrain):
@@ -176,7 +176,7 @@ def _grown(face: Patch, terrain: PiecewiseTerrain) -> np.ndarray:
 
 
 def _height_of(face: Patch) -> tuple[np.ndarray, float]:
-    """Height of a face's plane over p: slope (3,) @ p + level."""
+    """Slope (3,) and level of a face's plane, whose height at p is slope @ p + level."""
     normal = face.surface.normal
     slope = np.array([-normal[0], -normal[1], 0.0]) / normal[2]
     return slope, face.surface.height / float(normal[2])
@@ -205,7 +205,7 @@ def _edges(polygon: np.ndarray) -> list[_HalfPlane]:
 
 
 def _is_ground(tops: np.ndarray, terrain: PiecewiseTerrain) -> bool:
-    """Whether all that lies below the hull of ``tops`` (k, 3) lies below faces of the terrain."""
+    """Whether everything below the hull of ``tops`` (k, 3) is below faces of the terrain."""
     body = ConvexGround(points=_extruded(tops, float(tops[:, 2].min()) - 1.0))
     for normal, offset in zip(*body.planes, strict=True):
         if normal[2] <= SAME:
@@ -225,7 +225,7 @@ def _is_covered(polygon: np.ndarray, slope: np.ndarray, level: float, terrain: P
         if (face.vertices[:, :2].min(axis=0) < high).all() and (face.vertices[:, :2].max(axis=0) > low).all()
     ]
     above, waiting = 0.0, [(polygon, 0)]
-    while waiting and above < CRACK_AREA:  # parts one after the other: most often an early one is above
+    while waiting and above < CRACK_AREA:  # depth first: usually an early part is above the terrain
         part, count = waiting.pop()
         if count == len(near):
             x, y = part[:, 0], part[:, 1]

@@ -1,9 +1,9 @@
 """Ground under a swing over piecewise terrain: its height, and the edges that must not be cut.
 
-Seen along the straight line from lift-off to touchdown the ground is a polyline with jumps. Where it is
-nowhere above the planes of both ends (one plane, or a valley) a foot above these planes is above the ground.
-Otherwise there is an obstacle: the foot rises to its top before it passes the edge where the obstacle begins,
-and descends below the top after it has passed the edge where the obstacle ends.
+Along the straight line from lift-off to touchdown the ground is a polyline with jumps. If it is nowhere above
+the planes of both ends (one plane, or a valley), a foot above these planes is above the ground. Otherwise
+there is an obstacle: the foot rises to its top before it passes the edge where the obstacle begins, and
+descends below the top after it has passed the edge where the obstacle ends.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from trajopt.terrain.surface import SAME_PLANE, Surface
 
 # Horizontal parts of an edge's normal shorter than this have no direction.
 NO_DIRECTION = 1e-9
-# Distance kept from an edge in units of the clearance, at most this fraction of the distance at lift-off.
+# Distance kept from an edge beyond the radius: FROM_EDGE clearances, at most OF_WAY of the room there.
 FROM_EDGE, OF_WAY = 0.5, 0.5
 
 
@@ -27,8 +27,8 @@ FROM_EDGE, OF_WAY = 0.5, 0.5
 class Edge:
     """A vertical plane through an edge: positions p (3,) with ``normal @ p >= offset`` are on the free side.
 
-    ``normal`` (3,) is horizontal and of unit length; ``part``: fraction of the way, from the free end, at
-    which the line meets the edge.
+    ``normal`` (3,) is horizontal and of unit length. ``part`` is the fraction of the way, from the free end,
+    at which the line meets the edge.
     """
 
     normal: np.ndarray
@@ -40,13 +40,13 @@ class Edge:
         return np.asarray(np.asarray(position) @ self.normal - self.offset)
 
     def kept_from(self, points: np.ndarray, clearance: float, radius: float) -> Edge:
-        """The edge with a distance to keep from it, less than a foot at ``points`` (n, 3) m has."""
+        """The edge moved by a distance to keep from it, within that of a foot at ``points`` (n, 3) m."""
         room = max(float(self.distance(points).min()), 0.0)
         keep = min(radius, room) + min(FROM_EDGE * clearance, OF_WAY * max(room - radius, 0.0))
         return replace(self, offset=self.offset + keep)
 
     def met_earlier(self, part: float) -> Edge:
-        """The same edge met ``part`` of the way earlier, at the free end at the earliest."""
+        """The same edge, met earlier by the fraction ``part`` of the way, but not before the free end."""
         return replace(self, part=max(self.part - part, 0.0))
 
 
@@ -54,8 +54,8 @@ class Edge:
 class Crossing:
     """Ground between two positions of a foot: planes at both ends, and the top of the obstacle between.
 
-    ``top`` in m is None without an obstacle. ``rise``: the edge before which the foot rises to the top, None
-    where it starts there; ``fall``: the edge behind which it descends, None where it ends there.
+    ``top``, m, is None without an obstacle. ``rise`` is the edge before which the foot rises to the top, None
+    if it starts there; ``fall`` is the edge behind which it descends, None if it ends there.
     """
 
     first: Surface
@@ -65,9 +65,9 @@ class Crossing:
     fall: Edge | None = None
 
     def offset(self, distance: float, start: np.ndarray, end: np.ndarray) -> Crossing:
-        """The same ground for the centre of a ball of that radius, m, which goes from ``start`` to ``end``.
+        """The same ground for the centre of a ball of radius ``distance`` m that moves from start to end.
 
-        Planes and top are higher; edges are met earlier, and the centre stays that far from them.
+        Planes and top are raised, edges are met earlier, and the centre stays ``distance`` m from them.
         """
         if not distance:
             return self
@@ -86,7 +86,7 @@ class Crossing:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Piece:
-    """The ground from a ``begin`` to an ``end`` fraction of the way; ``face`` is None in a hole."""
+    """The ground from a fraction ``begin`` to ``end`` of the way; ``face`` is None in a hole."""
 
     begin: float
     end: float
@@ -138,7 +138,7 @@ def _height(piece: _Piece, part: float, start: np.ndarray, end: np.ndarray) -> f
 
 
 def _pieces(terrain: PiecewiseTerrain, start: np.ndarray, end: np.ndarray) -> list[_Piece]:
-    """The highest face along the way, in order."""
+    """The highest faces along the way, in order."""
     stops = {0.0, 1.0}  # where the way, seen from above, meets the lines of faces' edges
     for face in terrain.faces:
         edges = [_edge_plane(face, index) for index in range(len(face.vertices))]
@@ -165,7 +165,7 @@ def _edge_plane(face: Patch, index: int) -> tuple[np.ndarray, float]:
 
 
 def _place(pieces: list[_Piece], heights: list[tuple[float, float]], above: list[float], top: float) -> float:
-    """Fraction of the way at which the ground first rises over the start's plane, or else reaches the top."""
+    """Fraction of the way where the ground first rises above the start's plane, or else reaches the top."""
     for piece, over in zip(pieces, above, strict=True):
         if over > SAME_PLANE:
             return piece.begin

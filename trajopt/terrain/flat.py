@@ -18,9 +18,9 @@ class FlatGround:
     """A plane to stand on with Coulomb friction: level, or a slope.
 
     Args:
-        height: over the world's origin, m.
+        height: height at the world's origin, m.
         friction: Coulomb's coefficient.
-        normal: upwards (3,), made a unit vector; (0, 0, 1) for level ground.
+        normal: upward normal (3,), which is normalised; (0, 0, 1) for level ground.
 
     Raises:
         InputError: for a normal that does not point up.

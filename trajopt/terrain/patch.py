@@ -1,4 +1,4 @@
-"""A face of the ground, a plane bounded by a convex polygon on which contacts land; faces of obstacles."""
+"""Faces of the ground: planes bounded by convex polygons, on which contacts land; faces of obstacles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.errors import InputError, finite_array, numbers_of, require_positive, shown
 from trajopt.terrain.surface import FARTHEST, MOST_CORNERS, SAME_PLANE, UP, Surface
 
-# Sine of the turn at a corner below which three corners are on one line (or turn the wrong way): rounding of
+# Sine of the turn at a corner below which three corners are collinear (or turn the wrong way): rounding of
 # computed corners, far below any intended turn.
 STRAIGHT = 1e-9
 DESCRIBED = ("name", "surface", "vertices", "margin")
@@ -87,12 +87,12 @@ class Patch:
         """A level rectangle.
 
         Args:
-            centre: (3,), m, world.
-            size: along its own axes, m.
-            yaw: of these axes, rad.
+            centre: centre (3,), m, world.
+            size: lengths along its own axes, m.
+            yaw: angle of these axes, rad.
             friction: Coulomb's coefficient.
-            margin: as of `Patch`, m.
-            name: as of `Patch`.
+            margin: see `Patch`, m.
+            name: see `Patch`.
         """
         middle = finite_array(f"centre of patch '{name}'", centre, unit="m")
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
@@ -122,12 +122,12 @@ class Patch:
     def inside(self, position: np.ndarray) -> np.ndarray:
         """Signed distance (...) in m of positions (..., 3), along the plane, from the nearest edge's line.
 
-        Positive inside; outside it is no more than the distance to the polygon.
+        Positive inside; outside, the largest distance beyond an edge's line, at most that to the polygon.
         """
         return np.asarray((np.asarray(position, dtype=float) @ self.inward.T - self.offsets).min(axis=-1))
 
     def nearest(self, position: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Point (3,) nearest to ``position`` (3,) of the part that keeps the margin."""
+        """Point (3,) nearest to ``position`` (3,) in the part of the patch that keeps the margin."""
         point = np.asarray(position, dtype=float)
         onto = np.asarray(point - float(self.surface.distance(point)) * self.surface.normal)
         if float(self.inside(onto)) >= self.margin:
@@ -177,7 +177,7 @@ def _corners(value: Any, name: str) -> np.ndarray:
 
 
 def _require_convex(directions: np.ndarray, normal: np.ndarray, name: str) -> None:
-    """Every corner turns to the left, and all together once around."""
+    """Raise `InputError` unless every corner turns left and all of them together turn once around."""
     following = np.roll(directions, -1, axis=0)
     sines = np.cross(directions, following) @ normal
     turns = np.arctan2(sines, np.sum(directions * following, axis=1))
@@ -189,7 +189,7 @@ def _require_convex(directions: np.ndarray, normal: np.ndarray, name: str) -> No
 
 
 def cut_polygon(points: np.ndarray, inward: np.ndarray, offset: float) -> np.ndarray:
-    """The part (k, 3) of a convex polygon with inward @ p >= offset: Sutherland and Hodgman's clipping."""
+    """The part (k, 3) of a convex polygon with inward @ p >= offset, by Sutherland-Hodgman clipping."""
     kept: list[np.ndarray] = []
     for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
         over = (float(inward @ a - offset), float(inward @ b - offset))
@@ -209,7 +209,7 @@ def _on_segment(point: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ObstacleAxes:
-    """Where an obstacle stands: its origin (x, y) m and direction rad, and what its faces share."""
+    """Axes of an obstacle, origin (x, y) m and direction rad, with the friction and margin of its faces."""
 
     at: PlanePoint
     yaw: float
@@ -236,7 +236,7 @@ class ObstacleAxes:
     def rectangle(
         self, name: str, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]
     ) -> Patch:
-        """A face over a rectangle in the obstacle's own axes, whose height goes from z[0] at x[0] to z[1]."""
+        """A face over a rectangle in the obstacle's own axes, from height z[0] at x[0] to z[1] at x[1]."""
         corners = [(x[0], y[0], z[0]), (x[1], y[0], z[1]), (x[1], y[1], z[1]), (x[0], y[1], z[0])]
         return self.face(name, corners)
 

@@ -24,19 +24,19 @@ CRACK = 1e-9
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PiecewiseTerrain:
-    """Ground of one or more faces with different names; the first is the one to stand on by default.
+    """Ground of one or more faces with different names; contacts stand on the first by default.
 
-    The ground at (x, y) is the highest face there. Without a face there is a bottomless hole: its height is
-    -inf, nothing penetrates there, and no contact can stand. Risers between faces are not faces: a point
-    lower than the highest face at its (x, y) penetrates by the whole difference. The constructors below place
-    an obstacle ``at`` (x, y) m, turned by ``yaw`` rad; all its faces have the ``friction`` and the ``margin``
-    in m of `Patch`.
+    The ground at (x, y) is the highest face there. Where there is no face there is a bottomless hole: its
+    height is -inf, nothing penetrates it, and no contact can stand in it. Risers between faces are not faces:
+    a point lower than the highest face at its (x, y) penetrates by the whole difference. The constructors
+    below place an obstacle ``at`` (x, y) m, turned by ``yaw`` rad; all its faces have the same ``friction``
+    and ``margin``, m, see `Patch`.
 
     Args:
         faces: the faces, at least one.
 
     Raises:
-        InputError: for faces of one name, and for one that is vertical, points down or holds contacts.
+        InputError: for two faces of the same name, and a face that is vertical, points down or is bilateral.
     """
 
     faces: tuple[Patch, ...]
@@ -73,7 +73,7 @@ class PiecewiseTerrain:
 
     @property
     def friction(self) -> float:
-        """Coefficient of the first face."""
+        """Friction coefficient of the first face."""
         return self.faces[0].surface.friction
 
     @property
@@ -107,9 +107,9 @@ class PiecewiseTerrain:
         return face.surface
 
     def offset(self, distance: float) -> PiecewiseTerrain:
-        """The parallel ground: every face ``distance`` m along its normal.
+        """The parallel ground: every face shifted ``distance`` m along its normal.
 
-        Where two faces meet in a convex edge the shifted ones part; there the ground is the plane of the
+        Where two faces meet in a convex edge the shifted ones separate. There the ground is the plane of the
         steeper one, above the arc of the exact parallel surface by less than distance * (1 / n_z - 1).
         """
         if not distance:
@@ -122,7 +122,7 @@ class PiecewiseTerrain:
 
     @cached_property
     def _parallel(self) -> dict[float, PiecewiseTerrain]:
-        """The parallel grounds that were asked for, by their distance in m."""
+        """Cache of parallel grounds by their distance in m."""
         return {}
 
     def _heights(self, x: Any, y: Any) -> np.ndarray:
@@ -169,13 +169,13 @@ class PiecewiseTerrain:
         """Level treads: faces ``before``, ``step1``, ..., ``beyond``.
 
         Args:
-            heights: of the treads over the ground before them, m; the last is that of the flat ``beyond``.
+            heights: heights of the treads over the ground before them, m; the last is the flat ``beyond``.
             run: depth of a tread, m.
-            width: across the steps, m.
-            at: where the first riser stands (x, y), m.
+            width: width across the steps, m.
+            at: position of the first riser (x, y), m.
             yaw: direction of the steps, rad.
             friction: Coulomb's coefficient.
-            margin: as of `Patch`, m.
+            margin: margin of each face, see `Patch`, m.
         """
         require_lengths(run=run, width=width)
         levels = np.array(heights, dtype=float).ravel()
@@ -204,7 +204,7 @@ class PiecewiseTerrain:
         friction: float = 0.7,
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
-        """``steps`` risers of ``rise`` m (negative: down), treads of ``run`` m: faces as in `steps`."""
+        """Stairs: ``steps`` risers of ``rise`` m (negative: down) and treads of ``run`` m, see `steps`."""
         if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
             raise InputError(f"stairs have {shown(steps)} steps", "allowed: a whole number, at least 1")
         require_finite("rise of stairs", rise, "m")
@@ -226,17 +226,17 @@ class PiecewiseTerrain:
     ) -> PiecewiseTerrain:
         """A ``box`` on level ground.
 
-        The ground around it is ``before`` (smaller x), ``beyond``, ``left`` (greater y) and ``right``, which
+        The faces around it are ``before`` (smaller x), ``beyond``, ``left`` (greater y) and ``right``, which
         overlap at the corners.
 
         Args:
-            height: of the box, m; negative for a pit.
-            length: along x, m.
-            width: along y, m.
-            at: its centre (x, y), m.
-            yaw: of its axes, rad.
+            height: height of the box, m; negative for a pit.
+            length: length along x, m.
+            width: width along y, m.
+            at: centre of the box (x, y), m.
+            yaw: angle of its axes, rad.
             friction: Coulomb's coefficient.
-            margin: as of `Patch`, m.
+            margin: margin of each face, see `Patch`, m.
         """
         require_lengths(length=length, width=width)
         require_finite("height of a box", height, "m")
@@ -263,9 +263,9 @@ class PiecewiseTerrain:
         friction: float = 0.7,
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
-        """A hole of ``width`` m in the direction of travel, from ``at`` (x, y) m on: ``before``, ``beyond``.
+        """A hole of ``width`` m from ``at`` (x, y) m on, between the faces ``before`` and ``beyond``.
 
-        ``height``: of the ground beyond it above that before it, m.
+        ``height`` is that of the ground beyond the hole above the ground before it, m.
         """
         require_lengths(width=width)
         place = ObstacleAxes(at, yaw, friction, margin)
@@ -311,7 +311,7 @@ class PiecewiseTerrain:
         friction: float = 0.7,
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
-        """Level stones ``stone1``, ... and holes: ``centres`` (n, 2) m, ``size`` m, ``heights`` m."""
+        """Level stones ``stone1``, ... and holes between: ``centres`` (n, 2), ``size`` and ``heights``, m."""
         places = np.array(centres, dtype=float)
         if places.ndim != 2 or places.shape[1:] != (2,) or not len(places) or not np.isfinite(places).all():
             raise InputError(f"centres of stones have shape {places.shape}", "allowed: (n, 2), finite, m")

@@ -79,8 +79,8 @@ class Bump(Shape):
 
     Args:
         rise: height of the hill, m; negative for a hollow.
-        radius: m.
-        centre: (x, y), m.
+        radius: distance from the centre to the steepest slope, m.
+        centre: centre (x, y), m.
     """
 
     rise: float
@@ -105,7 +105,7 @@ class Bump(Shape):
 
 @dataclass(frozen=True, kw_only=True)
 class _Along(Shape):
-    """A shape that varies along one direction, ``yaw`` rad, counted from ``at`` (2,) m."""
+    """A shape that varies along one direction, ``yaw`` rad, measured from ``at`` (2,) m."""
 
     at: tuple[float, float] = (0.0, 0.0)
     yaw: float = 0.0
@@ -127,8 +127,8 @@ class Ramp(_Along):
     """A smooth rise, z = rise / 2 (1 + tanh(2 s / length)), with slopes up to rise / length.
 
     Args:
-        rise: m.
-        length: m.
+        rise: total rise, m.
+        length: length scale, m.
         at: where s is zero (x, y), m.
         yaw: direction of s, rad.
     """

@@ -13,7 +13,7 @@ from trajopt.errors import InputError
 from trajopt.terrain.shapes import ParameterOf, Shape, shape_from_description
 from trajopt.terrain.surface import MOST_SHAPES, Surface
 
-# Fixed-point steps to the point under a position on a parallel surface. Each reduces the error by the
+# Fixed-point steps to the point under a position on a parallel surface. Each multiplies the error by the
 # distance times the curvature, about 0.1 for feet on the library's waves; the height's error is its square.
 STEPS = 3
 
@@ -47,9 +47,9 @@ class SmoothTerrain:
     def offset(self, distance: float) -> SmoothTerrain:
         """The parallel surface ``distance`` m along the normals, for less than the radius of curvature.
 
-        A point p of the ground with slopes s = (dh/dx, dh/dy) and unit normal n is under its point
-        c = p + distance * n. For a given (x, y) of c, p is found by `STEPS` fixed-point steps, and the
-        height by the tangent plane at p, so that its error is of second order in p's.
+        A point p of the ground with slopes s = (dh/dx, dh/dy) and unit normal n is under the point
+        c = p + distance * n of this surface. For a given (x, y) of c, p is found by `STEPS` fixed-point
+        steps, and the height by the tangent plane at p, so that its error is of second order in p's.
         """
         if not distance:
             return self
@@ -93,9 +93,9 @@ class SmoothTerrain:
         return np.array([np.asarray(sum(parts)) for parts in zip(*slopes, strict=True)])
 
     def symbolic(self, position: ca.SX, parameter: ParameterOf) -> tuple[ca.SX, ca.SX]:
-        """Height over this surface of a position (3,), vertical, and slopes (2,) of the ground under it.
+        """Vertical height of a position (3,) over this surface, and slopes (2,) of the ground under it.
 
-        The shapes' numbers and the distance enter through ``parameter``.
+        The numbers of the shapes and the distance enter through ``parameter``.
         """
         at, place = ca.SX.sym("at", 2), position[:2]
         ground = sum((shape.symbolic(at[0], at[1], parameter) for shape in self.shapes), ca.SX(0))
@@ -127,7 +127,7 @@ class SmoothTerrain:
 
 @dataclass(frozen=True)
 class CurvedSurface:
-    """Smooth ground as the surface of a point contact: its normal depends on where the contact is."""
+    """Smooth ground as the surface of a point contact; its normal depends on the contact's position."""
 
     ground: SmoothTerrain
     bilateral: ClassVar[bool] = False

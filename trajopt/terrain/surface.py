@@ -18,20 +18,20 @@ UP = (0.0, 0.0, 1.0)
 # Two surfaces are one plane within this distance, m, and this error of the normal: rounding of forward
 # kinematics, far below the positioning accuracy of a leg.
 SAME_PLANE = 1e-6
-# Largest length of shapes and of the ground, m: the libraries of geometry end the process at 1e30.
+# Largest length of shapes and of the ground, m: geometry libraries abort the process at 1e30.
 FARTHEST = 1e4
-# Corners of one shape or face, and shapes of one robot or faces of one terrain.
+# Most corners of one shape or face, and most shapes of one robot or faces and shapes of one terrain.
 MOST_CORNERS, MOST_SHAPES = 10_000, 1000
-# Parallel surfaces that are kept.
+# Number of parallel surfaces that are cached.
 MOST_OFFSETS = 256
 
 
 def frame_of_normal(normal: Sequence[float] | np.ndarray) -> np.ndarray:
     """Rotation (3, 3) whose columns are two tangents and the unit ``normal`` (3,), right-handed.
 
-    The least rotation that takes the world's z axis to the normal: the identity for level ground, smooth
-    in the normal except straight down, where it is half a turn about x. Rodrigues' formula with the axis
-    z x n, written for n_z < 0 without its cancellation.
+    It is the smallest rotation that takes the world's z axis to the normal: the identity for level ground,
+    smooth in the normal except straight down, where it is a half turn about x. Rodrigues' formula with the
+    axis z x n, written without cancellation for n_z < 0.
     """
     x, y, z = (float(entry) for entry in normal)
     across = x * x + y * y
@@ -50,13 +50,13 @@ class Surface:
 
     Args:
         point: any point on it (3,), m, world.
-        normal: from it to the robot (3,), world; made a unit vector.
+        normal: normal towards the robot (3,), world; it is normalised.
         friction: Coulomb's coefficient.
         bilateral: whether it holds the contact (a grasp, a handrail, a bolt). Then it transmits any wrench of
             the contact's kind, and neither friction nor unilateral rows apply; the normal only determines how
             a contact lands on it.
-        slip_speed: m/s; with it a point contact slides along the surface, against its friction (see
-            `trajopt.terms.dynamics`).
+        slip_speed: speed at which a point contact slides along the surface, against its friction, m/s (see
+            `trajopt.terms.dynamics`); None for a contact that does not slide.
 
     Raises:
         InputError: for a wrong shape, a normal without length, a number out of range.
@@ -98,7 +98,7 @@ class Surface:
 
     @property
     def height(self) -> float:
-        """Signed height of the plane over the world's origin along the normal, m."""
+        """Signed distance of the plane from the world's origin along the normal, m."""
         return float(self.normal @ self.point)
 
     def distance(self, position: np.ndarray) -> np.ndarray:
@@ -111,11 +111,11 @@ class Surface:
 
     @lru_cache(maxsize=MOST_OFFSETS)  # noqa: B019 (a few surfaces, of which terms ask for the same at each node)
     def offset(self, distance: float) -> Surface:
-        """The parallel surface ``distance`` m along the normal: of the centre of a ball of that radius."""
+        """The parallel surface ``distance`` m along the normal, for the centre of a ball of that radius."""
         return replace(self, point=self.point + distance * self.normal) if distance else self
 
     def same_plane(self, other: object) -> bool:
-        """Whether the other surface is the same plane with the same side."""
+        """Whether the other surface is the same plane, seen from the same side."""
         if not isinstance(other, Surface):
             return False
         turned = float(np.abs(self.normal - other.normal).max())

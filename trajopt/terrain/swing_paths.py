@@ -1,4 +1,4 @@
-"""Profiles of a swing, and its guess over edges: up before the first, over the top, down behind the last."""
+"""Swing profiles, and guesses of swings over edges: up before the first, down behind the last."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -17,11 +17,11 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Terrain
 
-# Fractions of the swing time at which the foot has reached the top, and from which it descends.
+# Fractions of the swing time at which the foot has reached the top and at which it begins to descend.
 RISEN, SINKING = 0.35, 0.65
-# Fraction of the way to an edge that the guess covers before it is as high as the top.
+# Fraction of the way to an edge that the guess covers before it reaches the height of the top.
 BEFORE_EDGE = 0.8
-# Height of the guess's arc over the least clearance: above it at every time between RISEN and SINKING.
+# Height of the guess's arc in clearances: it is above the clearance at all times between RISEN and SINKING.
 OVER_CLEARANCE = 1.5
 # Number of swings whose ground is cached.
 KEPT = 1024
@@ -37,15 +37,15 @@ def require_clearance(clearance: float) -> None:
 def swing_profile(s: float) -> float:
     """16 s^2 (1 - s)^2 at the fraction ``s`` of a swing: one in mid swing, zero and flat at its ends.
 
-    Flat, because a foot begins and ends its swing at rest: with a profile of finite slope there, such as
-    4 s (1 - s), the height at the first node after lift-off is proportional to the step, and the acceleration
-    needed is inversely proportional to it: the optimum would have no limit as the mesh is refined.
+    It is flat because a foot begins and ends its swing at rest. With a finite slope there, as of 4 s (1 - s),
+    the height at the first node after lift-off would be proportional to the step and the acceleration needed
+    inversely proportional to it, so the optimum would have no limit as the mesh is refined.
     """
     return 16.0 * s * s * (1.0 - s) ** 2
 
 
 def smooth_step(s: float) -> float:
-    """From 0 to 1 with rate and acceleration zero at both ends: 10 s^3 - 15 s^4 + 6 s^5, clipped."""
+    """Step from 0 to 1 with zero rate and acceleration at both ends: 10 s^3 - 15 s^4 + 6 s^5, clipped."""
     s = min(max(s, 0.0), 1.0)
     return s**3 * (10 - 15 * s + 6 * s * s)
 
@@ -61,14 +61,14 @@ def swing_path(
 ) -> SwingPath:
     """Path of a swinging foot over terrain, for `legged_guess`.
 
-    It rises to the highest ground between its ends before reaching it, and descends behind it; added to that
-    is an arc over smooth or flat ground and over edges.
+    The foot rises to the height of the highest ground between its ends before it gets there, and descends
+    behind it. An arc is added on every kind of ground.
 
     Args:
         terrain: the ground.
-        clearance: height of the arc, m.
-        reach: how far the foot extends before and behind its position, m: half a sole's length.
-        radii: of contacts by name, m, whose centres the positions are.
+        clearance: swing clearance, m; the arc is `OVER_CLEARANCE` times as high.
+        reach: how far the foot extends ahead of and behind its position, m: half a sole's length.
+        radii: radii of contacts by name, m; positions are those of their centres.
 
     Returns:
         (name, start (3,), end (3,), s) -> position (3,), m, world, with s from 0 to 1.
@@ -109,7 +109,7 @@ class _SwingPath:
 
 
 def crossing_of(terrain: Terrain, start: np.ndarray, end: np.ndarray) -> Crossing:
-    """The ground between two positions (3,) m; on ground without edges only the planes under them."""
+    """The ground between two positions (3,) m; only the planes under them on ground without edges."""
     planes = [_plane(terrain, point) for point in (start, end)]
     if isinstance(terrain, PiecewiseTerrain):
         return crossing(terrain, start, end, *planes)
@@ -117,14 +117,14 @@ def crossing_of(terrain: Terrain, start: np.ndarray, end: np.ndarray) -> Crossin
 
 
 def _reached(ground: Crossing, start: tuple[float, ...], end: tuple[float, ...], reach: float) -> Crossing:
-    """The same ground with the fractions of the way at which the foot's front or back meets the edges."""
+    """The same ground with edges met where the front or back of the foot, ``reach`` m away, meets them."""
     earlier = reach / math.hypot(end[0] - start[0], end[1] - start[1]) if ground.rise or ground.fall else 0.0
     rise, fall = (edge and edge.met_earlier(earlier) for edge in (ground.rise, ground.fall))
     return replace(ground, rise=rise, fall=fall)
 
 
 def _plane(terrain: Terrain, point: np.ndarray) -> Surface:
-    """Plane under a position; over a hole a level one at its height."""
+    """Plane under a position; over a hole, a level plane at the position's height."""
     if isinstance(terrain, PiecewiseTerrain) and terrain.face_at(float(point[0]), float(point[1])) is None:
         return Surface(point=point, normal=np.array([0.0, 0.0, 1.0]))
     return terrain.surface_at(point).plane_at(point)
@@ -135,9 +135,9 @@ def kept_outside(
 ) -> np.ndarray:
     """The position (3,) m on another path between the same ``ends``, moved out of the obstacle on the way.
 
-    Up to `RISEN` it stays before the edge where the obstacle begins, from `SINKING` on behind that where it
-    ends, in between it is over the top; sideways shifts fade in between. ``ground``: raised by the contact's
-    radius, its edges with the distance to keep (`Edge.kept_from`).
+    Until `RISEN` it stays before the edge where the obstacle begins, and from `SINKING` on behind the edge
+    where it ends; in between it is over the top, and sideways shifts fade. ``ground`` is raised by the
+    contact's radius, and its edges include the distance to keep (`Edge.kept_from`).
     """
     if ground.top is None:
         return position
@@ -152,7 +152,7 @@ def kept_outside(
 
 
 def _over_top(top: float, ends: tuple[np.ndarray, np.ndarray], s: float) -> float:
-    """Height, m, of a path that is at the ``top`` between `RISEN` and `SINKING`."""
+    """Height, m, of a path that is at ``top`` from `RISEN` to `SINKING`."""
     up, down = smooth_step(s / RISEN), smooth_step((s - SINKING) / (1 - SINKING))
     low, high = min(ends[0][2], top), min(ends[1][2], top)
     return float(low + up * (top - low) + down * (high - top))
@@ -174,7 +174,7 @@ def _over(
 
 
 def _warped(ground: Crossing, s: float) -> float:
-    """Time of the horizontal motion: delayed so that edges are passed between RISEN and SINKING."""
+    """Time of the horizontal motion, warped so that edges are passed between RISEN and SINKING."""
     begin, end = 0.0, 1.0
     rise, fall = _time_before(ground.rise), _time_before(ground.fall)
     if rise is not None and rise < RISEN:

@@ -1,4 +1,4 @@
-"""What the ground of a problem can be, and how a solution file describes it."""
+"""Kinds of ground of a problem, and their description in a solution file."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from trajopt.terrain.smooth import CurvedSurface, SmoothTerrain
 from trajopt.terrain.surface import Surface
 
 Terrain = FlatGround | PiecewiseTerrain | SmoothTerrain
-# What a contact touches: a plane, or smooth ground.
+# The ground that a contact touches: a plane, or smooth ground.
 Ground = Surface | CurvedSurface
 
 

@@ -1,4 +1,4 @@
-"""The part linear in the variables: scales, gathers of points, ends and impacts, and additive defects."""
+"""The linear part of the transcription: variable scales, gather matrices, and linear defect terms."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,16 +13,18 @@ from trajopt.transcription.timeline import NodeLayout, StageKind
 
 @dataclass(frozen=True)
 class Collocation:
-    """The collocation map of a layout's schemes between scaled variables, in the robot's units.
+    """Linear maps of a layout's collocation schemes, over variables scaled by natural units.
 
-    ``units`` are those of every form's robot, keyed by the robot's identity.
+    Args:
+        layout: layout of the variables.
+        units: natural units of each node form's robot, keyed by ``id(robot)``.
     """
 
     layout: Layout
     units: dict[int, Units]
 
     def units_of(self, form: NodeLayout) -> Units:
-        """Natural units over the coordinates of a node's form."""
+        """Natural units of the robot whose coordinates a node's form uses."""
         return self.units[id(form.robot)]
 
     def node_scale(self, form: NodeLayout) -> np.ndarray:
@@ -33,7 +35,7 @@ class Collocation:
         return np.concatenate([np.ones(len(form.rotations)), additive, rates, np.ones(form.n_time_scales)])
 
     def window_scale(self, k: int) -> np.ndarray:
-        """Natural unit of each entry of stage k's window; contacts share the weight."""
+        """Natural unit of each variable in stage k's window; the contacts share the robot's weight."""
         layout, stage, form = self.layout, self.layout.stages[k], self.layout.forms[k]
         units, node = self.units_of(form), self.node_scale(form)
         if stage.kind is StageKind.CHANGE:
@@ -56,7 +58,7 @@ class Collocation:
         return np.concatenate([*windows, self.node_scale(self.layout.forms[-1])])
 
     def point_gather(self, stage: int, i: int) -> SparseMatrix:
-        """Return the map to z of a point: rotations, xi, xi', xi'', wrenches, the phase's time scale."""
+        """Return the matrix to z at point i: rotations, xi, xi', xi'', wrenches, the phase's time scale."""
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         scheme, form = layout.scheme_of(phase), layout.form_of(phase)
         lower = self._lower_derivatives(stage, scheme.c[i], scheme.A1[i], scheme.A2[i])
@@ -66,7 +68,7 @@ class Collocation:
         return SparseMatrix.of(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 
     def moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> SparseMatrix:
-        """Return the map to z at a fraction of an interval, with the wrenches of the contacts ``loads``."""
+        """Return the matrix to z at a fraction of an interval, with the wrenches of contacts ``loads``."""
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         key = phase, float(layout.steps[stage]), fraction, loads
         if key not in self._moment_gathers:
@@ -75,7 +77,7 @@ class Collocation:
 
     @cached_property
     def _moment_gathers(self) -> dict[tuple[int, float, float, tuple[str, ...]], SparseMatrix]:
-        """Maps that were asked for: those of many pairs of bodies are the same."""
+        """Cache of the matrices at moments: many pairs of bodies share one."""
         return {}
 
     def _moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> SparseMatrix:
@@ -93,7 +95,7 @@ class Collocation:
         return SparseMatrix.of(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 
     def impact_gather(self, k: int) -> SparseMatrix:
-        """Return the map to z of an impact: rotations, xi, rates, their jump, impulses, the time scale."""
+        """Return the matrix to z at an impact: rotations, xi, rates, their jump, impulses, time scale."""
         layout, form = self.layout, self.layout.forms[k]
         eye = np.eye(layout.window_size(k))
         jump, impulse = eye[layout.local_jump(k)], eye[layout.local_impulse(k)]
@@ -101,11 +103,11 @@ class Collocation:
         return SparseMatrix.of(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(k))
 
     def node_gather(self, form: NodeLayout) -> SparseMatrix:
-        """Return the map to z of a node: its own variables."""
+        """Return the matrix to z at a node, which holds the node's own variables."""
         return SparseMatrix.of(np.diag(self.node_scale(form)))
 
     def end_gather(self, stage: int) -> SparseMatrix:
-        """Return the map to z at an interval's end: rotations, theta, and theta' if there are rates."""
+        """Return the matrix to z at an interval's end: rotations, theta, and theta' if there are rates."""
         layout, form = self.layout, self.layout.forms[stage]
         rotation = form.coordinates.rotation_index
         eye = np.eye(layout.window_size(stage))
@@ -118,9 +120,9 @@ class Collocation:
         others: list[tuple[np.ndarray, SparseMatrix]],
         n_rows: int,
     ) -> SparseMatrix:
-        """Rows (n_rows, n_unknowns): identity of the next node minus the linear part of the map to it.
+        """Linear part of all rows (n_rows, n_unknowns): the next node minus the linear map to it.
 
-        ``others`` are further linear rows: their indices and coefficients over all variables.
+        ``others`` holds further linear rows: (row indices, coefficients over all variables).
         """
         layout = self.layout
         rows = [numbers[matrix.row] for numbers, matrix in others]
@@ -141,7 +143,7 @@ class Collocation:
         return SparseMatrix.of_entries((n_rows, layout.n_unknowns), *entries)
 
     def _linear_map(self, k: int) -> np.ndarray:
-        """Linear part (size, window) of the map from the window of stage k to the next node, unscaled."""
+        """Unscaled linear part (size, window) of the map from stage k's window to the next node."""
         layout, form, kind = self.layout, self.layout.forms[k], self.layout.stages[k].kind
         eye = np.eye(layout.window_size(k))
         block = np.zeros((layout.forms[k + 1].size, layout.window_size(k)))
@@ -164,7 +166,7 @@ class Collocation:
         return self._lower_derivatives(k, 1.0, scheme.b1, scheme.b2)
 
     def _lower_derivatives(self, k: int, c: float, a1: np.ndarray, a2: np.ndarray) -> list[np.ndarray]:
-        """Maps (nv, window) to xi, and to xi' where that is not a variable, at fraction c of interval k."""
+        """Matrices (nv, window) to xi, and to xi' unless it is a variable, at fraction c of interval k."""
         layout, form = self.layout, self.layout.forms[k]
         phase, h = layout.stages[k].phase, layout.steps[k]
         eye = np.eye(layout.window_size(k))
@@ -179,7 +181,7 @@ class Collocation:
 
     @staticmethod
     def _positions(eye: np.ndarray, form: NodeLayout) -> np.ndarray:
-        """Map (nv, window) to xi at a node: the additive positions, zero for rotations."""
+        """Matrix (nv, window) to xi at a node: the additive positions, and zero for rotations."""
         position = np.zeros((form.coordinates.nv, eye.shape[1]))
         position[form.coordinates.additive_index] = eye[form.additive]
         return position

@@ -1,9 +1,9 @@
 """Derivatives of point functions, compiled to tapes once and kept in a disk cache.
 
-A tape is a function's operations as a straight line that the engine runs at several points at once
-(docs/architecture.md, "Tapes"). An entry of the cache is named by a hash of the point function's graph and of
-what made it, so that nothing stale is ever read. The graph does not depend on the scheme, the step or the
-number of intervals, so neither does the entry.
+A tape is a straight-line program that the engine evaluates at several points at once (docs/architecture.md,
+"Tapes"). Each cache entry is named by a hash of the point function's graph and of the versions and code that
+produced it, so stale entries are never read. Neither the graph nor the entry depends on the scheme, the step
+or the number of intervals.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ _FUNCTIONS = {
 class CompiledPoint:
     """Tapes of a point's value, first and second derivatives.
 
-    The second is of the chosen Hessian; zero where the solver approximates its own.
+    ``second`` evaluates the chosen Hessian; it is zero where the solver approximates the Hessian itself.
     """
 
     value: _engine.Tape
@@ -44,7 +44,7 @@ class CompiledPoint:
 
 @dataclass(frozen=True)
 class CompilationReport:
-    """Seconds to differentiate graphs and to compile them, functions found in the cache and compiled."""
+    """Times in s for differentiation and compilation, and numbers of functions cached and built."""
 
     build_time: float
     compile_time: float
@@ -54,20 +54,20 @@ class CompilationReport:
 
 @lru_cache(maxsize=1)
 def _maker() -> str:
-    """What an entry depends on besides the graph: versions, and the code of the chain rule."""
+    """Everything besides the graph on which an entry depends: versions, and the code of the chain rule."""
     versions = [importlib.metadata.version(name) for name in ("casadi", "libpinocchio")]
     return "|".join([*versions, _engine.TAPE_VERSION, Path(stage_functions.__file__).read_text("utf-8")])
 
 
 def entry_key(point: PointFunction) -> str:
-    """What the names of a point function's entries in the cache begin with."""
+    """Common prefix of the names of a point function's cache entries."""
     return hashlib.sha256("\n".join([point.text, _maker()]).encode()).hexdigest()[:32]
 
 
 def compile_points(
     points: Iterable[PointFunction], hessian: str = DEFAULT_HESSIAN
 ) -> tuple[dict[str, CompiledPoint], CompilationReport]:
-    """Derivatives of all points, by `entry_key`: from the cache, or made now. Raises InputError."""
+    """Compiled derivatives of all points, by `entry_key`. Raises InputError for an unknown Hessian."""
     if hessian not in HESSIANS:
         raise InputError(f"unknown Hessian '{hessian}'", f"allowed: {', '.join(HESSIANS)}")
     compiler = _Compiler()
@@ -83,14 +83,14 @@ def compile_points(
 
 
 class _Compiler:
-    """Makes what the cache lacks, and counts."""
+    """Compiles the functions that are not in the cache, and counts and times them."""
 
     def __init__(self) -> None:
         self._cached = self._built = 0
         self._build_time = self._compile_time = 0.0
 
     def tapes(self, point: PointFunction, key: str, functions: Iterable[str]) -> list[_engine.Tape]:
-        """Tapes of a point's functions, with the entries that were missing written."""
+        """Tapes of a point's functions; missing cache entries are written."""
         derivatives = Derivatives(point)
         return [self._tape(derivatives, name, f"{key}.{name}") for name in functions]
 
@@ -110,12 +110,12 @@ class _Compiler:
         return tape
 
     def report(self) -> CompilationReport:
-        """What was done until now."""
+        """Report on the work done so far."""
         return CompilationReport(self._build_time, self._compile_time, self._cached, self._built)
 
 
 def _no_hessian(point: PointFunction) -> ca.Function:
-    """Zero in place of a Hessian that no solver uses."""
+    """Zero placeholder for a Hessian that the solver does not use."""
     n_z, n_p = point.n_z, point.terms.numel_in(2)
     inputs = [ca.SX.sym("z", n_z), ca.SX.sym("p", n_p), ca.SX.sym("sigma"), ca.SX.sym("lam", point.n_rows)]
     return ca.Function("second", inputs, [ca.SX(n_z, n_z)])

@@ -1,7 +1,7 @@
-"""From a motion q(t) to a guess of all variables: rates by differences, forces that balance the motion.
+"""The guess of all variables from a motion q(t): rates by differences, forces that balance the motion.
 
-Accelerations of an interval are the derivative of the polynomial through its rates: at a kink of the motion
-second differences would be as large as the change of the rate over their step.
+Accelerations in an interval are derivatives of the polynomial through its rates. At a kink of the motion,
+second differences would be as large as the jump of the rate over the difference step.
 """
 
 import math
@@ -19,7 +19,7 @@ from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.variable_bounds import initial_state
 
-# Step of the differences that turn q(t) into v, s: errors far below those of a guess.
+# Step of the differences that turn q(t) into v, s; their error is far below that of a guess.
 DIFFERENCE_STEP = 1e-3
 
 
@@ -30,10 +30,10 @@ class MotionSource(Protocol):
         """Return configuration and velocity at node k, in Pinocchio's convention."""
 
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return highest derivative and wrenches at point i of interval k, which starts at ``node``."""
+        """Return the highest derivative and wrenches at point i of interval k, which starts at ``node``."""
 
     def impulses(self, k: int) -> np.ndarray | None:
-        """Return the impulses of the impact that is stage k; None for the least ones that cause the jump."""
+        """Return the impulses of the impact at stage k; None for the least-norm ones that cause its jump."""
 
 
 def unknowns_from_motion(
@@ -44,10 +44,10 @@ def unknowns_from_motion(
     Quaternion signs and whole turns continue from node to node.
 
     Args:
-        layout: where the variables are.
+        layout: layout of the variables.
         source: the motion.
         time_scales: (n_time_scales,) durations of the free phases over their nominal ones.
-        near: the coordinates' state that the first node continues; None where that is free.
+        near: state from which the first node continues; None if it may take any sign and turn.
     """
     x = np.zeros(layout.n_unknowns)
     previous = {} if near is None else {id(layout.coordinates): near}
@@ -71,7 +71,7 @@ def unknowns_from_motion(
 def _fill_impact(
     layout: Layout, k: int, window: np.ndarray, after: np.ndarray, impulses: np.ndarray | None
 ) -> None:
-    """The jump between the rates of both nodes, and impulses: else the least, M (v+ - v-) = J^T impulses."""
+    """Set the jump of the rates and the impulses, by default the least-norm M (v+ - v-) = J^T impulses."""
     form, contacts = layout.forms[k], layout.touching[layout.stages[k].phase]
     window[layout.local_jump(k)] = after[form.rates] - window[form.rates]
     if impulses is None:
@@ -83,9 +83,9 @@ def _fill_impact(
 
 
 def initial_guess(transcription: Transcription, deadline: float = math.inf) -> np.ndarray:
-    """Return scaled variables (n_unknowns,) from the problem's guess; the start is that of the problem.
+    """Return scaled variables (n_unknowns,) from the problem's guess; a fixed start is kept.
 
-    After ``deadline``, by `time.perf_counter`, the robot stays in the posture that was computed last.
+    After ``deadline``, by `time.perf_counter`, the robot stays in the last posture that was computed.
     """
     time_scales = np.ones(transcription.layout.forms[0].n_time_scales)
     source = _ProblemGuess(transcription, deadline)
@@ -95,10 +95,10 @@ def initial_guess(transcription: Transcription, deadline: float = math.inf) -> n
 
 @dataclass
 class _ProblemGuess(MotionSource):
-    """The guess q(t) of a problem: rates by differences, forces that balance the motion.
+    """Variables of a problem's guess q(t): rates by differences, forces that balance the motion.
 
-    last: the posture that was computed last, at which the robot stays after the deadline. states: q and v at
-    the points of an interval, and a.
+    ``last`` is the last posture that was computed, in which the robot stays after the deadline. ``states``
+    holds q, v and a at the points of the current interval.
     """
 
     transcription: Transcription
@@ -143,9 +143,9 @@ class _ProblemGuess(MotionSource):
         return q[points], v[points], matrix @ v / step
 
     def _state(self, t: float, phase: int) -> tuple[np.ndarray, np.ndarray]:
-        """(q, v) at time t by differences on the manifold, taken within the phase.
+        """Configuration and velocity at time t, by differences on the manifold within the phase.
 
-        A motion may have kinks between phases (a foot that leaves, a push that ends).
+        A motion may have kinks between phases, for example at lift-off.
         """
         layout, motion = self.transcription.layout, self.transcription.problem.guess_at
         model, stages = layout.robot.model, layout.intervals_of(phase)
@@ -162,8 +162,8 @@ class _ProblemGuess(MotionSource):
 def node_phase(layout: Layout, k: int) -> int:
     """Phase whose motion node k follows.
 
-    Of two phases that meet there, the one with more contacts: its feet do not move. At an impact each side
-    has its own phase.
+    Where two phases meet it is the one with more contacts, because its feet do not move. At an impact, the
+    nodes before and after it follow the phases before and after it.
     """
     adjacent = layout.adjacent_intervals(k)
     if adjacent.before is None or adjacent.after is None:
@@ -176,7 +176,7 @@ def node_phase(layout: Layout, k: int) -> int:
 
 
 def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Least wrenches at active contacts that balance the base rows of the motion (zero for a fixed base)."""
+    """Least-norm wrenches of active contacts that balance the motion's base rows; zero for a fixed base."""
     robot, contacts = layout.form_of(phase).robot, layout.contacts[phase]
     balanced = robot.actuation.balanced
     if not len(robot.actuation.balance) or not contacts:
@@ -188,10 +188,10 @@ def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray,
 
 
 def perturbed(transcription: Transcription, x: np.ndarray, seed: int, sigma: float) -> np.ndarray:
-    """The guess with normal noise of standard deviation ``sigma`` in scaled units, fixed variables unchanged.
+    """The guess with normal noise of standard deviation ``sigma`` in scaled units; fixed variables stay.
 
-    Rotations are normalised again, so that the perturbed guess is on the manifold; free durations stay
-    within their bounds, the same at all nodes.
+    Rotations are normalised again, so that the perturbed guess lies on the manifold. Free durations stay
+    within their bounds and are the same at all nodes.
     """
     noise = np.random.default_rng(seed).normal(0.0, sigma, x.shape)
     free = transcription.lower_x < transcription.upper_x

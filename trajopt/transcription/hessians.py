@@ -1,7 +1,7 @@
-"""Hessians of the Lagrangian to choose from, by name."""
+"""Names of the available Hessians of the Lagrangian."""
 
 EXACT = "exact"
-# Of costs that are squares, without curvature of rows.
+# Built from the slopes of least-squares costs, without the curvature of constraints.
 GAUSS_NEWTON = "gauss-newton"
 # Approximated from gradients by the solver.
 LIMITED_MEMORY = "limited-memory"

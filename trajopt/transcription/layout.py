@@ -1,9 +1,9 @@
-"""Index of every variable: the only index arithmetic of the library.
+"""Index of every variable: the only index arithmetic in the library.
 
 Variables are ordered in time: node 0, controls of stage 0, node 1, ..., node N. A node holds the entries of
-its form (see ``timeline``); the controls of an interval hold, for each point, the highest derivative y (nv)
-of the local coordinates and the wrenches of the phase's contacts; those of an impact the jump of the rates
-(nv) and the impulses; a change of coordinates has none.
+its form (see ``timeline``). The controls of an interval hold, for each point, the highest derivative y (nv)
+of the local coordinates and the wrenches of the phase's contacts; those of an impact, the jump of the rates
+(nv) and the impulses. A change of coordinates has no controls.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ from trajopt.transcription.timeline import NodeLayout, Stage, StageKind, Timelin
 
 @dataclass(frozen=True)
 class AdjacentIntervals:
-    """The intervals (stages, or None) around a node, and whether impacts lie between it and them."""
+    """The intervals around a node (stage indices or None), and whether impacts lie between it and them."""
 
     before: int | None
     after: int | None
@@ -35,10 +35,15 @@ class AdjacentIntervals:
 
 @dataclass(frozen=True)
 class Layout:
-    """Index ranges of one transcription on ``mesh``: schemes and intervals of each phase.
+    """Index ranges of one transcription.
 
-    ``order`` of the equations of motion: 2, or 1 for a velocity source, whose nodes have no rates.
-    ``closed``: the two ends are compared, so their rates are in true time.
+    Args:
+        robot: the robot.
+        schedule: contacts over time.
+        mesh: scheme and intervals of each phase.
+        order: order of the equations of motion: 2, or 1 for a velocity source, whose nodes have no rates.
+        modes: minimal coordinates of phases, by the phase's name.
+        closed: whether the two ends are compared, so that their rates must be in true time.
     """
 
     robot: Robot
@@ -50,7 +55,7 @@ class Layout:
 
     @cached_property
     def timeline(self) -> Timeline:
-        """Stages, forms of nodes, places of nodes."""
+        """Stages, and the form and place of every node."""
         return timeline(self.robot, self.schedule, self.modes, self.mesh, self.order, self.closed)
 
     @property
@@ -88,7 +93,7 @@ class Layout:
         return np.flatnonzero([stage.kind is StageKind.INTERVAL for stage in self.stages])
 
     def transitions_of(self, kind: StageKind) -> tuple[int, ...]:
-        """Indices of the stages of that kind."""
+        """Indices of the stages of a kind."""
         return tuple(k for k, stage in enumerate(self.stages) if stage.kind is kind)
 
     @cached_property
@@ -108,7 +113,7 @@ class Layout:
 
     @cached_property
     def contacts(self) -> tuple[tuple[Contact, ...], ...]:
-        """Active contacts of each phase that have wrenches: those not embedded in its coordinates."""
+        """Active contacts of each phase with wrench variables: those not embedded in its coordinates."""
         return tuple(
             tuple(
                 self.form_of(i).robot.contact(name)
@@ -120,7 +125,7 @@ class Layout:
 
     @cached_property
     def touching(self) -> tuple[tuple[Contact, ...], ...]:
-        """Active contacts of each phase, of the whole robot."""
+        """All active contacts of each phase, including those embedded in its coordinates."""
         return tuple(
             tuple(self.robot.contact(name) for name in phase.contacts) for phase in self.schedule.phases
         )
@@ -130,11 +135,11 @@ class Layout:
         return self.forms[int(self.intervals_of(phase)[0])]
 
     def n_wrench(self, phase: int) -> int:
-        """Size of all wrenches at a point of a phase."""
+        """Number of wrench components at a point of a phase."""
         return sum(contact.dimension for contact in self.contacts[phase])
 
     def n_control(self, k: int) -> int:
-        """Size of the controls of stage k."""
+        """Number of controls of stage k."""
         stage, nv = self.stages[k], self.forms[k].coordinates.nv
         if stage.kind is StageKind.INTERVAL:
             return self.scheme_of(stage.phase).s * (nv + self.n_wrench(stage.phase))
@@ -155,7 +160,7 @@ class Layout:
 
     @cached_property
     def stage_numbers(self) -> np.ndarray:
-        """Stage of each variable (n_unknowns,): k of one of node k, -1 - k of a control of stage k."""
+        """Owner of each variable (n_unknowns,): k for node k, -1 - k for the controls of stage k."""
         numbers = np.full(self.n_unknowns, self.n_stages, dtype=np.int32)
         for k in range(self.n_stages):
             numbers[self.window(k)] = -1 - k
@@ -202,14 +207,14 @@ class Layout:
     def in_coordinates_of(
         self, form: NodeLayout, q: np.ndarray, v: np.ndarray, a: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return a state (q, v, a) of the whole robot in the coordinates of a node."""
+        """Return a state (q, v, a) of the whole robot in the coordinates of a node's form."""
         mode = next((mode for mode in self.modes.values() if mode.robot is form.robot), None)
         if mode is not None:
             q, v, a, _ = mode.dropped(q, v, a)
         return q, v, a
 
     def place(self, k: int) -> NodePlace | None:
-        """Phase and fraction of node k, None where it repeats another; between phases the later one's."""
+        """Phase and fraction of node k, the later phase's where two meet; None if it repeats another node."""
         place_layout = self.timeline.places[k]
         if place_layout is None:
             return None
@@ -246,7 +251,7 @@ class Layout:
         return -1 if location is None else location[0]
 
     def phase_at(self, k: int) -> int:
-        """Phase of node k: of the stage that begins there, or of the last."""
+        """Phase index of node k: that of the stage that begins there, or of the last stage."""
         return int(self.phase_of[min(k, self.n_stages - 1)])
 
     @property

@@ -17,7 +17,7 @@ import numpy as np
 from trajopt.errors import InputError, shown
 from trajopt.transcription.schemes import Scheme, scheme
 
-# Widths are sums of fractions: they add up to one within rounding.
+# Tolerance on the sum of the widths, which equals one up to rounding.
 ONE = 1e-9
 
 
@@ -77,12 +77,12 @@ class PhaseMesh:
         return PhaseMesh(scheme=name, widths=self.widths)
 
     def describe(self) -> dict[str, Any]:
-        """JSON-able; for equal intervals only their number."""
+        """JSON-able description; equal intervals are described by their number alone."""
         return {"scheme": self.scheme, "intervals": self.count if self.is_uniform else list(self.widths)}
 
     @classmethod
     def from_description(cls, given: Mapping[str, Any]) -> PhaseMesh:
-        """The mesh that `describe` wrote."""
+        """Rebuild the mesh from the output of `describe`."""
         intervals = given["intervals"]
         if isinstance(intervals, int):
             return cls.uniform(given["scheme"], intervals)
@@ -105,7 +105,8 @@ class Mesh:
     def uniform(cls, transcription: str, counts: Sequence[int]) -> Mesh:
         """Equal intervals in each phase.
 
-        transcription: one scheme for all phases, or one per phase, separated by commas. Raises InputError.
+        ``transcription`` names one scheme for all phases, or one per phase separated by commas. Raises
+        InputError for another number of schemes, or an unknown one.
         """
         names = [name.strip() for name in transcription.split(",")]
         if len(names) not in (1, len(counts)):
@@ -128,7 +129,7 @@ class Mesh:
         return tuple(phase.count for phase in self.phases)
 
     def describe(self) -> list[dict[str, Any]]:
-        """JSON-able, one entry per phase."""
+        """JSON-able description, one entry per phase."""
         return [phase.describe() for phase in self.phases]
 
 

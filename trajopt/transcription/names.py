@@ -1,4 +1,4 @@
-"""Every variable and row of an NLP in words: owner, quantity, place, time and phase."""
+"""Readable names of an NLP's variables and rows: owner, quantity, place, time and phase."""
 
 import itertools
 from collections import Counter, defaultdict
@@ -24,15 +24,15 @@ from trajopt.transcription.transcription import Transcription
 if TYPE_CHECKING:
     from scipy import sparse
 
-# Block of the bounds of variables.
+# Name of the block of variable bounds.
 BOUNDS = "bounds"
-# A row with many subjects is named by the one or two variables with the largest coefficients.
+# A row with many subjects is named by at most two variables that make up most of its squared gradient.
 MOST_UNKNOWNS, MOSTLY = 2, 0.8
 
 
 @dataclass(frozen=True, kw_only=True, order=True)
 class Site:
-    """Where something is: ``stage`` (the node's number, or the interval's), ``point`` (-1 at a node)."""
+    """A place: ``stage`` is the index of the node or interval, ``point`` that of the point (-1 at a node)."""
 
     stage: int
     point: int
@@ -40,7 +40,7 @@ class Site:
 
 @dataclass(frozen=True, kw_only=True, order=True)
 class RowName:
-    """A row: its block, its subject in words (or its number within the block), and where."""
+    """A row's name: its block, its subject in words (or its number within the block), and its place."""
 
     block: str
     about: str
@@ -56,8 +56,8 @@ class RowName:
 class NlpNames:
     """Names of an NLP's variables and rows, with times and derivatives at scaled variables ``x``.
 
-    A row's subject is read off the symbols in its term's expression, so that user-defined terms are named
-    too. Where these are many, it is read off the row's derivatives.
+    A row's subject is inferred from the symbols in its term's expression, so user-defined terms are named
+    too. If there are many symbols, it is inferred from the row's derivatives.
     """
 
     nlp: Nlp
@@ -66,7 +66,7 @@ class NlpNames:
 
     @property
     def transcription(self) -> Transcription:
-        """What is named."""
+        """The NLP's transcription."""
         return self.nlp.transcription
 
     @cached_property
@@ -81,15 +81,15 @@ class NlpNames:
     # Places
 
     def phase_index(self, stage: int) -> int:
-        """Phase of a stage's rows and variables; of the last node the last phase."""
+        """Phase index of a stage's rows and variables; the last node belongs to the last phase."""
         return self.layout.phase_at(stage)
 
     def phase(self, stage: int) -> str:
-        """Its name."""
+        """Name of a stage's phase."""
         return self.layout.schedule.phases[self.phase_index(stage)].name
 
     def time(self, site: Site, times: np.ndarray | None = None) -> float:
-        """Time of a place, s, where nodes are at ``times`` (n_stages + 1,); default: their own."""
+        """Time of a place in s, with the nodes at ``times`` (n_stages + 1,), by default those at ``x``."""
         nodes = self.times if times is None else times
         start = float(nodes[site.stage])
         if site.point < 0:
@@ -98,7 +98,7 @@ class NlpNames:
         return start + fraction * (float(nodes[site.stage + 1]) - start)
 
     def place(self, site: Site) -> str:
-        """``node 12, t = 0.310 s, phase 'flight'``, or ``interval 12, point 0, ...``."""
+        """A place in words: ``node 12, t = 0.310 s, phase 'flight'``, or ``interval 12, point 0, ...``."""
         where = f"node {site.stage}"
         if site.point >= 0:
             where = f"interval {site.stage}, point {site.point}"
@@ -219,7 +219,7 @@ class NlpNames:
         return ""
 
     def _subjects_at(self, site: Site) -> dict[str, list[str]]:
-        """Subjects by block of a point's rows, or of those of an impact and then of its node."""
+        """Subjects, by block, of the rows at a point, or at an impact followed by those at its node."""
         layout, k = self.layout, site.stage
         if site.point >= 0:
             return self._subjects_of(int(layout.phase_of[k]), Place.POINT, k)
@@ -235,7 +235,7 @@ class NlpNames:
 
     @cached_property
     def functions(self) -> TermFunctions:
-        """The builder of contexts of this transcription."""
+        """Builder of this transcription's contexts."""
         problem, layout = self.transcription.problem, self.layout
         robots = {id(form.robot): form.robot for form in layout.forms}
         return TermFunctions(problem, layout, {key: Units(r, problem.robot) for key, r in robots.items()})
@@ -257,19 +257,19 @@ class NlpNames:
         return [ImpactDynamics(), *(t for t in acting if t.acts_at_impacts)] if impact else acting
 
     def _subjects_of(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
-        """Subjects by block: for every node, for points and impacts once per phase."""
+        """Subjects by block, cached per node, and per phase for points and impacts."""
         key = (place, k if place is Place.NODE else phase)
         if key not in self._known:
             self._known[key] = self._read_subjects(phase, place, k)
         return self._known[key]
 
     def _read_subjects(self, phase: int, place: Place, k: int) -> dict[str, list[str]]:
-        """Subject of every row by block; rows of a block that share one are told apart by their numbers."""
+        """Subjects of the rows by block; rows of a block with the same subject are numbered."""
         form, at = self.layout.forms[k], (self.layout.place(k),) if place is Place.NODE else ()
         context, units = self.functions.context(phase, form, place), self.units_at(place, k)
         constraints = [term for term in self.acting_terms(phase, place, k) if hasattr(term, "rows")]
         blocks = [(term.name, term.rows(context, units, *at)) for term in constraints]
-        names = SymbolNames(context, form, self.free_phases)  # of all that the rows have used so far
+        names = SymbolNames(context, form, self.free_phases)  # of all symbols that the rows have used so far
         columns: defaultdict[str, list[str]] = defaultdict(list)
         for block, rows in blocks:
             if rows is not None and rows.expression.numel():

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Nlp:
-    """The NLP ready to be solved, in scaled variables and rows.
+    """The NLP in scaled variables and rows, ready to be solved.
 
-    ``engine`` evaluates it; ``row``, ``column`` name the Jacobian's nonzeros, ``hessian_row``,
-    ``hessian_column`` those of the lower triangle of the Lagrangian's Hessian, or of its replacement:
-    ``hessian`` is one of ``hessians.HESSIANS``. ``parts``: what ``engine`` was built from.
+    ``engine`` evaluates it and was built from ``parts``. ``row`` and ``column`` are the indices of the
+    Jacobian's nonzeros, ``hessian_row`` and ``hessian_column`` those of the lower triangle of the
+    Lagrangian's Hessian or its replacement; ``hessian`` is one of ``hessians.HESSIANS``.
     """
 
     transcription: Transcription
@@ -37,14 +37,14 @@ class Nlp:
 
     def jacobian(self, x: np.ndarray) -> "sparse.csr_matrix":
         """Jacobian (n_rows, n_unknowns) of the rows at scaled variables ``x`` (n_unknowns,)."""
-        from scipy import sparse  # takes a while to load
+        from scipy import sparse  # slow to import
 
         entries = np.array(self.engine.jacobian(x)), (self.row, self.column)
         return sparse.csr_matrix(entries, shape=(self.transcription.n_rows, len(x)))
 
 
 class _Pattern:
-    """Union of many entries (row, column); gives each entry's index among the sorted nonzeros."""
+    """Union of sparsity patterns, and the index of each entry among its sorted nonzeros."""
 
     def __init__(self, width: int) -> None:
         self.width, self.keys = width, [np.zeros(0, dtype=np.int64)]

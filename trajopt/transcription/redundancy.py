@@ -1,8 +1,8 @@
-"""Redundant contact rows: those that depend on others are left out of the problem.
+"""Redundant contact rows, which depend on others and are left out of the problem.
 
-Two points of one body, the four corners of a foot, four feet on legs that move in parallel planes: their
-velocities depend on each other wherever the contacts hold, so that their rows together are rank deficient (no
-LICQ). Forces keep all components; costs decide how redundant contacts share them.
+The velocities of two points of one body, of the four corners of a foot, or of four feet on legs that move in
+parallel planes depend on each other wherever the contacts hold. Their rows together are rank deficient (no
+LICQ). Forces keep all components; the costs decide how redundant contacts share them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,12 +16,12 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses, inverse_kinematics
 from trajopt.robot.robot import Robot
 
-# Norm of a row of unit length after projecting out the others: with less it counts as dependent. Feet that
-# fix an angle to second order only (the roll of a base on legs in parallel planes) leave the root of the
-# asymmetry of a description file, a thousandth; corners of a foot of a few centimetres leave more.
+# A unit row counts as dependent if its norm after projecting out the others is at most this. Feet that fix an
+# angle only to second order (the roll of a base on legs in parallel planes) leave about a thousandth, the
+# square root of the asymmetry of a description file; corners of a foot of a few centimetres leave more.
 INDEPENDENT = 1e-2
-# Postures around the given one that distinguish a dependence of the contacts from one of the posture
-# (straight legs): their number and displacement (rad, m), with the contacts where they were.
+# Number and displacement (rad, m) of postures near the given one, with the contacts in place. They tell
+# dependent contacts from rows that depend on each other in one posture only (straight legs).
 SAMPLES, SPREAD = 3, 0.2
 # Heights first, so that a foot of several points still lies flat; then sliding, then turning.
 ORDER = (2, 0, 1, 3, 4, 5)
@@ -37,11 +37,11 @@ def independent_rows(
     places: Mapping[str, np.ndarray] = MappingProxyType({}),
     levers: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> _KeptRows:
-    """Rows to keep of every contact, by name: of ``before`` first, then of ``after``.
+    """Rows to keep of every contact, by name; those of ``before`` take precedence over those of ``after``.
 
-    A row is left out if at q (nq,), and at postures around it with the contacts where they hold, it depends
-    on those kept before it. ``places`` (3,) m are where contacts are, by name; default where q has them;
-    ``levers`` (3,) m are of contacts that roll, see `Contact.lever`.
+    A row is left out if it depends on the rows kept so far, both at q (nq,) and at nearby postures with the
+    contacts in place. ``places`` (3,) are the contacts' positions in m, by name, by default those at q.
+    ``levers`` (3,) in m are those of rolling contacts, see `Contact.lever`.
     """
     kept = _kept([q], robot, before, after, levers)
     if all(kept[contact.name] == contact.rows for contact in (*before, *after)):
@@ -75,7 +75,7 @@ def _kept(
 def _neighbours(
     robot: Robot, q: np.ndarray, contacts: Sequence[Contact], places: Mapping[str, np.ndarray]
 ) -> list[np.ndarray]:
-    """Postures around q (nq,) with the contacts in place: a point's origin, a sole's pose."""
+    """Postures near q (nq,) that keep the positions of point contacts and the poses of soles."""
     model, generator = robot.model, np.random.default_rng(0)
     poses = contact_poses(robot, q)
     targets: dict[str, pin.SE3 | np.ndarray] = {}
@@ -97,7 +97,7 @@ def _unit_row(
 
 
 def _without(line: np.ndarray, basis: Sequence[np.ndarray]) -> np.ndarray:
-    """Remainder of a row after projecting out orthonormal ones, twice to reduce rounding."""
+    """Remainder of a row after projecting out orthonormal rows, twice to reduce rounding."""
     for _ in range(2):
         for direction in basis:
             line = line - (direction @ line) * direction

@@ -1,17 +1,17 @@
 """The robot's functions at one point as a chain of layers, from local coordinates to forces.
 
-For a free-flyer the inverse dynamics and the contacts' accelerations need no orientation once all is
-in base axes, and do not depend on the base's own velocity (Galilean invariance). Gravity enters as
-an acceleration of the base, s = R^T (p'' - g), and wrenches are turned into base axes. So these layers
-replace one graph over (q, v, a, w), and the rigid-body algorithm is differentiated over 10 fewer inputs:
+For a free-flyer, the inverse dynamics and contact accelerations in base axes depend neither on the
+orientation nor on the base's linear velocity (Galilean invariance). Gravity enters as an acceleration of
+the base, s = R^T (p'' - g), and wrenches are rotated into base axes. These layers replace one graph over
+(q, v, a, w), so that the rigid-body algorithm is differentiated over 10 fewer inputs:
 
     z -> (quaternion, omega, omega', p'', joints, w)             exponential coordinates
       -> (omega, s, omega', joints, R^T w, R^T g)                base axes
       -> (tau, contact accelerations)                            Pinocchio, base at the identity
-      -> o                                                       those that are used
+      -> o                                                       outputs that terms use
 
-Pinocchio's functions are of all contacts of the robot, with zero for the wrench of one that is not active: so
-they are built, and differentiated, once for all sets of active contacts.
+Pinocchio's functions include all contacts of the robot, with zero wrenches for inactive ones. So they are
+built, and differentiated, once for all sets of active contacts.
 """
 
 from collections.abc import Mapping
@@ -48,7 +48,7 @@ def robot_layers(context: Context, expression: ca.SX) -> tuple[ca.SX, _Layers]:
 def _plain_layers(context: Context, used: list[int]) -> _Layers:
     """Layers z -> (q, v, a, w) -> o.
 
-    Where the dynamics do not depend on velocity (statics, impacts), it enters frames alone; impacts have no
+    Where the dynamics do not depend on velocity (statics, impacts), only frames use it. Impacts have no
     gravity.
     """
     wrench = context.wrench_column()
@@ -63,7 +63,7 @@ def _plain_layers(context: Context, used: list[int]) -> _Layers:
     model = context.robot.model
     tau, rotation, position, velocity, acceleration = rigid_body.fused(model, frames, dimensions)(q, v, a, w)
     if not context.moving:
-        still = _floating(model) if context.place is Place.IMPACT else model  # whose forces are impulses
+        still = _floating(model) if context.place is Place.IMPACT else model  # impulses: no gravity
         tau = rigid_body.fused(still, frames, dimensions)(q, 0, a, w)[0]
     parts = [tau] if context.uses_dynamics else []
     for contact in context.used_accelerations:
@@ -84,7 +84,7 @@ def _floating(model: pin.Model) -> pin.Model:
 
 
 def _contacts(context: Context) -> tuple[Contact, ...]:
-    """All contacts that the robot has, active or not."""
+    """All contacts of the robot, active or not."""
     return tuple(dict.fromkeys((*context.robot.contacts, *context.contacts)))
 
 
@@ -93,14 +93,14 @@ def _wrench_size(contact: Contact) -> int:
 
 
 def _of_all(context: Context, wrenches: ca.SX) -> ca.SX:
-    """Wrenches of all contacts of the robot in one column, from those of the active ones."""
+    """Wrenches of all contacts in one column, from those of the active ones; zero for the others."""
     cuts = np.cumsum([0, *map(_wrench_size, context.contacts)]).tolist()
     active = dict(zip(context.contacts, ca.vertsplit(wrenches, cuts), strict=True))
     return ca.vertcat(*[active.get(c, ca.SX.zeros(_wrench_size(c))) for c in _contacts(context)])
 
 
 def _levers(context: Context) -> dict[Contact, np.ndarray]:
-    """Levers (3,) of all contacts that may roll, in world axes; zero where they do not."""
+    """Levers (3,) of all contacts that can roll, in world axes; zero for those that do not roll here."""
     active = {contact: context.lever(contact) for contact in context.contacts}
     rolling = (contact for contact in _contacts(context) if contact.rolling)
     return {c: np.zeros(3) if (lever := active.get(c)) is None else lever for c in rolling}
@@ -109,9 +109,9 @@ def _levers(context: Context) -> dict[Contact, np.ndarray]:
 def _loads(
     contacts: tuple[Contact, ...], wrenches: ca.SX, levers: _Levers
 ) -> tuple[list[str], list[int], ca.SX]:
-    """Frames of contacts, sizes of the wrenches at their origins, and these, in the axes of ``wrenches``.
+    """Frames of the contacts, and sizes and column of the wrenches at their origins, in the given axes.
 
-    The force on a ball that rolls acts where it touches, so it has a moment about the frame's origin.
+    The force on a rolling ball acts at the point of contact, so it has a moment about the frame's origin.
     """
     cuts = np.cumsum([0, *map(_wrench_size, contacts)]).tolist()
     parts = [
@@ -122,7 +122,7 @@ def _loads(
 
 
 def _base_axes_layers(context: Context, used: list[int]) -> _Layers:
-    """The base's own velocity p' enters nowhere (Galilean invariance)."""
+    """Layers in base axes; the base's linear velocity p' does not enter (Galilean invariance)."""
     joints = ca.vertcat(context.q[7:], context.v[6:], context.a[6:])
     quaternion = quaternion_product(context.rotations[:4], exp_quaternion(context.xi[3:6]))
     omega, domega = body_rates(context.xi[3:6], context.dxi[3:6], context.ddxi[3:6])
@@ -146,7 +146,7 @@ def _base_axes_layers(context: Context, used: list[int]) -> _Layers:
 def _to_base_axes(context: Context, n_joints: int) -> ca.Function:
     """(quaternion, omega, omega', p'', joints, w) -> (omega, s, omega', joints, w, R^T g, levers), base axes.
 
-    s = R^T (p'' - g) is the proper acceleration of the base. It gives w and levers of all contacts.
+    s = R^T (p'' - g) is the proper acceleration of the base. The outputs w and levers cover all contacts.
     """
     cuts = np.cumsum([0, 4, 3, 3, 3, n_joints, context.wrench_column().numel()]).tolist()
     s = ca.SX.sym("s", cuts[-1])
@@ -164,8 +164,8 @@ def _to_base_axes(context: Context, n_joints: int) -> ca.Function:
 def _at_identity(model: pin.Model, contacts: tuple[Contact, ...], frames: tuple) -> ca.Function:
     """(omega, s, omega', joints, w, R^T g, levers) -> (tau, accelerations of all contacts), base axes.
 
-    Pinocchio's gravity is zero here: s contains gravity, which is added back to contact accelerations.
-    ``frames``: contents of the contacts' frames, by which functions are known.
+    Pinocchio's gravity is zero because s contains gravity, which is added back to contact accelerations.
+    ``frames`` holds the contents of the contacts' frames, as part of the cache key.
     """
     n_v, rolling = model.nv - 6, [contact for contact in contacts if contact.rolling]
     n_wrench = sum(map(_wrench_size, contacts))

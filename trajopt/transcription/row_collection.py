@@ -12,7 +12,7 @@ from trajopt.transcription.sparse_maps import SparseMatrix
 
 @dataclass(frozen=True, kw_only=True)
 class RowInfo:
-    """For every row: index of its block's name, stage, and point (-1 at a node or gap)."""
+    """For every row: index of its block in ``names``, its stage, and its point (-1 at a node or gap)."""
 
     names: tuple[str, ...]
     block: np.ndarray
@@ -32,7 +32,7 @@ class LinearRows:
 
 
 def over_unknowns(layout: Layout, blocks: Iterable[tuple[int, np.ndarray]]) -> SparseMatrix:
-    """Rows over all variables from blocks over nodes, (node, (n, size))."""
+    """Stack blocks (node, (n, size)) over single nodes into rows over all variables."""
     rows, columns, values, n = [], [], [], 0
     for node, block in blocks:
         local, n = np.nonzero(block), len(block)
@@ -56,7 +56,7 @@ class RowCollection:
     count: int = 0
 
     def add_blocks(self, blocks: Iterable[tuple[str, Rows]], stage: int, point: int) -> np.ndarray:
-        """Indices of the rows of named blocks, one after the other."""
+        """Append the rows of named blocks and return their indices."""
         parts = [
             self.add(name, stage, point, rows.lower / rows.unit, rows.upper / rows.unit)
             for name, rows in blocks
@@ -64,7 +64,7 @@ class RowCollection:
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int32)
 
     def add(self, name: str, stage: int, point: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """Indices of new rows with these scaled bounds."""
+        """Append rows with these scaled bounds and return their indices."""
         if name not in self.names:
             self.names.append(name)
         n = len(lower)

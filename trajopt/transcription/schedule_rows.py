@@ -1,4 +1,4 @@
-"""Linear rows over the whole schedule: closing of a periodic motion, bounds of the total duration."""
+"""Linear rows over the whole schedule: closure of a periodic motion, bounds on the total duration."""
 
 from collections.abc import Iterator
 
@@ -12,7 +12,7 @@ from trajopt.transcription.row_collection import LinearRows, over_unknowns
 
 
 def schedule_rows(problem: Problem, layout: Layout, collocation: Collocation) -> Iterator[LinearRows]:
-    """Rows of a problem's periodicity and of the bounds of its total duration, where it has them."""
+    """Rows of a problem's periodicity and of the bounds on its total duration, if it has them."""
     if problem.periodicity is not None:
         yield _closing(problem, layout, collocation)
     if problem.duration_bounds is not None and layout.forms[0].n_time_scales:
@@ -42,7 +42,7 @@ def _closing(problem: Problem, layout: Layout, collocation: Collocation) -> Line
 
 
 def _duration(problem: Problem, layout: Layout, collocation: Collocation) -> LinearRows:
-    """Sum of the phases' durations over the time unit."""
+    """Sum of the free durations over the time unit; the bounds are reduced by the fixed durations."""
     assert problem.duration_bounds is not None
     form = layout.forms[0]
     unit = collocation.units_of(form).time

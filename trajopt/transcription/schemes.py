@@ -12,7 +12,7 @@ at Gaussian points", 1973: order 2 s and 2 s - 1 at the nodes). The classic sche
 velocity by the same rule as the acceleration, A2 = A1 A1, as when q' = v is collocated separately (Betts,
 "Practical Methods for Optimal Control", 2010, ch. 4).
 
-A new scheme is one `SchemeFamily` in `FAMILIES`; nothing else asks for a scheme by name.
+A new scheme needs only a `SchemeFamily` in `FAMILIES`; no other code branches on a scheme's name.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ class Scheme:
     """One interval's points and weights; arrays are dimensionless fractions of the interval.
 
     Args:
-        name: By which it is found.
-        order: Of accuracy at the nodes.
-        c: Points (s,).
-        A1: (s, s).
-        A2: (s, s).
-        b1: (s,), also the quadrature weights of the running cost.
-        b2: (s,).
+        name: name by which it is found.
+        order: order of accuracy at the nodes.
+        c: points (s,).
+        A1: weights (s, s) of y in xi' at the points.
+        A2: weights (s, s) of y in xi at the points.
+        b1: weights (s,) of y in xi' at the end; also the quadrature weights of the running cost.
+        b2: weights (s,) of y in xi at the end.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Scheme:
 
     @cached_property
     def error_constant(self) -> float:
-        """The local error of the quadrature over h^(p + 1) f^(p), with order p.
+        """Local error of the quadrature divided by h^(p + 1) f^(p), where p is the order.
 
         Davis and Rabinowitz, "Methods of Numerical Integration", 1984, ch. 2.7.
         """
@@ -68,7 +68,7 @@ class Scheme:
 
     @property
     def finer(self) -> Scheme | None:
-        """The scheme of the next degree of its family; None for the last one, and where there are none."""
+        """The scheme of the next higher degree in its family; None if there is none."""
         family, _, degree = self.name.partition(":")
         if not degree or int(degree) >= FAMILIES[family].degrees:
             return None
@@ -81,8 +81,8 @@ class Scheme:
     def lower_at(self, fraction: float) -> tuple[np.ndarray, np.ndarray]:
         """Weights (s,) of y in xi' (over h) and in xi (over h^2) at a fraction of the interval.
 
-        Those of the interpolant that a solution file is read with: the integrals of the Lagrange polynomials,
-        and for the classic schemes the cubic that closes their gap to the next node.
+        They are those of the interpolant of solution files: the integrals of the Lagrange polynomials, plus a
+        cubic that closes the gap to the next node for schemes that have one (classic, semi-implicit Euler).
         """
         rate, position = (_values(bases, np.array([fraction]))[0] for bases in self._lagrange[1:])
         ramp = fraction**2 * (3 - 2 * fraction)
@@ -91,7 +91,7 @@ class Scheme:
 
     @cached_property
     def _gaps(self) -> tuple[np.ndarray, np.ndarray]:
-        """By how much the integrals of the Lagrange polynomials miss the weights of the next node, (s,)."""
+        """Differences (s,) between b1, b2 and the integrals of the Lagrange polynomials over the interval."""
         rate, position = (_values(bases, np.ones(1))[0] for bases in self._lagrange[1:])
         return self.b1 - rate, self.b2 - position
 
@@ -112,9 +112,9 @@ class Scheme:
 
     @cached_property
     def differentiation(self) -> tuple[np.ndarray, np.ndarray]:
-        """Fractions (m,) of the interval, and (s, m) the rates at the points, times h, of samples there.
+        """Sample fractions (m,) and the matrix (s, m) from samples there to h times the rates at the points.
 
-        They are the start and the points, and the end where the scheme has no point but the start.
+        The samples are at the start and the points, and at the end if the start is the only point.
         """
         fractions = np.unique([0.0, *self.c])
         fractions = fractions if len(fractions) > 1 else np.array([0.0, 1.0])
@@ -150,7 +150,8 @@ def _integrals(points: np.ndarray, ends: np.ndarray, times: int) -> np.ndarray:
 def collocation(name: str, order: int, c: np.ndarray) -> Scheme:
     """Collocation of the acceleration at points ``c`` (s,) of an interval, between 0 and 1.
 
-    order: of the quadrature with these points, which is that at the nodes (de Boor and Swartz, 1973).
+    ``order`` is that of the quadrature at these points and of the accuracy at the nodes (de Boor and Swartz,
+    1973).
     """
     one = np.ones(1)
     return Scheme(
@@ -165,7 +166,7 @@ def collocation(name: str, order: int, c: np.ndarray) -> Scheme:
 
 
 def _classic(name: str, order: int, c: np.ndarray) -> Scheme:
-    """The Lobatto rule with points ``c``, for the acceleration and again for the velocity."""
+    """The Lobatto rule at points ``c``, applied to the acceleration and again to the velocity."""
     a1, b1 = _integrals(c, c, 1), _integrals(c, np.ones(1), 1)[0]
     return Scheme(name=name, order=order, c=c, A1=a1, A2=a1 @ a1, b1=b1, b2=b1 @ a1)
 
@@ -175,7 +176,7 @@ def _casadi_points(family: str, degree: int) -> np.ndarray:
 
 
 def _semi_implicit_euler(name: str) -> Scheme:
-    """X + h v + h^2 y: the velocity of the end moves the position."""
+    """Position x + h v + h^2 y: it moves with the velocity at the interval's end."""
     zero, one = np.zeros((1, 1)), np.ones(1)
     return Scheme(name=name, order=1, c=np.zeros(1), A1=zero, A2=zero.copy(), b1=one, b2=one.copy())
 
@@ -185,8 +186,8 @@ class SchemeFamily:
     """Schemes of one kind: ``NAME:1`` to ``NAME:degrees``, or one without a degree.
 
     Args:
-        build: The scheme of a name and a degree.
-        degrees: The highest degree; 0 for a single scheme, named like its family.
+        build: builds a scheme from its name and degree.
+        degrees: highest degree; 0 for a single scheme, named like its family.
     """
 
     build: Callable[[str, int], Scheme]
@@ -208,7 +209,7 @@ FAMILIES = {
 
 @cache
 def scheme(name: str) -> Scheme:
-    """Scheme by name, for example ``legendre:2``. Raises InputError with those that exist."""
+    """Scheme by name, for example ``legendre:2``. Raises InputError that lists the known names."""
     family, _, degree = name.partition(":")
     if family in FAMILIES:
         kind = FAMILIES[family]

@@ -1,7 +1,7 @@
 """Constant sparse matrices and maps of derivatives through z = G xi: built once, applied by the engine.
 
-The engine computes, for every stage, target_t = sum_e coefficient_e * nonzero[source_e] over the
-entries e of t: from nonzeros of a point function's derivatives to nonzeros of the NLP's matrices.
+For every stage, the engine computes target_t = sum_e coefficient_e * nonzero[source_e] over the entries e of
+t. This maps nonzeros of a point function's derivatives to nonzeros of the NLP's matrices.
 """
 
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ Pattern = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class SparseMatrix:
-    """A matrix of ``shape`` in compressed sparse rows, as SciPy's, which takes a while to load.
+    """A matrix of ``shape`` in compressed sparse row format; SciPy's class is slow to import.
 
-    Row i has ``data`` from ``indptr[i]`` to ``indptr[i + 1]``, in the columns ``indices``, which ascend.
+    Row i holds ``data`` from ``indptr[i]`` to ``indptr[i + 1]``, in ascending columns ``indices``.
     """
 
     shape: tuple[int, int]
@@ -28,7 +28,7 @@ class SparseMatrix:
     def of_entries(
         cls, shape: tuple[int, int], row: np.ndarray, column: np.ndarray, value: np.ndarray
     ) -> "SparseMatrix":
-        """The sum of entries in any order; entries that are zero are kept."""
+        """Sum of entries given in any order; zeros are kept."""
         key = row.astype(np.int64) * shape[1] + column
         order = np.argsort(key, kind="stable")
         key = key[order]
@@ -41,7 +41,7 @@ class SparseMatrix:
 
     @classmethod
     def of(cls, matrix: np.ndarray) -> "SparseMatrix":
-        """The nonzeros of a matrix."""
+        """Sparse form of a dense matrix."""
         row, column = np.nonzero(matrix)
         indptr = np.searchsorted(row, np.arange(len(matrix) + 1)).astype(np.int32)
         return cls(matrix.shape, indptr, column.astype(np.int32), matrix[row, column])
@@ -60,7 +60,7 @@ class SparseMatrix:
 
 @dataclass(frozen=True)
 class DerivativeMap:
-    """Targets (row, column) in local indices, and the CSR of their sources and coefficients."""
+    """Targets (row, column) in local indices, with their sources and coefficients in CSR format."""
 
     row: np.ndarray
     column: np.ndarray
@@ -101,14 +101,14 @@ def _collect(
 
 
 def jacobian_map(pattern: Pattern, gather: SparseMatrix, row_scale: np.ndarray) -> DerivativeMap:
-    """Map of d phi / dz with ``pattern`` to scaled rows over the window's variables."""
+    """Map from d phi / dz, with nonzeros ``pattern``, to scaled rows over the window's variables."""
     rows, columns = (part.astype(np.int64) for part in pattern)
     which, unknown, value = _expand(gather, columns)
     return _collect(rows[which], unknown, which, value * row_scale[rows[which]], gather.shape[1])
 
 
 def hessian_map(pattern: Pattern, gather: SparseMatrix) -> DerivativeMap:
-    """Map of the lower triangle of d2 gamma / dz2 to the lower triangle over the window's variables."""
+    """Map from the lower triangle of d2 gamma / dz2 to that over the window's variables."""
     lower = [part.astype(np.int64) for part in pattern]
     off_diagonal = np.flatnonzero(lower[0] != lower[1])
     i = np.concatenate([lower[0], lower[1][off_diagonal]])

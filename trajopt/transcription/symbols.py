@@ -1,6 +1,6 @@
-"""Names of the subjects of a term's expression, found from the symbols in it.
+"""Names of the subjects of a term's expression, inferred from the symbols in it.
 
-A term is a small expression over the symbols of its context. For any term, the symbols in a row tell its
+A term is a small expression over the symbols of its context. For any term, the symbols in a row identify its
 subject: one joint's torque, one contact's force, the height of one frame.
 """
 
@@ -23,9 +23,12 @@ MOST_OWNERS = 4
 
 @dataclass(frozen=True, kw_only=True, order=True)
 class Label:
-    """``owner``: a joint, the base, a contact, a frame or a phase; ``quantity``: which of its quantities.
+    """Name of a variable or symbol.
 
-    ``kind``: position, rate, acceleration, force, moment, impulse, jump, torque, time scale or frame.
+    Args:
+        owner: a joint, the base, a contact, a frame or a phase.
+        kind: kind of quantity, such as position, rate, acceleration, force, impulse, torque or time scale.
+        quantity: the owner's quantity in words, with its axis, for example "force x".
     """
 
     owner: str
@@ -37,7 +40,7 @@ class Label:
 
 
 def coordinate_owners(robot: Robot, coordinates: Coordinates) -> list[tuple[str, str]]:
-    """Owner and axis of each local coordinate (nv,); the axis is empty for a joint of one."""
+    """Owner and axis of each local coordinate (nv,); the axis is empty for joints of one coordinate."""
     owners: list[tuple[str, str]] = []
     for joint in coordinates.joints:
         size = joint.v.stop - joint.v.start
@@ -61,7 +64,7 @@ def coordinate_labels(robot: Robot, coordinates: Coordinates, kind: str) -> list
 
 
 def rotation_labels(robot: Robot, coordinates: Coordinates) -> list[Label]:
-    """Labels of the quaternions' entries, four a rotation."""
+    """Labels of the quaternions' entries, four per rotation."""
     owners = coordinate_owners(robot, coordinates)
     first = coordinates.rotation_index[::3]
     return [
@@ -72,7 +75,7 @@ def rotation_labels(robot: Robot, coordinates: Coordinates) -> list[Label]:
 
 
 def wrench_labels(name: str, rows: Sequence[int], linear: str, angular: str) -> list[Label]:
-    """Labels of a contact's wrench, or of its motion, along these rows."""
+    """Labels of these rows of a contact's wrench or motion."""
     return [
         Label(
             owner=name,
@@ -84,7 +87,7 @@ def wrench_labels(name: str, rows: Sequence[int], linear: str, angular: str) -> 
 
 
 def node_labels(form: NodeLayout, free_phases: Sequence[str]) -> list[Label]:
-    """Labels of a node's entries; ``free_phases`` are those of free duration."""
+    """Labels of a node's entries; ``free_phases`` names the phases of free duration."""
     positions = coordinate_labels(form.robot, form.coordinates, "position")
     rates = coordinate_labels(form.robot, form.coordinates, "rate")
     additive = [positions[int(index)] for index in form.coordinates.additive_index]
@@ -94,7 +97,7 @@ def node_labels(form: NodeLayout, free_phases: Sequence[str]) -> list[Label]:
 
 
 def input_labels(context: Context, form: NodeLayout, free_phases: Sequence[str]) -> list[Label]:
-    """Labels of the inputs z of a context, in its order."""
+    """Labels of a context's inputs z, in their order."""
     if context.place is Place.NODE:
         return node_labels(form, free_phases)
     robot, coordinates = form.robot, context.coordinates
@@ -149,10 +152,10 @@ class SymbolNames:
         return sorted(label for label in labels if label is not None)
 
     def row(self, expression: ca.SX) -> str:
-        """The subject of one row in words; empty if it has too many."""
+        """The subject of one row in words; empty if it has no owner or too many."""
         labels = self.of(expression)
         forces = [label for label in labels if label.kind in ("torque", "balance")]
-        if len(forces) == 1:  # with the rate in a drive's friction
+        if len(forces) == 1:  # a drive's friction brings in the rate
             labels = forces
         by_owner: dict[str, list[str]] = {}
         for label in labels:

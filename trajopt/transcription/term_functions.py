@@ -1,4 +1,4 @@
-"""The functions of a problem's points, nodes and transitions: terms written over contexts."""
+"""Point functions of a problem's collocation points, nodes and transitions, built from its terms."""
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -26,9 +26,13 @@ from trajopt.transcription.timeline import NodeLayout
 
 @dataclass(frozen=True)
 class StageTerms:
-    """A point function with its rows' names, bounds and units, and its parameters' values at a time, s.
+    """A point function with its rows and parameters.
 
-    ``varying``: as of `Parameters.varying_columns`.
+    Args:
+        function: the point function.
+        blocks: name and rows (bounds, units) of each block.
+        parameters_at: values (n_p,) of the parameters at a nominal time in s.
+        varying: see `Parameters.varying_columns`.
     """
 
     function: PointFunction
@@ -44,7 +48,7 @@ class StageTerms:
 
 @dataclass(frozen=True)
 class TermFunctions:
-    """Point functions of one transcription; ``units`` are keyed by the identity of their robot."""
+    """Point functions of one transcription; ``units`` are keyed by ``id(robot)``."""
 
     problem: Problem
     layout: Layout
@@ -62,7 +66,7 @@ class TermFunctions:
         return _stage_terms(name, context, context.time_scale * sum(costs, ca.SX(0)), rows)
 
     def impact(self, k: int) -> StageTerms:
-        """Function of the impact that is stage k: its dynamics, and terms on contact forces."""
+        """Function of the impact at stage k: the impact dynamics, and terms on contact forces."""
         phase, form = self.layout.stages[k].phase, self.layout.forms[k]
         units = self.units[id(form.robot)].impulsive()
         context = self.context(phase, form, Place.IMPACT)
@@ -73,7 +77,7 @@ class TermFunctions:
         return _stage_terms(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
 
     def nodes(self) -> dict[int, StageTerms]:
-        """For each node with constraints or costs: its function, named rows and parameter values."""
+        """Function, named rows and parameter values of each node with constraints or costs."""
         functions: dict[tuple[object, ...], PointFunction] = {}
         at_nodes, constraints, prices = {}, self.problem.node_constraints, self.problem.node_costs
         for k, form in enumerate(self.layout.forms):
@@ -95,7 +99,7 @@ class TermFunctions:
         return at_nodes
 
     def moment(self, term: MomentConstraint) -> StageTerms:
-        """Function of a constraint at moments of a phase; its parameters are those of each moment."""
+        """Function of a constraint at moments of a phase; each moment has its own parameters."""
         phase = self.problem.schedule.names.index(term.during)
         form = self.layout.form_of(phase)
         loaded = [contact for contact in self.layout.contacts[phase] if contact.name in term.loads]
@@ -128,7 +132,7 @@ class TermFunctions:
         return _plain("interval_end", z, [quaternions, *([body_rates] if form.order == 2 else [])])
 
     def change(self, k: int) -> PointFunction:
-        """The next node's entries from those of node k: other coordinates, or rates in another time scale."""
+        """Map from node k to the next node, which has other coordinates or rates in another time scale."""
         before, after = self.layout.forms[k], self.layout.forms[k + 1]
         phase = self.layout.stages[k].phase
         context = self.context(phase, before, Place.NODE)
@@ -145,7 +149,7 @@ class TermFunctions:
         return _plain("change", context.z, [*parts, time_scales])
 
     def _mapped(self, context: Context, before: NodeLayout, after: NodeLayout) -> ca.SX:
-        """State of the coordinates after a change from the symbols before: lift or drop of a mode."""
+        """State after a change of coordinates, from the symbols before it: a mode's lift or drop."""
         whole = after.robot is self.problem.robot
         mode = next(m for m in self.problem.modes.values() if m.robot is (before if whole else after).robot)
         still = ca.SX.zeros(before.coordinates.nv)
@@ -155,7 +159,7 @@ class TermFunctions:
         return after.coordinates.symbolic_node(q, v, shared)
 
     def redundant(self) -> dict[str, list[str]]:
-        """Return, by phase, names of the redundant rows of contacts, which are left out."""
+        """Return the names of the redundant contact rows, which are left out, by phase."""
         axes, left_out = ("x", "y", "z", "rx", "ry", "rz"), {}
         for index, phase in enumerate(self.problem.schedule.phases):
             kept = self.kept_rows(index)
@@ -170,7 +174,7 @@ class TermFunctions:
         return left_out
 
     def kept_rows(self, phase: int) -> dict[str, tuple[int, ...]]:
-        """Rows of the contacts' motion that are imposed in a phase, at its guess: see ``redundancy``."""
+        """Rows of the contacts' motion imposed in a phase, judged at its guess; see ``redundancy``."""
         if phase not in self._kept:
             self._kept[phase] = self._independent(phase)
         return self._kept[phase]
@@ -198,9 +202,9 @@ class TermFunctions:
 
     @cached_property
     def _unwrapped_guess(self) -> dict[int, np.ndarray]:
-        """The guess at nodes of coordinates that count whole turns: goals refer to the nearest turn.
+        """The guess at nodes whose coordinates count whole turns; goals refer to the turn nearest to it.
 
-        A motion whose guess makes a full turn ends there, and one past the angle pi does not turn back.
+        So a motion whose guess makes a full turn ends after that turn, and does not turn back past pi.
         """
         nearby: dict[int, np.ndarray] = {}
         before: dict[int, np.ndarray] = {}
@@ -226,7 +230,7 @@ class TermFunctions:
         near: np.ndarray | None = None,
         guess: Callable[[], np.ndarray] | None = None,
     ) -> Context:
-        """Fresh symbols of a point, node or impact of a phase."""
+        """Fresh symbols for a point, node or impact of a phase."""
         contacts = {Place.POINT: self.layout.contacts, Place.IMPACT: self.layout.touching}
         name = self.problem.schedule.phases[phase].name
         return Context(
@@ -266,10 +270,10 @@ def _plain(name: str, z: ca.SX, parts: Sequence[ca.SX]) -> PointFunction:
 
 
 def result_of(term: Term, phase: str, build: Callable[..., Any], context: Context, *more: object) -> Any:
-    """What a term's method ``build`` returns in a phase.
+    """Checked result of a term's method ``build`` in a phase.
 
     Raises:
-        InputError: with the term's name, where the method fails or returns what it may not.
+        InputError: with the term's name, if the method fails or returns something that is not allowed.
     """
     method = build.__name__
     try:
@@ -315,7 +319,7 @@ def _rows(term: Term, method: str, result: Any, context: Context) -> Rows | None
 
 
 def _require_known(expression: ca.SX, context: Context) -> None:
-    """Raise `InputError` for symbols that are not of the context."""
+    """Raise `InputError` for symbols that do not belong to the context."""
     known = [context.z, context.dynamics_symbols(), context.frame_symbols(), context.parameters]
     free = ca.Function("known", known, [expression], {"allow_free": True}).free_sx()
     if len(free):

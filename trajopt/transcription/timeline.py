@@ -4,9 +4,9 @@ A stage leads from one node to the next. An *interval* is a stretch of motion wi
 Between two phases there may be *transitions*, which take no time: an *impact* (velocities jump, the
 configuration does not) and a *change* of coordinates or of the time scale that rates are measured in.
 
-Rates and their derivatives, which are variables, are measured in nominal time: a phase of free duration T
-runs at the time scale s = T / T_nominal, so that x' = s v and x'' = s^2 a, and collocation stays linear in
-the variables; the time scale of every free phase is a constant entry of all nodes.
+The rates and accelerations among the variables are measured in nominal time. A phase of free duration T has
+the time scale s = T / T_nominal, so that x' = s v and x'' = s^2 a, and collocation stays linear in the
+variables. Every node holds the time scales of all free phases, which are constant over time.
 """
 
 from collections.abc import Mapping
@@ -33,10 +33,10 @@ class StageKind(Enum):
 
 @dataclass(frozen=True, eq=False)
 class NodeLayout:
-    """What a node holds: rotations, additive positions, rates, and the time scales of all free phases.
+    """Entries of a node: rotations, additive positions, rates, and the time scales of all free phases.
 
-    ``time_scale`` is the index of the time scale in which the rates are measured, None for nominal time;
-    ``order`` 1 (a velocity source) has no rates. The arrays are indices within the node.
+    ``time_scale`` is the index of the time scale in which the rates are measured, None for true time. Nodes
+    of ``order`` 1 (a velocity source) have no rates. The arrays are indices within the node.
     """
 
     robot: Robot
@@ -72,9 +72,9 @@ class NodeLayout:
         return len(self.rotations) + len(self.additive) + len(self.rates) + self.n_time_scales
 
     def state(self, node: np.ndarray) -> np.ndarray:
-        """State of the coordinates (rotations, additive, rates) of a node or of nodes (n, size).
+        """State (rotations, additive positions, rates) of a node or of several (n, size).
 
-        Rates are in true time; zero where the node has none.
+        Rates are in true time, and zero if the node has none.
         """
         rows = np.atleast_2d(np.asarray(node, dtype=float))
         rates = rows[:, self.rates] if self.order == 2 else np.zeros((len(rows), self.coordinates.nv))
@@ -83,7 +83,7 @@ class NodeLayout:
         return np.hstack([rows[:, self.rotations], rows[:, self.additive], rates])
 
     def node(self, state: np.ndarray, time_scales: np.ndarray) -> np.ndarray:
-        """The node of a coordinates' state at these time scales (n_time_scales,)."""
+        """The node (size,) of a state with rates in true time, at these time scales (n_time_scales,)."""
         n = len(self.rotations) + len(self.additive)
         rates = state[n:] * (1.0 if self.time_scale is None else time_scales[self.time_scale])
         return np.concatenate([state[:n], rates if self.order == 2 else rates[:0], time_scales])
@@ -100,7 +100,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Timeline:
-    """Stages, the form of every node (one more), and the phase and index of every node.
+    """Stages, and the form and place of every node, of which there is one more than stages.
 
     ``places[k]`` is (phase, index of the node within the phase), or None for a node between two
     transitions that repeats another.
@@ -151,7 +151,7 @@ class _Builder:
         self.places.append(place)
 
     def begin(self, form: NodeLayout) -> None:
-        """The first node; for a closed motion in true time, in which both ends can be compared."""
+        """Add the first node, for a closed motion in true time so that both ends can be compared."""
         if self.closed and form.time_scale is not None:
             self.node(self.form(self.of_phase[0], None), (0, 0))
             self.change(0, form)
@@ -159,7 +159,7 @@ class _Builder:
             self.node(form, (0, 0))
 
     def transitions(self, before: int, after: int | None) -> None:
-        """Into the whole robot's coordinates, impact, into the next phase's; only what is needed."""
+        """Add what is needed: change to the whole robot's coordinates, impact, change to the next phase's."""
         impact = after is not None and self.schedule.phases[after].impact
         same = after is not None and self.modes[after] is self.modes[before] and not impact
         lift = self.modes[before] is not None and not same
@@ -194,6 +194,6 @@ def timeline(
 ) -> Timeline:
     """Stages and nodes of a schedule on a mesh.
 
-    closed: rates at the first and the last node are in true time, whatever time scales the phases have.
+    If ``closed``, rates at the first and the last node are in true time, whatever the phases' time scales.
     """
     return _Builder(robot, schedule, modes, order, closed).build(mesh)

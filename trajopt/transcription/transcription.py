@@ -1,4 +1,4 @@
-"""Problem + mesh -> rows, bounds, scales and groups of point functions: the structure of the NLP.
+"""From a problem and a mesh to the NLP's structure: rows, bounds, scales, groups of point functions.
 
 Rows of stage k, in order: the gap rows ``x_(k+1) - F(x_k, u_k) = 0`` with an identity block in
 x_(k+1); the rows of each collocation point, or of an impact; the rows at node k. Every row and every variable
@@ -35,7 +35,7 @@ DIGITS = 12
 
 @dataclass(frozen=True)
 class MomentPlace:
-    """One moment of a term (by its number, and the moment's): the interval (stage) and the fraction of it."""
+    """Moment number ``index`` of term number ``term``: at a ``fraction`` of the interval ``stage``."""
 
     term: int
     index: int
@@ -44,10 +44,10 @@ class MomentPlace:
 
 
 def moments_by_stage(problem: Problem, layout: Layout) -> Mapping[int, list[MomentPlace]]:
-    """Moments of a problem's terms by the interval in which they lie, in the order of terms.
+    """Moments of a problem's terms by the interval in which they lie, in the order of the terms.
 
-    A node between two intervals of a phase belongs to the later one. Moments at a start that is fixed are
-    left out: nothing moves there.
+    A node between two intervals of a phase belongs to the later one. Moments at a fixed start are left out,
+    because nothing moves there.
     """
     by_stage: defaultdict[int, list[MomentPlace]] = defaultdict(list)
     for number, term in enumerate(problem.moment_constraints):
@@ -67,7 +67,7 @@ def _places(problem: Problem, layout: Layout, term: MomentConstraint) -> list[tu
 
 
 def alike(layout: Layout, moments: Mapping[int, list[MomentPlace]]) -> list[list[MomentPlace]]:
-    """Moments of one term at the same fraction of intervals of the same width: they share their gather."""
+    """Group the moments of a term at equal fractions of equally wide intervals, which share their gather."""
     groups: defaultdict[tuple[int, float, float], list[MomentPlace]] = defaultdict(list)
     for stage, places in moments.items():
         for moment in places:
@@ -79,10 +79,16 @@ def alike(layout: Layout, moments: Mapping[int, list[MomentPlace]]) -> list[list
 class FunctionGroup:
     """One point function at the same place of several stages.
 
-    ``gather`` (n_z, window) maps a window's scaled variables to z; ``stages`` (n,) are the intervals or
-    nodes; ``rows`` (n, n_rows) are row indices of the NLP; ``row_scale`` (n_rows,); ``parameters``
-    (n, n_p); ``cost_weight`` (n,). ``fraction``: of the intervals, where the points are. ``varying``:
-    functions of time among the parameters, and their columns.
+    Args:
+        point: the point function.
+        gather: matrix (n_z, window) from a window's scaled variables to z.
+        stages: intervals or nodes (n,).
+        rows: row indices in the NLP (n, n_rows).
+        row_scale: factors of the rows (n_rows,).
+        parameters: parameter values (n, n_p).
+        cost_weight: weights of the costs (n,).
+        fraction: fraction of the intervals at which the points lie.
+        varying: functions of time among the parameters, and their columns.
     """
 
     point: PointFunction
@@ -98,12 +104,12 @@ class FunctionGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class Transcription:
-    """The NLP's structure: variables, rows, groups, linear part, bounds; all in scaled units.
+    """The NLP's structure: variables, rows, groups, linear part and bounds, all in scaled units.
 
-    ``gap_rows`` (one array per stage) and ``linear`` (n_rows, n_unknowns) are the defects' rows and the part
-    of all rows that is linear in the variables. ``scale`` (n_unknowns,) turns a scaled variable into SI.
-    ``redundant`` names, by phase, rows of contacts that depend on others (see ``redundancy``).
-    ``objective_unit``: the groups' costs are divided by it, see `objective_unit`.
+    ``linear`` (n_rows, n_unknowns) is the part of all rows that is linear in the variables, and ``gap_rows``
+    holds the row indices of each stage's defect. ``scale`` (n_unknowns,) turns scaled variables into SI
+    units. ``redundant`` names, by phase, the contact rows that depend on others (see ``redundancy``). The
+    groups' costs are divided by ``objective_unit``, see `objective_unit`.
     """
 
     problem: Problem
@@ -123,13 +129,13 @@ class Transcription:
 
     @property
     def points(self) -> dict[int, PointFunction]:
-        """The different point functions of the groups, by identity."""
+        """The distinct point functions of the groups, by identity."""
         return {id(group.point): group.point for group in self.groups}
 
 
 @dataclass(frozen=True)
 class _Numbers:
-    """Row indices: of the gaps, of interval k at point i, of impacts, of nodes with rows, of moments."""
+    """Row indices of the gaps, of interval k at point i, of impacts, of nodes and of moments."""
 
     gap: list[np.ndarray]
     point: dict[int, list[np.ndarray]]
@@ -262,14 +268,14 @@ class Transcriber:
                 )
 
     def _alike(self, phase: int) -> Iterator[np.ndarray]:
-        """Intervals of a phase by their width: those of equal width share the collocation map."""
+        """Groups of a phase's intervals of equal width, which share the collocation map."""
         stages = self.layout.intervals_of(phase)
         steps = self.layout.steps[stages]
         for step in np.unique(steps):
             yield stages[steps == step]
 
     def _parameters(self, terms: StageTerms, stages: np.ndarray, fraction: float = 0.0) -> np.ndarray:
-        """Values of the parameters (n, n_p) at that fraction of stages."""
+        """Parameter values (n, n_p) at a fraction of the stages."""
         times = self.layout.node_times[stages]
         if fraction:
             times = times + fraction * self.layout.steps[stages]
@@ -349,10 +355,10 @@ class Transcriber:
 
 
 def objective_unit(problem: Problem) -> float:
-    """The largest weight of a cost, 1 without costs: the solver gets the objective divided by it.
+    """The largest weight of a cost, by which the solver's objective is divided; 1 without costs.
 
-    Only ratios of weights mean something. A solver's tolerance is absolute: with weights of 1e-9 it would
-    call any feasible point optimal, and with 1e9 none.
+    Only the ratios of weights matter, but a solver's tolerance is absolute: with weights of 1e-9 it would
+    accept any feasible point as optimal, and with 1e9 none.
     """
     weights = [term.weight for term in (*problem.costs, *problem.impact_costs)]
     weights += [term.weight for term in problem.node_costs]
@@ -362,7 +368,7 @@ def objective_unit(problem: Problem) -> float:
 def _gap_group(
     point: PointFunction, gather: SparseMatrix, stages: np.ndarray, rows: np.ndarray, scale: np.ndarray
 ) -> FunctionGroup:
-    """Nonlinear part of the map to the next node, x_next - F = 0; ``scale`` of the rows' entries."""
+    """Group of the nonlinear part of x_next - F = 0; ``scale`` holds the units of the rows' entries."""
     return FunctionGroup(
         point=point,
         gather=gather,
@@ -386,7 +392,7 @@ def transcribe(
         problem: what to transcribe.
         transcription: a scheme by name for all phases, or one for each, separated by commas.
         intervals: number of intervals over the whole schedule.
-        mesh: schemes and intervals of each phase, instead of both.
+        mesh: scheme and intervals of each phase, instead of the two arguments above.
 
     Raises:
         InputError: for an unknown scheme, fewer intervals than phases, or a mesh that does not fit.
@@ -413,7 +419,7 @@ def chosen_mesh(
     intervals: int | None = None,
     mesh: Mesh | None = None,
 ) -> Mesh:
-    """The mesh that is named, by default the problem's own; arguments and errors as of `transcribe`."""
+    """The mesh to use, by default the problem's own; arguments and errors are those of `transcribe`."""
     if mesh is not None:
         if transcription is not None or intervals is not None:
             raise InputError("a mesh is given with a transcription or intervals", "allowed: one of them")

@@ -1,8 +1,8 @@
-"""Bounds of the variables: limits that hold at nodes, free durations, and the fixed start.
+"""Bounds on the variables: limits that hold at nodes, free durations, and the fixed start.
 
-A scheme with a point at an interval's start or end already imposes a limit there as a row: the node then gets
-no bound, which would repeat the row. Where rates are measured in the time scale of a free duration, a limit
-of the true rate is not a bound but a linear row: |x'| <= s limit.
+A scheme with a point at an interval's start or end already imposes limits there as rows, so the node gets no
+bound that would repeat them. Where rates are measured in the time scale s of a free duration, a limit on the
+true rate is not a bound but a linear row: |x'| <= s limit.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from trajopt.transcription.timeline import NodeLayout, StageKind
 def variable_bounds(
     problem: Problem, layout: Layout, collocation: Collocation
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled bounds (n_unknowns,) of nodes from constraints that have them, of time scales, of the start."""
+    """Scaled bounds (n_unknowns,): limits of constraints at nodes, time scales, and the fixed start."""
     lower = np.full(layout.n_unknowns, -np.inf)
     upper = np.full(layout.n_unknowns, np.inf)
     for _, at, bounds in _stated_limits(problem, layout):
@@ -40,7 +40,7 @@ def variable_bounds(
 def _node_values(
     form: NodeLayout, at: _Bounded, positions: np.ndarray, rates: np.ndarray, free: float
 ) -> np.ndarray:
-    """A node's bounds on local positions and rates (nv,), ``free`` elsewhere; scaled rates have none."""
+    """One side of a node's bounds (size,), from those on positions and true rates (nv,), else ``free``."""
     values = np.full(form.size, free)
     if at.positions:
         values[form.additive] = positions[form.coordinates.additive_index]
@@ -52,7 +52,10 @@ def _node_values(
 def _fix_start(
     problem: Problem, layout: Layout, collocation: Collocation, lower: np.ndarray, upper: np.ndarray
 ) -> None:
-    """The start is fixed, except nonzero rates in a free time scale; time scales are within their bounds."""
+    """Fix the start, except nonzero rates in a free time scale, and bound the time scales.
+
+    A periodic start is free, except along `Problem.free_directions`, where the motion could be shifted.
+    """
     form = layout.forms[0]
     own_lower, own_upper = lower[layout.node(0)], upper[layout.node(0)]
     for phase, time_scale in zip(layout.schedule.phases, layout.schedule.time_scales, strict=True):
@@ -83,7 +86,7 @@ def initial_state(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndar
 
 
 def scaled_rate_limits(problem: Problem, layout: Layout, collocation: Collocation) -> Iterator[LinearRows]:
-    """Rows of rates that are measured in a free time scale: their limits at nodes, and a start that moves."""
+    """Linear rows on rates in a free time scale: their limits at nodes, and nonzero rates at the start."""
     for term, at, bounds in _stated_limits(problem, layout):
         form = layout.forms[at.node]
         if at.rates and form.time_scale is not None and form.order == 2:
@@ -108,7 +111,7 @@ def scaled_rate_limits(problem: Problem, layout: Layout, collocation: Collocatio
 def _scaled_rate_limit(
     form: NodeLayout, limits: Sequence[np.ndarray], collocation: Collocation
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows (n, size) x' >= s lower, x' <= s upper of finite limits (nv,), scaled, and their bounds."""
+    """Scaled rows (n, size) of x' >= s lower and x' <= s upper for finite limits (nv,), and their bounds."""
     rows, lower, upper = [], [], []
     scale = collocation.node_scale(form)[form.rates]
     for limit, (low, high) in zip(limits, ((0.0, np.inf), (-np.inf, 0.0)), strict=True):
@@ -124,7 +127,7 @@ def _scaled_rate_limit(
 
 @dataclass(frozen=True)
 class _Bounded:
-    """A node at which a limit of positions, of rates, or of both is imposed."""
+    """A node at which a limit on positions, on rates, or on both is imposed."""
 
     node: int
     positions: bool
@@ -134,9 +137,9 @@ class _Bounded:
 def _bounded_nodes(term: PointConstraint, layout: Layout) -> list[_Bounded]:
     """Nodes after the start at which a term's limits are imposed, once for every state of the motion.
 
-    Where intervals meet, with changes of coordinates between them or not, there is one state: the last of
-    its nodes has the limit, of either phase. An impact has two: rates before it have the limits of the phase
-    before, rates after it those of the phase after, and the configuration is the same.
+    Where intervals meet, with or without a change of coordinates, there is one state. Its last node has the
+    limit if the term acts in either phase. An impact has two states with the same configuration: the rates
+    before it have the limits of the phase before, the rates after it those of the phase after.
     """
     nodes = []
     for k in range(1, layout.n_stages + 1):
@@ -175,7 +178,7 @@ def _stated_limits(
 
 
 def _has_point(layout: Layout, stage: int | None, fraction: float) -> bool:
-    """Whether an interval has a collocation point at that fraction of it."""
+    """Whether an interval has a collocation point at that fraction."""
     return stage is not None and fraction in layout.scheme_of(layout.stages[stage].phase).c
 
 

@@ -1,4 +1,4 @@
-"""Which rows are violated, by block, phase and node; and where a function is not finite."""
+"""Violated rows by block, phase and node, and places where a function is not finite."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -23,8 +23,8 @@ def _outside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.nda
 def worst_blocks(t: Transcription, x: np.ndarray, violations: np.ndarray, count: int) -> list[dict[str, Any]]:
     """The ``count`` blocks of rows with the largest violation, each where it is worst.
 
-    Each has ``block``, ``phase``, ``node`` (the interval's for a point), ``point`` (or null), ``time``
-    in s and ``violation`` in natural units. A value that is not finite counts as the worst of all.
+    Each entry has ``block``, ``phase``, ``node`` (for a point, its interval), ``point`` (or None), ``time``
+    in s and ``violation`` in natural units. A value that is not finite counts as the worst, and is None.
     """
     violations = np.where(np.isfinite(violations), violations, np.inf)
     rows = violations[: t.n_rows]
@@ -76,7 +76,7 @@ def nonfinite_place(nlp: Nlp, x: np.ndarray) -> str | None:
 
 
 def describe_block(block: Mapping[str, Any]) -> str:
-    """Description of a block of rows where it is worst."""
+    """Text of one entry of `worst_blocks`."""
     place = "node" if block["point"] is None else "interval"
     size = "not finite" if block["violation"] is None else f"{block['violation']:.2e}"
     where = f"phase '{block['phase']}', {place} {block['node']}, t = {block['time']:.3f} s"

@@ -29,7 +29,7 @@ class InlineReplay:
 
 @dataclass(frozen=True)
 class InlinePlot:
-    """A picture."""
+    """A plot as a PNG picture."""
 
     png: bytes = field(repr=False)
 

@@ -1,4 +1,4 @@
-"""How accurate a solution is, measured by independent means."""
+"""Accuracy of a solution, measured independently of the transcription."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Residuals of the dynamics and constraint violations of a solution at any time, by interval and phase.
+"""Dynamics residuals by interval and constraint violations by phase of a solution, between its points.
 
 The violations are those of the check (`certify.dense`), in natural units.
 """
@@ -13,13 +13,13 @@ from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.resampling import resampled
 from trajopt.robot.natural_units import NaturalUnits
 
-# Fractions of an interval for its residuals: between the points of a scheme of degree four lie two at least.
+# Fractions of an interval at which residuals are evaluated: at least two between points of degree four.
 FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 _Figures = dict[str, float | None]
 
 
-# Figures of the check by the name of the constraint that they violate.
+# Figures of the check by the name of the constraint.
 VIOLATIONS = {
     "friction": "friction_margin",
     "unilateral": "unilateral_margin",
@@ -36,18 +36,20 @@ VIOLATIONS = {
     "self_collision": "self_distance",
     "patch": "patch_margin",
 }
-# Those over the reach (of soles: weight times reach). Others are over the weight (forces), the limit
-# (torques, velocities, drives) and the joint's range (positions), as the figures are.
+# Violations that are divided by the reach (soles: weight times reach). The others are already over the weight
+# (forces), the limit (torques, velocities, drives) or the joint's range (positions).
 OVER_REACH = ("sole", "penetration", "link_depth", "obstacle", "self_collision", "patch")
 
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalResiduals:
-    """Largest residuals of the interpolated motion in each interval (I,), in natural units.
+    """Largest residuals of the interpolated motion in each interval (I,), in natural units; 0 without rows.
 
-    base, actuated: RNEA(q, v, a) - sum J^T f - S^T tau over m g (rotational rows: m g l). contact:
-    acceleration of active contacts over g (angular: g / l); with velocity sources, velocities over sqrt(g l),
-    sqrt(g / l). Zero where there is no such row.
+    Args:
+        base: Base rows of RNEA(q, v, a) - sum J^T f - S^T tau, over m g (rotational rows: m g l).
+        actuated: The same for the actuated rows.
+        contact: Acceleration of active contacts over g (angular: g / l); with velocity sources, velocity over
+            sqrt(g l) (angular: sqrt(g / l)).
     """
 
     base: np.ndarray
@@ -62,9 +64,9 @@ class IntervalResiduals:
 
 @dataclass(frozen=True, kw_only=True)
 class BetweenPoints:
-    """Residuals by interval; by phase, violations (0 where satisfied) and the drift of active contacts, m.
+    """Residuals by interval; violations (0 if satisfied) and drift of active contacts (m) by phase.
 
-    A violation or drift is None where the phase has no such constraint or contact.
+    A violation or drift is None if the phase has no such constraint or contact.
     """
 
     residuals: IntervalResiduals
@@ -73,7 +75,7 @@ class BetweenPoints:
 
 
 def figures_between_points(motion: MotionQuantities) -> BetweenPoints:
-    """Figures of a motion at any time."""
+    """Return the figures of a motion between its points."""
     starts = ContactStarts.of(motion)
     dense = dense_motion(motion, figures_at(motion, starts), starts)
     units, phases = motion.units, range(len(motion.solution.phases))

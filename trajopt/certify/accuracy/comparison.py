@@ -1,6 +1,6 @@
-"""How far a solution is from another of the same problem: objectives, durations, and motions at equal times.
+"""Compare two solutions of the same problem: objectives, durations, and motions at equal times.
 
-Times are compared as fractions of each phase, so that motions of free durations are compared event by event.
+Times are fractions of each phase, so that motions with free durations are compared event by event.
 """
 
 import math
@@ -17,23 +17,25 @@ from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.interpolation import MotionSample, joined
 from trajopt.solution.solution import Solution
 
-# Times of each phase at which motions are compared, from its start to its end.
+# Number of times in each phase, including its ends, at which motions are compared.
 COMPARED = 101
-# Relative differences are taken over at least this objective, in natural units.
+# Smallest divisor of relative differences of objectives, in natural units.
 LEAST_OBJECTIVE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """A solution against a reference.
+    """Largest differences between a solution and a reference.
 
-    objective_gap: (J - J_ref) / |J_ref|, negative where the solution's is lower; None where a file lacks one.
-    distance: m, largest of the base position, with a fixed base of the farthest-off named point.
-    farthest: m, of the farthest-off named point. orientation: rad, of the base; None for a fixed one. joints:
-    rad or m.
-    torque, torque_rms: the largest and the root of the mean square over the motion, of the worst joint, over
-    weight times reach (prismatic: weight). time: s, largest difference of the duration of a phase.
-    by_phase: distance of each phase, m.
+    Attributes:
+        objective_gap: Relative difference of the objectives, see `objective_gap`.
+        distance: Base position, or with a fixed base the farthest-off named point, m.
+        farthest: Farthest-off named point, m.
+        orientation, joints: Base orientation, rad (None for a fixed base), and joints, rad or m.
+        torque, torque_rms: Largest torque difference at any time, and the root mean square over time of the
+            largest at each time, over weight times reach (prismatic: weight).
+        time: Duration of a phase, s.
+        by_phase: ``distance`` of each phase, m.
     """
 
     objective_gap: float | None
@@ -49,7 +51,7 @@ class Comparison:
 
 @dataclass(frozen=True, kw_only=True)
 class _Apart:
-    """Differences over one phase: base m, base rad, joints, farthest point m; of torques (n, nu) in units."""
+    """Differences in one phase: base m, base rad, joints, farthest point m; torques (n, nu); durations s."""
 
     state: np.ndarray
     torque: np.ndarray
@@ -57,7 +59,7 @@ class _Apart:
 
 
 def compare(plan: Solution, reference: Solution) -> Comparison:
-    """Compare two plans of one problem. Raises `InputError` for another robot, or other phases."""
+    """Compare two plans of one problem; raises `InputError` if robots, actuations or phases differ."""
     require_same_task(plan, reference)
     points, units = NamedPoints.of(plan.model), NaturalUnits.of(plan.model)
     phases = [_phase(plan, reference, points, phase) for phase in range(len(plan.phases))]
@@ -80,7 +82,7 @@ def compare(plan: Solution, reference: Solution) -> Comparison:
 
 
 def objective_gap(plan: Solution, reference: Solution) -> float | None:
-    """(J - J_ref) / |J_ref|, signed; of a reference without cost over ``LEAST_OBJECTIVE`` instead."""
+    """Return (J - J_ref) / max(|J_ref|, ``LEAST_OBJECTIVE``), signed; None if an objective is missing."""
     reached, best = (solution.statistics.objective for solution in (plan, reference))
     if reached is None or best is None:
         return None
@@ -118,7 +120,7 @@ def _phase(plan: Solution, reference: Solution, points: NamedPoints, phase: int)
 
 
 def _sampled(solution: Solution, phase: int, fractions: np.ndarray) -> MotionSample:
-    """The motion at fractions of a phase; a node belongs to the interval that it begins."""
+    """Sample a motion at fractions of a phase; a node belongs to the interval that it begins."""
     numbers = solution.intervals_of(phase)
     edges = solution.interval_t[numbers.start : numbers.stop]
     times = edges[0, 0] + fractions * (edges[-1, 1] - edges[0, 0])
@@ -132,6 +134,6 @@ def _sampled(solution: Solution, phase: int, fractions: np.ndarray) -> MotionSam
 
 
 def _mean_over_time(torques: list[np.ndarray], durations: list[float]) -> float:
-    """Root of the mean square over the motion of the largest entry at each time."""
+    """Return the root mean square over time of the largest entry at each time."""
     squares = [np.mean(np.abs(part).max(axis=1, initial=0.0) ** 2) for part in torques]
     return math.sqrt(float(np.average(squares, weights=durations)))

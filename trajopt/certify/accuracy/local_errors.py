@@ -1,8 +1,8 @@
-"""Local errors of intervals: the planned torques integrated over each, all intervals at once.
+"""Local errors of intervals: integrate the planned torques over each, for all intervals at once.
 
-An interval of a scheme with s points is integrated from its planned start by Gauss collocation with more
-points, of which the planned motion (q, v, a)(t) is nearly a solution. With a_f the acceleration under the
-planned torques and e the error of the planned motion, fixed-point iteration gives
+Each interval is integrated from its planned start by Gauss collocation with more points than its scheme. The
+planned motion (q, v, a)(t) is nearly a solution. With a_f the acceleration under the planned torques and e
+the error of the planned motion, fixed-point iteration solves
 
     e''(t) = a_f(q + e, v + e', tau) - a,        e(0) = e'(0) = 0
 
@@ -20,18 +20,18 @@ from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.reintegration import integrated_interval_error, phase_dynamics
 from trajopt.motion.quantities import MotionQuantities
 
-# Points of the quadrature beyond those of the scheme.
+# Number of quadrature points beyond those of the scheme.
 MORE_POINTS = 2
-# Most steps of the fixed-point iteration. It ends where velocities at the ends change by less than this part.
+# Limit of fixed-point iterations. They end if the final velocities change by less than the fraction SETTLED.
 MOST_SWEEPS, SETTLED = 6, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocalErrors:
-    """Errors of I intervals at their ends, each from its own planned start; inf where it diverges.
+    """Errors of I intervals at their ends, each from its own planned start; inf if it diverges.
 
-    position: (I,) m, of the named point that is farthest off, |dp| + T |dp'| with T = sqrt(reach / g).
-    joints: (I,) rad, of the rotation (of a joint, or an axis of the base) that is farthest off, likewise.
+    ``position`` (I,) m is |dp| + T |dp'| of the farthest-off named point with T = sqrt(reach / g), and
+    ``joints`` (I,) rad the same for the farthest-off rotation, of a joint or an axis of the base.
     """
 
     position: np.ndarray
@@ -39,7 +39,7 @@ class LocalErrors:
 
 
 def local_errors(motion: MotionQuantities) -> LocalErrors:
-    """Local error of every interval of a motion."""
+    """Return the local error of every interval of a motion."""
     plan = motion.solution
     position, speed = np.zeros((plan.n_intervals, plan.model.nv)), np.zeros((plan.n_intervals, plan.model.nv))
     for number, samples in enumerate(plan.phases):
@@ -56,7 +56,7 @@ def local_errors(motion: MotionQuantities) -> LocalErrors:
 def _collocated(
     motion: MotionQuantities, dynamics: ContactDynamics, numbers: range
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (n, nv) of positions and velocities at the ends of a phase's intervals."""
+    """Return errors (n, nv) of positions and velocities at the ends of a phase's intervals."""
     plan = motion.solution
     first = plan.intervals[numbers.start]
     count = int(plan.collocation[first.start : first.stop].sum()) + MORE_POINTS
@@ -84,9 +84,9 @@ def _collocated(
 
 @lru_cache
 def _gauss(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gauss points (n,) of [0, 1], and integrals and double integrals of values there.
+    """Return Gauss points (n,) of [0, 1], and matrices (n + 1, n) for single and double integrals.
 
-    Both (n + 1, n): from 0 to every point, then to 1.
+    The integrals of values at the points are from 0 to every point, then to 1.
     """
     points = (np.polynomial.legendre.leggauss(count)[0] + 1) / 2
     powers, ends = np.arange(count), np.append(points, 1.0)[:, None]

@@ -1,4 +1,4 @@
-"""The accuracy of a solution, by independent means: numeric Pinocchio and the file's arrays alone."""
+"""Measure the accuracy of a solution independently: with numeric Pinocchio and the file's arrays alone."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -18,8 +18,8 @@ from trajopt.solution.meta import jsonable
 class PhaseAccuracy:
     """Accuracy of one phase; names and units as in `Accuracy`.
 
-    ``motion`` is the drift within this phase of the whole motion in one integration; ``distance`` m is from
-    the reference, None without one.
+    ``motion`` is the drift within this phase if the whole motion is integrated at once; ``distance`` (m) is
+    from the reference, None without one.
     """
 
     name: str
@@ -36,23 +36,24 @@ class PhaseAccuracy:
 
 @dataclass(frozen=True, kw_only=True)
 class Accuracy:
-    """How accurate a solution is.
+    """Accuracy of a solution.
 
-    open_loop: m, worst phase, each integrated from its planned start with the planned torques;
-        ``..._orientation`` rad and ``..._joints`` rad or m of the same integrations. Positions are of the
-        base, with a fixed base of the farthest-off point that the model names; ``..._farthest`` m is of that
-        point for every robot. inf where a motion diverged.
-    open_loop_motion: m, the whole motion in one integration, through its impacts.
-    interval_error: m, largest of ``interval_errors``, the local errors (I,), see `open_loop.interval_drifts`.
-    collocation_error: largest residual of the interpolated motion in dynamics and contacts between points,
-    natural units (weight, weight times reach, g), ``base_error``, ``actuated_error`` and
-        ``contact_error`` its kinds, ``collocation_errors`` (I,) by interval. position_gap (m, rad) and
-        velocity_gap (m/s, rad/s): q against the integral of v, v against that of a, see
-        `motion.integration_gaps.interval_gaps`.
-    foot_drift: m, of active contacts from where they are at their phase's start; None without contacts.
-    violation_between: largest of ``violations``, by name in natural units (`between.VIOLATIONS`): 0 where the
-        constraint holds between the points too, None without such a constraint.
-    comparison: against a reference, or None.
+    Attributes:
+        open_loop: Position error of the worst phase, m, each integrated from its planned start with the
+            planned torques: of the base, or with a fixed base of the farthest-off named point. Its variants
+            are ``_orientation`` (base, rad), ``_joints`` (rad or m) and ``_farthest`` (named point, m). inf
+            if a motion diverges.
+        open_loop_motion: The same for the whole motion in one integration, through its impacts.
+        interval_errors: Local errors (I,), m, see `open_loop.interval_drifts`.
+        collocation_errors: Largest residual (I,) of the interpolated motion in dynamics and contacts in each
+            interval, natural units (weight, weight times reach, g).
+        base_error, actuated_error, contact_error: Its maximum by kind of row.
+        position_gap: q against the integral of v, m or rad, see `motion.integration_gaps.interval_gaps`.
+        velocity_gap: v against the integral of a, m/s or rad/s.
+        foot_drift: Drift of active contacts since the start of their phase, m; None without contacts.
+        violations: Violations by name (`between.VIOLATIONS`), natural units: 0 if the constraint also holds
+            between the points, None without such a constraint.
+        comparison: Comparison with a reference, or None.
     """
 
     open_loop: float
@@ -92,7 +93,7 @@ class Accuracy:
 
     @property
     def objective_gap(self) -> float | None:
-        """Relative difference of the objective from the reference's, signed; None without a reference."""
+        """Signed relative difference of the objective from the reference's; None without a reference."""
         return None if self.comparison is None else self.comparison.objective_gap
 
     @property
@@ -101,7 +102,7 @@ class Accuracy:
         return None if self.comparison is None else self.comparison.distance
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able figures by name, with lists by interval and by phase; inf and NaN become None."""
+        """Return JSON-able figures by name, with lists by interval and phase; inf and NaN become None."""
         derived = ("interval_error", "collocation_error", "violation_between", "objective_gap", "distance")
         return jsonable({name: getattr(self, name) for name in derived} | asdict(self))
 
@@ -110,12 +111,12 @@ def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -
     """Measure the accuracy of a solution without the NLP, and compare it with a reference.
 
     Args:
-        solution: the solution, or the path of its file.
-        reference: a converged solution of the same problem, or the path of its file.
+        solution: The solution, or the path of its file.
+        reference: Converged solution of the same problem, or the path of its file.
 
     Raises:
-        SolutionFileError: for a file that is inconsistent or not finite.
-        InputError: for such a solution, and for a reference of another robot or of other phases.
+        SolutionFileError: For a file that is inconsistent or not finite.
+        InputError: For such a solution, and for a reference with another robot, actuation or phases.
     """
     motion = MotionQuantities.normalized(consistent_solution(solution))
     comparison = None
@@ -144,9 +145,9 @@ def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -
 
 
 def interval_errors(solution: SolutionOrFile) -> np.ndarray:
-    """Local error (I,) in m that each interval makes from its own planned start, see `interval_drifts`.
+    """Return the local error (I,) in m of each interval from its own planned start, see `interval_drifts`.
 
-    Raises as `measure`.
+    Raises as `measure` does.
     """
     return interval_drifts(MotionQuantities.normalized(consistent_solution(solution)))
 

@@ -1,4 +1,4 @@
-"""The points of a robot that its model names: origins of joints and frames, and centres of mass of links."""
+"""Named points of a robot: origins of joints and frames, and centres of mass of links."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import pinocchio as pin
 
 @dataclass(frozen=True, kw_only=True)
 class NamedPoints:
-    """Points that move with a model: positions (n, 3) m in the axes of each of its joints."""
+    """Points that move with a model; ``by_joint`` has positions (n, 3) m in the frame of each joint."""
 
     model: pin.Model
     by_joint: dict[int, np.ndarray]
 
     @classmethod
     def of(cls, model: pin.Model) -> NamedPoints:
-        """Origins of all joints and frames, and the centres of mass of their links."""
+        """Return the origins of all joints and frames, and the centres of mass of their links."""
         places = {joint: [np.zeros(3), model.inertias[joint].lever] for joint in range(1, model.njoints)}
         for frame in model.frames:
             if frame.parentJoint > 0:
@@ -28,14 +28,14 @@ class NamedPoints:
         )
 
     def positions(self, q: np.ndarray) -> np.ndarray:
-        """Positions (n, 3) m in the world at q (nq,)."""
+        """Return positions (n, 3) m in the world at q (nq,)."""
         data = self.model.createData()
         pin.forwardKinematics(self.model, data, q)
         joints = ((data.oMi[joint], places) for joint, places in self.by_joint.items())
         return np.vstack([joint.translation + places @ joint.rotation.T for joint, places in joints])
 
     def velocities(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Velocities (n, 3) m/s in the world at q (nq,), v (nv,)."""
+        """Return velocities (n, 3) m/s in the world at q (nq,), v (nv,)."""
         data = self.model.createData()
         pin.forwardKinematics(self.model, data, q, v)
         by_joint = []
@@ -45,7 +45,7 @@ class NamedPoints:
         return np.vstack(by_joint)
 
     def speeds(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Speeds (k, n) m/s at k states, q (k, nq), v (k, nv)."""
+        """Return speeds (k, n) m/s at k states q (k, nq), v (k, nv)."""
         data = self.model.createData()
         twists = np.zeros((len(q), self.model.njoints, 6))
         for row, state in enumerate(zip(q, v, strict=True)):
@@ -58,6 +58,6 @@ class NamedPoints:
         return np.asarray(np.linalg.norm(carried[..., :3] + np.cross(carried[..., 3:], places), axis=-1))
 
     def farthest(self, planned: np.ndarray, reached: np.ndarray) -> float:
-        """Largest distance (m) of a point at one configuration (nq,) from where it is at the other."""
+        """Return the largest distance (m) of a point between two configurations (nq,)."""
         apart = self.positions(reached) - self.positions(planned)
         return float(np.linalg.norm(apart, axis=1).max())

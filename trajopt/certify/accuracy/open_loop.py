@@ -17,10 +17,12 @@ from trajopt.motion.quantities import MotionQuantities
 
 @dataclass(frozen=True, kw_only=True)
 class OpenLoopDrift:
-    """Largest distance of an integrated motion from the planned one, at nodes; inf where it diverged.
+    """Largest distance of an integrated motion from the planned one, at nodes; inf if it diverges.
 
-    position: m, of the base, or with a fixed base of the farthest-off named point. orientation: rad, of the
-    base; None for a fixed one. joints: rad or m. farthest: m, of the farthest-off named point of the robot.
+    Attributes:
+        position: Distance of the base, or with a fixed base of the farthest-off named point, m.
+        orientation, joints: Angle of the base, rad (None for a fixed base), and of joints, rad or m.
+        farthest: Distance of the farthest-off named point, m.
     """
 
     position: float
@@ -30,7 +32,7 @@ class OpenLoopDrift:
 
 
 def phase_drifts(motion: MotionQuantities) -> tuple[OpenLoopDrift, ...]:
-    """Drift of every phase, each integrated from its planned start."""
+    """Return the drift of every phase, each integrated from its planned start."""
     plan, points = motion.solution, NamedPoints.of(motion.solution.model)
     return tuple(
         _drift(motion, points, numbers, integrated_states(motion, numbers))
@@ -39,7 +41,7 @@ def phase_drifts(motion: MotionQuantities) -> tuple[OpenLoopDrift, ...]:
 
 
 def motion_drift(motion: MotionQuantities) -> tuple[OpenLoopDrift, ...]:
-    """Drift within every phase of the whole motion in one integration, through its impacts."""
+    """Return the drift within each phase when the whole motion is integrated, through its impacts."""
     plan, points = motion.solution, NamedPoints.of(motion.solution.model)
     states = list(integrated_states(motion, range(plan.n_intervals)))
     states += [None] * (plan.n_intervals - len(states))
@@ -50,11 +52,10 @@ def motion_drift(motion: MotionQuantities) -> tuple[OpenLoopDrift, ...]:
 
 
 def interval_drifts(motion: MotionQuantities) -> np.ndarray:
-    """Local error (I,) in m of every interval, integrated from its own planned start.
+    """Return the local error (I,) in m of every interval, integrated from its own planned start.
 
-    The largest over the robot's named points of |p - p_plan| + T |p' - p'_plan| at the interval's end, with
-    the natural time T = sqrt(reach / g): an error of the velocity counts by the displacement within T.
-    With velocity sources only positions count. inf where the integration diverges.
+    It is the largest |p - p_plan| + T |p' - p'_plan| of a named point at the interval's end, with the natural
+    time T = sqrt(reach / g). With velocity sources only positions count. inf if the integration diverges.
     """
     plan, points = motion.solution, NamedPoints.of(motion.solution.model)
     errors = []

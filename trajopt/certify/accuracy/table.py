@@ -1,10 +1,10 @@
-"""Accuracy as a table to read: figures one a line, then the phases, then the comparison with a reference."""
+"""Format accuracy as a table: one figure a line, the comparison with a reference, then the phases."""
 
 import numpy as np
 
 from trajopt.certify.accuracy.measures import Accuracy, PhaseAccuracy
 
-# Figures by name: what they are, and their unit.
+# Text and unit of each figure.
 FIGURES = {
     "open_loop": ("open loop by phase, position", "m"),
     "open_loop_orientation": ("open loop by phase, base orientation", "rad"),
@@ -34,7 +34,7 @@ COMPARED = {
 
 
 def accuracy_table(accuracy: Accuracy) -> str:
-    """Figures with units; those that are None are left out, nonzero violations are named."""
+    """Return figures with units; None is left out, and nonzero violations are listed by name."""
     lines = [_line(text, getattr(accuracy, name), unit) for name, (text, unit) in FIGURES.items()]
     broken = {name: value for name, value in accuracy.violations.items() if value}
     lines += [_line(f"  {name.replace('_', ' ')}", value, "1") for name, value in broken.items()]

@@ -1,1 +1,1 @@
-"""Contact-constrained forward dynamics, impacts and their ranks, numerically."""
+"""Numeric contact dynamics: forward and inverse dynamics, impacts, and the rank of contact rows."""

@@ -2,10 +2,10 @@
 
     M a + h = tau + J^T f,      J a + Jdot v = 0                                        (KKT)
 
-tau (nv,) holds all generalised forces but those of the contacts; f are the contact wrenches on the robot,
-world axes, at the frames' origins (Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8).
+tau (nv,) has all generalised forces except those of the contacts; f are the contact wrenches on the robot, in
+world axes at the frames' origins (Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8).
 With M = L L^T, y = L^T a, B = L^-1 (D J)^T and D the scale of the rows this is the projection of y onto
-B^T y = const (Gauss's principle; Udwadia and Kalaba 1992). So a is unique even if rows are dependent; if they
+B^T y = const (Gauss's principle; Udwadia and Kalaba 1992). So a is unique even for dependent rows; if rows
 contradict each other, it has the least contact acceleration. f then has minimum norm.
 """
 
@@ -35,12 +35,14 @@ from trajopt.errors import InputError
 class ContactMotion:
     """Solution of the forward dynamics with contacts.
 
-    acceleration: (nv,). wrenches: (n, 6) N and N m, on the robot, world axes, frame origins; moments of
-    points are zero unless they roll. rank: which rows depend on each other; if it is redundant, the wrenches
-    have minimum norm.
-    dynamics_residual: (nv,) RNEA(q, v, a) - tau - J^T f, N and N m. contact_acceleration: (n, 6) classical
-    acceleration of the contacts, m/s^2 and rad/s^2, from forward kinematics; rows of points that do not
-    hold rotation are zero. It vanishes unless the rows contradict each other: redundant contacts that move.
+    Args:
+        acceleration: Generalised acceleration (nv,).
+        wrenches: Wrenches (n, 6) on the robot, N and N m, world axes, at frame origins; point contacts have
+            no moment unless they roll.
+        rank: Rank of the contact rows; if it is redundant, the wrenches have minimum norm.
+        dynamics_residual: RNEA(q, v, a) - tau - J^T f (nv,), N and N m.
+        contact_acceleration: Classical acceleration (n, 6) of the contacts from forward kinematics, m/s^2 and
+            rad/s^2; zero unless rows contradict each other. Angular rows of point contacts are zero.
     """
 
     acceleration: np.ndarray
@@ -52,7 +54,7 @@ class ContactMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class InverseDynamics:
-    """``torque`` (nu,) of the actuated rows and ``base_residual``, the unactuated rows, which must vanish."""
+    """``torque`` (nu,) of the actuated rows, and ``base_residual`` of the others, which must vanish."""
 
     torque: np.ndarray
     base_residual: np.ndarray
@@ -64,7 +66,7 @@ def forward_dynamics(
 ) -> ContactMotion:
     """Solve (KKT) for acceleration and contact wrenches, with a rank report and both residuals.
 
-    q (nq,), v (nv,), tau (nv,) as in `actuated_force`. Raises `InputError` for wrong shapes, numbers that
+    q (nq,), v (nv,), tau (nv,) as from `actuated_force`. Raises `InputError` for wrong shapes, numbers that
     are not finite, or a mass matrix that is not positive definite.
     """
     require_arrays({"q": (q, model.nq), "v": (v, model.nv), "tau": (tau, model.nv)})
@@ -97,8 +99,8 @@ def inverse_dynamics(
 ) -> InverseDynamics:
     """Return torques and base rows of ``RNEA(q, v, a) - J^T f`` for a motion (q, v, a).
 
-    wrenches (n, 6) N and N m, world axes, at the frames' origins. actuated_rows (nu,) of v have an actuator;
-    default all but those of the model's base. Raises `InputError` for wrong shapes or values.
+    ``wrenches`` (n, 6) are in N and N m, world axes, at the frames' origins. ``actuated_rows`` (nu,) of v
+    have an actuator; default: all but the base's. Raises `InputError` for wrong shapes or values.
     """
     q, v, a = motion
     require_arrays({"q": (q, model.nq), "v": (v, model.nv), "a": (a, model.nv)})
@@ -111,7 +113,7 @@ def inverse_dynamics(
 
 
 def rows_with_actuator(model: pin.Model, given: np.ndarray | None = None) -> np.ndarray:
-    """Rows of v with an actuator: ``given``, or all but those of the model's base. Raises `InputError`."""
+    """Return the actuated rows of v: ``given``, or all but those of the base. Raises `InputError`."""
     if given is None:
         return np.arange(BASE_ROWS[base_of(model)], model.nv)
     if not np.isin(given, np.arange(model.nv)).all() or (np.diff(given) <= 0).any():
@@ -123,7 +125,7 @@ def rows_with_actuator(model: pin.Model, given: np.ndarray | None = None) -> np.
 def actuated_force(
     model: pin.Model, torque: np.ndarray, actuated_rows: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return ``S^T torque`` (nv,): torques (nu,) at the rows with an actuator, zeros at the others."""
+    """Return ``S^T torque`` (nv,): torques (nu,) in the actuated rows, zeros in the others."""
     rows, force = rows_with_actuator(model, actuated_rows), np.zeros(model.nv)
     require_arrays({"torque": (torque, len(rows))})
     force[rows] = torque
@@ -131,7 +133,7 @@ def actuated_force(
 
 
 def require_arrays(arrays: dict[str, tuple[np.ndarray, int]]) -> None:
-    """Raise `InputError` for the first named array that is not finite or not of its size."""
+    """Raise `InputError` for the first named array that is not finite or does not have the given size."""
     for name, (array, size) in arrays.items():
         if np.shape(array) != (size,) or not np.isfinite(array).all():
             raise InputError(f"{name} of shape {np.shape(array)} is not allowed", f"finite, shape ({size},)")
@@ -154,10 +156,10 @@ def _contact_acceleration(
 
 
 class ContactDynamics:
-    """Forward dynamics for many calls with the same contacts: only the acceleration.
+    """Forward dynamics for many calls with the same contacts; computes only the acceleration.
 
-    The same equations as `forward_dynamics`, without its report. ``independent``: E (nv, ny) of v = E y with
-    joints that follow others. NaN where the mass matrix is not positive definite.
+    It solves the equations of `forward_dynamics`, without the report. ``independent`` is E (nv, ny) in
+    v = E y for mimic joints. Results are NaN if the mass matrix is not positive definite.
     """
 
     def __init__(self, model: pin.Model, contacts: ContactSet, independent: np.ndarray | None = None) -> None:
@@ -168,7 +170,7 @@ class ContactDynamics:
 
     @cached_property
     def compiled(self) -> _numeric.Dynamics | None:
-        """The same dynamics for many states and whole integrations; None with joints that follow others."""
+        """The same dynamics, compiled, for many states and whole integrations; None with mimic joints."""
         if self.independent is not None:
             return None
         contacts = self.contacts

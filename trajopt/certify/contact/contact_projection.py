@@ -1,6 +1,6 @@
 """Dynamics in contact without contact forces: projection onto the motions that contacts allow.
 
-With the orthogonal projector ``P = I - J^+ J`` onto the null space of J (P J^T = 0) the forces drop out:
+With the orthogonal projector ``P = I - J^+ J`` onto the null space of J (P J^T = 0) the forces vanish:
 
     P (M a + h) = P S^T tau,      (I - P) a = -J^+ Jdot v
 
@@ -27,12 +27,14 @@ _Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, kw_only=True)
 class ContactTorques:
-    """Torques and contact wrenches that give a motion.
+    """Torques and contact wrenches that produce a motion.
 
-    torque: (nu,). wrenches: (n, 6) world axes, frame origins. residual: (nv,) M a + h - S^T tau - J^T f;
-    zero unless actuators and contacts together cannot give the motion. contact_acceleration: (n, 6)
-    J a + Jdot v of the given motion; zero unless it contradicts the contacts. fully_actuated: whether
-    torques can give every acceleration that the contacts allow.
+    Args:
+        torque: Torques (nu,) of the actuated rows.
+        wrenches: Contact wrenches (n, 6), world axes, at frame origins.
+        residual: M a + h - S^T tau - J^T f (nv,); zero if actuators and contacts can produce the motion.
+        contact_acceleration: J a + Jdot v (n, 6) of the given motion; zero if the contacts allow it.
+        fully_actuated: Whether torques can produce every acceleration that the contacts allow.
     """
 
     torque: np.ndarray
@@ -46,7 +48,7 @@ class ContactTorques:
 def null_space_projector(jacobian: np.ndarray, unit: float = 0.0) -> np.ndarray:
     """Return ``P = I - J^+ J`` (nv, nv): symmetric, P P = P, J P = 0; rank-deficient J (n, nv) allowed.
 
-    Singular values of J are zero relative to the largest, or to ``unit``.
+    Singular values of J count as zero relative to the largest, or to ``unit`` if that is larger.
     """
     _, singular, right = np.linalg.svd(jacobian)
     allowed = right[numeric_rank(singular, unit) :]
@@ -57,7 +59,8 @@ def null_space_projector(jacobian: np.ndarray, unit: float = 0.0) -> np.ndarray:
 def consistent_projector(mass: np.ndarray, contacts: ContactSet, jacobian: np.ndarray) -> np.ndarray:
     """Return ``N = I - M^-1 J^T (J M^-1 J^T)^+ J`` (nv, nv): N N = N, J N = 0, M N symmetric.
 
-    mass (nv, nv), jacobian (n_rows, nv) of ``contacts``. Raises `InputError` unless M is positive definite.
+    ``mass`` is (nv, nv), ``jacobian`` (n_rows, nv) of ``contacts``. Raises `InputError` unless M is positive
+    definite.
     """
     response = contact_response(mass_factor(mass), contacts, jacobian)
     allowed = null_space_projector(response.whitened.T, response.unit)
@@ -91,9 +94,9 @@ def projected_inverse_dynamics(
 ) -> ContactTorques:
     """Return minimum-norm torques of a motion (q, v, a), ``tau = (P S^T)^+ P (M a + h)``, and their wrenches.
 
-    They have the least norm of all torques that give the motion; this does not depend on the metric of P
-    where the motion is possible. The wrenches are ``(J^T)^+ (M a + h - S^T tau)``. ``actuated_rows`` (nu,)
-    of v have an actuator; default all but those of the model's base. Raises `InputError`.
+    They have the least norm of all torques that produce the motion, independently of the metric of P if the
+    motion is possible. The wrenches are ``(J^T)^+ (M a + h - S^T tau)``. ``actuated_rows`` (nu,) of v have an
+    actuator; default: all but those of the model's base. Raises `InputError`.
     """
     needed, rows, scaled, actuated = _needed(model, motion, contacts, actuated_rows)
     projector = null_space_projector(scaled, contacts.moment_arm)
@@ -118,7 +121,7 @@ def least_norm_inverse_dynamics(
 
     The norm is ``|f|^2 + |m|^2 / arm^2 + |tau / torque_scale|^2``; ``torque_scale`` (a number or (nu,)), in
     m for a rotation and without unit for a translation, defaults to the moment arm of ``contacts``. The
-    smaller it is, the costlier are torques: `projected_inverse_dynamics` is its limit at zero. Raises
+    smaller it is, the costlier torques are: `projected_inverse_dynamics` is the limit at zero. Raises
     `InputError`.
     """
     needed, rows, scaled, actuated = _needed(model, motion, contacts, actuated_rows)
@@ -139,7 +142,7 @@ def least_norm_inverse_dynamics(
 def _needed(
     model: pin.Model, motion: _Motion, contacts: ContactSet, actuated_rows: np.ndarray | None
 ) -> tuple[np.ndarray, ContactKinematics, np.ndarray, np.ndarray]:
-    """M a + h (nv,), the contacts' rows, their scaled Jacobian and the rows with an actuator."""
+    """Return M a + h (nv,), the contact kinematics, their scaled Jacobian and the actuated rows."""
     q, v, a = motion
     require_arrays({"q": (q, model.nq), "v": (v, model.nv), "a": (a, model.nv)})
     data = model.createData()

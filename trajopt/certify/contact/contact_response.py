@@ -1,9 +1,9 @@
 """Response of contacts to wrenches in the metric of the mass matrix: ranks and minimum-norm solutions.
 
-With M = L L^T, D the scale of the rows and B = L^-1 (D J)^T, a change x of velocity or acceleration by
-wrenches D phi is x = L^-T B phi, and changes the contacts' motion by D J x = B^T B phi. The singular values
-of B are the square roots of the eigenvalues of D J M^-1 J^T D; they separate independent from dependent rows
-with twice as many digits.
+With M = L L^T, D the scale of the rows and B = L^-1 (D J)^T, wrenches D phi change velocity or acceleration
+by x = L^-T B phi, and the contacts' motion by D J x = B^T B phi. The singular values of B are the square
+roots of the eigenvalues of D J M^-1 J^T D; they separate independent from dependent rows with twice as many
+digits.
 """
 
 from dataclasses import dataclass
@@ -14,18 +14,18 @@ from trajopt.certify.contact.contact_set import ContactSet
 from trajopt.errors import InputError
 
 # Singular values below this fraction of the largest count as zero: the square root of rounding, far above the
-# error of exactly dependent rows (1e-15), far below the effect of a useful lever arm.
+# error of exactly dependent rows (1e-15) and far below the effect of a useful lever arm.
 RANK_TOLERANCE = 1e-8
-# Entries of a projector on dependent rows; coupled rows have entries of order one.
+# Smallest entry of the projector for dependent rows; coupled rows have entries of order one.
 COUPLED = 1e-6
-# Reciprocal condition of B^T B down to which it is solved with: that loses half the digits
-# at most. Below, the singular values of B decide.
+# Smallest reciprocal condition number for which B^T B is solved directly, losing at most half the digits.
+# Below it, the singular values of B are used.
 WELL_CONDITIONED = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
 class DependentContactRow:
-    """Rows that depend on each other, the ``contacts`` they belong to, and how many are redundant."""
+    """Linearly dependent ``rows``, the ``contacts`` they belong to, and the number of redundant ones."""
 
     rows: tuple[str, ...]
     contacts: tuple[str, ...]
@@ -34,11 +34,14 @@ class DependentContactRow:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactRank:
-    """How independent the rows of a contact set are at one configuration.
+    """Rank of the rows of a contact set at one configuration.
 
-    rows: number of rows. jacobian: rank of J. delassus: rank of J M^-1 J^T (equal in exact arithmetic).
-    condition: largest over smallest nonzero singular value of J M^-1/2, with angular rows times the arm.
-    dependencies: groups of rows between which internal wrenches act that move nothing, J^T f = 0.
+    Args:
+        rows: Number of rows.
+        jacobian: Rank of J.
+        delassus: Rank of J M^-1 J^T (equal in exact arithmetic).
+        condition: Largest over smallest nonzero singular value of J M^-1/2, angular rows times the arm.
+        dependencies: Groups of rows with internal wrenches that move nothing, J^T f = 0.
     """
 
     rows: int
@@ -63,8 +66,8 @@ class ContactRank:
 class ContactResponse:
     """``lower`` L (nv, nv) and ``whitened`` B (nv, n_rows) of contacts at a configuration.
 
-    ``unit`` is the size of B's entries where a contact can move at all: a rotation at the moment arm over the
-    root of the largest inertia. Relative to it, a set whose rows all vanish to rounding has rank zero.
+    ``unit`` is the typical size of B's entries if a contact can move at all: the moment arm over the root of
+    the largest inertia. Relative to it, a set whose rows all vanish to rounding has rank zero.
     """
 
     lower: np.ndarray
@@ -74,7 +77,7 @@ class ContactResponse:
     def least(self, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the least x (nv,), in the metric of M, with D J x = ``wanted`` (n_rows,), and the least phi.
 
-        If there is none, the least-squares solution.
+        If no x satisfies this, return the least-squares solution.
         """
         left, singular, right = np.linalg.svd(self.whitened, full_matrices=False)
         rank = numeric_rank(singular, self.unit)
@@ -82,7 +85,7 @@ class ContactResponse:
         return self._unwhitened(left[:, :rank] @ along), right[:rank].T @ (along / singular[:rank])
 
     def least_change(self, wanted: np.ndarray) -> np.ndarray:
-        """Return x of `least` alone, faster if B^T B is well conditioned; NaN if B is not finite."""
+        """Return only x of `least`, faster if B^T B is well conditioned; NaN if B is not finite."""
         gram = self.whitened.T @ self.whitened
         norm = float(np.abs(gram).sum(axis=0).max())
         if not np.isfinite(norm):
@@ -101,7 +104,7 @@ class ContactResponse:
 
 
 def mass_factor(mass: np.ndarray) -> np.ndarray:
-    """Return lower L with M = L L^T of M's upper triangle; `InputError` unless it is positive definite."""
+    """Return L with M = L L^T from M's upper triangle; raises `InputError` unless M is positive definite."""
     lower = cholesky(mass.T)
     if lower is None:
         raise InputError("the mass matrix is not positive definite", "bodies with mass, or armature")
@@ -109,7 +112,7 @@ def mass_factor(mass: np.ndarray) -> np.ndarray:
 
 
 def cholesky(matrix: np.ndarray) -> np.ndarray | None:
-    """Lower factor of a matrix's lower triangle, None unless it is positive definite."""
+    """Return the Cholesky factor from a matrix's lower triangle; None unless it is positive definite."""
     try:
         return np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:
@@ -117,7 +120,7 @@ def cholesky(matrix: np.ndarray) -> np.ndarray | None:
 
 
 def cholesky_solve(lower: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solution x of L L^T x = ``right``."""
+    """Return the solution x of L L^T x = ``right``."""
     return np.linalg.solve(lower.T, np.linalg.solve(lower, right))
 
 
@@ -130,7 +133,7 @@ def contact_response(lower: np.ndarray, contacts: ContactSet, jacobian: np.ndarr
 
 
 def numeric_rank(singular: np.ndarray, unit: float) -> int:
-    """Number of singular values that are not zero to `RANK_TOLERANCE` of the largest, or of ``unit``."""
+    """Return the number of singular values above `RANK_TOLERANCE` times the largest, or times ``unit``."""
     return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=unit)))
 
 
@@ -150,7 +153,7 @@ def contact_rank(contacts: ContactSet, jacobian: np.ndarray, response: ContactRe
 
 
 def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[DependentContactRow, ...]:
-    """Blocks of the projector (n_rows, n_rows) onto internal wrenches."""
+    """Return the dependent rows: the blocks of the projector (n_rows, n_rows) onto internal wrenches."""
     coupled = np.abs(projector) > COUPLED
     owner = np.repeat(np.array(contacts.names, dtype=str), contacts.dimensions).tolist()
     remaining, dependent = set(np.flatnonzero(coupled.diagonal()).tolist()), []

@@ -1,13 +1,13 @@
-"""Contacts that hold at the same time, as bilateral constraints on the motion of a model.
+"""Simultaneous contacts as bilateral constraints on the motion of a model.
 
-A contact with frame C holds the origin of C (3 rows) or its whole pose (6 rows, linear first). In axes
-of the world, with J the stacked frame Jacobians,
+A contact with frame C fixes the origin of C (3 rows) or its whole pose (6 rows, linear first). In world axes,
+with J the stacked frame Jacobians,
 
     J v = 0,        J a + Jdot v = 0                                      (classical acceleration)
 
-A ball that rolls on a plane holds v - omega x s and a - omega' x s of its centre, with s its lever, from
-where it touches to its centre; a force f on it has the moment f x s about the centre.
-While contacts are active these rows do not depend on surfaces: a normal and a friction coefficient
+For a ball that rolls on a plane the rows are v - omega x s and a - omega' x s of its centre, with its lever s
+from the contact point to the centre; a force f on it has the moment f x s about the centre.
+While contacts are active these rows do not depend on surfaces: the normal and the friction coefficient
 limit the wrenches, not the motion.
 """
 
@@ -35,9 +35,9 @@ class ContactSet:
     """Contacts of a model by name, frame id and dimension, 3 (point) or 6 (surface).
 
     ``moment_arm`` (m) makes moments and forces, angles and lengths comparable: wrenches are measured
-    by |f|^2 + |m|^2 / arm^2, accelerations by |linear|^2 + arm^2 |angular|^2. Both are the same in
-    any axes. They matter only where the equations leave a choice (redundant contacts). ``levers``: of points
-    that roll (3,), m, None of others; empty where none does.
+    by |f|^2 + |m|^2 / arm^2, accelerations by |linear|^2 + arm^2 |angular|^2. Both are independent of the
+    axes, and matter only for redundant contacts. ``levers`` are the levers (3,) m of rolling points, None for
+    other contacts; empty if none rolls.
     """
 
     names: tuple[str, ...]
@@ -58,10 +58,9 @@ class ContactSet:
     ) -> ContactSet:
         """Return the set of ``contacts``, each a `Contact` or (frame name, dimension).
 
-        ``levers``: for each contact None or zero, or of a ball that rolls its lever (3,), m; default: none
-        rolls.
-        ``moment_arm`` defaults to the reach of the model, or 1 m if it has none. Raises `InputError`
-        for an unknown frame, a dimension other than 3 and 6, an arm that is not positive, or other levers.
+        ``levers`` has the lever (3,) m of each rolling ball, None or zero for other contacts; default: none
+        rolls. ``moment_arm`` defaults to the reach of the model, or 1 m if it has none. Raises `InputError`
+        for an unknown frame, a dimension other than 3 and 6, an arm that is not positive, or invalid levers.
         """
         entries = [
             (c.name, c.frame, 3 if c.kind == "point" else 6) if isinstance(c, Contact) else (c[0], *c)
@@ -92,7 +91,7 @@ class ContactSet:
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Rows of each contact."""
+        """Slice of the rows of each contact."""
         ends = np.cumsum(self.dimensions, dtype=int)
         pairs = zip(ends.tolist(), self.dimensions, strict=True)
         return tuple(slice(end - size, end) for end, size in pairs)
@@ -104,25 +103,25 @@ class ContactSet:
 
     @cached_property
     def row_names(self) -> tuple[str, ...]:
-        """Name of each row: contact and axis of the world, as in ``'left_foot rx'``."""
+        """Name of each row: contact and world axis, as in ``'left_foot rx'``."""
         pairs = zip(self.names, self.dimensions, strict=True)
         return tuple(f"{name} {axis}" for name, size in pairs for axis in AXES[:size])
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """Factor (n_rows,) that turns rows of motion into m: 1 for linear ones, the arm for angular ones."""
+        """Factor (n_rows,) that converts rows of motion to m: 1 for linear rows, the arm for angular ones."""
         full = np.array([1.0] * 3 + [self.moment_arm] * 3)
         return np.concatenate([np.zeros(0), *(full[:size] for size in self.dimensions)])
 
     def table(self, stacked: np.ndarray) -> np.ndarray:
-        """Return the table (n, 6) of stacked rows (n_rows,); the moments of points are zero."""
+        """Return stacked rows (n_rows,) as a table (n, 6); the angular entries of points are zero."""
         entries = np.zeros((len(self.names), 6))
         for index, (rows, size) in enumerate(zip(self.slices, self.dimensions, strict=True)):
             entries[index, :size] = stacked[rows]
         return entries
 
     def wrenches(self, stacked: np.ndarray) -> np.ndarray:
-        """Return the table (n, 6) of stacked wrenches (n_rows,), with moments of balls that roll."""
+        """Return stacked wrenches (n_rows,) as a table (n, 6), with the moments of rolling balls."""
         entries = self.table(stacked)
         for entry, lever in zip(entries, self.levers, strict=False):
             if lever is not None:
@@ -139,7 +138,7 @@ class ContactSet:
 class ContactKinematics:
     """Rows of a contact set at (q, v), in world axes.
 
-    ``jacobian`` J (n_rows, nv), ``drift`` Jdot v and ``velocity`` J v (n_rows,); m/s and rad/s, their rates.
+    ``jacobian`` is J (n_rows, nv), ``drift`` Jdot v and ``velocity`` J v (n_rows,), in m, rad and s.
     """
 
     jacobian: np.ndarray

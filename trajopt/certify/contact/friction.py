@@ -1,4 +1,4 @@
-"""How far forces are inside Coulomb's law, written anew for the check: without the rows of the planner."""
+"""Margins of forces within Coulomb's law, implemented for the check independently of the planner's rows."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 from trajopt.arguments import checked
 from trajopt.errors import InputError, shown
 
-# Error allowed in the length of a unit normal that the user gives.
+# Allowed error in the length of a given unit normal.
 UNIT_SLACK = 1e-6
 
 
@@ -14,10 +14,10 @@ UNIT_SLACK = 1e-6
 def cone_margins(wrenches: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> np.ndarray:
     """Return ``mu f_n - |f_t|`` (n,) of forces or impulses: negative outside Coulomb's cone.
 
-    wrenches: (n, 3) or (n, 6), world axes, of the surface on the robot; moments are ignored.
-    normals: (3,) or (n, 3) unit vectors out of the surface. friction: number or (n,). A force that pulls
-    without friction counts as f_n. Raises `InputError` for wrong shapes, normals that are not unit, or
-    friction that is negative.
+    ``wrenches`` (n, 3) or (n, 6) act on the robot, in world axes; moments are ignored. ``normals`` (3,) or
+    (n, 3) are unit vectors out of the surface, ``friction`` is a number or (n,). The margin of a force that
+    pulls is at most f_n. Raises `InputError` for wrong shapes, normals that are not unit vectors, or negative
+    friction.
     """
     force = np.asarray(wrenches, dtype=float)
     if force.ndim != 2 or force.shape[1] not in (3, 6):
@@ -44,9 +44,9 @@ def sole_margins(
 ) -> np.ndarray:
     """Return the least distance (n,), in N m, of soles' wrenches from the limits of pressure and yaw moment.
 
-    force, moment: (3, n) along a sole's two axes and its normal, at its centre. size: half length and half
-    width, m. friction: (n,), of pyramids along the axes. What it leaves of the yaw moment is between the
-    bounds of Caron, Pham and Nakamura, ICRA 2015, eqs. 13-15.
+    ``force`` and ``moment`` (3, n) are along a sole's two axes and its normal, at its centre. ``size`` is the
+    half length and half width, m. ``friction`` (n,) is of pyramids along the axes. The yaw moment is bounded
+    as by Caron, Pham and Nakamura, ICRA 2015, eqs. 13-15.
     """
     (length, width), (f_x, f_y, f_n), (m_x, m_y, m_z) = size, force, moment
     pressure = np.minimum(width * f_n - np.abs(m_x), length * f_n - np.abs(m_y))

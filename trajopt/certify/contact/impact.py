@@ -1,12 +1,12 @@
-"""Rigid inelastic impact: contacts close within no time and stay closed.
+"""Rigid inelastic impact: contacts close instantaneously and stay closed.
 
     M (v+ - v-) = J^T Lambda,      J v+ = 0
 
-for the contacts that hold after the impact: those that land and those that stay. q does not change, and
+for the contacts that are active after the impact, both new and old ones. q does not change, and
 non-impulsive forces have no effect (Featherstone 2008, sec. 11.7; Hurmuzlu and Marghitu
 1994). v+ is the projection of v- onto J v = 0 in the metric of M, so kinetic energy falls by
-1/2 (v+ - v-)^T M (v+ - v-). The contacts are bilateral in it: an impulse that pulls, or leaves its
-friction cone (`friction.cone_margins`), says that the contact lifts or slides instead.
+1/2 (v+ - v-)^T M (v+ - v-). The contacts are modelled as bilateral: if an impulse pulls, or leaves its
+friction cone (`friction.cone_margins`), the contact would lift or slide instead.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 class MomentumAbout:
     """Linear momentum (3,) in kg m/s, angular momentum (3,) about ``point`` (3,) in kg m^2/s; world axes.
 
-    Of the links alone: spinning rotors (armature) change joint rows of M, not these.
+    It includes only the links: spinning rotors (armature) change joint rows of M, but not these.
     """
 
     linear: np.ndarray
@@ -35,7 +35,7 @@ class MomentumAbout:
     point: np.ndarray
 
     def about(self, point: ArrayLike) -> MomentumAbout:
-        """Return the same momentum with the angular part about another point (3,) of the world."""
+        """Return the same momentum with the angular part about another world point (3,) m."""
         new = np.asarray(point, dtype=float)
         moved = self.angular + np.cross(self.point - new, self.linear)
         return MomentumAbout(linear=self.linear, angular=moved, point=new)
@@ -49,14 +49,16 @@ class MomentumAbout:
 
 @dataclass(frozen=True, kw_only=True)
 class Impact:
-    """What an impact does.
+    """Result of an impact.
 
-    velocity: v+ (nv,). impulses: (n, 6) N s and N m s, of the surroundings on the robot, world axes,
-    at the frames' origins. rank: which rows depend on each other; if it is redundant, the impulses have
-    minimum norm (`ContactSet.moment_arm`). energy_before, energy_after, energy_loss: 1/2 v^T M v in J, the
-    loss from the velocity jump. jump: change of momentum, about the centre of mass. impulse: sum of the
-    contacts' impulses as a momentum about the centre of mass. dynamics_residual: (nv,) of the first row;
-    contact_velocity: (n, 6) J v+, m/s and rad/s.
+    Attributes:
+        velocity: v+ (nv,).
+        impulses: Impulses (n, 6) on the robot, N s and N m s, world axes, at frame origins.
+        rank: Rank of the contact rows; if it is redundant, the impulses have minimum norm.
+        energy_before, energy_after: Kinetic energy 1/2 v^T M v, J; energy_loss is that of the velocity jump.
+        jump: Change of momentum about the centre of mass.
+        impulse: Sum of the contacts' impulses, as a momentum about the centre of mass.
+        dynamics_residual, contact_velocity: M (v+ - v-) - J^T Lambda (nv,); J v+ (n, 6), m/s and rad/s.
     """
 
     velocity: np.ndarray
@@ -72,16 +74,16 @@ class Impact:
 
     @property
     def root_impulse(self) -> MomentumAbout:
-        """Impulse of the world on the root joint: jump - impulse, zero for a free-flyer."""
+        """Impulse of the world on the root joint, jump - impulse; zero for a free-flyer."""
         return self.jump - self.impulse
 
 
 @checked
 def impact(model: pin.Model, q: np.ndarray, v_minus: np.ndarray, contacts: ContactSet) -> Impact:
-    """Return velocity and impulses after the impact of ``contacts``, all that hold afterwards.
+    """Return velocity and impulses for an impact, after which all ``contacts`` are active.
 
-    q (nq,), v_minus (nv,) just before. Raises `InputError` for wrong shapes, numbers that are not finite,
-    or a mass matrix that is not positive definite.
+    q (nq,) and v_minus (nv,) are just before it. Raises `InputError` for wrong shapes, numbers that are not
+    finite, or a mass matrix that is not positive definite.
     """
     require_arrays({"q": (q, model.nq), "v_minus": (v_minus, model.nv)})
     data = model.createData()
@@ -131,6 +133,6 @@ def total_wrench(
 
 
 def _kinetic_energy(lower: np.ndarray, v: np.ndarray) -> float:
-    """1/2 v^T L L^T v."""
+    """Return 1/2 v^T L L^T v."""
     momentum_like = lower.T @ v
     return float(momentum_like @ momentum_like) / 2

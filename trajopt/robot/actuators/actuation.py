@@ -1,11 +1,10 @@
-"""Control inputs and the generalised forces that they make: motors of joints, and thrusters.
+"""Actuation: the map from control inputs, joint motors and thrusters, to generalised forces.
 
-    force = S^T tau = sum over joints with a motor, tau_j, and thrusters, J_frame(q)^T [u d; c u d]
+    force = S^T tau = sum of tau_j over joints with a motor + sum of J_frame(q)^T [u d; c u d] over thrusters
 
-A thruster pushes along an axis d that is fixed in a frame of the base, so that its column of S^T is constant
-in the base's own axes. Of a generalised force, the pseudo-inverse of S^T gives the inputs, of least norm
-where there are more than needed, and its left null space the balance: rows that no input reaches, which
-vanish.
+A thruster pushes along an axis d fixed in a frame of the base, so its column of S^T is constant in the base's
+axes. The pseudo-inverse of S^T gives the inputs for a generalised force, with least norm if inputs are
+redundant. The left null space of S^T gives the balance: rows that no input reaches, which must vanish.
 """
 
 import math
@@ -32,11 +31,11 @@ class Thruster:
     """A propeller or jet on the base: a force u >= 0 on the robot along an axis of a frame.
 
     Args:
-        name: of the input.
-        frame: on the base, whose origin the force passes through.
-        axis: (3,) in the frame's axes, of any length.
-        drag: moment about the axis over the force, N m/N: of a propeller the ratio of its drag to its thrust,
-            negative where it turns counter-clockwise about the axis.
+        name: name of the input.
+        frame: frame on the base; the force passes through its origin.
+        axis: direction of the force (3,) in the frame's axes, of any length.
+        drag: moment about the axis per unit of force, N m/N: the ratio of drag to thrust of a propeller,
+            negative if it turns counter-clockwise about the axis.
         least: smallest force, N.
         most: largest force, N.
 
@@ -59,7 +58,7 @@ class Thruster:
 
     @classmethod
     def from_meta(cls, meta: Any) -> "Thruster":
-        """Thruster of a solution file's description; raises `InputError` where it is not one."""
+        """Thruster from its description in a solution file. Raises `InputError` for a malformed one."""
         require_fields(cls, meta, "a thruster")
         most = math.inf if meta["most"] is None else meta["most"]
         return cls(**{**meta, "axis": tuple(meta["axis"]), "most": most})
@@ -69,7 +68,7 @@ class Thruster:
         return asdict(self) | {"most": self.most if math.isfinite(self.most) else None}
 
     def column(self, model: pin.Model) -> np.ndarray:
-        """Generalised force (nv,) of 1 N. Raises `InputError` unless the frame is on a base that moves."""
+        """Generalised force (nv,) of 1 N. Raises `InputError` unless the frame is on a moving base."""
         kind = base_of(model)
         known = model.existFrame(self.frame)
         if kind not in ("freeflyer", "planar"):
@@ -90,17 +89,20 @@ class Thruster:
 
 
 def least_inputs(limit: np.ndarray, thrusters: Sequence[Thruster]) -> np.ndarray:
-    """Least inputs (nu,) that go with the largest ones ``limit``: of joints their negative."""
+    """Lower bounds (nu,) of the inputs for upper bounds ``limit`` (nu,): ``-limit`` for joints."""
     return np.append(-limit[: len(limit) - len(thrusters)], [thruster.least for thruster in thrusters])
 
 
 @dataclass(frozen=True, eq=False)
 class Actuation:
-    """The map S^T (nv, nu) of a robot; arrays of forces, inputs and rates have them along their last axis.
+    """The map S^T (nv, nu) of a robot; the last axis of arrays runs over forces, inputs or rates.
 
-    rows: of v that have a motor. thrust: (nv, n) columns of thrusters, whose inputs come last. unit: (nv,) N
-    and N m, by which rows of the balance are scaled where there are thrusters. leading: rows (ny,) of joints
-    that follow no other, independent: E (nv, ny) of those that do, see `trajopt.robot.actuators.mimic`.
+    Args:
+        rows: rows of v that have a motor.
+        thrust: columns of the thrusters (nv, n); their inputs come last.
+        unit: scales of the balance (nv,), N and N m, used with thrusters or mimic joints.
+        leading: rows of v (ny,) of joints that follow no other.
+        independent: E (nv, ny) of v = E y, see `trajopt.robot.actuators.mimic`.
     """
 
     rows: np.ndarray
@@ -132,7 +134,7 @@ class Actuation:
 
     @property
     def is_selection(self) -> bool:
-        """Whether inputs are rows of v alone, without thrusters and joints that follow."""
+        """Whether S only selects rows of v: there are no thrusters and no mimic joints."""
         return self.thrust.shape[1] == 0 and len(self.leading) == len(self.unit)
 
     @cached_property
@@ -142,19 +144,19 @@ class Actuation:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """Pseudo-inverse of E^T S^T times E^T (nu, nv), in the scale of the unit."""
+        """Pseudo-inverse of E^T S^T times E^T (nu, nv), with rows scaled by ``unit``."""
         unit = self._unit
         moved = self.independent.T @ self.matrix / unit[:, None]
         return np.asarray((np.linalg.pinv(moved) / unit) @ self.independent.T)
 
     @property
     def _unit(self) -> np.ndarray:
-        """Units (ny,) of the rows that follow no other."""
+        """Units (ny,) of the independent rows."""
         return self.unit[self.leading]
 
     @cached_property
     def balance(self) -> np.ndarray:
-        """Rows (nv - rank, nv) of what no input reaches; dimensionless, or rows of the identity."""
+        """Rows (ny - rank, nv) that no input reaches; scaled by ``unit``, or rows of the identity."""
         if self.is_selection:
             return np.eye(len(self.unit))[self.free]
         unit = self._unit
@@ -164,38 +166,38 @@ class Actuation:
 
     @cached_property
     def coupling(self) -> np.ndarray:
-        """C (nv - ny, nv) of C v = 0, a row for each joint that follows another."""
+        """C (nv - ny, nv) of the constraint C v = 0, with one row for each mimic joint."""
         followers = np.setdiff1d(np.arange(len(self.unit)), self.leading)
         rows = np.eye(len(self.unit))[followers]
         rows[:, self.leading] -= self.independent[followers]
         return rows
 
     def force(self, inputs: np.ndarray) -> np.ndarray:
-        """S^T tau (..., nv) of inputs (..., nu)."""
+        """Generalised forces S^T tau (..., nv) of inputs tau (..., nu)."""
         force = inputs[..., len(self.rows) :] @ self.thrust.T
         force[..., self.rows] += inputs[..., : len(self.rows)]
         return np.asarray(force)
 
     def inputs(self, force: np.ndarray) -> np.ndarray:
-        """Inputs (..., nu) that make a generalised force (..., nv) as far as they can."""
+        """Inputs (..., nu) that produce generalised forces (..., nv), in the least-squares sense."""
         return np.asarray(force[..., self.rows] if self.is_selection else force @ self.inverse.T)
 
     def balanced(self, force: np.ndarray) -> np.ndarray:
-        """What no input makes of a generalised force (..., nv), see `balance`."""
+        """Part of generalised forces (..., nv) that no input can produce, see `balance`."""
         return np.asarray(force[..., self.free] if self.is_selection else force @ self.balance.T)
 
     def unmade(self, force: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-        """What is left (..., nv) of a generalised force that inputs should make; zero where joints follow."""
+        """Residual (..., nv) of the generalised forces that inputs should produce; zero for mimic joints."""
         left = np.zeros(force.shape)
         left[..., self.leading] = (force - self.force(inputs)) @ self.independent
         return left
 
     def rates(self, v: np.ndarray) -> np.ndarray:
-        """Rates (..., nu) of what the inputs push: of joints, and of thrusters along their axes."""
+        """Rates S v (..., nu) conjugate to the inputs: of joints, and of thrusters along their axes."""
         return np.asarray(v[..., self.rows] if self.is_selection else v @ self.matrix)
 
     def balance_unit(self, unit: np.ndarray) -> np.ndarray:
-        """Units of the balance, from those of generalised forces (nv,)."""
+        """Units of the rows of the balance, from those of generalised forces (nv,)."""
         return unit[self.free] if self.is_selection else np.ones(len(self.balance))
 
     def input_unit(self, unit: np.ndarray) -> np.ndarray:

@@ -81,15 +81,15 @@ class Beam:
         return outer - _box_inertia(self.kilograms_per_cubic_metre, (self.length, *self.hole))
 
     def spatial_inertia(self, placement: pin.SE3 | None = None) -> pin.Inertia:
-        """Mass, lever and inertia in the frame in which ``placement`` puts the beam's centre and axes."""
+        """Spatial inertia in the frame in which ``placement`` is the pose of the beam; default its own."""
         inertia = pin.Inertia(self.mass, np.zeros(3), self.inertia)
         return inertia if placement is None else placement.act(inertia)
 
     def between(self, start: ArrayLike, end: ArrayLike) -> pin.Inertia:
-        """Mass, lever and inertia with the beam's axis centred on the line from ``start`` to ``end`` (3,), m.
+        """Spatial inertia of the beam laid along the line from ``start`` to ``end`` (3,), m, at its middle.
 
-        The beam keeps its own length. Its z axis lies in the plane of the line and the frame's z axis (of
-        its x axis, where the line is upright). Raises `InputError` for equal points.
+        The beam keeps its own length. Its z axis lies in the plane of the line and the frame's z axis (or
+        x axis, if the line is vertical). Raises `InputError` for equal points.
         """
         first, last = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
         return self.spatial_inertia(pin.SE3(_axes_along(last - first), (first + last) / 2))

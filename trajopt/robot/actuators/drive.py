@@ -1,12 +1,12 @@
 """Drives: a motor behind a gear on one joint, and the joint's resulting limits and inertia.
 
 Names with ``motor_`` (and the fields that say so) are on the motor side, at the motor's shaft; everything
-else is on the joint side. With the gear ratio n (motor turns per joint turn), of a gear without losses,
+else is on the joint side. For a lossless gear with ratio n (motor turns per joint turn),
 
     motor_speed = n rate,    motor_torque = torque / n,    reflected inertia = n^2 I_r
 
-(Spong, Hutchinson, Vidyasagar, Robot Modeling and Control, 2006, sec. 6.2 and 7.5). A prismatic joint
-has forces, N, and rates, m/s, and a ratio in rad/m.
+(Spong, Hutchinson, Vidyasagar, Robot Modeling and Control, 2006, sec. 6.2 and 7.5). For a prismatic joint
+forces are in N, rates in m/s and the ratio in rad/m.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from trajopt.errors import InputError, require_positive, shown
 
 Quantity = TypeVar("Quantity", float, np.ndarray, ca.SX)
 
-# Joint speed over which smoothed Coulomb friction rises to tanh(1) = 76 %: a hundredth of what legs
-# and arms reach, rad/s.
+# Joint speed, rad/s, at which smoothed Coulomb friction reaches tanh(1) = 76 %: a hundredth of the speeds
+# that legs and arms reach.
 COULOMB_SPEED = 0.1
 
 
@@ -34,21 +34,21 @@ COULOMB_SPEED = 0.1
 class Drive:
     """A motor and its gear on one joint of one degree of freedom.
 
-    From V = R i + k_e omega with |V| <= V_max follows the voltage line |tau_m / stall_torque + omega_m /
-    no_load_speed| <= 1 (Hughes and Drury, Electric Motors and Drives, 2013, sec. 3.4).
+    The motor equation V = R i + k_e omega with |V| <= V_max gives the voltage line |tau_m / stall_torque +
+    omega_m / no_load_speed| <= 1 (Hughes and Drury, Electric Motors and Drives, 2013, sec. 3.4).
 
     Args:
-        gear_ratio: n, motor turns per joint turn; negative where they turn against each other, never zero.
-        rotor_inertia: of the rotor about its axis, motor side, kg m^2; 0 leaves the model's armature.
-        viscous_friction: joint side, N m s/rad.
-        coulomb_friction: joint side, N m, smoothed as tanh(rate / coulomb_speed).
-        coulomb_speed: joint side, rad/s.
-        torque_limit: motor side, N m: torque at the largest current.
-        stall_torque: motor side, N m: where the voltage line meets the axis of torque.
-        no_load_speed: motor side, rad/s: where the voltage line meets the axis of speed.
+        gear_ratio: n, motor turns per joint turn; negative if they turn in opposite directions, never zero.
+        rotor_inertia: inertia of the rotor about its axis, motor side, kg m^2; 0 keeps the model's armature.
+        viscous_friction: viscous friction, joint side, N m s/rad.
+        coulomb_friction: Coulomb friction, joint side, N m, smoothed as tanh(rate / coulomb_speed).
+        coulomb_speed: speed scale of the smoothing, joint side, rad/s.
+        torque_limit: torque at the largest current, motor side, N m.
+        stall_torque: torque at which the voltage line meets zero speed, motor side, N m.
+        no_load_speed: speed at which the voltage line meets zero torque, motor side, rad/s.
 
     Raises:
-        InputError: for a ratio of zero, NaN, negative friction or inertia, limits not above zero.
+        InputError: for a gear ratio of zero, NaN, negative friction or inertia, or limits not above zero.
     """
 
     gear_ratio: float
@@ -84,15 +84,15 @@ class Drive:
     ) -> Drive:
         """Drive of a motor with ``V = R i + k_e omega`` and ``tau_m = k_t i``, all on the motor side.
 
-        For three phases, in amplitudes, k_t = 3/2 k_e, and the voltage is the largest phase amplitude.
+        For a three-phase motor in amplitudes, k_t = 3/2 k_e and the voltage is the largest phase amplitude.
 
         Args:
             gear_ratio: n, motor turns per joint turn.
-            voltage: the largest, V.
+            voltage: largest voltage, V.
             resistance: R, ohm.
             torque_constant: k_t, N m/A.
             back_emf_constant: k_e, V s/rad; default k_t, as for a direct-current motor.
-            current_limit: the largest, A.
+            current_limit: largest current, A.
             others: further fields of `Drive`.
 
         Raises:
@@ -117,7 +117,7 @@ class Drive:
 
     @classmethod
     def from_meta(cls, meta: Any) -> Drive:
-        """Drive of a solution file's description; raises `InputError` where it is not one."""
+        """Drive from its description in a solution file. Raises `InputError` for a malformed one."""
         names = {field.name for field in fields(cls)}
         if not isinstance(meta, Mapping) or not set(meta) <= names or "gear_ratio" not in meta:
             raise InputError("a drive in meta is not an object of its fields", ", ".join(sorted(names)))
@@ -143,23 +143,23 @@ class Drive:
         return self.no_load_speed / abs(self.gear_ratio)
 
     def motor_torque(self, torque: Quantity) -> Quantity:
-        """Motor torque, N m, of a torque that the drive delivers to the joint."""
+        """Motor torque, N m, for a torque delivered to the joint."""
         return torque / self.gear_ratio
 
     def motor_speed(self, rate: Quantity) -> Quantity:
-        """Motor speed, rad/s, of a joint rate."""
+        """Motor speed, rad/s, at a joint rate."""
         return self.gear_ratio * rate
 
     def friction_torque(self, rate: Quantity) -> Quantity:
-        """Joint friction that the drive has to overcome, N m, joint side: of the sign of ``rate``."""
+        """Friction that the drive has to overcome, N m, joint side, with the sign of ``rate``."""
         share = rate / self.coulomb_speed
         direction = ca.tanh(share) if isinstance(share, ca.SX) else np.tanh(share)
         return self.viscous_friction * rate + self.coulomb_friction * direction
 
     def voltage_use(self, torque: Quantity, rate: Quantity) -> Quantity:
-        """Voltage over the largest voltage, tau_m / stall_torque + omega_m / no_load_speed, in -1 to 1.
+        """Voltage relative to the largest, tau_m / stall_torque + omega_m / no_load_speed; allowed -1 to 1.
 
-        ``torque`` N m and ``rate`` rad/s on the joint side; zero without a voltage line.
+        ``torque``, N m, and ``rate``, rad/s, are on the joint side; zero without a voltage line.
         """
         return self.motor_torque(torque) / self.stall_torque + self.motor_speed(rate) / self.no_load_speed
 

@@ -1,10 +1,10 @@
-"""Forces of joints on themselves: springs, damping, dry friction; and springs in series with a motor.
+"""Passive joint forces: springs, damping and dry friction; and springs in series with a motor.
 
     f(q, v) = -k (q - q_0) - d v - c tanh(v / v_s)            M a + h = S^T tau + J^T w + f
 
-with q and v of a joint with one degree of freedom (Featherstone, Rigid Body Dynamics Algorithms, 2008, sec.
+with q and v of a joint of one degree of freedom (Featherstone, Rigid Body Dynamics Algorithms, 2008, sec.
 3.6; Andersson, Soederberg, Bjoerklund, Tribology International 40, 2007, for friction that is smooth in v).
-Torques are those of the actuators: a spring carries its part of the load beside them.
+The torques tau are those of the actuators alone; a spring in parallel carries its share of the load.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ from trajopt.dynamics.rerooting import Body, copy_bodies, joint_motion
 from trajopt.errors import InputError, UnsupportedJointError, require_fields
 from trajopt.robot.actuators.drive import COULOMB_SPEED
 
-# Ending of the name of a series spring's joint.
+# Suffix of the name of a series spring's joint.
 SPRING = "_spring"
 
 
@@ -31,12 +31,12 @@ class JointForce:
     """A spring, damping and dry friction at a joint of one degree of freedom.
 
     Args:
-        joint: name.
-        stiffness: k, N m/rad or N/m; of joints with one coordinate.
-        rest: q_0, where the spring is at rest, rad or m.
+        joint: name of the joint.
+        stiffness: k, N m/rad or N/m; only for joints with one coordinate.
+        rest: q_0, position at which the spring is unloaded, rad or m.
         damping: d, N m s/rad or N s/m.
         dry_friction: c, N m or N.
-        dry_speed: v_s, at which dry friction is 76 % of c, rad/s or m/s.
+        dry_speed: v_s, speed at which dry friction reaches 76 % of c, rad/s or m/s.
     """
 
     joint: str
@@ -48,7 +48,7 @@ class JointForce:
 
     @classmethod
     def from_meta(cls, meta: Any) -> "JointForce":
-        """The one of a solution file's description; raises `InputError` where it is not one."""
+        """Joint force from its description in a solution file. Raises `InputError` for a malformed one."""
         require_fields(cls, meta, "a joint's force")
         return cls(**meta)
 
@@ -57,7 +57,7 @@ class JointForce:
         return asdict(self)
 
     def entries(self, model: pin.Model) -> tuple[int, int]:
-        """Its joint's entry in q and row of v. Raises `InputError`."""
+        """Index of the joint in q, and in v. Raises `InputError`."""
         if not model.existJointName(self.joint):
             raise InputError(
                 f"joint '{self.joint}' of a force is unknown", "one of " + ", ".join(list(model.names)[1:])
@@ -69,7 +69,7 @@ class JointForce:
         return int(joint.idx_q), int(joint.idx_v)
 
     def symbol(self, position: ca.SX, rate: ca.SX | None) -> ca.SX:
-        """The force at a position and a rate; None where rates do not count."""
+        """Symbolic force at a position and a rate; with ``rate=None``, that of the spring alone."""
         force = -self.stiffness * (position - self.rest)
         if rate is not None:
             force -= self.damping * rate + self.dry_friction * ca.tanh(rate / self.dry_speed)
@@ -77,7 +77,7 @@ class JointForce:
 
 
 def joint_force(model: pin.Model, forces: Sequence[JointForce], q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Forces (..., nv) at configurations (..., nq) and velocities (..., nv)."""
+    """Passive forces (..., nv) at configurations (..., nq) and velocities (..., nv)."""
     total = np.zeros(np.shape(v))
     for force in forces:
         place, row = force.entries(model)
@@ -90,7 +90,7 @@ def joint_force(model: pin.Model, forces: Sequence[JointForce], q: np.ndarray, v
 def described_forces(
     model: pin.Model, springs: Mapping[str, tuple[float, float]] = MappingProxyType({})
 ) -> tuple[JointForce, ...]:
-    """Damping and dry friction of a model's joints of one degree of freedom, and ``springs`` by joint."""
+    """Damping, dry friction and ``springs`` (stiffness, rest by joint) of joints of one degree of freedom."""
     forces = []
     for joint in list(model.joints)[1:]:
         if joint.nv == 1:
@@ -104,10 +104,10 @@ def described_forces(
 
 
 def with_spring_joints(model: pin.Model, joints: Sequence[str]) -> pin.Model:
-    """Return a model with a joint of the same axis behind each of ``joints``, which carries its link.
+    """Return a model with a spring joint behind each of ``joints``, with the same axis; it carries the link.
 
-    Its position is the deflection of the spring: that of the link minus that of the gear. What stays on the
-    gear's side is the reflected inertia of the rotor, the armature. Raises `InputError`.
+    Its position is the deflection of the spring: position of the link minus position of the gear. Only the
+    reflected inertia of the rotor, the armature, stays on the gear's side. Raises `InputError`.
     """
     new = pin.Model()
     new.name, new.gravity = model.name, model.gravity

@@ -1,4 +1,4 @@
-"""Joints that follow others: a gripper's second finger, coupled axes.
+"""Mimic joints: followers that move with a leader, such as a gripper's second finger or coupled axes.
 
     q_j = r q_i + c,      v = E y with the independent rates y,      E^T (M a + h - S^T tau - J^T f) = 0
 
@@ -19,12 +19,12 @@ from trajopt.errors import InputError, UnsupportedJointError, require_fields
 @checked
 @dataclass(frozen=True, kw_only=True)
 class MimicJoint:
-    """A joint that follows another; both have one coordinate.
+    """A follower and its leader, both joints of one coordinate.
 
     Args:
-        joint: name of the one that follows.
-        mimics: name of the one it follows, which is independent.
-        ratio: r, of their positions and rates.
+        joint: name of the follower.
+        mimics: name of the leader, which follows no other joint.
+        ratio: r, ratio of their positions and rates.
         offset: c, rad or m.
     """
 
@@ -35,7 +35,7 @@ class MimicJoint:
 
     @classmethod
     def from_meta(cls, meta: Any) -> "MimicJoint":
-        """The one of a solution file's description; raises `InputError` where it is not one."""
+        """Mimic joint from its description in a solution file. Raises `InputError` for a malformed one."""
         require_fields(cls, meta, "a mimic joint")
         return cls(**meta)
 
@@ -44,7 +44,7 @@ class MimicJoint:
         return asdict(self)
 
     def joints(self, model: pin.Model) -> tuple[Any, Any]:
-        """The joint that follows and the one it follows. Raises `InputError`."""
+        """Pinocchio's joints of the follower and its leader. Raises `InputError`."""
         for name in (self.joint, self.mimics):
             if not model.existJointName(name):
                 known = ", ".join(list(model.names)[1:])
@@ -55,7 +55,7 @@ class MimicJoint:
         return tuple(model.joints[model.getJointId(name)] for name in (self.joint, self.mimics))
 
     def swapped(self) -> "MimicJoint":
-        """The same rule, of a ratio other than 0, with the other joint following."""
+        """The same rule with leader and follower swapped; the ratio must not be 0."""
         return MimicJoint(
             joint=self.mimics,
             mimics=self.joint,
@@ -64,13 +64,13 @@ class MimicJoint:
         )
 
     def apart(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
-        """How far (...,) the joint is from where it has to be at configurations (..., nq), rad or m."""
+        """Error q_j - r q_i - c (...,) of the rule at configurations (..., nq), rad or m."""
         joint, leader = self.joints(model)
         return np.asarray(q[..., joint.idx_q] - self.ratio * q[..., leader.idx_q] - self.offset)
 
 
 def require_mimics(robot: str, model: pin.Model, mimics: Sequence[MimicJoint]) -> None:
-    """Raise `InputError` for joints that follow two others, themselves, or one that follows."""
+    """Raise `InputError` for a joint that follows two leaders, itself, or another follower."""
     followers = [mimic.joint for mimic in mimics]
     for mimic in mimics:
         mimic.joints(model)
@@ -82,7 +82,7 @@ def require_mimics(robot: str, model: pin.Model, mimics: Sequence[MimicJoint]) -
 
 
 def followed(model: pin.Model, mimics: Sequence[MimicJoint], q: np.ndarray) -> np.ndarray:
-    """A configuration (nq,) with the joints that follow where they have to be."""
+    """The configuration ``q`` (nq,) with every follower set from its leader."""
     q = np.array(q, dtype=float)
     for mimic in mimics:
         joint, leader = mimic.joints(model)
@@ -91,7 +91,7 @@ def followed(model: pin.Model, mimics: Sequence[MimicJoint], q: np.ndarray) -> n
 
 
 def independent_rates(model: pin.Model, mimics: Sequence[MimicJoint]) -> np.ndarray:
-    """E (nv, ny) of v = E y, whose columns are those of the rows that follow no other."""
+    """E (nv, ny) of v = E y, with a column for each row of v that follows no other."""
     whole = np.eye(model.nv)
     rows = []
     for mimic in mimics:

@@ -1,4 +1,4 @@
-"""Drives on a robot: which joint has which, and the resulting model and limits."""
+"""Drives assigned to the joints of a robot, and the resulting model and limits."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,11 +19,11 @@ def drive_fields(
     """Return the fields of a robot that drives change: model, torque_limit, velocity_limit and drives.
 
     Args:
-        model: of the robot without them; not changed.
-        rows: of v of each input (nu,), -1 of a thruster.
-        effort: limits (nu,), N m or N, or None.
-        velocity: limits (nv,), rad/s or m/s.
-        drives: one or None for each actuated row (nu), see `Robot.with_drives`.
+        model: model of the robot without drives; not changed.
+        rows: row of v of each input (nu,), -1 for a thruster.
+        effort: torque limits (nu,), N m or N, or None.
+        velocity: velocity limits (nv,), rad/s or m/s.
+        drives: a drive or None for each input (nu), see `Robot.with_drives`.
     """
     model = pin.Model(model)
     armature, gear, rotor = (
@@ -56,10 +56,10 @@ def drives_by_row(
     present: Drives,
     given: Mapping[str, Drive | None] | Sequence[Drive | None],
 ) -> Drives:
-    """Return a drive or None for each actuated row (nu): a mapping changes joints, a sequence states all.
+    """Return a drive or None for each input (nu): a mapping changes named joints, a sequence replaces all.
 
-    ``robot`` is its name, ``actuated`` (nu,) are the rows of v of its inputs, ``present`` (nu) the drives
-    it has. Raises `InputError`.
+    ``robot`` is the robot's name, ``actuated`` (nu,) the row of v of each input, and ``present`` (nu) its
+    current drives. Raises `InputError`.
     """
     chosen: Drives = tuple(present)
     if not isinstance(given, Mapping):
@@ -74,7 +74,7 @@ def drives_by_row(
 
 
 def _row(robot: str, model: pin.Model, actuated: np.ndarray, name: str) -> int:
-    """Place among the actuated rows of the joint of that name."""
+    """Index among the actuated rows of the joint of that name."""
     known = [model.names[joint.id] for joint in list(model.joints)[1:] if joint.idx_v in actuated]
     if name not in known:
         raise InputError(f"robot '{robot}' has no actuated joint '{name}'", "one of " + ", ".join(known))
@@ -85,7 +85,7 @@ def _row(robot: str, model: pin.Model, actuated: np.ndarray, name: str) -> int:
 
 
 def require_drives(robot: str, model: pin.Model, actuated: np.ndarray, drives: Drives) -> None:
-    """Raise `InputError` unless ``drives`` are one or None for each of the ``actuated`` rows (nu,)."""
+    """Raise `InputError` unless ``drives`` has a drive or None for each of the ``actuated`` rows (nu,)."""
     nu = len(actuated)
     foreign = [type(entry).__name__ for entry in drives if not (entry is None or isinstance(entry, Drive))]
     if foreign or len(drives) != nu:
@@ -104,7 +104,7 @@ def require_drives(robot: str, model: pin.Model, actuated: np.ndarray, drives: D
 
 
 def drive_torque(drives: Drives | None, torque: ca.SX, rates: ca.SX) -> ca.SX:
-    """Torque (nu,) that the drives deliver, joint side: the actuated rows plus joint friction."""
+    """Torque (nu,) that the drives deliver, joint side: that of the actuated rows plus joint friction."""
     if drives is None or not any(_has_friction(drive) for drive in drives):
         return torque
     return torque + ca.vertcat(
@@ -116,7 +116,7 @@ def drive_torque(drives: Drives | None, torque: ca.SX, rates: ca.SX) -> ca.SX:
 
 
 def drive_torque_values(drives: Drives, torque: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """The same for samples: torque (K, nu), rates of the actuated rows (K, nu)."""
+    """Numeric `drive_torque` of samples: torques (K, nu) and rates (K, nu) of the actuated rows."""
     friction = [
         np.zeros(len(rates)) if drive is None else drive.friction_torque(rates[:, row])
         for row, drive in enumerate(drives)
@@ -127,10 +127,10 @@ def drive_torque_values(drives: Drives, torque: np.ndarray, rates: np.ndarray) -
 def actuated_row_limit(
     drives: Drives | None, effort: np.ndarray | None, rates: np.ndarray
 ) -> np.ndarray | None:
-    """Bound (nu,) on the actuated rows that follows from an torque limit (nu,) of the drives, N m.
+    """Bound (nu,) on the actuated rows, N m, that follows from a torque limit (nu,) of the drives.
 
-    Friction helps a drive to brake: actuated rows may exceed what it delivers by the friction at the
-    joint's velocity limit, ``rates`` (nu,) rad/s.
+    Friction helps a drive to brake. An actuated row may therefore exceed the drive's torque by the friction
+    at the joint's velocity limit, ``rates`` (nu,) rad/s.
     """
     if effort is None or drives is None:
         return effort

@@ -1,15 +1,15 @@
 """Minimal coordinates: a floating robot on one point contact as a fixed-base robot.
 
-"Look at these contact configurations as different fixed-base robots": while a foot stands, the robot is
-a tree that is rooted there. Its coordinates are the ankle (the orientation of the foot's link), the joints
-up to the base, and the other limbs; the contact needs neither rows nor forces. The ankle has no motor.
+"Look at these contact configurations as different fixed-base robots": while a foot stands, the robot is a
+tree rooted at that foot. Its coordinates are the ankle (the orientation of the foot's link), the joints up to
+the base, and the other limbs. The contact needs neither rows nor forces, and the ankle has no motor.
 
     mode = stance_mode(robot, "foot")       mode.robot        the fixed-base robot of the stance
     mode.lift(q, v, a, foothold)            stance    -> floating (q, v, a)
     mode.drop(q, v, a)                      floating  -> stance (q, v, a) and foothold
     mode.reaction(q, v, a)                  ground reaction force, from Newton's law of the whole robot
 
-All three are `casadi.Function` of SX; ``lifted``, ``dropped`` and ``ground_reaction`` take and give arrays.
+All three are `casadi.Function` of SX; ``lifted``, ``dropped`` and ``ground_reaction`` are the numeric forms.
 """
 
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.stance_maps import drop_map, lift_map, symbols
 
-# Sines of angles between the axes of joints that move in one plane: rounding of description files.
+# Largest sine of the angle between axes that count as parallel: rounding in description files.
 PARALLEL = 1e-6
 
 
@@ -41,15 +41,15 @@ PARALLEL = 1e-6
 class StanceMode:
     """A floating or planar robot on one point contact, in minimal coordinates; made by `stance_mode`.
 
-    The contact is embedded in the coordinates instead of constrained by rows. A ``foothold`` (3,) is where it
-    is in the world, m. The model is rooted at ``anchor``; another foothold displaces the floating robot and
-    changes nothing else (a planar robot is not displaced out of its plane).
+    The contact is embedded in the coordinates instead of constrained by rows. A ``foothold`` (3,) is its
+    position in the world, m. The model is rooted at ``anchor``; another foothold displaces the floating robot
+    and changes nothing else (a planar robot is not displaced out of its plane).
 
     Args:
         floating: the whole robot.
         contact: name of the contact it stands on.
         robot: the fixed-base robot of the stance, with the other contacts; its first joint is the ankle.
-        anchor: where the ankle is in the world (3,), m.
+        anchor: position of the ankle in the world (3,), m.
     """
 
     floating: Robot
@@ -69,11 +69,11 @@ class StanceMode:
 
     @cached_property
     def drop(self) -> ca.Function:
-        """``(q, v, a) -> (q, v, a, foothold)`` of the stance: what lift inverts if the contact stands still.
+        """``(q, v, a) -> (q, v, a, foothold)`` of the stance: the inverse of lift for a contact at rest.
 
         The contact point's own velocity and acceleration cannot be expressed in stance coordinates and are
-        lost. The ankle of a planar robot jumps by a turn where the base's pitch passes half a turn; rows of a
-        transition are smooth when written with ``lift``.
+        lost. The ankle angle of a planar robot jumps by a turn where the base's pitch passes half a turn;
+        write the rows of a transition with ``lift``, which is smooth.
         """
         return drop_map(self.robot.model, self.floating, self.embedded.frame)
 
@@ -88,7 +88,7 @@ class StanceMode:
 
     @cached_property
     def torque_rows(self) -> np.ndarray:
-        """Rows (nu,) of the floating robot's torques in the order of the stance robot's."""
+        """Indices (nu,) of the stance robot's torques among those of the floating robot."""
         _, rows = joint_entries(self.floating.model, list(self.robot.model.names)[2:])
         actuated = self.floating.actuated_rows
         return np.searchsorted(actuated, rows[np.isin(rows, actuated)])
@@ -147,7 +147,7 @@ def stance_mode(
     Args:
         robot: a robot with a floating or planar base.
         contact: name of the contact.
-        anchor: where the contact stands in the world (3,), m; default its place in the reference posture.
+        anchor: position of the contact in the world (3,), m; default that in the reference posture.
 
     Raises:
         InputError: for a base other than "freeflyer" or "planar", a sole, a contact that is not on a limb of
@@ -174,7 +174,7 @@ def stance_mode(
 
 
 def _require_plane(robot: Robot, contact: Contact) -> None:
-    """Refuse joints from base to contact that leave the plane: the foot must turn about a point in it."""
+    """Raise `InputError` if a joint from base to contact leaves the plane, in which the foot must turn."""
     model = robot.model
     data = model.createData()
     pin.forwardKinematics(model, data, robot.reference)

@@ -1,8 +1,8 @@
 """Maps between the coordinates of a stance and those of the floating robot, as functions of SX.
 
-The stance model is the floating one re-rooted (`rerooting`): its first joint is the ankle, the others are
-joints of the floating model and keep their names and coordinates. So the maps copy those, and compute the
-base from the ankle or the ankle from the base by kinematics.
+The stance model is the floating model re-rooted (`rerooting`). Its first joint is the ankle; the others are
+joints of the floating model with the same names and coordinates. The maps copy those coordinates, and compute
+the base from the ankle, or the ankle from the base, by kinematics.
 """
 
 import casadi as ca
@@ -24,7 +24,7 @@ def symbols(model: pin.Model) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def lift_map(stance: pin.Model, floating: Robot, anchor: np.ndarray) -> ca.Function:
-    """``(q, v, a, foothold) -> (q, v, a)``: stance to floating, the contact at ``foothold`` (3,) m."""
+    """``(q, v, a, foothold) -> (q, v, a)``: stance to floating, with the contact at ``foothold`` (3,) m."""
     model = floating.model
     q, v, a = symbols(stance)
     foothold = ca.SX.sym("foothold", 3)
@@ -83,7 +83,7 @@ def drop_map(stance: pin.Model, floating: Robot, frame: str) -> ca.Function:
     model = floating.model
     q, v, a = symbols(model)
     _, foothold = rigid_body.frame_placement(model, frame)(q)
-    # The frame's axes as seen from the ankle's, the same at every posture.
+    # The frame's axes relative to the ankle's, the same in every posture.
     held = stance.frames[stance.getFrameId(frame)].placement.rotation
     rate = ca.mtimes(ca.DM(held), rigid_body.frame_velocity(model, frame, "local")(q, v)[3:])
     change = ca.mtimes(ca.DM(held), rigid_body.frame_acceleration(model, frame, "local")(q, v, a)[3:])

@@ -1,1 +1,1 @@
-"""Many cases of a problem, solved on any executor, with their solutions and an index of them in a folder."""
+"""Batches: many cases of a problem, solved on any executor, with solutions and their index in a folder."""

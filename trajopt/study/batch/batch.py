@@ -1,4 +1,4 @@
-"""Solve many cases on any executor."""
+"""Solving of many cases on any executor."""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
@@ -27,23 +27,23 @@ def batch(
     on_row: Callable[[dict[str, Any]], object] | None = None,
     **settings: Any,
 ) -> BatchDataset:
-    """Solve many cases; results are written to a folder as they come, and depend on the cases alone.
+    """Solve many cases; results are written to a folder as they arrive, and depend only on the cases.
 
     Args:
-        cases: problems with values of their parameters, as of `trajopt.study.batch_cases`.
-        folder: a new or an empty one, or with ``resume`` that of the same cases.
+        cases: problems with values of their parameters, such as from `trajopt.study.batch_cases`.
+        folder: new or empty; with ``resume``, that of the same cases.
         executor: any of `concurrent.futures`, such as that of a Dask client; default: processes on this
-            machine. A case runs in a process that does no other at that time, where its worker runs.
-        jobs: of these processes; default: one for each processor.
-        resume: go on with a batch that was ended; cases that were lost or not saved are run again.
+            machine. While it runs, a case has a process of its worker to itself.
+        jobs: number of these processes; default: one per processor.
+        resume: continue an interrupted batch; cases that were lost or not saved are run again.
         on_row: called with every row of the index as it is written.
-        **settings: those of `trajopt.study.BatchSettings`.
+        **settings: fields of `trajopt.study.BatchSettings`.
 
     Returns:
         The batch as data.
 
     Raises:
-        InputError: for cases, settings or a folder that are not allowed, or where the executor breaks down.
+        InputError: for invalid cases, settings or folders, or if the executor breaks down.
     """
     known = checked_cases(cases)
     chosen = BatchSettings(**settings)

@@ -1,4 +1,4 @@
-"""Columns of a batch's index: the case, its parameters, its figures."""
+"""Columns of the index of a batch: the case, its parameters, its figures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from trajopt.versions import optional_package
 if TYPE_CHECKING:
     import pyarrow as pa
 
-# Figures by column, with the names of their types in PyArrow.
+# Columns of figures, with the names of their PyArrow types.
 FIGURES = {
     "success": "bool_",
     "status": "string",
@@ -37,14 +37,14 @@ FIRST = ("case", "problem")
 
 
 def arrow() -> Any:
-    """PyArrow, with its Parquet; raises one line that names the extra."""
+    """PyArrow with its Parquet module; if it is missing, raises an `InputError` that names the extra."""
     for name in ("pyarrow.parquet", "pyarrow"):
         package = optional_package(name, what="the index of a batch", extra="batch")
     return package
 
 
 def parameter_columns(cases: Iterable[BatchCase]) -> dict[str, bool]:
-    """Columns of all parameters of the cases, with whether they hold words."""
+    """Columns of all parameters of the cases, and whether each holds words."""
     columns: dict[str, bool] = {}
     for case in cases:
         for name, value in case.values.items():
@@ -53,12 +53,12 @@ def parameter_columns(cases: Iterable[BatchCase]) -> dict[str, bool]:
 
 
 def column_of(name: str) -> str:
-    """The column of a parameter: its name, unless a figure has it."""
+    """The column of a parameter: its name, with a prefix if another column has it."""
     return f"parameter_{name}" if name in FIGURES or name in FIRST else name
 
 
 def schema(words: Mapping[str, bool]) -> pa.Schema:
-    """Names and types of all columns, with the parameters of `parameter_columns`."""
+    """Names and types of all columns, with the parameters from `parameter_columns`."""
     pyarrow = arrow()
     parameters = [
         (column_of(name), pyarrow.string() if word else pyarrow.float64()) for name, word in words.items()
@@ -68,7 +68,7 @@ def schema(words: Mapping[str, bool]) -> pa.Schema:
 
 
 def row_of(index: int, case: BatchCase, figures: dict[str, Any], words: Mapping[str, bool]) -> dict[str, Any]:
-    """A row of the index."""
+    """One row of the index."""
     values = {
         column_of(name): str(value) if words[name] else float(value) for name, value in case.values.items()
     }

@@ -1,4 +1,4 @@
-"""A batch on disk as data: its index, and its solutions one by one."""
+"""A batch on disk as data: its index and its solutions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class BatchEntry:
     """A case with its row.
 
-    case: problem and parameters. figures: the row of the index by column. file: of its solution, or None.
+    case: problem and parameters. figures: row of the index by column. file: of its solution, or None.
     """
 
     case: BatchCase
@@ -39,9 +39,9 @@ class BatchEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class BatchDataset:
-    """A batch in a folder, as far as it has run; iterates over its solved cases, in their order.
+    """A batch in a folder, finished or not; iterates over its solved cases, in order.
 
-    folder: where it is. cases: all of them. index: a `pyarrow.Table` with a row for each that is done.
+    folder: its path. cases: all of them. index: a `pyarrow.Table` with one row per case that is done.
     """
 
     folder: Path
@@ -56,7 +56,7 @@ class BatchDataset:
 
     @property
     def parameters(self) -> list[str]:
-        """Columns of parameters."""
+        """Names of the columns of parameters."""
         return [name for name in self.index.column_names if name not in FIGURES and name not in FIRST]
 
     def entries(self) -> Iterator[BatchEntry]:
@@ -69,7 +69,7 @@ class BatchDataset:
 
 @checked
 def dataset(folder: str | Path) -> BatchDataset:
-    """The batch in a folder, finished or not, also while it runs.
+    """Load the batch in a folder, even while it runs.
 
     Args:
         folder: of `trajopt.batch` or ``trajopt batch --out``.

@@ -1,4 +1,4 @@
-"""The loop of a batch: cases go to an executor as their starts are known, and their rows to the folder."""
+"""The loop of a batch: submits cases once their starts are known, and writes their rows to the folder."""
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -12,7 +12,7 @@ from trajopt.study.batch.solved_case import BatchSettings, CaseResult, solve_cas
 from trajopt.study.batch.variation import BatchCase
 from trajopt.study.runner import DONE, Ended, TimedCall, run_tasks
 
-# A case whose process was lost is run again, up to so many times in all.
+# Most attempts at a case whose process is lost.
 MOST_ATTEMPTS = 3
 
 
@@ -26,12 +26,12 @@ def run_batch(
     check: Callable[[], object] = bool,
     show: Callable[[Collection[str]], object] = len,
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of all cases without one, as they are written.
+    """Solve all cases without a row, and yield their rows as they are written.
 
-    Takes all cases of the batch, how they are solved, its folder, and what `run_tasks` takes.
+    Takes all cases of the batch, their settings, the records of its folder, and arguments of `run_tasks`.
 
     Raises:
-        InputError: where the executor has broken down, or no row can be written.
+        InputError: if the executor breaks down, or a row cannot be written.
     """
     queue = _Queue(cases, settings, records)
     starts: dict[int, int | None] = {}
@@ -62,7 +62,7 @@ class _Queue:
         for index in self._tree.order if self._tree else range(len(cases)):
             if index in self._solved:
                 continue
-            # Of all ancestors, not the parent alone: one that was lost is run again after its descendants.
+            # All ancestors count, not only the parent: a lost one is run again after its descendants.
             above = self._tree.ancestors(index) if self._tree else []
             missing = next((other for other in above if other not in self._solved), None)
             if missing is None:
@@ -71,12 +71,12 @@ class _Queue:
                 self._children.setdefault(missing, []).append(index)
 
     def start(self, index: int) -> int | None:
-        """The case from which a case starts, None for its default guess."""
+        """The case from whose solution a case starts; None for its default guess."""
         above = self._tree.nearest(index) if self._tree else []
         return next((other for other in above if self._solved.get(other)), None)
 
     def done(self, index: int) -> None:
-        """A case has its row: those that wait for it can run."""
+        """Release the cases that wait for this one, which has its row."""
         self.waiting.extend(self._children.pop(index, ()))
 
 
@@ -89,9 +89,9 @@ Words = tuple[tuple[str, str], ...]
 
 
 class StartTree:
-    """The trees of all groups of cases that differ in numbers alone.
+    """One tree of starts for each group of cases that differ only in numbers.
 
-    parents: of each case, None for a root. order: of the cases, parents before children, by levels.
+    parents: of each case; None for a root. order: of the cases, parents before children, level by level.
     """
 
     def __init__(self, cases: Sequence[BatchCase]) -> None:
@@ -107,7 +107,7 @@ class StartTree:
         self.order = [index for level in levels for index in sorted(level)]
 
     def ancestors(self, index: int) -> list[int]:
-        """The parent of a case, its parent and so on up to the root."""
+        """The parent of a case, its grandparent, and so on up to the root."""
         ancestors: list[int] = []
         above = self.parents[index]
         while above is not None:
@@ -116,17 +116,17 @@ class StartTree:
         return ancestors
 
     def nearest(self, index: int) -> list[int]:
-        """The ancestors of a case, the nearest first; of those as near, the lower in the tree."""
+        """The ancestors of a case, nearest first; of equally near ones, the lower in the tree first."""
         point, ancestors = self._points[index], self.ancestors(index)
         return sorted(ancestors, key=lambda other: float(np.linalg.norm(self._points[other] - point)))
 
     def _grow(self, members: np.ndarray, levels: list[list[int]]) -> None:
-        """Split cases at the median of their widest axis: the parent of the medians of both halves."""
+        """Split cases at the median of their widest axis: it is the parent of the medians of both halves."""
         waiting: list[tuple[np.ndarray, int | None, int]] = [(members, None, 0)]
         while waiting:
             part, parent, depth = waiting.pop()
             points = np.array([self._points[i] for i in part])
-            # Ties are broken by the other axes and by number: the tree depends on the cases alone.
+            # Other axes and case numbers break ties, so that the tree depends only on the cases.
             keys = [part]
             if points.shape[1]:
                 widest = int(np.argmax(np.ptp(points, axis=0)))
@@ -152,6 +152,6 @@ def _groups(cases: Sequence[BatchCase]) -> list[list[int]]:
 
 
 def _scaled(points: np.ndarray) -> np.ndarray:
-    """Points (n, d) in the unit cube of their ranges."""
+    """Points (n, d) scaled to the unit cube of their ranges."""
     size = np.ptp(points, axis=0)
     return np.asarray((points - points.min(axis=0)) / np.where(size > 0, size, 1.0))

@@ -1,4 +1,4 @@
-"""Where a batch fails: its cases over each pair of parameters that vary, by outcome."""
+"""Plot of where a batch fails: its cases over each pair of parameters that vary, by outcome."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FILE = "failures.png"
-# Pairs of parameters that are drawn.
+# Most pairs of parameters in the plot.
 MOST_PAIRS = 6
 SIDE, DOTS = 4.6, 130
 SOLVED = "#0b5394"
-# Colours of statuses that are not solved, the most frequent first.
+# Colours of failure statuses, most frequent first.
 FAILED = ("#cc0000", "#e69138", "#6a329f", "#38761d", "#7f6000", "#444444")
 
 
 def plot_failures(table: pa.Table, parameters: list[str], title: str, folder: Path) -> Path | None:
-    """Write the plot; None where no parameter varies. Raises `InputError` if it cannot be written."""
+    """Write the plot; None if no parameter varies. Raises `InputError` if it cannot be written."""
     names = varied(table, parameters)
     if not names:
         return None
@@ -67,7 +67,7 @@ def _points(axes: Axes, table: pa.Table, x: str, y: str) -> None:
 
 
 def _numbers(axes: Axes, table: pa.Table, name: str, axis: str) -> np.ndarray:
-    """Values of a column; words get whole numbers, which the axis names."""
+    """Values of a column; words become whole numbers, with the words as ticks of the axis."""
     values = table[name].to_pylist()
     if not any(isinstance(value, str) for value in values):
         return np.array([np.nan if value is None else value for value in values], dtype=float)

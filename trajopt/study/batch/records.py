@@ -1,7 +1,7 @@
-"""A batch on disk: what was asked for, an index in Parquet, and the solution files.
+"""A batch on disk: its request, an index in Parquet, and the solution files.
 
-Rows are appended to a journal as they come. From time to time all are written to the index, in one step, and
-the journal begins anew: whatever is killed when, a row that was reported is in one of the two.
+Rows are appended to a journal as they arrive. From time to time all rows are written to the index in one
+step, and the journal starts anew: whenever a process is killed, each reported row is in one of the two.
 """
 
 from __future__ import annotations
@@ -29,30 +29,29 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 REQUEST, INDEX, JOURNAL, SOLUTIONS = "batch.json", "index.parquet", "journal.jsonl", "solutions"
-# Rows in the journal before the index is written: a part of its own, and at least so many.
+# The index is written once the journal has 1 / JOURNAL_PART of its rows, and at least LEAST_JOURNAL.
 JOURNAL_PART, LEAST_JOURNAL = 8, 100
-# Solution files in one folder.
+# Solution files per folder.
 FILES_PER_FOLDER = 1000
-# Cases with these outcomes are run again when a batch is resumed: a second try may end otherwise.
+# Outcomes that are run again when a batch is resumed, since another attempt may succeed.
 NOT_SAVED = "not_saved"
 AGAIN = (LOST, NOT_SAVED)
 
 
 class BatchRecords:
-    """The folder of a batch, while it runs.
+    """The folder of a batch while it runs.
 
-    solved: by case that has a row, whether it was solved.
+    solved: whether each case that has a row was solved.
 
     Args:
-        folder: made where it does not exist.
+        folder: created if it does not exist.
         cases: all of them.
         settings: how they are solved.
         versions: of the libraries.
-        resume: go on with what is there.
+        resume: continue with what is there.
 
     Raises:
-        InputError: for a folder that cannot be written, or holds something else, another batch or one that
-            runs.
+        InputError: for a folder that cannot be written, holds something else, another batch or one that runs.
     """
 
     def __init__(
@@ -98,8 +97,8 @@ class BatchRecords:
     def add(self, index: int, result: CaseResult, *, start: int | None, attempts: int) -> dict[str, Any]:
         """Write the solution and the row of a case; returns the row.
 
-        A solution that cannot be written makes the case `NOT_SAVED`. Raises `InputError` where not even the
-        row can be written.
+        A case whose solution cannot be written becomes `NOT_SAVED`. Raises `InputError` if not even the row
+        can be written.
         """
         figures = {**result.figures, "start": start, "attempts": attempts, "file": None}
         if result.content is not None:
@@ -127,7 +126,7 @@ class BatchRecords:
         return row
 
     def checkpoint(self) -> None:
-        """Write all rows to the index and begin the journal anew. Raises `InputError` if it cannot."""
+        """Write all rows to the index and restart the journal. Raises `InputError` if that fails."""
         if not self._new and (self.folder / INDEX).exists():
             return
         table = self.table()
@@ -141,7 +140,7 @@ class BatchRecords:
         return merged(self._index, self._new, self._schema)
 
     def content(self, index: int) -> bytes:
-        """The content of a case's solution file. Raises `InputError` if it is gone."""
+        """Content of a case's solution file. Raises `InputError` if it is missing."""
         place = self.folder / solution_file(index)
         try:
             return place.read_bytes()
@@ -166,7 +165,7 @@ class BatchRecords:
             unfinished.write_text(json.dumps(head), encoding="utf-8")
 
     def _locked(self) -> IO[str]:
-        """Keep another process from writing here; the lock ends with this one."""
+        """Lock the folder against other processes; the lock ends with this process."""
         stream = (self.folder / REQUEST).open(encoding="utf-8")
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -177,12 +176,12 @@ class BatchRecords:
 
 
 def solution_file(index: int) -> str:
-    """The path of a case's solution within the folder."""
+    """Path of a case's solution within the folder."""
     return f"{SOLUTIONS}/{index // FILES_PER_FOLDER:05d}/{index:08d}.npz"
 
 
 def read_request(folder: Path) -> dict[str, Any]:
-    """What a batch was asked for: cases, settings, versions. Raises `InputError` for another folder."""
+    """The request of a batch: cases, settings, versions. Raises `InputError` for another folder."""
     place = expanded(folder)
     for name in (REQUEST, INDEX, JOURNAL, SOLUTIONS):
         _require_no_link(place / name)
@@ -198,7 +197,7 @@ def read_request(folder: Path) -> dict[str, Any]:
 
 
 def cases_of(head: Mapping[str, Any]) -> list[BatchCase]:
-    """The cases of a request. Raises `InputError` for an entry that is none."""
+    """The cases of a request. Raises `InputError` for an invalid entry."""
     cases = []
     for number, entry in enumerate(head["cases"]):
         problem, values = entry if isinstance(entry, list) and len(entry) == 2 else (None, None)
@@ -214,7 +213,7 @@ def cases_of(head: Mapping[str, Any]) -> list[BatchCase]:
 
 
 def looked_up_cases(head: Mapping[str, Any]) -> list[BatchCase]:
-    """Cases as a folder alone names them: problems and robots of the catalogue, never files that would run.
+    """Cases as a folder names them, with problems and robots of the catalogue, never files that would run.
 
     Raises `InputError` for others.
     """
@@ -235,9 +234,9 @@ def _require_no_link(place: Path) -> None:
 
 
 def read_rows(folder: Path, wanted: pa.Schema) -> tuple[pa.Table, dict[int, dict[str, Any]]]:
-    """The index, and the rows of the journal by case. Raises `InputError` for an index that is damaged."""
+    """The index, and the journal's rows by case. Raises `InputError` for a damaged index."""
     pyarrow, index = arrow(), expanded(folder) / INDEX
-    # The journal first: rows that move to the index meanwhile are then in both, not in none.
+    # The journal first: rows that move to the index meanwhile are then in both instead of neither.
     rows = JsonLines(expanded(folder) / JOURNAL).read()
     table = wanted.empty_table()
     if index.exists():
@@ -252,7 +251,7 @@ def read_rows(folder: Path, wanted: pa.Schema) -> tuple[pa.Table, dict[int, dict
 
 
 def merged(index: pa.Table, new: Mapping[int, Mapping[str, Any]], wanted: pa.Schema) -> pa.Table:
-    """The index with rows that are newer, by case."""
+    """The index with newer rows merged in, sorted by case."""
     pyarrow = arrow()
     fresh = pyarrow.Table.from_pylist([dict(row) for row in new.values()], schema=wanted)
     old = index.filter(pyarrow.compute.invert(pyarrow.compute.is_in(index["case"], fresh["case"])))

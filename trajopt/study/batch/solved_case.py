@@ -1,4 +1,4 @@
-"""One case of a batch: solved to the grade from a neighbour's solution, or from its default guess."""
+"""One case of a batch, solved to the grade from a neighbour's solution or from its default guess."""
 
 import time
 from dataclasses import dataclass, replace
@@ -18,22 +18,25 @@ from trajopt.solving.time_limits import BESIDE, GRACE
 from trajopt.study.batch.variation import BatchCase
 from trajopt.study.suite.failure import failure_text
 
-# Seconds of a case beside its solves: building, functions that are not in the cache yet, the check.
+# Seconds of a case besides its solves: building, functions that are not in the cache yet, the check.
 BUILD_TIME = 300.0
-# Iterations on a mesh after which the start from a neighbour has gained nothing: its own guess is tried.
+# Iterations on a mesh after which a neighbour's solution has gained nothing; the default guess is tried.
 MOST_FROM_NEIGHBOUR = 100
-# Seconds that a timer of every kernel can take.
+# Longest time, s, that the timers of all kernels take.
 MOST_TIME = 1e9
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class BatchSettings:
-    """How every case of a batch is solved.
+    """How every case of a batch is solved. Raises `InputError` for invalid values.
 
-    solver, tolerance, max_iterations, max_time: as in `trajopt.solve`, s of all solves from one start.
-    neighbours: start from the solution of a neighbour, and from the default guess where that fails; False
-    starts all from their default guesses. Raises `InputError` for a value that is not allowed.
+    Args:
+        solver: as in `trajopt.solve`.
+        tolerance: as in `trajopt.solve`.
+        max_iterations: as in `trajopt.solve`.
+        max_time: for all solves from one start, s.
+        neighbours: start from a neighbour's solution, and from the default guess only where that fails.
     """
 
     solver: str = "ipopt"
@@ -47,26 +50,26 @@ class BatchSettings:
 
     @property
     def longest(self) -> float:
-        """Time after which the process of a case is ended, s."""
+        """Time limit of a case's process, s."""
         return min((1 + self.neighbours) * (self.max_time + BESIDE) + GRACE + BUILD_TIME, MOST_TIME)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CaseResult:
-    """The figures of a case by column, and the content of its solution file, None for no motion."""
+    """The figures of a case by column, and the content of its solution file; None without a motion."""
 
     figures: dict[str, Any]
     content: bytes | None
 
 
 def solve_case(case: BatchCase, settings: BatchSettings, start: bytes | None) -> CaseResult:
-    """Solve a case, in this process.
+    """Solve a case in this process.
 
     Args:
         case: problem and values.
         settings: of the batch.
-        start: the content of a neighbour's solution file; where its motion does not lead to one with the
-            grade, the default guess is tried too.
+        start: content of a neighbour's solution file; if it does not lead to a motion with the grade, the
+            default guess is tried too.
 
     Raises:
         TrajoptError: if the problem cannot be built.
@@ -104,7 +107,7 @@ def solve_case(case: BatchCase, settings: BatchSettings, start: bytes | None) ->
 
 
 def _from_neighbour(problem: Problem, settings: BatchSettings, start: bytes) -> list[Solution]:
-    """The solve from a neighbour's solution; none where that has other phases or joints."""
+    """The solve from a neighbour's solution; empty if that has other phases or joints."""
     settings = replace(settings, max_iterations=min(settings.max_iterations, MOST_FROM_NEIGHBOUR))
     try:
         return [_solved(problem, settings, Solution.from_bytes(start))]

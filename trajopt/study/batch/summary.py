@@ -1,4 +1,4 @@
-"""Success of a batch by region of its parameters."""
+"""Success rates of a batch by region of its parameters."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 if TYPE_CHECKING:
     import pyarrow as pa
 
-# A number with more values than this is shown by this many ranges of equal width.
+# A number with more values than this is split into this many ranges of equal width.
 MOST_VALUES, RANGES = 8, 5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """Cases with one value, or one range of values, of a parameter: how many there are, and are solved."""
+    """Cases with one value or range of a parameter: their number, and how many are solved."""
 
     parameter: str
     text: str
@@ -26,7 +26,7 @@ class Region:
 
 
 def varied(table: pa.Table, parameters: list[str]) -> list[str]:
-    """Those parameters that have more than one value."""
+    """The parameters that have more than one value."""
     return [name for name in parameters if len(table[name].unique()) > 1]
 
 
@@ -44,13 +44,13 @@ def regions(table: pa.Table, parameters: list[str]) -> list[Region]:
 
 
 def outcomes(table: pa.Table) -> Counter[str]:
-    """How many cases have each status; a solved one's is ``solved``."""
+    """Number of cases per status; solved ones count as ``solved``."""
     pairs = zip(table["success"].to_pylist(), table["status"].to_pylist(), strict=True)
     return Counter("solved" if success else str(status) for success, status in pairs)
 
 
 def _parts(values: list[Any]) -> list[tuple[str, np.ndarray]]:
-    """Values or ranges in words, with the rows (n,) they hold; a case without the parameter is in none."""
+    """Values or ranges in words, with masks (n,) of their rows; a case without the parameter is in none."""
     known = sorted({value for value in values if value is not None})
     if len(known) <= MOST_VALUES or isinstance(known[0], str):
         return [

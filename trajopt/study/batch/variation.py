@@ -1,4 +1,4 @@
-"""Values of parameters that vary over a batch: grids, random samples, and their combinations."""
+"""Parameter values that vary over a batch: grids, random samples, and their combinations."""
 
 import itertools
 import math
@@ -15,9 +15,9 @@ from trajopt.errors import InputError, not_among
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import Family, Parameter, choose
 
-# Most cases of one batch: more belong into several folders.
+# Most cases of one batch; larger ones belong in several folders.
 MOST_CASES = 10_000_000
-# Draws outside of a parameter's range are drawn again, this often.
+# Most draws for a value within a parameter's range.
 MOST_DRAWS = 1000
 LARGEST = sys.float_info.max
 GRID_FORM = "allowed: NAME=FIRST:LAST:COUNT or NAME=A,B,..."
@@ -30,7 +30,7 @@ def _loguniform(random: np.random.Generator, given: Sequence[float]) -> float:
     return math.exp(random.uniform(math.log(given[0]), math.log(given[1])))
 
 
-# Distributions by name: names of their arguments, and a draw.
+# Distribution -> names of its arguments, and a draw.
 DISTRIBUTIONS: dict[str, tuple[tuple[str, str], Draw]] = {
     "uniform": (("low", "high"), lambda random, given: random.uniform(given[0], given[1])),
     "loguniform": (("low", "high"), _loguniform),
@@ -41,7 +41,7 @@ DISTRIBUTIONS: dict[str, tuple[tuple[str, str], Draw]] = {
 @checked
 @dataclass(frozen=True, kw_only=True)
 class BatchCase:
-    """One case: a problem by name with values of its parameters, numbers or words."""
+    """One case: a problem by name and values of its parameters, numbers or words."""
 
     problem: str
     values: Mapping[str, float | str]
@@ -54,7 +54,7 @@ class BatchCase:
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """A parameter that takes each of some values."""
+    """A parameter that takes each of several values."""
 
     name: str
     values: tuple[float | str, ...]
@@ -62,7 +62,7 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Distribution:
-    """A parameter drawn from a distribution of `DISTRIBUTIONS` with these arguments."""
+    """A parameter drawn from one of `DISTRIBUTIONS` with these arguments."""
 
     parameter: Parameter
     kind: str
@@ -70,11 +70,11 @@ class Distribution:
 
     @property
     def name(self) -> str:
-        """Of the parameter."""
+        """Name of the parameter."""
         return self.parameter.name
 
     def draw(self, random: np.random.Generator) -> float:
-        """A value within the parameter's range; raises `InputError` where hardly any draw is."""
+        """Draw a value within the parameter's range; raises `InputError` if `MOST_DRAWS` draws give none."""
         lower, upper = self.parameter.lower, self.parameter.upper
         for _ in range(MOST_DRAWS):
             value = float(DISTRIBUTIONS[self.kind][1](random, self.given))
@@ -98,10 +98,10 @@ def batch_cases(
     count: Count = 0,
     seed: Count = 0,
 ) -> list[BatchCase]:
-    """Every combination of robots and grids, each with ``count`` samples where something is sampled.
+    """Every combination of robots and grids, each with ``count`` samples if parameters are sampled.
 
-    A sample's values depend on ``seed``, the parameter's name and the sample's number: they are the same for
-    all robots and points of grids, and stay when others are added.
+    A sample's values depend only on ``seed``, the parameter's name and the sample's number: they are the same
+    for all robots and grid points, and do not change when others are added.
 
     Args:
         problem: a family of the catalogue.
@@ -109,9 +109,9 @@ def batch_cases(
         robots: names, for families that take one.
         vary: grids as text, ``speed=0.2:1.2:50`` (first, last, count) or ``speed=0.2,0.5``.
         sample: distributions as text, ``distance=uniform(0,0.6)``; also loguniform(low,high) and
-            normal(mean,deviation), drawn again outside of the parameter's range.
-        count: samples.
-        seed: of them.
+            normal(mean,deviation); draws outside the parameter's range are repeated.
+        count: number of samples.
+        seed: of the samples.
 
     Raises:
         InputError: for names, values or forms that are not allowed.
@@ -198,7 +198,7 @@ def _distribution(family: Family, text: str) -> Distribution:
         raise not_among(DISTRIBUTIONS, kind, f"--sample '{text}' has no distribution '{kind}'")
     parameter = _require_number(family, name, f"--sample '{text}'", "allowed: a parameter that is a number")
     wanted = DISTRIBUTIONS[kind][0]
-    # A mean or a deviation may be outside of the parameter's range; the draws are not.
+    # A mean or deviation may be outside the parameter's range; draws may not.
     free = replace(parameter, lower=-LARGEST, upper=LARGEST)
     try:
         given = tuple(free.parse(word) for word in rest.split(","))

@@ -1,1 +1,1 @@
-"""Every problem on every robot: the pairs, their runs, the results, and comparison with earlier ones."""
+"""Every problem on every robot: pairs, runs, results, and comparison with earlier ones."""

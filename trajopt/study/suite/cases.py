@@ -1,4 +1,4 @@
-"""The pairs of problem and robot, and the selection of some."""
+"""The pairs of problem and robot, and their selection."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from trajopt.errors import InputError, expanded, not_among
 from trajopt.problem.family import Family
 from trajopt.robot.catalogue import kind_if_known, robot_kind
 
-# A robot that no family lists may be given as a file that builds it.
+# Suffix of a file that builds a robot; it may name a robot that no family lists.
 ROBOT_FILE = ".py"
 
 
@@ -27,13 +27,13 @@ class Pair:
 
 @dataclass(frozen=True, kw_only=True, order=True)
 class Case(Pair):
-    """A pair to run, with every other parameter of the problem at its default."""
+    """A pair to run with all other parameters of the problem at their defaults."""
 
     takes_robot: bool
 
     @property
     def values(self) -> dict[str, object]:
-        """Parameters with which the family is loaded."""
+        """Parameters with which to load the family."""
         return {"robot": self.robot} if self.takes_robot else {}
 
 
@@ -51,11 +51,11 @@ def all_cases(families: Mapping[str, Family]) -> tuple[Case, ...]:
 def select(
     families: Mapping[str, Family], problems: Sequence[str] = (), robots: Sequence[str] = ()
 ) -> tuple[Case, ...]:
-    """The cases whose problem fits one of the patterns and whose robot is named; none means all.
+    """The cases whose problem matches a pattern and whose robot is named; an empty sequence selects all.
 
     problems: names, or patterns with ``*``, ``?`` and ``[...]``. robots: names, or ``.py`` files that build
     one. A robot that no family lists is paired with the families that take a robot and list one of its kind.
-    Raises InputError for a pattern or a robot that matches nothing, and where no pair is left.
+    Raises InputError for a pattern or a robot that matches nothing, and if no pair is left.
     """
     wanted = _fitting(families, problems)
     known = {case.robot for case in all_cases(families)}
@@ -83,7 +83,7 @@ def _fitting(families: Mapping[str, Family], patterns: Sequence[str]) -> dict[st
 
 
 def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -> set[Case]:
-    """A robot that no family lists, on the families that take a robot and list one of its kind."""
+    """Pair a robot that no family lists with the families that take a robot and list one of its kind."""
     if robot.endswith(ROBOT_FILE):
         if not expanded(robot).is_file():
             raise InputError(f"there is no robot file {robot}", "allowed: a .py file with build()")

@@ -1,16 +1,16 @@
 """Regression data: bands of objective and iterations for every pair, as text that can be reviewed.
 
-A comma-separated table, one line a pair, sorted, columns padded; above it, after ``#``, the versions of the
-software. Bands:
+A comma-separated table with one line per pair, sorted, columns padded; above it, after ``#``, the versions of
+the software. Bands:
 
-- objective: that of the solution from the default guess, plus or minus `OBJECTIVE_BAND` of it: planes between
-bodies are laid anew until it changes by less, and meshes within the grade differ by less.
-- iterations: from half to twice those of that solve on all its meshes, at least `LEAST_MARGIN` apart from it:
-  rounding, which differs between processors and compilers, changes them that much. Where perturbed starts
-  were run the band begins at half of their first tenth, if that is less, and holds 90 % of them: where one
-  solve goes astray by rounding, others do not.
-- physics: the result of the plan in MuJoCo (``tracked``, ``off``, ``fell``; empty if not simulated, or not a
-legged robot): no later result may be worse.
+- objective: that from the default guess, plus or minus the fraction `OBJECTIVE_BAND`: planes between bodies
+  are updated until it changes by less, and meshes with the grade differ by less.
+- iterations: half to twice those of that solve on all its meshes, with a margin of at least `LEAST_MARGIN`:
+  rounding, which differs between processors and compilers, changes them that much. If perturbed starts were
+  run, the band extends down to half of their first decile and up to their ninth: where rounding leads one
+  solve astray, others are not affected.
+- physics: the result of the plan in MuJoCo (``tracked``, ``off``, ``fell``; empty if it is not simulated, or
+  the robot is not legged), of which no later result may be worse.
 """
 
 import csv
@@ -32,15 +32,15 @@ from trajopt.study.suite.settings import SuiteSettings
 OBJECTIVE_BAND = SETTLED
 FEWEST, MOST = 0.5, 2.0
 LEAST_MARGIN = 5
-# Digits of written objectives: far finer than the band.
+# Significant digits of written objectives: far finer than the band.
 DIGITS = 7
-# Objectives below this are those of pure feasibility problems: only rounding to compare.
+# Least half-width of the band of an objective: pure feasibility problems differ only by rounding.
 OBJECTIVE_FLOOR = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairBands(Pair):
-    """One line: a pair, how it was solved (mesh: ``refined``, ``fixed``), and its bands (ends included)."""
+    """One line: a pair, how it was solved (mesh: ``refined``, ``fixed``), and its inclusive bands."""
 
     mesh: str
     solver: str
@@ -52,7 +52,7 @@ class PairBands(Pair):
 
 
 def entry_of(outcome: Outcome, settings: SuiteSettings) -> PairBands:
-    """The line of a pair that was solved."""
+    """The line of a solved pair."""
     assert outcome.own is not None
     assert outcome.own.objective is not None
     iterations, objective = outcome.own.iterations, outcome.own.objective
@@ -80,7 +80,7 @@ def _rounded(value: float) -> float:
 def deviation(outcome: Outcome, settings: SuiteSettings, entry: PairBands | None) -> str:
     """How a pair differs from its line, in words; empty if it does not.
 
-    A pair that is not solved is always outside. Kind of mesh and solver must be those of the line: bands of
+    An unsolved pair always differs. The kind of mesh and the solver must match the line, since the bands of
     others do not apply.
     """
     if not outcome.ok:
@@ -108,7 +108,7 @@ def deviation(outcome: Outcome, settings: SuiteSettings, entry: PairBands | None
 
 
 def _worse(physics: Physics | None, word: str) -> TypeGuard[Physics]:
-    """Whether a plan's result in simulation is worse than its line; False if it was not simulated."""
+    """Whether a plan's result in simulation is worse than its line; False if it is not simulated."""
     if physics is None or not word:
         return False
     return not physics.word or WORDS.index(physics.word) < WORDS.index(word)
@@ -121,7 +121,7 @@ def _mesh(settings: SuiteSettings) -> str:
 def deviations(
     outcomes: Iterable[Outcome], settings: SuiteSettings, entries: Mapping[str, PairBands]
 ) -> dict[str, str]:
-    """The differences of pairs outside their bands."""
+    """Differences of the pairs that are outside their bands."""
     texts = {outcome.name: deviation(outcome, settings, entries.get(outcome.name)) for outcome in outcomes}
     return {name: text for name, text in sorted(texts.items()) if text}
 
@@ -132,7 +132,7 @@ def updated(
     settings: SuiteSettings,
     names: Iterable[str],
 ) -> dict[str, PairBands]:
-    """The lines with those of ``outcomes`` put in; a pair that failed keeps its old line.
+    """The lines, updated by ``outcomes``; a pair that failed keeps its old line.
 
     names: all pairs of the catalogue; lines of others are dropped.
     """
@@ -147,7 +147,7 @@ def updated(
 
 
 def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
-    """Lines by pair, and the versions at the head. Raises InputError for an invalid file."""
+    """Lines by pair, and the versions above them. Raises InputError for an invalid file."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:

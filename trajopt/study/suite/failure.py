@@ -19,7 +19,7 @@ ERROR = "error"
 MODES = (PRIMAL, DUAL, COMPLEMENTARITY, NOT_FINITE, TIME, CHECK, ERROR)
 
 # Failure modes by status. Diverging iterates are a dual failure: an objective without lower bound has no
-# multipliers. A base at gimbal lock and contacts that creep fail in the check.
+# multipliers. A base in gimbal lock and creeping contacts fail the check.
 _OF_STATUS = {
     Status.SOLVED: SOLVED,
     Status.INFEASIBLE: PRIMAL,
@@ -34,7 +34,7 @@ _OF_STATUS = {
 
 
 def mode_of(statistics: SolveStatistics) -> str:
-    """The failure mode of a solve, one of `MODES`, or `SOLVED`.
+    """The failure mode of a solve: one of `MODES`, or `SOLVED`.
 
     If the solver merely stopped (iteration limit, no step), the iterate's infeasibilities decide, see
     `worst_condition`.
@@ -52,7 +52,7 @@ def mode_of(statistics: SolveStatistics) -> str:
 
 
 def failure_text(statistics: SolveStatistics) -> str:
-    """Status, and what is missed, of a failed solve, in words; empty for one that succeeded."""
+    """Status of a failed solve and what it violates, in words; empty on success."""
     if statistics.success:
         return ""
     missed = statistics.advice_in_line if statistics.converged else describe_block(statistics.worst_blocks[0])
@@ -68,9 +68,9 @@ def worst_condition(
 ) -> str:
     """The optimality condition that an iterate violates most.
 
-    The primal one if rows are violated by more than ``STILL_FEASIBLE``: at an infeasible point the other two
-    mean little. Otherwise the one with the largest ratio to its tolerance (``feasibility`` for the primal
-    one). None stands for a figure that is not finite.
+    This is the primal one if rows are violated by more than ``STILL_FEASIBLE``: at an infeasible point the
+    other two mean little. Otherwise it is the one with the largest ratio to its tolerance (``feasibility``
+    for the primal one). None stands for a figure that is not finite.
     """
     figures = [math.nan if value is None else value for value in (primal, dual, complementarity)]
     if not all(math.isfinite(value) for value in figures):

@@ -1,13 +1,13 @@
-"""How many optima the solved runs of one problem have found: by objective and by motion.
+"""Number of optima that the solved runs of one problem have found, by objective and by motion.
 
-A run's motion is its configuration at `SAMPLES` equal parts of its time, in coordinates whose differences are
-distances: base positions in lengths of the robot, rotations as entries of their matrices, cosine and sine of
-joints without limits, joints in rad. The distance of two motions is their largest difference.
+A run's motion is its configuration at `SAMPLES` equally spaced times, in coordinates whose differences are
+distances: base positions in robot lengths, rotations as the entries of their matrices, cosine and sine of
+joints without limits, other joints in rad. The distance of two motions is their largest difference.
 
-Two runs are at *one optimum* unless their objectives differ by more than `SAME_OBJECTIVE` and their motions
-by more than `SAME_MOTION`: by objective alone, noise of a flat minimum would count; by motion alone, mirror
-images and motions that the costs do not determine. They have *one motion* if both are the same; there are at
-least as many motions as optima. Groups are connected by chains of such pairs.
+Two runs have *one optimum* unless their objectives differ by more than `SAME_OBJECTIVE` and their motions by
+more than `SAME_MOTION`: objectives alone would count the noise of a flat minimum, motions alone would count
+mirror images and motions that the costs do not determine. They have *one motion* if both agree; there are at
+least as many motions as optima. Chains of such pairs form the groups.
 """
 
 import base64
@@ -26,14 +26,14 @@ from trajopt.solution.solution import Solution
 SAMPLES = 11
 # Relative to the larger objective. With a tolerance of 1e-6 on optimality, differences are 1e-7 and less.
 SAME_OBJECTIVE = 1e-4
-# Lengths, rad: two solves of the same optimum at a tolerance of 1e-6 differ by a thousandth of it.
+# Lengths, rad: two solves of one optimum at a tolerance of 1e-6 differ by a thousandth of this.
 SAME_MOTION = 1e-2
 # Objectives nearer to zero than this count as zero: those of pure feasibility problems.
 NOTHING = 1e-9
 
 
 def described(solution: Solution) -> str:
-    """A motion as text, for a record; empty where it is not finite."""
+    """Encode a motion as text for a record; empty if it is not finite."""
     times = np.linspace(float(solution.t[0]), float(solution.t[-1]), SAMPLES)
     if not np.isfinite(solution.q).all():
         return ""
@@ -58,7 +58,7 @@ def embedded(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 
 def distances(motions: Sequence[str]) -> np.ndarray:
-    """Distances (n, n) of motions as `described`; NaN where one is unknown, or of another robot."""
+    """Distances (n, n) of motions from `described`; NaN where one is unknown, or of another robot."""
     values = [np.frombuffer(base64.b64decode(motion), dtype="<f4") for motion in motions]
     matrix = np.full((len(values), len(values)), np.nan)
     for i, one in enumerate(values):
@@ -69,7 +69,7 @@ def distances(motions: Sequence[str]) -> np.ndarray:
 
 
 def counted(objectives: Sequence[float], motions: Sequence[str]) -> tuple[int, int]:
-    """Numbers of optima and of motions of solved runs; runs of unknown motion are grouped by objective."""
+    """Numbers of optima and motions of solved runs; runs without a motion are grouped by objective."""
     if not objectives:
         return 0, 0
     value = np.asarray(objectives, dtype=float)

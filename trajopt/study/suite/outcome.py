@@ -1,4 +1,4 @@
-"""Results of one pair: solves, statistics of the perturbed starts; to JSON and back."""
+"""Results of one pair: solves, and statistics of the perturbed starts; to JSON and back."""
 
 from __future__ import annotations
 
@@ -16,11 +16,14 @@ from trajopt.study.suite.physics import Physics
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """One solve to the grade from a start; ``seed`` is None for the default guess, ``mode`` empty if solved.
+    """One solve to the grade; ``seed`` is None for the default guess.
 
-    iterations, wall_time: the solver's on all ``meshes``, s; scheme, intervals, variables and constraints: of
-    the best motion's mesh. detail: status and what is missed, if not solved. figure, used: the check's worst
-    figure, and its value over what is allowed. motion: of a solved run, see `trajopt.study.suite.optima`.
+    Args:
+        mode, status, detail: failure mode, empty if solved; the solver's status; what is violated.
+        scheme, intervals, variables, constraints: of the best motion's mesh.
+        meshes, iterations, wall_time: number of meshes, and the solver's totals on them; s.
+        figure, used: the check's worst figure, and its value over what is allowed.
+        motion: of a solved run, see `trajopt.study.suite.optima`.
     """
 
     seed: int | None
@@ -49,13 +52,13 @@ class Attempt:
         return self.mode == SOLVED
 
 
-# Parts of a pair's result besides its perturbed starts, by the event that reports them.
+# Parts of a pair's result other than its perturbed starts, by the event that reports them.
 PARTS: dict[str, Callable[..., Any]] = {"own": Attempt, "physics": Physics}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Starts:
-    """Figures over the perturbed starts; iterations, optima and motions over those solved.
+    """Figures over the perturbed starts; iterations, optima and motions over the solved ones.
 
     optima, motions: see `trajopt.study.suite.optima`. median_time: s, of the solver.
     """
@@ -72,9 +75,9 @@ class Starts:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome(Pair):
-    """All results of one pair; parts that were not reached are None. ``error``: what ended it early.
+    """All results of one pair; parts not reached are None. ``error``: what ended it early.
 
-    physics: the result of the unperturbed solution in MuJoCo, if requested.
+    physics: result of the unperturbed solution in MuJoCo, if requested.
     """
 
     own: Attempt | None = None
@@ -86,17 +89,17 @@ class Outcome(Pair):
 
     @property
     def mode(self) -> str:
-        """What failed, or empty."""
+        """Failure mode; empty if solved."""
         return self.error_mode if self.own is None else self.own.mode
 
     @property
     def ok(self) -> bool:
-        """Solved from the default guess, by the verdict of the check."""
+        """Whether it is solved from the default guess, by the verdict of the check."""
         return self.mode == SOLVED
 
     @property
     def detail(self) -> str:
-        """What failed, in words."""
+        """The failure in words."""
         return self.error if self.own is None else self.own.detail
 
     def perturbed(self) -> Starts:
@@ -118,7 +121,7 @@ class Outcome(Pair):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able: the fields and derived verdicts."""
+        """JSON-able fields and derived verdicts."""
         verdict = {"ok": self.ok, "mode": self.mode, "detail": self.detail}
         return {**asdict(self), **verdict, "perturbed": asdict(self.perturbed()) if self.starts else None}
 
@@ -132,7 +135,7 @@ class Outcome(Pair):
 
 
 def quantile(ordered: Sequence[int], part: float) -> int:
-    """The least of ``ordered`` that at least a fraction ``part`` of them do not exceed."""
+    """The least of ``ordered`` that at least a fraction ``part`` of them does not exceed."""
     return ordered[max(0, math.ceil(part * len(ordered)) - 1)]
 
 
@@ -145,7 +148,7 @@ class Ledger:
         self.starts: dict[int | None, Attempt] = {}
 
     def add(self, event: Mapping[str, Any]) -> None:
-        """Take one event of `trajopt.study.suite.pool`; those of another kind are ignored."""
+        """Take one event of `trajopt.study.suite.pool`; other kinds are ignored."""
         kind = event["event"]
         if kind == "start":
             start = Attempt(**event["values"])

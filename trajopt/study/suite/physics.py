@@ -6,7 +6,7 @@ from trajopt.errors import TrajoptError
 from trajopt.simulation.settings import Controller
 from trajopt.solution.solution import Solution
 
-# From best to worst; a plan that was not or cannot be simulated has no word.
+# From worst to best; a plan that was not simulated has no word.
 FELL, OFF, TRACKED = "fell", "off", "tracked"
 WORDS = (FELL, OFF, TRACKED)
 
@@ -16,7 +16,7 @@ class Physics:
     """A simulated plan: ``tracked``, ``off`` (it stands, but not where it should) or ``fell``; else empty.
 
     base_error_end, base_error_max: m. slips: stances that slid; missed: touchdowns that never came. detail:
-    figures beyond their thresholds, or why there is no simulation.
+    exceeded thresholds, or why there is no simulation.
     """
 
     word: str = ""
@@ -28,7 +28,7 @@ class Physics:
 
 
 def simulated(solution: Solution, controller: Controller = "joints") -> tuple[Physics, Solution | None]:
-    """Simulate a plan: the result and the motion, or why there is none."""
+    """Simulate a plan; returns the result and the motion, or why there is none."""
     from trajopt.simulation.simulate import simulate
 
     try:
@@ -49,7 +49,7 @@ def simulated(solution: Solution, controller: Controller = "joints") -> tuple[Ph
 
 
 def in_words(physics: Physics) -> str:
-    """One simulation in a few words."""
+    """A simulation result in a few words."""
     if not physics.word:
         return physics.detail
     off = physics.base_error_end

@@ -1,4 +1,4 @@
-"""All pairs: a task for each solve and each simulation, whose results are recorded as they come."""
+"""Tasks of all pairs: one for each solve and each simulation, with results recorded as they arrive."""
 
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
@@ -15,9 +15,9 @@ from trajopt.study.suite.records import SuiteRecords
 from trajopt.study.suite.run import simulate_plan, solve_start
 from trajopt.study.suite.settings import SuiteSettings
 
-# After this many lost processes, the rest of a pair's starts count as failed without being run.
+# After this many lost processes, a pair's remaining starts count as failed without being run.
 MOST_LOST = 3
-# Tasks of a pair besides the seeds of its perturbed starts.
+# Tasks of a pair other than the seeds of its perturbed starts.
 OWN, PHYSICS = "own", "physics"
 
 
@@ -32,8 +32,8 @@ def run_all(
 ) -> Generator[Outcome, None, None]:
     """Yield the outcome of each pair as it ends.
 
-    records: recorded parts of interrupted pairs are not run again; results are added as they come.
-    check, show: see `run_tasks`.
+    records: recorded parts of interrupted pairs are not run again; results are added as they arrive. check,
+    show: see `run_tasks`.
     """
     known = records.unfinished()
     pairs = {case: _PairRun(case, settings, records, known.get(case.name, ())) for case in cases}
@@ -56,7 +56,7 @@ def run_all(
 
 
 def _interleaved(cases: Sequence[Case]) -> list[Case]:
-    """The cases, alternating between robots: two on one robot at a time would compile the same functions."""
+    """The cases in turns of robots: two on one robot at a time would compile the same functions."""
     turns: Counter[str] = Counter()
 
     def turn(case: Case) -> int:
@@ -67,7 +67,7 @@ def _interleaved(cases: Sequence[Case]) -> list[Case]:
 
 
 class _PairRun:
-    """One pair: its results so far, and the parts that are ``left``: `OWN`, `PHYSICS`, seeds of starts."""
+    """One pair: its results so far, and the parts ``left`` to run: `OWN`, `PHYSICS`, seeds of starts."""
 
     def __init__(
         self, case: Case, settings: SuiteSettings, records: SuiteRecords, known: Iterable[Mapping[str, Any]]
@@ -84,11 +84,11 @@ class _PairRun:
         self._lost, self._reason, self._seconds = 0, "", 0.0
 
     def first(self) -> list[str | int]:
-        """What is run first: the default guess, and where that is known the starts."""
+        """Parts to run first: the default guess, or all that are left if its result is known."""
         return [OWN] if OWN in self.left else self.left
 
     def task(self, part: str | int) -> TimedCall:
-        """The task of a part. Raises `NotRunError` for one that is not begun because of others."""
+        """The task of a part. Raises `NotRunError` for one that is not started because of others."""
         case, settings = self._case, self._settings
         if self._reason:
             raise NotRunError(f"not run: {self._reason}")
@@ -103,7 +103,7 @@ class _PairRun:
         return TimedCall(name=name, limit=settings.longest, function=solve_start, args=(case, settings, seed))
 
     def end(self, part: str | int, ended: Ended[Any]) -> list[str | int]:
-        """Take what became of a part; returns those that can run now."""
+        """Take the outcome of a part; returns the parts that can run now."""
         self.left.remove(part)
         if ended.kind != DONE:
             self._fail(part, ended)

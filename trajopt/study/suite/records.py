@@ -1,4 +1,4 @@
-"""Results on disk, one line of JSON per pair, appended as they come, so that a suite can be resumed."""
+"""Results on disk, one line of JSON per pair, appended as they arrive, so that a suite can be resumed."""
 
 import contextlib
 from collections.abc import Mapping
@@ -22,8 +22,8 @@ SIMULATED = "-simulated"
 class SuiteRecords:
     """The results of one suite in a folder, or only in memory without one.
 
-    versions: of the software. Results of other settings or versions do not belong to this suite.
-    Raises InputError for a folder that cannot be written.
+    versions: of the software. Results of other settings or versions do not belong to this suite. Raises
+    InputError for a folder that cannot be written.
     """
 
     def __init__(self, folder: Path | None, settings: SuiteSettings, versions: Mapping[str, str]) -> None:
@@ -33,7 +33,7 @@ class SuiteRecords:
         self._events = JsonLines(None if folder is None else folder / EVENTS)
 
     def open(self, *, resume: bool) -> dict[str, Outcome]:
-        """Make the folder; return earlier results by pair when resumed, otherwise start afresh.
+        """Create the folder; return earlier results by pair when resumed, otherwise start anew.
 
         A pair that ended with an error (bad input, a lost process) is run again.
         """
@@ -48,11 +48,11 @@ class SuiteRecords:
         return {name: outcome for name, outcome in known.items() if not outcome.error}
 
     def told(self, pair: str, event: Mapping[str, Any]) -> None:
-        """Append one event of a pair that is running."""
+        """Append one event of a running pair."""
         self._events.append({**self._head, "pair": pair, "told": dict(event)})
 
     def save(self, case: Case, content: bytes | None, *, simulated: bool) -> None:
-        """Write the solution file of a pair; without content there is none."""
+        """Write the solution file of a pair; delete it if there is no content."""
         if self.folder is None:
             return
         name = f"{case.problem}@{Path(case.robot).stem}{SIMULATED if simulated else ''}.npz"
@@ -62,11 +62,11 @@ class SuiteRecords:
             write_bytes(self.folder / name, content)
 
     def close(self) -> None:
-        """All pairs have ended: their events are in their results."""
+        """Delete the events: the results of pairs that have ended contain them."""
         self._events.remove()
 
     def unfinished(self) -> dict[str, list[Mapping[str, Any]]]:
-        """Events of this suite's settings and versions by pair; invalid lines are skipped."""
+        """Events by pair, of this suite's settings and versions; invalid lines are skipped."""
         events: dict[str, list[Mapping[str, Any]]] = {}
         for entry in filter(self._is_of_this_suite, self._events.read()):
             with contextlib.suppress(ValueError, KeyError, TypeError):

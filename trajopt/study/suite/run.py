@@ -1,4 +1,4 @@
-"""The tasks of a pair: a solve to the grade from its default guess or a perturbed start, and a simulation."""
+"""Tasks of a pair: a solve to the grade from its default guess or a perturbed start, and a simulation."""
 
 import time
 from typing import Any
@@ -23,8 +23,8 @@ def solve_start(case: Case, settings: SuiteSettings, seed: int | None) -> tuple[
     """Solve a pair from a perturbed start, or from its default guess without a seed.
 
     Returns:
-        Figures; the content of the solution file from the default guess, None for an iterate that is no
-        motion; seconds with building and checking.
+        The figures; the content of the solution file, None with a seed or for an iterate that is not a
+            motion; and the time with building and checking, s.
 
     Raises:
         TrajoptError: if the pair cannot be built.
@@ -47,7 +47,7 @@ def solve_start(case: Case, settings: SuiteSettings, seed: int | None) -> tuple[
 
 
 def simulate_plan(plan: bytes, controller: Controller) -> tuple[Physics, bytes | None, float]:
-    """Simulate a plan: the result, the content of a file of the simulated motion, seconds."""
+    """Simulate a plan; returns the result, the file content of the simulated motion, and the time in s."""
     begin, solution = time.perf_counter(), Solution.from_bytes(plan)
     if not solution.converged:
         return Physics(), None, 0.0
@@ -76,7 +76,7 @@ def measure_case(case: Case, settings: SuiteSettings) -> Outcome:
 
 
 def attempt(solution: Solution, seed: int | None, legged: bool) -> Attempt:
-    """The figures of one solve to the grade, iterations and time of all its meshes."""
+    """Figures of one solve to the grade; iterations and time are totals of all its meshes."""
     statistics = solution.statistics
     mode, mesh, spent = mode_of(statistics), mesh_of(solution), total_effort([solution])
     return Attempt(

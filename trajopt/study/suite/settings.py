@@ -1,4 +1,4 @@
-"""How every pair of a suite is solved: one set of settings for all."""
+"""Settings with which all pairs of a suite are solved."""
 
 import math
 from dataclasses import dataclass
@@ -8,15 +8,15 @@ from trajopt.simulation.settings import Controller
 from trajopt.solving.solving import check_settings
 from trajopt.solving.time_limits import BESIDE, GRACE
 
-# Noise on the guess: a tenth of the natural units, metres of leg or half a dozen degrees.
+# Noise on the guess: a tenth of the natural units, that is of a leg's length or half a dozen degrees.
 DEFAULT_SIGMA = 0.1
-# Most starts of a pair: more are not informative and take a day.
+# Most starts of a pair: more add no information and take a day.
 MOST_STARTS = 10_000
-# Time limit of a solve, s: several times that of the library's longest on one core.
+# Time limit of a solve, s: several times the library's longest solve on one core.
 DEFAULT_MAX_TIME = 300.0
-# Seconds of a task beside its solve: building, and functions that are not in the cache yet.
+# Seconds of a task besides its solve: building, and functions that are not in the cache yet.
 BUILD_TIME = 300.0
-# Seconds that a timer of every kernel can take.
+# Longest time, s, that the timers of all kernels take.
 MOST_TIME = 1e9
 
 
@@ -24,10 +24,11 @@ MOST_TIME = 1e9
 class SuiteSettings:
     """One choice for all pairs.
 
-    perturbed: number of perturbed starts besides the default guess, seeds 0 to perturbed - 1.
-    sigma: standard deviation of their noise in scaled units. max_time: s for a solve with all its meshes.
-    simulate: also run solved plans of legged robots in MuJoCo, with this controller. fixed_mesh: solve once,
-    on the problem's mesh.
+    Args:
+        perturbed, sigma: perturbed starts, seeds from 0; standard deviation of their noise, scaled units.
+        max_time: for a solve with all its meshes, s.
+        simulate, controller: also run solved plans of legged robots in MuJoCo, with this controller.
+        fixed_mesh: solve once, on the problem's mesh.
     """
 
     perturbed: int = 0
@@ -51,7 +52,7 @@ class SuiteSettings:
 
     @property
     def longest(self) -> float:
-        """Time after which the process of a solve or a simulation is ended, s."""
+        """Time limit of the process of a solve or a simulation, s."""
         return min(BUILD_TIME + self.max_time + BESIDE + GRACE, MOST_TIME)
 
     @property

@@ -1,4 +1,4 @@
-"""Outcomes as one line each, as a table, as figures over all, and as JSON."""
+"""Outcomes as lines, as a table, as figures over all pairs, and as JSON."""
 
 import statistics
 from collections import Counter
@@ -13,7 +13,7 @@ from trajopt.study.suite.physics import WORDS, in_words
 from trajopt.study.suite.settings import SuiteSettings
 from trajopt.study.workers.display import figure_table
 
-# Width from which a table has the names of the figures.
+# Least width of a table that names the check's worst figures.
 NAMED_WIDTH = 140
 PHYSICS = ("physics", "base end", "most", "slips")
 STARTS = ("starts", "50 %", "90 %", "worst", "optima", "motions")
@@ -24,7 +24,7 @@ COLUMNS = (
 
 
 def outcome_line(outcome: Outcome) -> str:
-    """One pair in a line."""
+    """One line on a pair."""
     parts = []
     if outcome.own is not None:
         verdict = "solved" if outcome.ok else "NOT solved"
@@ -40,11 +40,11 @@ def outcome_line(outcome: Outcome) -> str:
 
 
 def outcome_table(outcomes: Sequence[Outcome], width: int) -> Table:
-    """The pairs, sorted, in ``width`` columns: narrow ones omit the name of the check's worst figure.
+    """The pairs, sorted, in ``width`` columns; a narrow table omits the name of the check's worst figure.
 
-    ``check`` is that figure over its tolerance. Columns on perturbed starts (median, 90 %
-    and worst of their iterations among them) and on physics (the base's distance from the plan at its end and
-    at most, and stances that slid) only if there are any.
+    ``check`` is that figure over its tolerance. Columns on perturbed starts (such as median, 90 % and worst
+    of their iterations) and on physics (the base's distance from the plan, at the end and at most, and
+    stances that slid) appear only if there are any.
     """
     hidden = set() if width >= NAMED_WIDTH else {"by its figure"}
     if all(outcome.physics is None for outcome in outcomes):
@@ -91,7 +91,7 @@ def _cells(outcome: Outcome) -> dict[str, str]:
 
 
 def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Figures over all pairs; iterations of legged robots and of others, from the default guess."""
+    """Figures over all pairs; iterations from the default guess, of legged robots and of others."""
     starts = [attempt for outcome in outcomes for attempt in outcome.starts]
     per_pair = [outcome.perturbed() for outcome in outcomes if outcome.starts]
     solved = [outcome.own for outcome in outcomes if outcome.own is not None and outcome.ok]
@@ -118,7 +118,7 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
-    """The figures over all pairs in words, and the failures, one line per pair."""
+    """The figures over all pairs in words, and one line per failure."""
     total = summary(outcomes)
     lines = [
         f"{total['pairs']} pairs ({total['problems']} problems, {total['robots']} robots): "
@@ -147,7 +147,7 @@ def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
 def to_dict(
     outcomes: Sequence[Outcome], settings: SuiteSettings, versions: Mapping[str, str]
 ) -> dict[str, Any]:
-    """The JSON of a suite."""
+    """JSON-able results of a suite."""
     ordered = sorted(outcomes, key=lambda one: (one.problem, one.robot))
     return {
         "versions": dict(versions),

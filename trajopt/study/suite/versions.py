@@ -1,4 +1,4 @@
-"""Versions of libraries and solvers, on which a result depends besides the problem."""
+"""Versions of the libraries and solvers on which a result depends besides the problem."""
 
 import platform
 import re
@@ -25,7 +25,7 @@ def versions() -> dict[str, str]:
 
 
 def ipopt_version() -> str:
-    """The version of IPOPT in CasADi's wheel, from the header beside its library."""
+    """The version of IPOPT in CasADi's wheel, from the header next to its library."""
     header = Path(casadi.__file__).parent / "include" / "coin-or" / "IpoptConfig.h"
     try:
         match = re.search(r'#define IPOPT_VERSION "([^"]+)"', header.read_text(encoding="utf-8"))

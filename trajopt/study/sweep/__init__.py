@@ -1,1 +1,1 @@
-"""The measured trade between speed and accuracy: one problem at many settings, each timed and measured."""
+"""The measured trade-off of speed and accuracy: one problem at many settings, each timed and measured."""

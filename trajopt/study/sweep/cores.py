@@ -1,4 +1,4 @@
-"""The processors to which timed processes are pinned: one physical core each, one left to the system."""
+"""Processors to which timed processes are pinned: one physical core each, one left to the system."""
 
 import os
 from pathlib import Path
@@ -23,9 +23,9 @@ def physical_cores() -> tuple[int, ...]:
 
 
 def cores_for(jobs: int) -> tuple[int, ...]:
-    """A core for each of ``jobs`` timed processes: the last ones, because the first takes the interrupts.
+    """A core for each of ``jobs`` timed processes: the last ones, because the first handles the interrupts.
 
-    Raises InputError for more than all physical cores but one (one process is always allowed).
+    Raises InputError for more than all physical cores but one; one process is always allowed.
     """
     cores = physical_cores()
     most = max(1, len(cores) - 1)

@@ -29,13 +29,13 @@ DISTURBED_LOAD = 1.15
 # A run is disturbed if its process has its core for less than this fraction of the time.
 LEAST_SHARE = 0.95
 RETRIES = 2
-# Most repeated runs, as a fraction of the plan: on a machine that is never quiet nothing is gained.
+# Most repeated runs, as a fraction of the plan: on a machine that is never quiet they gain nothing.
 MOST_AGAIN = 0.25
 # After this many lost processes a setting is not run again.
 MOST_LOST = 2
 # Time limit for measuring one solution, s.
 ACCURACY_TIME = 300.0
-# Time of the smallest run, s.
+# Time of the shortest run, s.
 LEAST_SECONDS = 0.3
 # Calibrations of the machine at rest, before anything is run.
 CALIBRATIONS = 20
@@ -47,7 +47,7 @@ Key = TypeVar("Key")
 class Sweep:
     """One sweep, run step by step; results go to ``records`` at once.
 
-    cores: the processors of timed processes. check: called several times a second while tasks run; an
+    cores: processors of the timed processes. check: called several times a second while tasks run; an
     exception from it ends the sweep.
     """
 
@@ -72,7 +72,7 @@ class Sweep:
         self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(request.starts)) - repeated
 
     def run(self) -> None:
-        """Everything that is not recorded yet; functions are compiled before."""
+        """Run everything that is not recorded yet; functions are compiled first."""
         with self._tasks(1) as self._executor:
             self._compile()
         with self._tasks(len(self._cores), self._cores) as self._executor:
@@ -98,15 +98,15 @@ class Sweep:
         )
 
     def _values(self, name: str, limit: float, function: Callable[..., Any], *args: Any) -> dict[str, Any]:
-        """The result of one task while nothing else runs."""
+        """Run one task while nothing else runs, and return its result."""
         task = TimedCall(name=name, limit=limit, function=function, args=args)
         (ended,) = self._each(deque([name]), lambda name: task)
         return _values(ended)
 
     def _compile(self) -> None:
-        """Functions of all settings, before anything is timed.
+        """Compile the functions of all settings before anything is timed.
 
-        Settings whose functions cannot be compiled are given up: a run that says so is recorded.
+        Settings whose functions cannot be compiled are given up, and recorded as such a run.
         """
         request, results = self._request, self._records.results
         for name, setting in self._settings.items():
@@ -154,7 +154,7 @@ class Sweep:
                 self._display.more()
 
     def _task(self, job: Job) -> TimedCall:
-        """The task of a run. Raises `NotRunError` where its setting is given up."""
+        """The task of a run. Raises `NotRunError` if its setting is given up."""
         request, setting = self._request, self._settings[job.setting]
         if job.setting in self._given_up:
             raise NotRunError(f"{self._labels[job.setting]} is given up")
@@ -167,7 +167,7 @@ class Sweep:
         return f"{self._labels[job.setting]}, {_start_text(job)}"
 
     def _missing(self) -> list[Job]:
-        """Jobs of all rounds that are not recorded; attempts are counted on."""
+        """Jobs of all rounds that are not recorded; attempts continue the recorded ones."""
         jobs, results = [], self._records.results
         for start in self._request.starts:
             for name in self._settings:
@@ -182,7 +182,7 @@ class Sweep:
         return jobs
 
     def _judged(self, ended: Ended[Job]) -> TimedRun:
-        """What became of a run, judged by the calibrations."""
+        """The run of an ended task, judged by the calibrations."""
         if ended.kind == DONE:
             run: TimedRun = ended.value
             slow = (run.calibration or 0.0) > DISTURBED_LOAD * self._least_load
@@ -193,13 +193,13 @@ class Sweep:
         return run
 
     def _count(self, run: TimedRun) -> None:
-        """A setting that is refused, or lost too often, is given up."""
+        """Count lost runs; a setting that is refused, or lost too often, is given up."""
         self._lost[run.setting] += run.status == LOST
         if run.is_final or self._lost[run.setting] >= MOST_LOST:
             self._given_up.add(run.setting)
 
     def _estimate(self, run: TimedRun, seconds: float, waiting: Collection[Job]) -> None:
-        """Estimate once, after the first run, the time of the others, in proportion to collocation points."""
+        """After the first run, estimate the time of the others, in proportion to collocation points."""
         if self._told or not waiting:
             return
         self._told = True
@@ -211,7 +211,7 @@ class Sweep:
         )
 
     def _reference(self) -> None:
-        """The converged reference, once; a failure is recorded as the reason for missing figures."""
+        """Solve the converged reference once; a failure is recorded as the reason for missing figures."""
         known, file = self._records.results.reference, self._records.reference_file
         if known is not None and (file.exists() or not known["ok"]):
             return
@@ -224,7 +224,7 @@ class Sweep:
         self._display.finished(f"reference: {text}")
 
     def _accuracy(self) -> None:
-        """The accuracy of each setting's median run."""
+        """Measure the accuracy of each setting's median run."""
         reference = self._records.reference_file if self._records.reference_file.exists() else None
 
         def make(run: TimedRun) -> TimedCall:
@@ -252,12 +252,12 @@ class Sweep:
 
 
 def _status(ended: Ended[Any]) -> str:
-    """`REFUSED`, or `LOST`, also by the time limit."""
+    """`REFUSED`, or `LOST`, which includes the time limit."""
     return REFUSED if ended.kind == REFUSED else LOST
 
 
 def _values(ended: Ended[Any]) -> dict[str, Any]:
-    """The result of a task as recorded: with its kind, and the detail of a lost one."""
+    """The result of a task for the records: with its kind, and the detail of a lost one."""
     if ended.kind == DONE:
         return {"kind": DONE, **ended.value}
     return {"kind": _status(ended), "detail": ended.detail}

@@ -23,7 +23,7 @@ COLUMNS = {
 
 
 def figures(file: Path, reference: Path | None) -> dict[str, float | None]:
-    """Figures of the solution in ``file`` by column; missing ones are None. Raises TrajoptError."""
+    """Figures of the solution in ``file`` by column; unknown ones are None. Raises TrajoptError."""
     with np.errstate(all="ignore"):  # an inaccurate motion may diverge: its figures show it
         accuracy: dict[str, Any] = measure(file, reference).to_dict()
     return {column: _number(accuracy.get(name)) for name, column in COLUMNS.items()}

@@ -12,7 +12,7 @@ from trajopt.study.sweep.setting import STARTS, WORDS, Setting
 from trajopt.study.sweep.variants import cone_of, with_cone
 from trajopt.transcription.hessians import HESSIANS
 
-# Multiples of the problem's own number of intervals that are tried.
+# Multiples of the problem's own number of intervals.
 SHARES = (0.2, 0.5, 1.0, 2.0)
 GRID_SCHEMES = ("legendre:1", "legendre:2", "legendre:3")
 # Tried only with the problem's own number of intervals.
@@ -40,7 +40,7 @@ MOST_SETTINGS = 2000
 
 @dataclass(frozen=True, kw_only=True)
 class SweepPlan:
-    """The settings of a sweep, the base first; ``left_out``: settings that do not apply to the problem."""
+    """The settings of a sweep, base first; ``left_out``: those that do not apply to the problem."""
 
     base: Setting
     settings: tuple[Setting, ...]
@@ -54,13 +54,13 @@ def make_plan(
     also: Sequence[str] = (),
     full: bool = False,
 ) -> SweepPlan:
-    """The settings to run.
+    """Choose the settings to run.
 
-    named: values by axis (`AXES`). One value holds for all settings; several are tried. Without an axis of
-    several values the default plan is tried: the grid of schemes and shares of the problem's intervals, then
-    each other factor alone, then a few combinations. also: more settings, in words. full: the product of all
-    named values instead of one factor at a time. Raises InputError for values that are not allowed or do not
-    apply to the problem.
+    named: values by axis (`AXES`). One value holds for all settings; several are tried. If no axis has
+    several values, the default plan is used: the grid of schemes and shares of the problem's intervals, then
+    each other factor alone, then a few combinations. also: more settings, in words. full: use the product of
+    all named values instead of one factor at a time. Raises InputError for values that are not allowed or do
+    not apply to the problem.
     """
     values = {axis: tuple(dict.fromkeys(given)) for axis, given in (named or {}).items() if given}
     fixed = {axis: given[0] for axis, given in values.items() if len(given) == 1}
@@ -120,7 +120,7 @@ def _one_by_one(base: Setting, varied: Mapping[str, Sequence[Any]]) -> list[Sett
 def _default(
     problem: Problem, base: Setting, fixed: Mapping[str, Any], notes: list[str]
 ) -> Iterable[Setting]:
-    """The plan if only fixed values are named."""
+    """The default plan, for named values that are all fixed."""
     least = len(problem.schedule.phases)
     counts = tuple(max(least, round(share * base.intervals)) for share in SHARES)
     schemes = (*GRID_SCHEMES, base.transcription)
@@ -136,7 +136,7 @@ def _default(
 
 
 def _alternatives(problem: Problem, base: Setting, notes: list[str]) -> dict[str, tuple[Any, ...]]:
-    """Values of each factor besides the base; ``notes`` gets those that do not apply to the problem."""
+    """Alternatives to the base in each factor; ``notes`` receives those that do not apply to the problem."""
     alternatives: dict[str, tuple[Any, ...]] = {
         "solver": WORDS["solver"],
         "tolerance": TOLERANCES,
@@ -155,7 +155,7 @@ def _alternatives(problem: Problem, base: Setting, notes: list[str]) -> dict[str
 
 
 def _require(problem: Problem, setting: Setting) -> None:
-    """Refuse settings that do not apply to the problem; a solver's refusals show when it is called."""
+    """Refuse settings that do not apply to the problem; a solver refuses its own when it is called."""
     problem.schedule.intervals(setting.intervals)
     with_cone(problem, setting.cone)
     if setting.model == "two-stage" and (problem.actuation != "torque" or problem.robot.base == "fixed"):

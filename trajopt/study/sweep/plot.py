@@ -1,4 +1,4 @@
-"""Time against open-loop error of all settings, both logarithmic, the front drawn and named."""
+"""Time against open-loop error of all settings, on logarithmic axes, with the front drawn and labelled."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 FRONT_COLOR, DOMINATED_COLOR, DEFAULT_COLOR = "#0b5394", "#a0a0a0", "#cc0000"
 SIZE, DOTS = (9.0, 6.0), 150
 FRONT_FONT, OTHER_FONT = 8.5, 6.5
-# Pixels of a marker on each side.
+# Half the size of a marker, pixels.
 MARKER = 4.0 * DOTS / 72
-# Directions and distances (points of 1/72 inch) in which a label may stand off its marker, best first.
+# Directions and distances (points of 1/72 inch) of a label from its marker, best first.
 DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (0, 1), (-1, 0), (0, -1))
 DISTANCES = (7.0, 16.0, 28.0, 44.0, 64.0, 90.0)
-# Beyond this distance a line joins label and marker.
+# From this distance on, a line joins label and marker.
 LINE_FROM = 16.0
 
 
@@ -58,7 +58,7 @@ def _points(axes: Axes, rows: Sequence[Summary]) -> None:
     style: dict[str, Any] = {"linestyle": "none", "markersize": 5}
     axes.plot(*_xy(others), marker="o", color=DOMINATED_COLOR, label="dominated", **style)
     axes.plot(*_xy(best), marker="o", color=FRONT_COLOR, label="front", **style)
-    # Between two settings of a front only steps are known.
+    # Between two settings of the front only a step is known.
     axes.step(*_xy(best), where="post", color=FRONT_COLOR, linewidth=1.0, alpha=0.6)
     default = [row for row in rows if row.is_default]
     axes.plot(
@@ -71,10 +71,10 @@ def _xy(rows: Sequence[Summary]) -> tuple[list[float], list[float]]:
 
 
 def _labels(axes: Axes, rows: Sequence[Summary], legend: Legend) -> None:
-    """Labels of the front and of the default where there is room, then of the others.
+    """Label the front and the default, then the other settings where there is room.
 
-    Each takes the first place, near to far, where it covers neither a marker, the line through the front nor
-    another label.
+    Each label takes the first place, near to far, where it covers neither a marker, the line through the
+    front nor another label.
     """
     from matplotlib.transforms import Bbox
 
@@ -108,7 +108,7 @@ def _label(axes: Axes, row: Summary, taken: list[Bbox], *, must: bool) -> None:
             va=("top", "center", "bottom")[direction[1] + 1],
             arrowprops=line if distance >= LINE_FROM else None,
         )  # fmt: skip
-        annotation.get_window_extent()  # puts the text where it belongs
+        annotation.get_window_extent()  # updates the position of the text
         box = Text.get_window_extent(annotation)  # without the line to its marker
         inside = frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1
         if (inside and not box.count_overlaps(taken)) or (must and last == 0):

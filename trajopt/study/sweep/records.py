@@ -22,7 +22,7 @@ from trajopt.study.workers.records import JsonLines
 FILE = "record.jsonl"
 SOLUTIONS = "solutions"
 REFERENCE = "reference.npz"
-# Differences of a folder of another sweep, in words.
+# Key -> difference from a folder of another sweep, in words.
 HEAD = {
     "problem": "another problem",
     "values": "other parameters",
@@ -40,10 +40,14 @@ HEAD = {
 class SweepRequest:
     """The subject of a sweep: a problem by name, values of its parameters, and how its settings are run.
 
-    repeats: perturbed starts besides the default guess, with seeds 1 to repeats, the same for every setting.
-    sigma: their noise in scaled units. max_iterations, max_time (s): of one solve. build_time: s beyond that
-    time, for graphs, transcription and compilation on a busy machine, after which a run is ended.
-    reference_time: time limit of the reference, s; 0 for none. Raises InputError for invalid values.
+    Args:
+        repeats: perturbed starts besides the default guess, with seeds from 1, the same for every setting.
+        sigma: their noise, scaled units.
+        max_iterations, max_time: limits of one solve, the latter in s.
+        build_time: s beyond that, for graphs, transcription and compilation, before a run is ended.
+        reference_time: time limit of the reference, s; 0 for none.
+
+    Raises InputError for invalid values.
     """
 
     problem: str
@@ -68,7 +72,7 @@ class SweepRequest:
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """Every setting's starts, 0 the default guess."""
+        """Starts of every setting; 0 is the default guess."""
         return tuple(range(self.repeats + 1))
 
     def load(self) -> Problem:
@@ -76,7 +80,7 @@ class SweepRequest:
         return choose(families(), self.problem).load(self.values)
 
     def head(self, plan: SweepPlan, versions: Mapping[str, str]) -> dict[str, Any]:
-        """The values in which a folder must agree for a sweep to resume in it."""
+        """The values that must agree for a sweep to resume in a folder."""
         values = {name: value for name, value in asdict(self).items() if name != "reference_time"}
         settings = [setting.name for setting in plan.settings]
         return {**values, "settings": settings, "versions": dict(versions)}
@@ -84,12 +88,11 @@ class SweepRequest:
 
 @dataclass(kw_only=True)
 class SweepResults:
-    """All results: runs by job, accuracy by setting, times of calibrations, s, the reference's text.
+    """All results of a sweep.
 
-    ``compiled``: times and counts of functions compiled before the runs, by `Setting.functions`.
-
-    ``accuracy`` holds for each setting the job whose solution was measured, whether against the reference,
-    and the figures by column, None if they failed.
+    runs: by job. calibrations: times, s. reference: ``ok`` and a ``text``. compiled: times and counts of
+    functions compiled before the runs, by `Setting.functions`. accuracy: by setting, the job whose solution
+    was measured, whether against the reference, and the figures by column, None if they failed.
     """
 
     runs: dict[Job, TimedRun] = field(default_factory=dict)
@@ -104,7 +107,7 @@ class SweepResults:
         return sorted(runs, key=lambda run: run.attempt)
 
     def best(self, setting: str, start: int) -> TimedRun | None:
-        """The least disturbed attempt: the first undisturbed one, else that of the fastest machine."""
+        """The least disturbed attempt: the first undisturbed one, else that with the fastest calibration."""
         tried = self.attempts(setting, start)
         calm = [run for run in tried if not run.disturbed]
         if calm:
@@ -112,11 +115,11 @@ class SweepResults:
         return min(tried, key=lambda run: run.calibration or float("inf")) if tried else None
 
     def add(self, entry: Mapping[str, Any]) -> None:
-        """Add one object of a record.
+        """Add one entry of a record.
 
-        One of: run, by its fields; accuracy, a job by its fields, whether against the reference, and figures;
-        reference, ``ok`` and a ``text``; compiled, what was and what that took; calibrations, in s.
-        Raises KeyError, TypeError or ValueError for one that is damaged.
+        It is one of: run, by its fields; accuracy, with a job by its fields, whether against the reference,
+        and figures; reference, with ``ok`` and a ``text``; compiled, with the functions and their figures;
+        calibrations, in s. Raises KeyError, TypeError or ValueError for a damaged one.
         """
         if "run" in entry:
             run = TimedRun(**entry["run"])
@@ -134,7 +137,7 @@ class SweepResults:
 
 
 class SweepRecords:
-    """The folder of a sweep. Raises InputError where it cannot be written, or holds another sweep."""
+    """The folder of a sweep. Raises InputError if it cannot be written, or holds another sweep."""
 
     def __init__(self, folder: Path, head: Mapping[str, Any], *, resume: bool) -> None:
         self.folder = expanded(folder)

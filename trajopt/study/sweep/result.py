@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 from trajopt.study.runner import REFUSED
 
-# Of a setting whose functions cannot be compiled; other statuses are the solver's, `REFUSED` and `LOST`.
+# Status of a setting whose functions do not compile; others are the solver's, `REFUSED` and `LOST`.
 NOT_COMPILED = "not_compiled"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One run to be made: a setting's name, the start (0 the default guess, k of seed k), which attempt."""
+    """One run to make: a setting's name, the start (0: default guess, k: seed k), and the attempt."""
 
     setting: str
     start: int
@@ -21,12 +21,13 @@ class Job:
 class TimedRun(Job):
     """One solve and its times in s; unknown ones are None.
 
-    wall_time, function_time: the solver's. start_time: of the solve that
-    made a warm start. stage_two_time: torques after the motion. build_time, compile_time: graphs and
-    transcription, compilation. iterations: of all solves. objective: the problem's own, even if a variant
-    was solved. calibration: time of the load beside the run (`calibration`), s. cpu_share: fraction of the
-    time, without compilation, in which the process had its core. disturbed: either is out of bounds.
-    detail: why it was refused, lost or not solved.
+    Args:
+        wall_time, function_time: the solver's; start_time: of the solve that made a warm start.
+        stage_two_time, build_time, compile_time: of torques; of graphs and transcription; of compilation.
+        iterations, objective: of all solves; the problem's own, even if a variant was solved.
+        calibration: time of the load next to the run, s.
+        cpu_share: fraction of the time, without compilation, in which the process had its core.
+        disturbed: either is out of bounds. detail: why it was refused, lost or not solved.
     """
 
     status: str
@@ -55,12 +56,12 @@ class TimedRun(Job):
 
     @property
     def is_final(self) -> bool:
-        """Whether repeating it is useless: the setting does not fit, or its functions cannot be compiled."""
+        """Whether repeating it is useless: the setting does not fit, or its functions do not compile."""
         return self.status in (REFUSED, NOT_COMPILED)
 
     @property
     def time(self) -> float:
-        """Time that a user waits for each solve, s; infinite without a solution."""
+        """Time that a user waits for a solve, s; infinite without a solution."""
         if not self.success or self.wall_time is None:
             return float("inf")
         return self.wall_time + self.start_time + self.stage_two_time

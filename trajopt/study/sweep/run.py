@@ -1,4 +1,4 @@
-"""The tasks of a sweep: compile, run, solve the reference, time the fixed load."""
+"""Tasks of a sweep: compile, run, solve the reference, time the fixed load."""
 
 import statistics
 import time
@@ -23,15 +23,15 @@ from trajopt.study.sweep.variants import with_cone
 from trajopt.transcription.compilation import compile_points
 from trajopt.transcription.transcription import transcribe
 
-# A warm start is the solution on this fraction of the intervals, in the same scheme.
+# A warm start is the solution on this fraction of the intervals, with the same scheme.
 COARSER = 0.5
-# A solve that takes less than this, s, is repeated this many times in its process.
+# A solve shorter than this, s, is done this many times in its process.
 SHORT, TIMES = 0.1, 5
 
 
 @dataclass(frozen=True)
 class _Made:
-    """The solves in order, of which the last gives the solution, and the time of stage two, s."""
+    """Solves in order, of which the last gives the solution, and the time of stage two, s."""
 
     parts: tuple[Solution, ...]
     stage_two_time: float = 0.0
@@ -47,15 +47,15 @@ class _Made:
 
 
 def run_job(request: SweepRequest, setting: Setting, job: Job, file: Path) -> TimedRun:
-    """One run as a task, see `run`."""
+    """One run as a task, see `run_setting`."""
     return run_setting(request.load(), setting, job, request, file)
 
 
 def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequest, file: Path) -> TimedRun:
-    """Solve, timed between two calibrations, and write the solution where there is one.
+    """Solve between two calibrations, with times, and write the solution if there is one.
 
-    request: noise of perturbed starts, limits of a solve.
-    Raises InputError where the setting does not fit the problem.
+    request: noise of perturbed starts, limits of a solve. Raises InputError if the setting does not fit the
+    problem.
     """
     asked = with_cone(problem, setting.cone)
     load = Load()
@@ -71,7 +71,7 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
         objective = objective_of(asked, setting, solution)
     if solution.converged:
         solution.with_statistics(objective=objective).save(file)
-    # The first solve pays for graphs and compilation, not the others.
+    # Only the first solve pays for graphs and compilation.
     compile_time = first.total("compile_time_s")
     return TimedRun(
         **asdict(job),
@@ -96,7 +96,7 @@ def run_setting(problem: Problem, setting: Setting, job: Job, request: SweepRequ
 
 
 def compiled(request: SweepRequest, setting: Setting) -> dict[str, Any]:
-    """Compile what a setting needs, where it is not in the cache: times in s, and how many functions."""
+    """Compile the functions of a setting that are not in the cache; returns times in s, and their number."""
     asked = with_cone(request.load(), setting.cone)
     first = base_rows_problem(asked) if setting.model == "two-stage" else asked
     points = transcribe(first, setting.transcription, setting.intervals).points
@@ -122,9 +122,9 @@ def calibrations(count: int) -> dict[str, Any]:
 
 
 def _repeated(problem: Problem, setting: Setting, job: Job, request: SweepRequest) -> list[_Made]:
-    """The same solve several times where it is short, else once.
+    """Repeat a solve that is short; others are done once.
 
-    The first solve of a process pays for loading pages and libraries.
+    The first solve in a process pays for loading pages and libraries.
     """
     solves = [_solve(problem, setting, job, request)]
     while solves[0].time < SHORT and len(solves) < TIMES:
@@ -159,21 +159,21 @@ def _solve(problem: Problem, setting: Setting, job: Job, request: SweepRequest) 
 
 
 def with_torques(problem: Problem, solution: Solution) -> Solution:
-    """Stage two: torques read off the motion; where they exceed their limits, wrenches are redistributed.
+    """Stage two: recover torques from the motion; if they exceed their limits, redistribute the wrenches.
 
-    A solution has the torques of its actuated rows already, whether its rows held them or not.
+    A solution already has the torques of its actuated rows, whether or not its problem had these rows.
     """
     _, report = recover_torques(problem, solution)
     return solution if report.within_limits else redistribute_wrenches(problem, solution)
 
 
 def objective_of(problem: Problem, setting: Setting, solution: Solution) -> float:
-    """The problem's objective at a solution of another one with the same variables."""
+    """The problem's objective at the solution of a variant with the same variables."""
     prepared = prepare(problem, transcription=setting.transcription, intervals=setting.intervals)
     return float(prepared.nlp.engine.f(warm_start(prepared.transcription, solution).x))
 
 
-# Order of a matrix within the second-level cache, and doubles well beyond it (8 MB).
+# Order of a matrix that fits the second-level cache, and number of doubles well beyond it (8 MB).
 ORDER = 200
 DOUBLES = 1_000_000
 COUNTS = 20_000
@@ -182,7 +182,7 @@ LOADS = 25
 
 
 class Load:
-    """The load; its arrays are allocated once."""
+    """The fixed load; its arrays are allocated once."""
 
     def __init__(self) -> None:
         generator = np.random.default_rng(0)

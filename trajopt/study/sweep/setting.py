@@ -21,7 +21,7 @@ CONES = ("own", "smooth", "pyramid")
 MODELS = ("full", "two-stage")
 STARTS = ("cold", "warm")
 
-# A finer grid takes tens of gigabytes before anything is solved.
+# Finer grids take tens of gigabytes before anything is solved.
 MOST_INTERVALS = 100_000
 
 # Axis -> the words it takes; a word belongs to one axis only, so that a setting can be written in words.
@@ -42,9 +42,11 @@ WORD_FORM = (
 class Setting:
     """How a problem is solved. Raises InputError for an invalid value.
 
-    intervals: over the whole schedule. cone: friction as the smooth cone or the inscribed pyramid. model:
-    ``full``, or ``two-stage``, motion and wrenches first, torques after (`trajopt.reduced.two_stage`). start:
-    ``cold`` from the problem's guess, or ``warm`` from the solution on half the intervals, whose time counts.
+    Args:
+        intervals: over the whole schedule.
+        cone: friction as the smooth cone or the inscribed pyramid; ``own``: as in the problem.
+        model: ``full``, or ``two-stage``: motion and wrenches, then torques (`trajopt.reduced.two_stage`).
+        start: ``cold`` from the problem's guess; ``warm`` from a solution on half the intervals, timed too.
     """
 
     transcription: str
@@ -73,11 +75,11 @@ class Setting:
 
     @property
     def functions(self) -> str:
-        """The values that determine its compiled functions, in words: no scheme, step or interval count."""
+        """The values that determine the compiled functions, in words: no scheme, step or interval count."""
         return " ".join((self.hessian, self.cone, self.model))
 
     def words(self) -> dict[str, str]:
-        """Each axis in a word; the grid is one."""
+        """Each axis as a word; the grid is one."""
         grid = f"{self.transcription}@{self.intervals}"
         words = {axis: getattr(self, axis) for axis in WORDS}
         tolerance = np.format_float_scientific(self.tolerance, trim="-", exp_digits=1)
@@ -115,7 +117,7 @@ class Setting:
 
     @classmethod
     def parse(cls, text: str, base: Setting) -> Setting:
-        """``base`` with the words of ``text`` in place of its own, as in ``legendre:1@10 pyramid 1e-3``."""
+        """Replace values of ``base`` by the words of ``text``, as in ``legendre:1@10 pyramid 1e-3``."""
         chosen: dict[str, Any] = {}
         for word in text.replace(",", " ").split():
             for axis, value in _meaning(word).items():
@@ -126,7 +128,7 @@ class Setting:
 
 
 def _meaning(word: str) -> dict[str, Any]:
-    """Values by axis that a word of a setting stands for. Raises InputError."""
+    """Values by axis that a word of a setting means. Raises InputError."""
     for axis, words in WORDS.items():
         if word in words:
             return {axis: word}

@@ -1,4 +1,4 @@
-"""One row per setting: medians over its runs, the accuracy of the median run, and the dominating setting."""
+"""One row per setting: medians over its runs, the accuracy of the median run, and what dominates it."""
 
 import math
 import statistics
@@ -18,10 +18,12 @@ Figures = dict[str, float | None]
 class Summary:
     """A setting and its results.
 
-    runs: the best attempt from each start. median: the run of the median time, a failed one counting as the
-    slowest; None before the first. accuracy: of its solution, by column of `figures.COLUMNS`. compiled: time
-    to compile its functions, shared by all settings with the same ones. dominated_by: the setting on the
-    front that dominates it most.
+    Args:
+        runs: the best attempt from each start.
+        median: the run of median time, with failed ones as the slowest; None before the first run.
+        accuracy: of its solution, by column of `figures.COLUMNS`.
+        compiled: times to compile its functions, shared by all settings with the same ones.
+        dominated_by: the setting on the front that dominates it most.
     """
 
     setting: Setting
@@ -41,28 +43,28 @@ class Summary:
 
     @property
     def time(self) -> float:
-        """Median time of a solve, s; infinite if half of the runs or more failed, NaN without runs."""
+        """Median time of a solve, s; infinite if at least half of the runs failed, NaN without runs."""
         return math.nan if self.median is None else self.median.time
 
     @property
     def error(self) -> float:
-        """Open loop, worst phase, m; NaN if unknown or not finite."""
+        """Open-loop error of the worst phase, m; NaN if unknown or not finite."""
         value = self.accuracy.get("open_loop_m")
         return math.nan if value is None else value
 
     @property
     def objectives(self) -> tuple[float, float]:
-        """The setting's point for the front."""
+        """Time and error: the setting's point for the front."""
         return self.time, self.error
 
     @property
     def is_measured(self) -> bool:
-        """Whether it has a time and an error."""
+        """Whether both time and error are known."""
         return is_measured(self.objectives)
 
     @property
     def failure(self) -> str:
-        """What happened to the first run without a solution, or empty."""
+        """Status and detail of the first run without a solution; empty if there is none."""
         failed = [run for run in self.runs if not run.success]
         return f"{failed[0].status}: {failed[0].detail}".removesuffix(": ") if failed else ""
 
@@ -79,7 +81,7 @@ def median_run(results: SweepResults, setting: str, starts: Iterable[int]) -> Ti
 
 
 def summarize(plan: SweepPlan, results: SweepResults, starts: Sequence[int]) -> tuple[Summary, ...]:
-    """All settings of a plan, in its order."""
+    """Summaries of all settings of a plan, in its order."""
     rows = [_summary(plan, results, starts, setting) for setting in plan.settings]
     points = [row.objectives for row in rows]
     best = set(front(points, GAIN))
@@ -126,21 +128,21 @@ def disturbance(results: SweepResults) -> dict[str, Any]:
 
 Point = tuple[float, float]
 
-# A slower setting is on the front only if its error is less by this fraction: errors of one discretisation
+# A slower setting is on the front only if its error is smaller by this fraction: errors of one discretisation
 # with different solvers or tolerances differ in the third digit.
 GAIN = 0.05
 
 
 def is_measured(point: Point) -> bool:
-    """Whether time and error are finite: otherwise a point is never on a front."""
+    """Whether time and error are finite; other points are never on a front."""
     return all(math.isfinite(value) for value in point)
 
 
 def front(points: Sequence[Point], gain: float = 0.0) -> list[int]:
     """Indices of the points on the front, fastest first.
 
-    Those whose error is less than that of every faster one by a fraction ``gain``; 0 gives the Pareto front.
-    Equal points are on it together. Points that are not measured are ignored.
+    A point is on it if its error is smaller by a fraction ``gain`` than that of every faster one; 0 gives the
+    Pareto front. Equal points are on it together. Unmeasured points are ignored.
     """
     kept: list[int] = []
     for i in sorted(
@@ -155,8 +157,8 @@ def front(points: Sequence[Point], gain: float = 0.0) -> list[int]:
 def dominators(points: Sequence[Point], gain: float = 0.0) -> list[int | None]:
     """For each point, the one on the front that dominates it most; None for points on the front.
 
-    That is the largest product of ratios among those that are not slower, and not less accurate up to
-    ``gain``. A point that is not measured also has None.
+    It has the largest product of ratios among those that are not slower and, up to ``gain``, not less
+    accurate. Unmeasured points have None too.
     """
     best = front(points, gain)
     dominating: list[int | None] = []
@@ -168,6 +170,6 @@ def dominators(points: Sequence[Point], gain: float = 0.0) -> list[int | None]:
 
 
 def _lead(first: Point, second: Point) -> float:
-    """Logarithm of the product of ratios; infinite if the front's point is zero."""
+    """Logarithm of the product of ratios; infinite if an entry of the front's point is zero."""
     pairs = [(a, b) for a, b in zip(first, second, strict=True) if a != b]
     return sum(math.inf if a <= 0 else math.log(b / a) for a, b in pairs)

@@ -41,7 +41,7 @@ def run_rows(problem: str, settings: Sequence[Setting], results: SweepResults) -
 
 
 def setting_rows(name: str, problem: Problem, summaries: Sequence[Summary]) -> list[Row]:
-    """A row per setting of the problem of that name; docs/front.md explains the columns."""
+    """One row per setting of the problem with this name; docs/front.md explains the columns."""
     robot, units = problem.robot, Units(problem.robot)
     default = next((row.time for row in summaries if row.is_default), math.nan)
     head = {"problem": name, "robot": robot.name, "kind": _motion_kind(problem), "n_velocities": robot.nv}
@@ -99,7 +99,7 @@ def _setting_row(row: Summary, units: Units, duration: float, default: float) ->
 def write_tables(
     folder: Path, name: str, problem: Problem, results: SweepResults, summaries: Sequence[Summary]
 ) -> list[Row]:
-    """Write ``runs.csv``, ``settings.csv`` and ``front.csv``; the rows of the second.
+    """Write ``runs.csv``, ``settings.csv`` and ``front.csv``; returns the rows of the second.
 
     Raises InputError if they cannot be written.
     """
@@ -112,7 +112,7 @@ def write_tables(
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:
-    """Write a table atomically; truth as 1 and 0, unknown and non-finite values as empty."""
+    """Write a table atomically; booleans as 1 and 0, unknown and non-finite values as empty."""
     titles = list(columns or (rows[0] if rows else ()))
     with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, titles, lineterminator="\n")
@@ -131,7 +131,7 @@ def _cell(value: Any) -> str:
 
 
 def summary_table(summaries: Iterable[Summary]) -> Table:
-    """The settings, those of the front first, fastest first; then by time, those that failed last."""
+    """Table of the settings: those of the front first, fastest first; then by time, failed ones last."""
     rows = list(summaries)
     default = next((row.time for row in rows if row.is_default), math.nan)
     ordered = sorted(rows, key=lambda row: (not row.on_front, not row.is_measured, _last(row.time)))
@@ -139,7 +139,7 @@ def summary_table(summaries: Iterable[Summary]) -> Table:
 
 
 def _last(time: float) -> float:
-    """A time to sort by: unknown ones come last."""
+    """A time to sort by; unknown ones come last."""
     return time if math.isfinite(time) else math.inf
 
 

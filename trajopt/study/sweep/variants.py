@@ -1,4 +1,4 @@
-"""A problem with the other friction cone, and the kind of its own."""
+"""A problem with another friction cone, and the kind of its own."""
 
 from dataclasses import fields, replace
 
@@ -11,7 +11,7 @@ KINDS: dict[str, type[ContactConstraint]] = {"smooth": FrictionCone, "pyramid": 
 
 
 def cone_of(problem: Problem) -> str | None:
-    """``smooth`` or ``pyramid``, ``own`` for terms of both kinds, None without a friction term for points."""
+    """Kind of the friction terms for points: ``smooth``, ``pyramid``, ``own`` for both, None without any."""
     kinds = {
         kind for kind, term_type in KINDS.items() if any(type(term) is term_type for term in problem.terms)
     }
@@ -21,11 +21,11 @@ def cone_of(problem: Problem) -> str | None:
 
 
 def with_cone(problem: Problem, kind: str) -> Problem:
-    """The problem with all its friction terms of points of that kind; ``own`` leaves it as it is.
+    """Convert all friction terms for point contacts to that kind; ``own`` leaves the problem unchanged.
 
     The pyramid is inscribed in the cone: where friction is active, the two problems have different optima.
-    The cones of soles (`SoleCone`) are pyramids already and stay. Raises InputError where there is no
-    friction term.
+    The cones of soles (`SoleCone`) are already pyramids and stay. Raises InputError if there is no friction
+    term.
     """
     current = cone_of(problem)
     if kind in ("own", current):
@@ -38,7 +38,7 @@ def with_cone(problem: Problem, kind: str) -> Problem:
 
 
 def _as_kind(term: Term, kind: type[ContactConstraint]) -> Term:
-    """A friction term with the same values in another kind; any other term as it is."""
+    """Convert a friction term to another kind with the same values; other terms are returned unchanged."""
     if type(term) not in KINDS.values():
         return term
     return kind(**{entry.name: getattr(term, entry.name) for entry in fields(term) if entry.init})

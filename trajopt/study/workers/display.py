@@ -1,4 +1,4 @@
-"""Display on stderr while tasks run: a line for each finished one; on a terminal, those that run below."""
+"""Display on stderr while tasks run: a line per finished task; on a terminal, the running ones below."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def figure_table(
     fold: Collection[str] = (),
     whole: Collection[str] = (),
 ) -> Table:
-    """A table without rules, with rows by title; columns other than ``left`` hold numbers.
+    """A table without rules, from rows by title; columns other than ``left`` hold numbers.
 
     fold: columns whose text may take several lines. whole: columns that are never cut short.
     """
@@ -36,9 +36,9 @@ def figure_table(
 
 
 class TaskDisplay:
-    """Lines of text; on a terminal that can move its cursor, a bar for all tasks and one for each that runs.
+    """Lines of text; on a terminal that can move its cursor, a bar for all tasks and one per running task.
 
-    title: of the bar for all. total: tasks in all, of which ``done`` have results. Any thread may call it.
+    title: of the bar for all. total: number of tasks, of which ``done`` have results. Any thread may call it.
     """
 
     def __init__(self, title: str, total: int = 0, done: int = 0) -> None:
@@ -64,11 +64,11 @@ class TaskDisplay:
         self._progress.stop()
 
     def note(self, text: str) -> None:
-        """Say something."""
+        """Print a line."""
         self._progress.console.print(text)
 
     def show(self, names: Collection[str]) -> None:
-        """Show these tasks as those that run."""
+        """Show these tasks as running."""
         for name in [name for name in self._running if name not in names]:
             self._progress.remove_task(self._running.pop(name))
         for name in names:
@@ -81,7 +81,7 @@ class TaskDisplay:
         self._progress.update(self._all, total=self._total)
 
     def finished(self, text: str = "") -> None:
-        """A task has ended: its line, if any, above what runs."""
+        """Count an ended task, and print its line, if any, above the running ones."""
         self._progress.advance(self._all)
         if text:
             self.note(text)

@@ -1,4 +1,4 @@
-"""An executor whose tasks may crash, hang or run out of memory: no other task is in their process then."""
+"""An executor whose tasks may crash, hang or run out of memory: no other task shares their process."""
 
 import contextlib
 import multiprocessing
@@ -29,8 +29,8 @@ from trajopt.study.workers.task import (
 )
 
 _Result = TypeVar("_Result")
-# Environment of the server, and so of all tasks: one thread each, because there is a task per processor, and
-# no modules from the working directory.
+# Environment of the server, and thus of all tasks: one thread each, because there is a task per processor,
+# and no modules from the working directory.
 ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -38,16 +38,17 @@ ENVIRONMENT = {
     "PYTHONSAFEPATH": "1",
     "PYTHONWARNINGS": "ignore",
 }
-# Seconds that a process may take to end, and an ended server to be replaced.
+# Seconds for a process to end, and for an ended server to be replaced.
 PATIENCE = 5.0
 # `multiprocessing` keeps its children in a set and reads their status once: one thread at a time.
 _processes = threading.Lock()
 
 
 def _forget_server() -> None:
-    """In a process that was forked from one with a server, such as a worker of `ProcessPoolExecutor`.
+    """Reset the server in a process forked from one that has it, such as a worker of `ProcessPoolExecutor`.
 
-    The server is no child of it: it needs another one, and a lock that no thread of its parent holds.
+    The server is not a child of this process, which needs its own, and a lock that no thread of its parent
+    holds.
     """
     global _processes
     _processes = threading.Lock()
@@ -58,11 +59,11 @@ os.register_at_fork(after_in_child=_forget_server)
 
 
 class _EndedError(Exception):
-    """A process was ended from outside while it waited for a task."""
+    """A process that was ended from outside while it waited for a task."""
 
 
 class _Process:
-    """A process that does tasks, one after the other: its connection, and the file of what it says."""
+    """A process that does tasks one after the other: its connection, and the file of its output."""
 
     def __init__(self, context: multiprocessing.context.ForkServerContext, core: int | None) -> None:
         self.connection, theirs = context.Pipe()
@@ -73,12 +74,12 @@ class _Process:
         self.close_theirs = theirs.close
 
     def start(self) -> None:
-        """Fork it, where the server runs."""
+        """Fork it from the server."""
         _fork(self.process)
         self.close_theirs()
 
     def answer(self, task: bytes) -> Any:
-        """The result of a task, or its TaskError; `_EndedError` where it was ended while it waited."""
+        """The result of a task, or its TaskError; `_EndedError` if it was ended while it waited."""
         self.tasks += 1
         limit, begun = "", False
         try:
@@ -96,7 +97,7 @@ class _Process:
             raise _lost(self.process, limit, self.said) from None
 
     def end(self) -> None:
-        """End it with all that it started."""
+        """End it and everything that it started."""
         _kill(self.process)
         self.process.join()
         self.connection.close()
@@ -105,29 +106,30 @@ class _Process:
 
 @dataclass
 class _Slot:
-    """Where one task at a time runs: its processor, and a process that waits for the next task."""
+    """A place for one task at a time: its processor, and a process that waits for the next task."""
 
     core: int | None
     idle: _Process | None = None
 
 
 class ProcessPerTaskExecutor(Executor):
-    """Runs each task in a process that is forked for it from a server with all modules loaded.
+    """Runs each task in a process forked from a server that has all modules loaded.
 
-    With ``most_tasks`` above one a process whose task has ended with a result does the next one, up to that
-    number: robots and functions are loaded already.
+    With ``most_tasks`` above one, a process whose task returned a result does the next one, up to that
+    number, since robots and functions are already loaded.
 
     A task without a result raises a `TaskError` from its future, and does not affect others:
     `RefusedTaskError` for a TrajoptError, `TaskTimeoutError` beyond its own time limit
-    (`trajopt.study.workers.task`), `LostTaskError` otherwise. As with other executors functions and arguments
-    are pickled. Leaving the ``with`` block by an exception ends all processes and their children; so does the
-    end of this process. A script whose workers would start workers gets an `UnguardedScriptError`.
+    (`trajopt.study.workers.task`), `LostTaskError` otherwise. As with other executors, functions and
+    arguments are pickled. Leaving the ``with`` block by an exception ends all processes and their children;
+    so does the end of this process. A script whose workers would start workers gets an
+    `UnguardedScriptError`.
 
     Args:
         max_workers: tasks at a time.
-        cores: a processor for each of them, to which it is pinned; default: none is.
-        preload: modules that the server loads, where it does not run yet; there is one server in a process.
-        most_tasks: that a process does.
+        cores: a processor for each of them, to which it is pinned; default: no pinning.
+        preload: modules that the server loads if it is not running yet; a process has one server.
+        most_tasks: most tasks of one process.
     """
 
     def __init__(
@@ -154,7 +156,7 @@ class ProcessPerTaskExecutor(Executor):
         return self._threads.submit(self._run, pickle.dumps((fn, args, kwargs)))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Take no more tasks; with ``cancel_futures`` end those that run, too."""
+        """Accept no more tasks; with ``cancel_futures``, end the running ones, too."""
         self._closed = True
         if cancel_futures:
             with _processes:
@@ -209,12 +211,12 @@ class ProcessPerTaskExecutor(Executor):
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _fork(process: ForkServerProcess) -> None:
-    """Have the server fork a process, starting it first where it does not run (any more)."""
+    """Have the server fork a process; start the server first if it does not run (any more)."""
     deadline = time.monotonic() + PATIENCE
     while True:
         resource_tracker.ensure_running()  # starting it later would undo the next line

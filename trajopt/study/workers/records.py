@@ -11,7 +11,7 @@ from trajopt.errors import InputError
 
 
 class JsonLines:
-    """A file of JSON objects, one a line; or none, without a path. Any thread may append.
+    """A file of JSON objects, one per line; without a path, nothing is stored. Any thread may append.
 
     Raises InputError if it cannot be written.
     """
@@ -21,7 +21,7 @@ class JsonLines:
         self._lock = threading.Lock()
 
     def open(self, *, resume: bool) -> list[dict[str, Any]]:
-        """Make the folder, and the file unless it is resumed; returns its objects."""
+        """Create the folder, and the file unless it is resumed; returns its objects."""
         if self.path is None:
             return []
         try:
@@ -51,7 +51,7 @@ class JsonLines:
         return not first or first.startswith("{")
 
     def read(self) -> list[dict[str, Any]]:
-        """All objects; invalid lines are skipped: their results are computed again."""
+        """All objects; invalid lines are skipped, so their results are computed again."""
         if self.path is None or not self.path.is_file():
             return []
         entries = []

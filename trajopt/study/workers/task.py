@@ -1,4 +1,4 @@
-"""The process of tasks: their time limits, and how they end."""
+"""The process that runs tasks: their time limits, and how they end."""
 
 import contextlib
 import faulthandler
@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection
 
 from trajopt.errors import InputError, TrajoptError
 
-# Kinds of message from a task's process: that it has begun, the start of a time limit, the result, an error.
+# Kinds of message from a task's process: it has begun, a time limit has started, a result, an error.
 BEGUN, LIMIT, DONE, FAILED = "begun", "limit", "done", "failed"
 # Exit status of a worker whose script starts workers when it is imported; no other program ends with it.
 UNGUARDED = 213
@@ -48,16 +48,16 @@ class UnguardedScriptError(InputError):
 
 
 def end_unguarded_import() -> None:
-    """End this process where it is a worker that imports the script it was started by.
+    """End this process if it is a worker that imports the script by which it was started.
 
-    A script without a main guard would have each of its workers start workers.
+    Without a main guard, each worker of a script would start workers.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         os._exit(UNGUARDED)
 
 
 def limit_time(seconds: float) -> None:
-    """Give this task's process this many seconds from now, in place of the previous limit.
+    """Limit the process of this task to this many seconds from now, in place of any previous limit.
 
     The kernel ends it (SIGALRM), in whatever library it hangs. Ignored if the task has no separate process.
     """
@@ -67,9 +67,9 @@ def limit_time(seconds: float) -> None:
 
 
 def serve_tasks(connection: Connection, said: str, core: int | None) -> None:
-    """Do pickled ``(function, args, kwargs)`` as they come, until the connection is closed.
+    """Run pickled ``(function, args, kwargs)`` as they arrive, until the connection is closed.
 
-    said: a file for output of libraries. core: the processor it is pinned to, if the system supports it.
+    said: a file for the output of libraries. core: processor to pin to, if the system supports it.
     """
     global _answers
     os.setsid()  # a group of its own, so that the compilers it starts end with it
@@ -110,7 +110,7 @@ def _answer(task: bytes) -> bytes:
 def _end_with_parent() -> None:
     """Have the kernel end the whole group when the waiting process is gone, even if a library hangs.
 
-    Then its end of a pipe closes, which is input (SIGIO), whose default is to end a process.
+    Its end of a pipe closes then, which counts as input (SIGIO), whose default action is to end a process.
     """
     parent = multiprocessing.parent_process()
     assert parent is not None

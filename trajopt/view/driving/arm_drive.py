@@ -1,4 +1,4 @@
-"""An arm that was driven: what was recorded, and its figures."""
+"""The recorded drive of an arm, and its report."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from trajopt.simulation.world import World
 from trajopt.solution.solution import Solution
 from trajopt.view.driving.drivers import ArmDriver, since
 
-# Distances of links are computed at times so far apart, s.
+# Interval at which distances between links are computed, s.
 STRIDE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArmDriveReport(PlanFigures):
-    """Figures of an arm's drive in simulated time, and times of this machine.
+    """Figures of an arm's drive; those of plans include the part of the motion that was not kept.
 
-    tool: the frame that follows. error_mean, error_95, error_max: distance of the tool from the target, which
-    moves at a bounded speed, m. nearest: least distance of links from each other and from obstacles, m; None
-    without such pairs. beyond: farthest of a joint beyond its limits, rad or m. rate: largest of a joint over
-    its limit. targets: where the target was sent, s and m.
-
-    Figures of plans count from the begin also where the first part of the motion was not kept.
+    Args:
+        tool: frame that follows the target.
+        error_mean, error_95, error_max: distance of the tool from the moving target, m.
+        nearest: least distance between links and to obstacles, m; None without such pairs.
+        beyond: largest violation of a joint's position limits, rad or m.
+        rate: largest ratio of a joint's velocity to its limit.
+        targets: times, s, and positions, m, to which the target was sent.
     """
 
     tool: str
@@ -42,7 +43,7 @@ class ArmDriveReport(PlanFigures):
     targets: tuple[tuple[float, tuple[float, ...]], ...]
 
     def table(self) -> str:
-        """Figures for people, one a line."""
+        """Figures as text, one per line."""
         mean, high, most = (1e3 * error for error in (self.error_mean, self.error_95, self.error_max))
         lines = [
             ("driven", f"{self.simulated:.3f} s"),
@@ -58,9 +59,10 @@ class ArmDriveReport(PlanFigures):
 
 @dataclass(frozen=True, kw_only=True)
 class ArmDrive:
-    """An arm that was driven: report, and everything that was recorded.
+    """The recorded drive of an arm, and its report.
 
-    stand: the robot at rest at the start. reference: ticks. target: where it was at ticks (n, 3), m.
+    ``stand`` is the robot at rest at the start, ``reference`` has the ticks, ``target`` (n, 3) m is the
+    target's position at them.
     """
 
     stand: Solution
@@ -83,15 +85,15 @@ def arm_drive(
     record: SimulationRecord,
     fall: Fall | None,
 ) -> ArmDrive:
-    """What was recorded, with its report.
+    """Return the recorded drive with its report.
 
     Args:
-        driver: what drove, with what it counted; its offset is the begin of the record.
+        driver: after the drive, with its figures; its ``offset`` is the time at which the record begins.
         stand: the robot at rest at the start.
-        reference: ticks.
+        reference: with the ticks.
         world: that was simulated.
-        record: of the ticks.
-        fall: how it ended, if it failed.
+        record: samples at the ticks.
+        fall: how the drive ended, if it failed.
     """
     times = driver.offset + reference.t[: len(record.feet)]
     target = np.array([driver.path.at(time)[0] for time in times.tolist()])

@@ -1,4 +1,4 @@
-"""What a page draws of a drive: the scene once, then joints, contact forces and the plan as plain numbers."""
+"""Data for the page of a drive: the scene once, then joints, contact forces and the plan as plain numbers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from trajopt.view.replay.page import REPLAY, WEB, PageSource
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.watching.drawing import still_scene
 
-# Points of a plan's lines; plans of which times are told; s over which speeds are measured; pace that warns.
+# Points per line of a plan; plans in the timing figures; window for speeds, s; pace below which it warns.
 POINTS, RECENT, WINDOW, SLOW = 16, 500, 0.5, 0.9
 OWN_WEB = Path(__file__).parent / "web"
 SOURCE = PageSource(
@@ -54,7 +54,7 @@ def scene_of(stand: Solution, driver: PageController) -> tuple[list[ViewerComman
 
 
 class Painter:
-    """What a page shows of a session, see web/view.js and web/drive.js."""
+    """Converts the state of a session to what web/view.js and web/drive.js draw."""
 
     def __init__(self, session: DriveSession) -> None:
         self._session, self._robot = session, session.driver.robot
@@ -62,7 +62,7 @@ class Painter:
         self._plan: dict[str, Any] = {}
 
     def state(self, *, plan: bool = True) -> dict[str, Any]:
-        """The state now, JSON-able; with ``plan`` the lines of the plan are made anew."""
+        """The current state, JSON-able; with ``plan`` the lines of the plan are computed again."""
         session, driver = self._session, self._session.driver
         record, row = session.record, max(session.row - 1, 0)
         q = session.world.coordinates.from_mujoco(session.run.data.qpos[None])[0]
@@ -84,7 +84,7 @@ class Painter:
         }
 
     def _lines(self, motion: HorizonMotion) -> dict[str, Any]:
-        """Lines (n, 3) m of the plan from now on: of the base and the contacts, or of the tool; footholds."""
+        """The remaining plan: lines (n, 3), m, of base and contacts, or of the tool; dots at footholds."""
         robot, driver = self._robot, self._session.driver
         times = np.linspace(max(self._session.passed, motion.begin), motion.begin + motion.duration, POINTS)
         if isinstance(driver, ArmDriver):
@@ -101,7 +101,7 @@ class Painter:
 
 
 def figures_of(session: DriveSession, q: np.ndarray) -> list[dict[str, Any]]:
-    """Lines of the page's panel: times, speeds or the tool's error at q (nq,), plans."""
+    """Figures of the page's panel: times, speeds or the error of the tool at ``q`` (nq,), plans."""
     plans = session.driver.plans
     median, high = np.percentile(1e3 * np.array(plans.report.planning[-RECENT:] or [0.0]), [50, 99])
     relaxed = ", ".join(f"{name} {count}" for name, count in plans.report.relaxed.items() if count)
@@ -134,7 +134,7 @@ def _motion_figures(session: DriveSession, q: np.ndarray) -> list[dict[str, Any]
 
 
 def _speeds(session: DriveSession) -> tuple[float, float, float]:
-    """Mean speed forward and to the left, m/s, and turn rate, rad/s, of the last `WINDOW` s."""
+    """Mean speed forward and to the left, m/s, and turn rate, rad/s, over the last `WINDOW` s."""
     period = session.reference.period
     count = min(session.row, round(WINDOW / period))
     if count < 2:

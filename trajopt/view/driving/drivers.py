@@ -26,32 +26,32 @@ from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
 
-# Gaits that are prepared unless others are asked for: each takes seconds.
+# Gaits prepared by default, in seconds each; if a robot has none of them, its first MOST_GAITS.
 USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
-# Largest commands over natural units: speed forward and sideways, turn rate, height; on fewer than four feet
-# this part of the speeds.
+# Largest commands in natural units: speed forward and sideways, turn rate, height. With fewer than FEET feet
+# the speeds are scaled by CAREFUL.
 SPEED, LATERAL, TURN, HEIGHT = 0.6, 0.25, 0.25, 0.15
 FEET, CAREFUL = 4, 0.4
-# Gaits of four feet in which one lifts at a time get at most this part of the speeds: faster ones fall.
+# Gaits that lift one of four feet at a time are limited to this fraction of the speeds: faster ones fall.
 SLOW_GAITS, SLOW = ("walk", "amble"), 0.5
-# Largest and usual push over weight times natural time.
+# Largest and initial push in units of weight times natural time.
 MOST_PUSH, USUAL_PUSH = 0.5, 0.1
-# Of an arm's target: farthest from the start over the robot's length, and speed over the natural one.
+# Target of an arm: largest offset from its start over the robot's length, and speed in natural units.
 FARTHEST, TARGET_SPEED = 0.35, 0.2
-# Period and delay of plans, s. They are made in the loop: Python's lock makes a thread of their own slower.
+# Period and delay of plans, s. They are made in the loop: with Python's lock a separate thread is slower.
 PERIOD, DELAY = 0.02, 0.01
-# Sliders of pushes.
+# Names of the sliders of a push.
 PUSH, DIRECTION = "push", "direction"
 GAIT, SPEEDS = "gait", ("speed", "lateral", "turn_rate")
-# A browser rounds the ends of a slider: so much beyond them is taken as the end.
+# A browser rounds the ends of a slider: values this far beyond them are clipped.
 EDGE = 1e-9
-# What a log has of a time.
+# The value of a log entry.
 Sent = TypeVar("Sent")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slider:
-    """A number that a page sets: its bounds and first value in ``unit``; keys that raise and lower it."""
+    """A number set by the page: bounds and initial value in ``unit``; keys that raise and lower it."""
 
     name: str
     label: str
@@ -63,10 +63,13 @@ class Slider:
 
 
 class PageController(ABC):
-    """A robot that follows what a page sets; a simulation asks it for torques.
+    """A robot steered from a page; the simulation uses it as its torque controller.
 
-    obstacles: that it keeps clear of. sliders, gaits: what a page may set. values, gait: what is set. offset:
-    s, added to the simulation's time.
+    Attributes:
+        obstacles: avoided by the robot.
+        sliders, gaits: what the page can set.
+        values, gait: what is set now.
+        offset: added to the time of the simulation, s.
     """
 
     robot: Robot
@@ -78,15 +81,15 @@ class PageController(ABC):
         self.stand()
 
     def stand(self) -> None:
-        """Set the first values again, as at the start."""
+        """Reset all values and the gait to the initial ones."""
         self.values: Mapping[str, float] = {slider.name: slider.value for slider in self.sliders}
         self.gait = STAND
 
     def obey(self, wanted: Mapping[str, Any]) -> None:
-        """Set some of the values and the gait, all or nothing; from any thread.
+        """Set some of the values and the gait, all or none of them; callable from any thread.
 
         Raises:
-            InputError: for a name or gait that is unknown, and a value that is no finite number in its range.
+            InputError: for an unknown name or gait, or a value that is not a finite number in its range.
         """
         known = {slider.name: slider for slider in self.sliders}
         names, values = [*known, *([GAIT] if self.gaits else [])], dict(self.values)
@@ -106,39 +109,40 @@ class PageController(ABC):
 
     @abstractmethod
     def begin(self) -> None:
-        """Begin again, with a controller as new."""
+        """Restart with a fresh controller."""
 
     @abstractmethod
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        """Torques (nu,) at ``t`` s, as of `TorqueController`."""
+        """Torques (nu,) at time ``t``, s; see `TorqueController`."""
 
     @property
     @abstractmethod
     def plans(self) -> Plans:
-        """The plan in use, and the figures of all."""
+        """The current plan, and figures of all plans."""
 
     @property
     def target(self) -> np.ndarray | None:
-        """Where the tool should be (3,), m; None without a tool."""
+        """Desired position (3,) of the tool in the world, m; None without a tool."""
         return None
 
     def close(self) -> None:
-        """End the thread of plans."""
+        """Stop the planning thread."""
         self.plans.close()
 
 
 class LegsDriver(PageController):
-    """A robot on legs, which follows gait, speeds and height.
+    """A legged robot that follows a commanded gait, speeds and height.
 
     Args:
-        robot: with a free base, on feet.
-        gaits: that are prepared; default those of `USUAL_GAITS` that it has.
-        settings: of its controller; default with plans of `PERIOD`, made in the loop.
+        robot: with a free base and feet.
+        gaits: to prepare; default: those of `USUAL_GAITS` that the robot has.
+        settings: of the controller; default: a plan every `PERIOD` s, made in the loop.
 
-    controller: the present one. log: commands with their times, s, since the begin. slack: as of `Steering`.
+    ``controller`` is the current one, ``log`` the commands since the last begin with their times in s, and
+    ``slack`` as in `Steering`.
 
     Raises:
-        InputError: for another base, and a gait that it does not have.
+        InputError: for another base, or a gait that the robot does not have.
     """
 
     def __init__(
@@ -171,7 +175,7 @@ class LegsDriver(PageController):
 
     @property
     def command(self) -> Command:
-        """The present command; one to stand has no speeds, and a slow gait has low ones."""
+        """The current command; speeds are zero in a stand and reduced in slow gaits."""
         if self.gait == STAND:
             return Command(height=self.values["height"])
         slow = self.gait in SLOW_GAITS and len(self.robot.contacts) >= FEET
@@ -180,7 +184,7 @@ class LegsDriver(PageController):
         return Command(gait=self.gait, height=self.values["height"], **speeds)
 
     def _noted(self, time: float) -> Command:
-        """The present command, noted with its time where it is a new one."""
+        """The current command; it is logged with its time if it is new."""
         command = self.command
         if not self.log or self.log[-1][1] != command:
             self.log.append((time, command))
@@ -208,15 +212,15 @@ class LegsDriver(PageController):
 
 
 class ArmDriver(PageController):
-    """An arm whose tool follows a target that moves at a bounded speed to where a page sets it.
+    """An arm whose tool follows a target, which moves at a bounded speed to where the page sets it.
 
     Args:
         robot: with a fixed base.
-        tool: the frame that follows, which keeps its first orientation; default the last frame of the model.
-        settings: of its controller; default with plans of `PERIOD`, made in the loop.
-        obstacles: in the world, that the arm keeps clear of.
+        tool: frame that follows the target and keeps its orientation; default: the last frame of the model.
+        settings: of the controller; default: a plan every `PERIOD` s, made in the loop.
+        obstacles: in the world, avoided by the arm.
 
-    controller: the present one. path: of its target since the begin.
+    ``controller`` is the current one, ``path`` the path of the target since the last begin.
 
     Raises:
         InputError: for another base or frame.
@@ -274,19 +278,19 @@ class ArmDriver(PageController):
 
     @property
     def tool(self) -> str:
-        """The frame that follows."""
+        """Name of the frame that follows the target."""
         return self._made.tool
 
 
 def since(log: Sequence[tuple[float, Sent]], offset: float) -> list[tuple[float, Sent]]:
-    """The part of a log that is in force from ``offset`` s on, with times from there; the first is 0."""
+    """The entries of a log in effect from ``offset`` s on, with times relative to it; the first is at 0."""
     times = [max(time - offset, 0.0) for time, _ in log]
     first = sum(time == 0.0 for time in times) - 1
     return [(time, sent) for time, (_, sent) in zip(times, log, strict=True)][first:]
 
 
 def _as_new(made: Controller) -> Controller:
-    """A controller as it was made, with the horizons of ``made``, which has not been used and never is."""
+    """A fresh copy of ``made``, which is itself never run; the copies share its horizons."""
     new = copy.copy(made)
     new.clock, new.ground, new.planner = made.clock.copy(), made.ground.copy(), copy.copy(made.planner)
     new.follower = Follower(made.robot, made.settings.gains, friction=made.settings.friction)
@@ -305,19 +309,19 @@ def _even(name: str, label: str, unit: str, most: float, keys: tuple[str, str] =
 
 
 def _rounded(value: float) -> float:
-    """To two digits."""
+    """The value rounded to two significant digits."""
     digits = 1 - math.floor(math.log10(value))
     return round(value, digits)
 
 
 class TargetPath:
-    """A target that goes in straight lines, at one speed, to where it was last sent.
+    """A target that moves along straight lines at constant speed to where it was last sent.
 
     Args:
-        start: where it is until then (3,), m.
+        start: initial position (3,), m.
         speed: m/s.
 
-    goals: times, s, and places (3,), m, to which it was sent.
+    ``goals`` are the times, s, and positions (3,), m, to which it was sent.
     """
 
     def __init__(self, start: np.ndarray, speed: float) -> None:
@@ -326,14 +330,14 @@ class TargetPath:
         self._from = [start]
 
     def send(self, time: float, goal: np.ndarray) -> None:
-        """Send it to another place (3,), m, at ``time`` s, which is not before the last one."""
+        """Send the target to ``goal`` (3,), m, at ``time``, s, which is not before that of the last call."""
         if not np.array_equal(goal, self.goals[-1][1]):
             start, _ = self.at(time)
             self.goals.append((time, goal))
             self._from.append(start)
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Its place (3,) m and velocity (3,) m/s at ``time`` s."""
+        """Position (3,), m, and velocity (3,), m/s, of the target at ``time``, s."""
         last = max(bisect_right(self.goals, time, key=lambda sent: sent[0]) - 1, 0)
         (begun, goal), start = self.goals[last], self._from[last]
         way = goal - start

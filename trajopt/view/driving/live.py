@@ -20,9 +20,9 @@ from trajopt.view.driving.session import DriveSession
 from trajopt.view.replay.page import live_page
 from trajopt.view.replay.show import open_address, server_address_text
 
-# Turns between two pictures, and between two drawings of the plan.
+# Turns of the loop per picture, and per drawing of the plan.
 PICTURE, PLAN = 2, 6
-# Rounding of times, s.
+# Tolerance for rounding of times, s.
 LEAST = 1e-9
 
 
@@ -34,10 +34,10 @@ def driver_of(
     settings: ControllerSettings | ArmSettings | None = None,
     obstacles: Sequence[Obstacle] = (),
 ) -> PageController:
-    """What steers a robot: its legs by a command, or with ``target`` the tool of an arm.
+    """Return the driver of a robot: a `LegsDriver`, or with ``target`` an `ArmDriver`.
 
     Raises:
-        InputError: for a base that does not fit, and a gait that the robot does not have.
+        InputError: for a base that does not fit, or a gait that the robot does not have.
     """
     if target:
         chosen = settings if isinstance(settings, ArmSettings) else None
@@ -50,20 +50,20 @@ def driver_of(
 
 
 class LiveDrive:
-    """A session and its page, whose address is printed; a context manager, at whose end both end.
+    """A session and its page, whose address is printed; leaving its context closes both.
 
     Args:
-        robot: on legs, with a free base, or with ``target`` on a fixed base.
-        port: of the page; default: the first that is free from 7000 on.
-        open_browser: open the page, if there is a screen.
-        target: the page sets the place of a target that the tool follows.
-        gaits: that are prepared; default `USUAL_GAITS`.
+        robot: legged, with a free base; with ``target`` an arm with a fixed base.
+        port: of the page; default: the first free one from 7000 on.
+        open_browser: open the page, if there is a display.
+        target: let the page set the position of a target that the tool follows.
+        gaits: to prepare; default: `USUAL_GAITS`.
         settings: of the controller.
-        obstacles: of which the arm keeps clear.
-        options: of `DriveSession`.
+        obstacles: avoided by the arm.
+        options: passed to `DriveSession`.
 
     Raises:
-        InputError: for a port that is taken, and a robot or gait that does not fit.
+        InputError: for a port that is taken, or a robot or gait that does not fit.
     """
 
     def __init__(
@@ -102,10 +102,10 @@ class LiveDrive:
         exit_with_page: bool = False,
         leaving: Callable[[], bool] = bool,
     ) -> None:
-        """Drive until ``leaving()``, which is asked every 20 ms, or after ``seconds`` of simulated time.
+        """Drive until ``leaving()``, which is checked every 20 ms, or for ``seconds`` of simulated time.
 
-        With ``seconds`` a fall ends it too; with ``exit_with_page`` `SILENCE` s without the page. Raises
-        `TrajoptError` for what goes wrong in a plan.
+        With ``seconds``, a fall also ends the drive; an error of the controller counts as one. With
+        ``exit_with_page``, it ends `SILENCE` s after the last message of the page.
         """
         session, turns = self.session, 0
         while not (leaving() or (exit_with_page and session.silent)):
@@ -118,7 +118,7 @@ class LiveDrive:
             session.wait()
 
     def close(self) -> None:
-        """End the server and the thread of plans."""
+        """Stop the server and the planning thread."""
         self._server.close()
         self.session.close()
 
@@ -137,18 +137,17 @@ def drive_live(
     output: Path | None = None,
     **options: Any,
 ) -> DriveSession:
-    """Drive a robot from a page in the browser until Ctrl-C; returns the session, which has ended.
+    """Drive a robot from a page in the browser until Ctrl-C; returns the closed session.
 
     Args:
-        robot: on legs, with a free base, or with ``target=True`` on a fixed base.
-        seconds: as of `LiveDrive.run`.
+        robot: legged, with a free base; with ``target=True`` an arm with a fixed base.
+        seconds: see `LiveDrive.run`.
         exit_with_page: end `SILENCE` s after the page was closed.
-        output: file of the last minute at most, since the last begin.
-        options: of `LiveDrive`.
+        output: solution file of the motion since the last begin, at most of the last minute.
+        options: passed to `LiveDrive`.
 
     Raises:
-        InputError: as of `LiveDrive`, and for a file that cannot be written.
-        TrajoptError: for what goes wrong in a plan.
+        InputError: see `LiveDrive`; also for a file that cannot be written, or an output without any motion.
     """
     if output is not None:
         check_solution_output(output)

@@ -1,4 +1,4 @@
-"""An arm whose target goes to places at times, in MuJoCo, whose time waits for the solver."""
+"""A scripted drive of an arm in MuJoCo: targets at given times, simulated in lockstep with the solver."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ COLUMNS = ("time", "x", "y", "z")
 
 
 def read_targets(path: Path) -> np.ndarray:
-    """Read a CSV file: rows (n, 4) of `COLUMNS`, s and m; an empty field keeps the value before it.
+    """Read targets from a CSV file: rows (n, 4) of `COLUMNS`, s and m; an empty field repeats the one above.
 
     Raises:
-        InputError: with the line, for other columns, and what is not a finite number.
+        InputError: for an unreadable file, other columns, or a line with a value that is not a finite number.
     """
     allowed = f"allowed: a CSV file with the columns {', '.join(COLUMNS)}, finite numbers"
     try:
@@ -60,18 +60,18 @@ def drive_arm(
     obstacles: Sequence[Obstacle] = (),
     **hardware: Any,
 ) -> ArmDrive:
-    """Drive the tool of an arm after a target that goes, at a bounded speed, to places at times.
+    """Simulate an arm whose tool follows a target, which moves at a bounded speed to scripted positions.
 
     Args:
         robot: with a fixed base.
-        targets: rows (n, 4): time, s, and place in the world, m; times increase from 0.
-        duration: s; default: `LAST` s after the last time.
+        targets: rows (n, 4) of time, s, and position in the world, m; times increase from 0.
+        duration: of the drive, s; default: until `LAST` s after the last time.
         settings: of the controller.
-        obstacles: of which the arm keeps clear.
-        hardware: as of `DriveSession`.
+        obstacles: avoided by the arm.
+        hardware: see `DriveSession`.
 
     Raises:
-        InputError: for another base, places out of reach, and settings that are not allowed.
+        InputError: for another base, invalid times, positions out of range, or settings that are not allowed.
     """
     times = targets[:, 0]
     if not len(times) or times[0] != 0 or (np.diff(times) <= 0).any():

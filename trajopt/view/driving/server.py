@@ -1,7 +1,7 @@
-"""The server of a drive, in a thread: its page, a websocket with what is drawn, and commands by POST.
+"""The web server of a drive, in a thread: its page, a websocket for what is drawn, and commands by POST.
 
-It listens on this machine only. A command is JSON, so that pages of other origins cannot send one, and
-requests for other host names are refused.
+It listens on the loopback interface only. Commands must be JSON, which pages of other origins cannot send,
+and requests for other host names are refused.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from trajopt.view.replay.commands import ViewerCommand
 from trajopt.view.replay.page import without_nonfinite
 from trajopt.view.replay.server import HOST, OWN, Nothing
 
-# Ports that are tried, unless one is given; a port is at most `LAST_PORT`.
+# Ports tried by default, and the largest port number.
 PORTS, LAST_PORT = range(7000, 7100), 65535
-# Bytes of a command, and s until the server has ended.
+# Largest command in bytes, and time limit for stopping the server, s.
 LONGEST, END = 10_000, 5.0
 JSON = "application/json"
 
 
 class DriveServer:
-    """The server, whose page is empty before `show`.
+    """Serves the page of a drive, which is empty until `show`.
 
     Args:
-        port: to listen on; default: the first that is free.
+        port: to listen on; default: the first free one of `PORTS`.
 
     Raises:
         InputError: for a port that is taken or not allowed.
@@ -55,18 +55,18 @@ class DriveServer:
         self.url = f"http://{HOST}:{self.port}/"
 
     def show(self, page: str, scene: Sequence[ViewerCommand], obey: Callable[[Any], None]) -> None:
-        """Serve a page, from any thread.
+        """Serve a page; callable from any thread.
 
         Args:
-            page: its text.
-            scene: commands that each browser gets first.
-            obey: takes what a command's JSON holds, in the server's thread, or raises `InputError`.
+            page: its HTML.
+            scene: commands that are sent to each browser first.
+            obey: called in the server's thread with the decoded JSON of a command; may raise `InputError`.
         """
         self.scene, self.obey = [umsgpack.packb(command.lower()) for command in scene], obey
         self.page = page
 
     def tell(self, path: str, value: Any) -> None:
-        """Tell all browsers something, from any thread; those that connect later get the last of each path.
+        """Send a value to all browsers, from any thread; later ones get the latest value of each path.
 
         The value is sent as JSON, which takes a tenth of the time of Meshcat's format.
         """
@@ -75,7 +75,7 @@ class DriveServer:
         self._loop.call_soon_threadsafe(self._tell, path, data)
 
     def close(self) -> None:
-        """End the server; nothing if it has ended."""
+        """Stop the server; does nothing if it has stopped."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join(END)
@@ -124,7 +124,7 @@ def _nothing_yet(wanted: Any) -> None:
 
 
 class _Browser(tornado.websocket.WebSocketHandler):
-    """The page for browsers that ask for one; the websocket of the page."""
+    """Serves the page to a browser, and the page's data through a websocket."""
 
     @override
     def initialize(self, server: DriveServer) -> None:
@@ -147,14 +147,14 @@ class _Browser(tornado.websocket.WebSocketHandler):
 
     @override
     def on_message(self, message: str | bytes) -> None:
-        """Meshcat's viewer sends pictures, which nobody asked for."""
+        """Ignore messages: Meshcat's viewer sends pictures unasked."""
 
     @override
     def on_close(self) -> None:
         self.server.browsers.discard(self)
 
     def tell(self, data: bytes) -> None:
-        """Send a message, unless the last one is still on its way."""
+        """Send a message, or drop it if the last one is still being sent."""
         if self._sent is None or self._sent.done():
             self._sent = asyncio.ensure_future(self._send(data))
 
@@ -166,7 +166,7 @@ class _Browser(tornado.websocket.WebSocketHandler):
 
 
 class _Command(tornado.web.RequestHandler):
-    """A command by POST: 204, or 400 with one line."""
+    """Takes a command by POST; answers 204, or 400 with a reason of one line."""
 
     @override
     def initialize(self, server: DriveServer) -> None:

@@ -1,7 +1,6 @@
-"""A drive in real time: stretches of physics that wait for the wall clock, and what a page is told of them.
+"""A drive in real time: short stretches of physics paced by the wall clock.
 
-What is slower than the wall clock does not catch up: simulated time falls behind, and the page says by how
-much.
+Delays beyond `CATCH` are not caught up: simulated time falls behind, and the page shows by how much.
 """
 
 from __future__ import annotations
@@ -30,22 +29,22 @@ from trajopt.simulation.world import build_world
 from trajopt.view.driving.arm_drive import ArmDrive, arm_drive
 from trajopt.view.driving.drivers import DIRECTION, PUSH, ArmDriver, LegsDriver, PageController, since
 
-# s of physics in a turn of the loop; rate of the controller, Hz; s that are kept for a file, at most.
+# Physics per turn of the loop, s; control rate, Hz; longest record kept for a file, s.
 STRETCH, RATE, KEPT = 0.02, 500.0, 60.0
-# s behind the wall clock that are still caught up with, and s without a message after which a page is gone.
+# Largest delay that is caught up, s; time without a message after which the page counts as gone, s.
 CATCH, SILENCE = 0.1, 2.0
-# The pace is measured over so many s.
+# Window over which the pace is measured, s.
 WINDOW = 1.0
 ACTION, RESET = "action", "reset"
-# Rows of a reference.
+# Fields of a reference with a row per tick.
 ROWS = ("t", "q", "v", "a", "torque", "f", "active", "phase", "source")
 
 
 class Clock(Protocol):
-    """What a session measures and waits by."""
+    """The clock by which a session measures time and waits."""
 
     def now(self) -> float:
-        """Time, s, from any origin."""
+        """Time since an arbitrary origin, s."""
         ...
 
     def sleep(self, seconds: float) -> None:
@@ -66,20 +65,23 @@ class WallClock:
 
 
 class DriveSession:
-    """A robot in MuJoCo that a driver steers, turn by turn.
+    """A robot in MuJoCo that is steered by a driver and simulated turn by turn.
 
     Args:
-        driver: what is steered, and its controller.
-        clock: by which it waits; default the machine's.
-        keep: s, of which the last half at least can be saved.
+        driver: the robot and its controller.
+        clock: default: that of the machine.
+        keep: length of the record, s; at least its last half can be saved.
         hardware: fields of `SimulationSettings`; feet with a radius roll by default, and ``control_rate`` is
             `RATE` Hz.
 
+    Attributes:
+        passed: simulated time since the last begin, s.
+        fall: how the drive ended, if the robot fell.
+        behind: time by which simulated time has fallen behind, s.
+        silent: whether the page was connected and is gone.
+
     Raises:
         InputError: for settings that are not allowed.
-
-    passed: simulated s since the last begin. fall: how it ended, if it did. behind: s that simulated time is
-    late. silent: whether a page was there and is gone.
     """
 
     def __init__(
@@ -110,10 +112,10 @@ class DriveSession:
         self.reset()
 
     def obey(self, message: Any) -> None:
-        """Take a message of the page, from any thread: values to set, and an action, "push" or "reset".
+        """Handle a message of the page, from any thread: values to set, and an action, "push" or "reset".
 
         Raises:
-            InputError: for what is not allowed.
+            InputError: for a value or action that is not allowed.
         """
         if not isinstance(message, dict):
             raise InputError(f"a command is {shown(message)}", "allowed: an object")
@@ -128,7 +130,7 @@ class DriveSession:
         self._heard, self.silent = self.clock.now(), False
 
     def reset(self) -> None:
-        """Put the robot back into its stand, with a controller as new."""
+        """Put the robot back into its stand, with a fresh controller."""
         self.driver.stand()
         self.driver.begin()
         self.reference = replace(self._still, q=self._still.q.copy())
@@ -143,11 +145,11 @@ class DriveSession:
 
     @property
     def passed(self) -> float:
-        """Simulated s since the last begin."""
+        """Simulated time since the last begin, s."""
         return self.driver.offset + self.row * self.reference.period
 
     def turn(self) -> None:
-        """Obey what came in, and simulate a stretch; a robot that has fallen stays as it is."""
+        """Carry out pending actions and simulate a stretch; a fallen robot stays as it is."""
         while self._actions:
             self.reset() if self._actions.popleft() == RESET else self._begin_push()
         if self._heard is not None and not self.silent and self.clock.now() - self._heard > SILENCE:
@@ -157,7 +159,7 @@ class DriveSession:
             self.advance(max(1, round(STRETCH / self.reference.period)))
 
     def wait(self) -> None:
-        """Sleep until the wall clock is where simulated time is; what is too late falls behind."""
+        """Sleep until the wall clock reaches simulated time; a delay beyond `CATCH` s is given up."""
         now = self.clock.now()
         if self.fall is not None:
             self._origin = now - self.passed
@@ -174,12 +176,12 @@ class DriveSession:
 
     @property
     def pace(self) -> float:
-        """Simulated over real time, lately."""
+        """Ratio of simulated to real time over the last `WINDOW` s."""
         (begin, before), (end, after) = self._marks[0], self._marks[-1]
         return (after - before) / (end - begin) if end > begin else 1.0
 
     def _begin_push(self) -> None:
-        """Begin a level push on the base, as the page's size and direction say."""
+        """Begin a level push on the base with the size and direction set by the page."""
         period, values = self.reference.period, self.driver.values
         self._pushed = max(1, round(DURATION * self.units.time / period))
         level = self.run.forward()
@@ -188,7 +190,7 @@ class DriveSession:
         self._force = values[PUSH] / (self._pushed * period) * turned
 
     def advance(self, count: int) -> None:
-        """Simulate so many periods, at most to a fall."""
+        """Simulate ``count`` periods, or up to a fall."""
         if self.row + count > len(self.reference.t):
             self._forget()
         first, end = self.row, self.row + count
@@ -204,7 +206,7 @@ class DriveSession:
             self._judge(self.driver, slice(first, self.row))
 
     def _simulate(self, last: int) -> None:
-        """Simulate up to a row; what diverges, or cannot be controlled, is a fall."""
+        """Simulate up to row ``last``; divergence and errors of the controller count as falls."""
         why = "the simulation diverged"
         try:
             reached = self.run.advance(self.record, self.row, last)
@@ -215,7 +217,7 @@ class DriveSession:
             self.fall = Fall(time=self.passed, why=why)
 
     def _judge(self, driver: LegsDriver, rows: slice) -> None:
-        """Whether the robot has fallen in these rows."""
+        """Record a fall if the robot has fallen in these rows."""
         q = self.world.coordinates.from_mujoco(self.record.qpos[rows])
         heights = [driver.command.height] * len(q)
         self.reference.q[rows] = lockstep.upright(self.stand, q, heights)
@@ -223,7 +225,7 @@ class DriveSession:
         self.fall = self.fall or found
 
     def _forget(self) -> None:
-        """Leave out the first half of what is kept."""
+        """Drop the oldest part of the record: half of its capacity."""
         half = len(self.reference.t) // 2
         kept = [part for part in vars(self.record).values() if isinstance(part, np.ndarray)]
         for part in (*kept, self.reference.q):
@@ -232,10 +234,10 @@ class DriveSession:
         self.driver.offset += half * self.reference.period
 
     def as_drive(self) -> lockstep.DrivenMotion | ArmDrive:
-        """What was kept since the last begin, as a drive; pushes on legs are not in its settings.
+        """The recorded drive since the last begin; its settings do not contain pushes on legs.
 
         Raises:
-            InputError: where nothing was simulated.
+            InputError: if nothing was simulated.
         """
         if self.row < 2:
             raise InputError("nothing was simulated", "allowed: a drive of some time")
@@ -267,5 +269,5 @@ class DriveSession:
         )
 
     def close(self) -> None:
-        """End the thread of plans."""
+        """Stop the planning thread."""
         self.driver.close()

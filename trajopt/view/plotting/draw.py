@@ -24,12 +24,12 @@ MARKS = 6
 MOST_DOTS = 400
 # Least upper end of an axis for shares of a limit, so that the limit is visible.
 SHOWN = 1.05
-# Room of an axis above the curves, over them, for the line that says that a limit is far beyond.
+# Height of an axis over that of its curves, with room for the remark that the limit is beyond the axis.
 HEADROOM = 1.25
-# Points by which each of several curves on each other is thicker than the next.
+# Difference in width between curves that overlap, points.
 THICKER = 0.4
 LIMIT: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (6, 2))}
-# What lies beyond a limit.
+# Look of the range beyond a limit.
 HATCHED: dict[str, Any] = {"facecolor": "none", "edgecolor": style.GREY, "hatch": "////", "lw": 0}
 # Margin of a vertical axis above and below the curves.
 MARGIN = 0.06
@@ -37,9 +37,9 @@ MARGIN = 0.06
 
 @dataclass(frozen=True, kw_only=True)
 class PlotPanel:
-    """One pair of axes: its vertical axis' label with unit, and its draw function.
+    """One pair of axes: the label of its vertical axis, with unit, and its draw function.
 
-    ``title`` is its heading, ``remark`` a line of small letters below that.
+    ``title`` is the heading, ``remark`` a line of small print below it.
     """
 
     name: str
@@ -51,10 +51,14 @@ class PlotPanel:
 
 @dataclass(frozen=True, kw_only=True)
 class PlotRow:
-    """Panels side by side, with the ``legend`` of their labelled curves on the right; ``timed``: over time.
+    """A row of panels side by side.
 
-    ``height`` of the axes is in units of a normal row. ``rigid`` rows keep it, others shrink where a page is
-    full.
+    Args:
+        panels: from left to right.
+        timed: whether the horizontal axis is time.
+        legend: whether the labelled curves are listed on the right.
+        height: of the axes, in units of a normal row.
+        rigid: whether the height is fixed; other rows are scaled to the page.
     """
 
     panels: Sequence[PlotPanel]
@@ -66,7 +70,7 @@ class PlotRow:
 
 @dataclass(frozen=True, kw_only=True)
 class PlotPage:
-    """A page by ``name`` with a ``title``, and a ``note`` at its foot."""
+    """A page: its ``name`` and ``title``, its rows, and a ``note`` at the foot."""
 
     name: str
     title: str
@@ -75,13 +79,13 @@ class PlotPage:
 
 
 def panel_row(name: str, title: str, ylabel: str, draw: Draw, remark: str = "", **row: Any) -> PlotRow:
-    """Return a row with one panel; ``row`` are more fields of the row."""
+    """Return a row with one panel; ``row`` holds further fields of the row."""
     panel = PlotPanel(name=name, ylabel=ylabel, draw=draw, title=title, remark=remark)
     return PlotRow(panels=(panel,), **row)
 
 
 def page_of(name: str, title: str, *parts: Iterable[PlotRow | None], note: str = "") -> list[PlotPage]:
-    """Return a page for each part, of its rows that are not None; none for a part without rows."""
+    """Return a page for each part, with its rows that are not None; parts without rows are left out."""
     present = [[row for row in part if row is not None] for part in parts]
     return [PlotPage(name=name, title=title, rows=rows, note=note) for rows in present if rows]
 
@@ -93,10 +97,10 @@ def batches(items: Sequence[_Item], size: int) -> list[Sequence[_Item]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """One quantity: its name in the legend, its values (K,) of a motion, and the number of its colour.
+    """One curve: its name in the legend, its values (K,) of a motion, and the number of its colour.
 
-    ``marked``: with markers; ``dots``: with its collocation points where they are few. ``line``: of
-    `style.OVERLAID`, for a plot of one solution.
+    A ``marked`` curve has markers; ``dots`` shows its collocation points if there are few. ``line`` is an
+    index of `style.OVERLAID`, for plots of one solution.
     """
 
     label: str
@@ -110,11 +114,11 @@ class Curve:
 
     @property
     def colour(self) -> str:
-        """Its own shade, else the colour of its number."""
+        """The curve's own shade, or else the colour of its number."""
         return self.shade or style.colour(self.number)
 
     def look(self, tracks: Tracks, solution: int, *, marked: bool = True) -> dict[str, Any]:
-        """Return the keywords of its line for a solution; of several solutions each has its line style."""
+        """Return Matplotlib's keywords for the line; each of several solutions has its own line style."""
         overlaid = style.OVERLAID[self.line % len(style.OVERLAID)]
         return {
             "label": style.literal(self.label).lstrip("_"),  # Matplotlib hides labels with an underscore
@@ -134,14 +138,14 @@ def column(values: MotionQuantity, i: int) -> MotionQuantity:
 
 
 def numbered(named: Iterable[tuple[str, MotionQuantity]], **look: Any) -> list[Curve]:
-    """Return a curve for each label with its values, numbered in order; ``look``: more fields of all."""
+    """Return a curve for each label and quantity, numbered in order; ``look``: further fields of all."""
     return [Curve(label=label, values=values, number=i, **look) for i, (label, values) in enumerate(named)]
 
 
 def told_apart(tracks: Tracks, drawn: Sequence[Curve]) -> list[Curve]:
-    """Return curves that may lie on each other, as those of left and right feet, so that each is seen.
+    """Return curves that stay visible where they overlap, as those of left and right feet may.
 
-    Of one solution each has its own line style; of several, whose line styles differ, later ones are thinner.
+    With one solution each curve has its own line style; with several, later curves are thinner.
     """
     if len(tracks) == 1:
         return [replace(curve, line=number, dots=False) for number, curve in enumerate(drawn)]
@@ -193,16 +197,16 @@ def curves(axes: Axes, tracks: Tracks, drawn: Sequence[Curve], *, plans_only: bo
 
 
 def marker_samples(t: np.ndarray, y: np.ndarray, number: int, count: int) -> list[int]:
-    """Return the samples with a marker: evenly in time, those of several curves interleaved."""
+    """Return the indices of samples with a marker: evenly spaced in time, interleaved between curves."""
     wanted = t[0] + (t[-1] - t[0]) * (np.arange(MARKS) + (number % count + 0.5) / count) / MARKS
     samples = np.unique(np.clip(np.searchsorted(t, wanted), 0, len(t) - 1))
     return [int(i) for i in samples if np.isfinite(y[i])]
 
 
 def fit(axes: Axes, *, zero: bool = False, least: float = 0.0) -> tuple[float, float]:
-    """Set the vertical axis to the lines' range; returns their least and largest value.
+    """Fit the vertical axis to the lines; returns their smallest and largest value.
 
-    ``zero``: include zero. ``least``: span at least that much, so that rounding does not look like a curve.
+    ``zero`` includes zero. ``least`` is the smallest span, so that rounding does not look like a curve.
     """
     values = drawn_values(axes)
     if not values.size:
@@ -215,16 +219,16 @@ def fit(axes: Axes, *, zero: bool = False, least: float = 0.0) -> tuple[float, f
 
 
 def fit_with_zero_line(axes: Axes, **look: Any) -> None:
-    """Fit the vertical axis with zero in it, and mark zero by a line."""
+    """Fit the vertical axis so that it includes zero, and mark zero by a line."""
     fit(axes, zero=True)
     axes.axhline(0.0, **look)
 
 
 def share_axis(axes: Axes, edge: str | None = None) -> None:
-    """Fit shares of a limit: from 0 to the limit, which is marked, and the range beyond it, hatched.
+    """Fit the axis to shares of a limit: the limit is marked, and the range beyond it hatched.
 
-    Where only a small part of the limit is used, the axis ends at that, and says so. ``edge`` is the name of
-    the limit in the legend.
+    If only a small part of the limit is used, the axis ends above that part and says so. ``edge`` is the name
+    of the limit in the legend.
     """
     _, high = fit(axes, zero=True)
     if 0 < high < 1 / FAR:
@@ -239,20 +243,20 @@ def share_axis(axes: Axes, edge: str | None = None) -> None:
 
 
 def remark_inside(axes: Axes, text: str) -> None:
-    """Write small letters into the upper right corner of the axes."""
+    """Write a remark in small print into the upper right corner of the axes."""
     look: dict[str, Any] = {"fontsize": style.TINY, "color": style.GREY, "ha": "right", "va": "top"}
     axes.text(0.995, 0.96, style.literal(text), transform=axes.transAxes, **look)
 
 
 def set_range(axes: Axes, bottom: float, top: float, least: float = 0.0) -> None:
-    """Set the vertical axis to a range with a margin, and to at least a span of its own size."""
+    """Set the vertical axis to a range with a margin; the span is at least ``least``."""
     span = max(top - bottom, least, 1e-9 * max(abs(top), abs(bottom)), 1e-12)
     grown = (span - (top - bottom)) / 2 + MARGIN * span
     axes.set_ylim(bottom - grown, top + grown)
 
 
 def drawn_values(axes: Axes) -> np.ndarray:
-    """Return the finite ordinates (n,) of the curves, i.e. of lines with a curve's name."""
+    """Return the finite ordinates (n,) of the curves, i.e. of the labelled lines."""
     lines = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
     values = np.concatenate([np.zeros(0), *[np.asarray(line.get_ydata(), dtype=float) for line in lines]])
     return values[np.isfinite(values)]

@@ -15,26 +15,26 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-# The printed part of a page, as left, lower, width and height in parts of it.
+# The printed part of a page: left, bottom, width and height as fractions of the page.
 PRINTED = (0.04, 0.025, 0.92, 0.95)
-# About how many inches a page needs besides its axes: for heading and foot with the margins, for the title of
-# a row, and for a labelled horizontal axis.
+# Approximate height besides the axes, inches: of heading, foot and margins, of the title of a row, and of a
+# labelled horizontal axis.
 FRAME, ROW_TITLE, X_AXIS = 1.4, 0.25, 0.3
-# Inches of a normal row's axes; how far they may grow on an empty page, and shrink in a picture, which may be
-# higher than A4.
+# Height of a normal row's axes, inches; its largest scale on an empty page, and its smallest in a picture,
+# which may be taller than A4.
 UNIT, GROWTH, LEAST = 1.3, 1.6, 0.5
-# Letters in a line of a note, and most letters of the title.
+# Characters in a line of a note, and at most in the title.
 NOTE_LETTERS, TITLE_LETTERS = 150, 64
-# Space between panels side by side, over the width of all, and where they have vertical labels.
+# Gap between panels over the width of their row, without and with labels of vertical axes.
 GAP, LABELLED_GAP = 0.08, 0.125
-# Points between axes and what stands above them, of a remark there, and down to the power of ten of numbers.
+# Points: gap above the axes, height of a remark there, and distance down to the exponent of tick labels.
 PAD, REMARK, OFFSET_PAD = 2.0, 8.0, 2
-# Inches across a letter in the names of phases, their line, and what a page has for them.
+# Inches: width of a letter in the names of phases, height of their line, and width of a page for them.
 PHASE_LETTER, PHASE_LINE, PHASES = 0.05, 0.09, 6.5
 
 
 def figure_of(pages: Sequence[PlotPage], tracks: Tracks, *, fixed: bool = False, footer: str = "") -> Figure:
-    """Draw pages below one another with the width of A4, and each with its height if ``fixed``."""
+    """Draw pages below one another in the width of A4; ``fixed`` pages also have its height."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -53,12 +53,12 @@ def figure_of(pages: Sequence[PlotPage], tracks: Tracks, *, fixed: bool = False,
 
 
 def _around(page: PlotPage) -> float:
-    """About how many inches a page needs besides the axes."""
+    """Approximate height that a page needs besides its axes, inches."""
     return FRAME + sum(ROW_TITLE + X_AXIS * labelled for labelled in _labelled(page.rows))
 
 
 def _heights(page: PlotPage, *, fixed: bool) -> list[float]:
-    """Inches of the axes of each row, and of the space that a ``fixed`` page keeps below them."""
+    """Height of the axes of each row, and of the empty rest of a ``fixed`` page, inches."""
     rigid, free = (UNIT * sum(row.height for row in page.rows if row.rigid is kind) for kind in (True, False))
     room = style.HEIGHT - _around(page) - rigid
     scale = room / free if free else 1.0
@@ -68,7 +68,7 @@ def _heights(page: PlotPage, *, fixed: bool) -> list[float]:
 
 
 def _labelled(rows: Sequence[PlotRow]) -> list[bool]:
-    """Whether the horizontal axis of each row has numbers: not if the next row has the same times below."""
+    """Whether the horizontal axis of each row is labelled: not if the next row repeats its times."""
     return [
         not (after and row.timed and after.timed and len(row.panels) == len(after.panels))
         for row, after in itertools.zip_longest(rows, rows[1:])
@@ -98,7 +98,7 @@ def _panels(whole: Axes, row: PlotRow) -> list[Axes]:
 
 
 def _draw_heading(part: SubFigure, page: PlotPage, tracks: Tracks) -> None:
-    """Write the title, and a line for each solution with its line style and state; of failed ones in red."""
+    """Write the title, and a line for each solution with its line style and state; failed ones are red."""
     from matplotlib.lines import Line2D
 
     lines = [Line2D([], [], color=style.BLACK, linestyle=style.line_style(i)) for i in range(len(tracks))]
@@ -136,7 +136,7 @@ def _draw_row(axes: Sequence[Axes], row: PlotRow, tracks: Tracks, *, labelled: b
     named_lines = (pair for one in axes for pair in zip(*one.get_legend_handles_labels(), strict=True))
     entries: dict[str, Any] = {}
     for line, label in named_lines:
-        entries.setdefault(label, line)  # of several solutions the first one's
+        entries.setdefault(label, line)  # those of the first solution
     if row.legend and entries:
         axes[-1].legend(entries.values(), entries, loc="upper left", bbox_to_anchor=(1.005, 1.0))
 
@@ -159,7 +159,7 @@ def _draw_times(axes: Axes, tracks: Tracks, *, labelled: bool) -> None:
 
 
 def _name_phases(axes: Axes, tracks: Tracks, width: float, pad: float) -> None:
-    """Write phases' names above axes that are ``width`` inches wide, upright if long, none above slivers."""
+    """Write the names of phases above axes ``width`` inches wide: rotated if long, none for slivers."""
     inch = width / (axes.get_xlim()[1] - axes.get_xlim()[0])
     phases = [(phase, inch * (phase.end - phase.start)) for phase in tracks[0].phases]
     upright = any(PHASE_LETTER * len(phase.name) > room for phase, room in phases)

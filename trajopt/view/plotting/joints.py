@@ -1,4 +1,4 @@
-"""Rows of v behind the base for plots: names, coordinates, limits and their use, and limbs."""
+"""Joint axes for plots, the rows of v after the base: names, coordinates, limits and their use, limbs."""
 
 import itertools
 import re
@@ -18,17 +18,23 @@ MOST_CURVES = 7
 LEAST_BRANCH = 3
 KINDS = ("position", "velocity", "torque")
 BEYOND = "beyond the axis"
-# A limit this many times what is used, as a description's placeholder of 1000 rad/s, is not drawn to scale.
+# A limit this many times the values, such as a placeholder of 1000 rad/s, is not drawn to scale.
 FAR = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointAxis:
-    """A row of v behind the base.
+    """A row of v after the base.
 
-    ``row`` of v; ``torque`` its row of tau, None for a passive joint; ``column`` of q, None where q has no
-    such coordinate by itself. Limits in rad or m, rad/s or m/s, N m or N, on the joint side; infinite if
-    unlimited.
+    Args:
+        name: of the joint, with a suffix if the joint has several rows.
+        joint: its number in the model.
+        row: of v.
+        torque: row of tau; None for a passive joint.
+        column: of q; None if the coordinate is not an entry of q.
+        slides: whether the row is a translation.
+        lower, upper: limits of the position, rad or m; infinite if unlimited.
+        speed, effort: limits, rad/s or m/s, and N m or N on the joint side; infinite if unlimited.
     """
 
     name: str
@@ -52,8 +58,8 @@ class JointAxis:
 class Limb:
     """A kinematic branch: its name, its axes, and their names.
 
-    ``prefix``: start of the limb's names that no other limb has, or empty. ``short`` names leave out the
-    common part of the limb's names, ``long`` ones distinguish the axes of all limbs.
+    ``prefix`` is the common start of the axes' names, empty if it does not identify the limb. ``short`` names
+    omit the common parts; ``long`` names distinguish the axes of all limbs.
     """
 
     name: str
@@ -64,12 +70,12 @@ class Limb:
 
     @property
     def unit(self) -> str:
-        """Unit of its coordinates; of mixed ones both."""
+        """Unit of its coordinates; both if they are mixed."""
         return ", ".join(sorted({axis.unit for axis in self.axes}, reverse=True))
 
 
 def axes_of(solution: Solution) -> tuple[JointAxis, ...]:
-    """All rows of v behind the base joint, in their order."""
+    """All rows of v after the base joint, in order."""
     model, description = solution.model, solution.description
     lower, upper = position_limits(model)
     speed = _limits(description.velocity_limit, model.nv)
@@ -136,7 +142,7 @@ def _unwrapped(angle: np.ndarray) -> np.ndarray:
 
 
 def limbs_of(axes: Sequence[JointAxis], model: pin.Model) -> tuple[Limb, ...]:
-    """Axes by kinematic branch: chains between forks of the tree, at most `MOST_CURVES` of them in one.
+    """Group axes by kinematic branch: chains between forks of the tree, of at most `MOST_CURVES` axes.
 
     Neighbouring short branches share a limb. Names are common prefixes of joint names.
     """
@@ -267,16 +273,16 @@ def unit_of(kind: str, axis: JointAxis) -> str:
 
 
 def units_of(kind: str, axes: Sequence[JointAxis]) -> str:
-    """Units of some axes, those of turning ones first."""
+    """Units of several axes, those of revolute ones first."""
     ordered = sorted(axes, key=lambda axis: axis.slides)
     return ", ".join(dict.fromkeys(unit_of(kind, axis) for axis in ordered))
 
 
 def are_far(kind: str, axes: Sequence[JointAxis], motion: PlottedMotion) -> bool:
-    """Whether all limits of velocity or torque are many times (`FAR`) what the motion uses of them.
+    """Whether all limits of velocity or torque are more than `FAR` times the values of the motion.
 
-    This is so for placeholders of a description; False for positions, without a limit, and where nothing is
-    used.
+    Placeholders in a description are such limits. False for positions, without limits, and for values that
+    are all zero.
     """
     used = np.array([share(kind, axis, motion) for axis in axes])
     return kind != "position" and bool(0.0 < used[np.isfinite(used)].max(initial=0.0) < 1 / FAR)
@@ -289,7 +295,7 @@ def most_used(kind: str, axes: Sequence[JointAxis], motion: PlottedMotion) -> fl
 
 
 def limit_words(kind: str, axes: Sequence[JointAxis]) -> str:
-    """Return limits of velocity or torque, as "limit 1000 rad/s" or "limits 24 to 45 N m"; empty without."""
+    """Return limits of velocity or torque, as "limit 1000 rad/s" or "limits 24 to 45 N m"; empty if none."""
     parts = []
     for unit in dict.fromkeys(unit_of(kind, axis) for axis in axes):
         limits = [limit_of(kind, axis)[1] for axis in axes if unit_of(kind, axis) == unit]

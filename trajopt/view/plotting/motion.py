@@ -16,13 +16,13 @@ from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.view.replay.motion import LEAST_PRESSURE
 
-# From model, data, q and v to numbers.
+# Maps model, data, q and v to an array.
 _State = Callable[[pin.Model, pin.Data, np.ndarray, np.ndarray], np.ndarray]
 YAW_PITCH_ROLL = "ZYX"
 
 
 class PlottedMotion(MotionQuantities):
-    """Quantities at the K samples of a solution that only plots show; NaN where q or v are.
+    """Quantities at the K samples of a solution that only plots need; NaN where q or v is not finite.
 
     Vectors of forces, momenta and the base are in world axes, SI units.
     """
@@ -44,7 +44,7 @@ class PlottedMotion(MotionQuantities):
 
     @cached_property
     def drive_torque(self) -> np.ndarray:
-        """Torques (K, nu) that drives deliver, joint side: actuated rows and joint friction."""
+        """Torques (K, nu) of the drives on the joint side: those of the actuated rows plus joint friction."""
         if not self.drives:
             return self.solution.tau
         return drive_torque_values(self.drives, self.solution.tau, self.rates)
@@ -56,7 +56,7 @@ class PlottedMotion(MotionQuantities):
 
     @cached_property
     def power(self) -> np.ndarray:
-        """Mechanical power (K, nu) W of the actuated rows, torque of the drive times rate."""
+        """Mechanical power (K, nu) W of the actuated rows: torque of the drive times rate."""
         return self.drive_torque * self.rates
 
     @cached_property
@@ -98,7 +98,7 @@ class PlottedMotion(MotionQuantities):
 
     @cached_property
     def _base(self) -> np.ndarray:
-        """Placements (K, 4, 4) of the base; of a planar joint without the turn that lays its plane."""
+        """Placements (K, 4, 4) of the base; for a planar joint without the rotation of its plane."""
         model, kind = self.solution.model, self.base
         joint = BASE_JOINT[kind]
         turn = model.jointPlacements[joint].rotation.T if kind == "planar" else np.eye(3)
@@ -128,7 +128,7 @@ class PlottedMotion(MotionQuantities):
 
     @cached_property
     def tangential(self) -> np.ndarray:
-        """Tangential forces (K, nc) N, their magnitude."""
+        """Magnitude (K, nc) N of the tangential forces."""
         along = self.force - self.normal[..., None] * self.surfaces.normal
         return np.asarray(np.linalg.norm(along, axis=-1))
 
@@ -152,7 +152,7 @@ class PlottedMotion(MotionQuantities):
 
     @cached_property
     def pressure_centre(self) -> np.ndarray:
-        """Centres of pressure (K, nc, 2) m in the axes of their soles; NaN for points and where none is."""
+        """Centres of pressure (K, nc, 2) m in the axes of the soles; NaN for points and without pressure."""
         to_sole = np.swapaxes(self.samples.rotation, -1, -2)
         force, moment = (
             np.einsum("kcij,kcj->kci", to_sole, part)
@@ -165,9 +165,9 @@ class PlottedMotion(MotionQuantities):
 
     @cached_property
     def clearances(self) -> dict[str, np.ndarray]:
-        """Least signed distance (K,) m to each obstacle by name, "ground", and under "itself" between links.
+        """Least signed distance (K,) m by name: to each obstacle, to "ground", and of links to "itself".
 
-        Of a motion with obstacles, by the shapes of its links; of an older file's by its capsules.
+        Distances are between the shapes of the links, or between capsules in files without these shapes.
         """
         model, plan = self.solution.model, self.solution.description
         given = plan.capsule_scene(model)

@@ -1,4 +1,4 @@
-"""Largest pushes as a polar plot: a direction an angle, with the base's front at the top."""
+"""Polar plot of the largest pushes by direction, with the front of the base at the top."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIZE = (5.0, 5.4)
 
 
 def check_push_plot(target: Path) -> Path:
-    """The path, if a plot can be written there. Raises `InputError`."""
+    """Return the path if a plot can be written there; raises `InputError` if not."""
     if target.suffix.lower() not in ENDINGS:
         raise InputError(
             f"cannot plot to {target}: its ending is '{target.suffix}'", f"allowed: {', '.join(ENDINGS)}"
@@ -52,7 +52,7 @@ def write_push_plot(report: PushReport, target: str | Path) -> Path:
 
 
 def figure_of_pushes(report: PushReport) -> Figure:
-    """One closed curve for each controller; triangles at impulses that no push tried has bounded."""
+    """Draw a closed curve per controller; triangles mark impulses that are only lower bounds."""
     from matplotlib.figure import Figure
 
     with style.look():

@@ -18,18 +18,18 @@ MARKERS = ("o", "s", "^", "D", "v", "x", "+")
 LINES: tuple[Any, ...] = ("-", (0, (4.5, 1.6)), (0, (1.2, 1.2)), (0, (5.0, 1.4, 1.2, 1.4)))
 # Line styles of curves of one solution that may overlap: gaps wide enough to see the curve below.
 OVERLAID: tuple[Any, ...] = ("-", (0, (4.0, 3.0)), (0, (1.3, 2.6)), (0, (6.0, 2.5, 1.3, 2.5)))
-# Points of collocation: dots of this diameter in points, and their look.
+# Collocation points: diameter of their dots in points, and their look.
 DOT = 1.7
 DOTTED: dict[str, Any] = {
     "linestyle": "none",
     "marker": ".",
-    "markersize": 2 * DOT,  # of the marker "." half is drawn
+    "markersize": 2 * DOT,  # the marker "." is drawn at half its size
     "markeredgewidth": 0.0,
 }
 GREY, BAND, GRID = "#606060", "#efefef", "#dddddd"
-# A share of a limit from light to dark; values beyond it in another hue, and hatched at the number.
+# Colour map of shares of a limit, from light to dark, and the colour of values beyond it.
 SHARES, BEYOND = "Blues", "#D55E00"
-# Colours of points in time, from light to dark; the light end is visible on white.
+# Colour map of time, from light to dark; its light end is visible on white.
 TIMES = "cividis_r"
 
 # A4, upright, in inches.
@@ -38,12 +38,12 @@ TITLE, FONT, SMALL, TINY, SMALLEST = 11.0, 8.0, 7.0, 6.5, 6.0
 # Resolution in dots per inch of a picture, and of raster parts of an HTML page.
 DOTS = 150
 
-# Most letters of a user's name: the longest of the library has 24.
+# Most letters of a name given by the user: the longest of the library has 24.
 NAME_LETTERS = 32
 
 
 def colour(number: int) -> str:
-    """Return the colour of that number."""
+    """Return the colour of a curve by its number."""
     return COLOURS[number % len(COLOURS)]
 
 
@@ -53,13 +53,13 @@ def line_style(number: int) -> Any:
 
 
 def short(name: str, letters: int = NAME_LETTERS) -> str:
-    """Return the name on one line, cut where it is longer than ``letters``."""
+    """Return the name on one line, cut to at most ``letters`` characters."""
     words = " ".join(name.split())
     return words if len(words) <= letters else words[: letters - 1] + "\u2026"
 
 
 def literal(name: str) -> str:
-    """Return the name as Matplotlib shows it letter by letter: a dollar does not begin mathematics."""
+    """Return the name escaped for Matplotlib: a dollar sign does not begin mathematics."""
     return name.replace("$", r"\$")
 
 
@@ -96,7 +96,7 @@ RC: dict[str, Any] = {
 
 
 def look() -> AbstractContextManager[None]:
-    """Return a context with this style, whatever the user's own."""
+    """Return a context with this style, whatever the user's settings are."""
     import matplotlib as mpl
 
     settings: dict[Any, Any] = {**mpl.rcParamsDefault, **RC, "backend": mpl.rcParams["backend"]}

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Below this, natural units or m, a residual is rounding: the logarithmic axes end here.
 FLOOR = 1e-12
-# Decades that a logarithmic axis shows at least.
+# Fewest decades of a logarithmic axis.
 DECADES = 3
 
 
@@ -63,7 +63,7 @@ VIOLATIONS: dict[str, MotionQuantity] = {
 
 
 def largest_violation(motion: PlottedMotion, of: MotionQuantity) -> np.ndarray:
-    """The largest of values (K, n) above zero, zero without any."""
+    """The largest positive value (K,) of a quantity (K, n); zero if there is none."""
     values = of(motion)
     return np.nanmax(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0)
 
@@ -125,7 +125,7 @@ def _log(axes: Axes, tracks: Tracks, drawn: Sequence[Curve]) -> None:
 
 
 def log_range(axes: Axes) -> None:
-    """Set a logarithmic axis to the lines' range, at least `DECADES`; note if all values are rounding."""
+    """Fit a logarithmic axis to the lines, at least `DECADES`; write "none" if all values are rounding."""
     from matplotlib.ticker import LogLocator, NullLocator
 
     values = draw.drawn_values(axes)
@@ -177,7 +177,7 @@ def _mesh(axes: Axes, tracks: Tracks) -> None:
 
 
 def _steps(axes: Axes, track: Track, values: np.ndarray, number: int) -> None:
-    """Draw a level line for every interval, without ramps between them."""
+    """Draw a horizontal line for every interval, without ramps between them."""
     edges = track.solution.interval_t
     gaps = np.full(len(values), np.nan)
     t = np.column_stack([edges, edges[:, 1]]).ravel()

@@ -54,7 +54,7 @@ VECTORS: dict[str, tuple[str, str, Sequence[str], MotionQuantity, bool]] = {
 
 
 def vector_row(tracks: Tracks, name: str) -> PlotRow:
-    """Return the row of one of `VECTORS`; of robots in a plane the components within it."""
+    """Return the row of one of `VECTORS`; for a planar robot only the components within its plane."""
     title, ylabel, words, values, zero = VECTORS[name]
     curves = draw.numbered((word, draw.column(values, i)) for i, word in enumerate(words))
     if base_of(tracks[0].solution.model) == "planar":
@@ -73,7 +73,7 @@ def has_base(tracks: Tracks) -> bool:
 
 
 def base_pages(tracks: Tracks) -> list[PlotPage]:
-    """Return position, orientation and velocities of a base that moves."""
+    """Return position, orientation and velocities of a moving base, and forces of thrusters."""
     names = [name for name in VECTORS if name.startswith("base")] if has_base(tracks) else []
     rows = [*(vector_row(tracks, name) for name in names), thrust_row(tracks)]
     return page_of("base", "base", rows, note="Angles continue past half a turn.")
@@ -139,7 +139,7 @@ def _power(axes: Sequence[JointAxis], motion: PlottedMotion) -> np.ndarray:
 
 
 def clearance_row(tracks: Tracks) -> PlotRow | None:
-    """Return distances from obstacles and between links; None where none is measured."""
+    """Return distances from obstacles and between links; None if there are none."""
     names = list(dict.fromkeys(name for track in tracks for name in track.dense.clearances))
     if not names:
         return None

@@ -36,7 +36,7 @@ AROUND = 1.3
 
 
 def contacts(tracks: Tracks) -> list[int]:
-    """Contacts that are active at some time in one of the solutions."""
+    """Indices of the contacts that are active at some time in one of the solutions."""
     return [int(i) for i in np.flatnonzero(np.any([t.solution.active.any(axis=0) for t in tracks], axis=0))]
 
 
@@ -94,7 +94,7 @@ def contact_curves(tracks: Tracks, values: MotionQuantity) -> list[Curve]:
 
 
 def force_pages(tracks: Tracks) -> list[PlotPage]:
-    """Return forces of every contact with its cone, all in the plane of the cone, impulses, loads."""
+    """Return forces of every contact with its cone, tangential over normal forces, impulses, loads."""
     title = "contact forces"
     if not contacts(tracks):
         return page_of("forces", title, [_load_row(tracks)])
@@ -136,7 +136,7 @@ def _force(axes: Axes, tracks: Tracks, contact: int) -> None:
 
 
 def plane_row(tracks: Tracks) -> PlotRow:
-    """Return tangential over normal force: the friction cone seen from the side, by contact."""
+    """Return tangential over normal force of each contact: the friction cone seen from the side."""
     title, ylabel = "tangential over normal force", "tangential force f\u209c [N]"
     return panel_row("plane", title, ylabel, _plane, timed=False, height=1.7)
 

@@ -84,7 +84,7 @@ def limb_rows(tracks: Tracks, limb: Limb, *, wide: bool, alone: bool = False) ->
 
 
 def torque_row(tracks: Tracks) -> PlotRow | None:
-    """Return torques of the limbs side by side: of those with the most torque, and others like them.
+    """Return torques side by side: of the limb with the largest torque, and of limbs like it.
 
     Limbs are alike if their joints have the same names; the row has one legend. None without torques.
     """
@@ -111,7 +111,7 @@ def torque_row(tracks: Tracks) -> PlotRow | None:
 
 
 def limits_beyond(tracks: Tracks, kind: str, axes: Sequence[JointAxis]) -> str:
-    """Name the limits of velocity or torque of some axes if all are beyond the curves' axis; else empty."""
+    """Text on limits of velocity or torque that are all beyond the axis of the plot; empty otherwise."""
     if kind == "position":
         return ""
     least = min(limit_of(kind, axis)[1] for axis in axes)
@@ -125,7 +125,7 @@ def _noun(kind: str, limb: Limb) -> str:
 
 
 def _limb(axes: Axes, tracks: Tracks, limb: Limb, kind: str) -> None:
-    """Draw the joints' curves, and the limits that they come near; those all joints share are hatched."""
+    """Draw the joints' curves and the limits that they come near, hatched if all joints share them."""
     shown = [(i, axis) for i, axis in enumerate(limb.axes) if kind != "torque" or axis.torque is not None]
     drawn = [Curve(label=limb.short[i], values=partial(value, kind, axis), number=i) for i, axis in shown]
     draw.curves(axes, tracks, drawn)
@@ -145,7 +145,7 @@ def _limb(axes: Axes, tracks: Tracks, limb: Limb, kind: str) -> None:
 
 
 def _limits_near(kind: str, axis: JointAxis, tracks: Tracks) -> list[float]:
-    """The limits that values come near: `NEAR` of the way from the middle of what is allowed, or zero."""
+    """The limits that values come near: at `NEAR` of the way from the middle of the range, or from zero."""
     lower, upper = limit_of(kind, axis)
     values = np.concatenate([value(kind, axis, track.dense) for track in tracks])
     finite = values[np.isfinite(values)]

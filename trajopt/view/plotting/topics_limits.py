@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 MAP_ROW, LEAST_MAP = 0.105, 0.6
 # Rows of maps on a page, and beside curves.
 MAP_ROWS_A_PAGE, MAP_ROWS_WITH_CURVES = 56, 26
-# A share of the limit from which its number is bold, and how far beyond 1 counts as on the limit.
+# Share from which its number is bold, and tolerance above 1 that still counts as on the limit.
 CLOSE, ON_LIMIT = 0.98, 1e-4
 COLUMNS = 400
 # The colour bar: left edge, lower edge, width and height over those of the map on its left.
@@ -86,10 +86,10 @@ def used_row(tracks: Tracks, kind: str, axes: Sequence[JointAxis], names: Sequen
 def map_row(
     tracks: Tracks, number: int, groups: Sequence[Sequence[JointAxis]], names: Sequence[str]
 ) -> PlotRow:
-    """Return maps of one solution, of positions, velocities and torques: of each group its largest share.
+    """Return maps of a solution's positions, velocities and torques: the largest share of each group.
 
-    Where all limits are far beyond what is used, shares are of the largest value instead. On the right
-    is the colour bar.
+    If all limits are far beyond the values, shares are of the largest value instead. The colour bar is on the
+    right.
     """
     every, motion = [axis for group in groups for axis in group], tracks[number].dense
     panels = []
@@ -111,17 +111,17 @@ def map_row(
 
 
 def largest_share(kind: str, group: Sequence[JointAxis], motion: PlottedMotion) -> np.ndarray:
-    """The largest share (K,) of some axes; NaN where none has a limit."""
+    """The largest share (K,) of a group of axes; NaN if none has a limit."""
     return np.asarray(np.fmax.reduce([share(kind, axis, motion) for axis in group]))
 
 
 def largest_part(scale: float, kind: str, group: Sequence[JointAxis], motion: PlottedMotion) -> np.ndarray:
-    """The largest magnitude (K,) of some axes over a ``scale``."""
+    """The largest magnitude (K,) of a group of axes over ``scale``."""
     return np.asarray(np.fmax.reduce([np.abs(value(kind, axis, motion)) for axis in group]) / scale)
 
 
 def largest_row(tracks: Tracks) -> PlotRow | None:
-    """The largest share over all joints of positions, velocities and torques; None where none is limited."""
+    """The largest share over all joints of positions, velocities and torques; None if none is limited."""
     rows, _ = axes_and_names(tracks)
     curves = draw.numbered(((kind, partial(largest_share, kind, rows)) for kind in KINDS), dots=False)
     drawn = [
@@ -153,11 +153,11 @@ def _map(
 def share_map(
     axes: Axes, track: Track, names: Sequence[str], shares: np.ndarray, *, limited: bool
 ) -> AxesImage:
-    """A row for each name and its share (K, n) of a limit over time as a colour, its largest in per cent.
+    """Draw shares (K, n) of limits over time as colours: a row for each name, with its largest in per cent.
 
     A column of the picture shows the largest share within its time, so that no peak is lost. Values beyond
-    the limit have a separate colour; NaN, where there is no limit, is left white. ``limited``: shares are of
-    limits, and those close to them are bold.
+    the limit have a separate colour; NaN, where there is no limit, is left white. With ``limited``, shares
+    are of limits, and those close to 1 are bold.
     """
     import matplotlib as mpl
 
@@ -186,7 +186,7 @@ def share_map(
 
 
 def column_maxima(t: np.ndarray, shares: np.ndarray, start: float, end: float) -> np.ndarray:
-    """The largest of ``shares`` (K, n) in each of `COLUMNS` equal times; if it has none, the next sample."""
+    """The largest of ``shares`` (K, n) in each of `COLUMNS` equal spans; the next sample if it has none."""
     edges = np.linspace(start, end, COLUMNS + 1)
     centres = (edges[1:] + edges[:-1]) / 2
     maxima = shares[np.clip(np.searchsorted(t, centres), 0, len(t) - 1)]

@@ -79,7 +79,7 @@ class Track:
 
     @cached_property
     def axes(self) -> tuple[JointAxis, ...]:
-        """Rows behind the base."""
+        """The rows of v after the base."""
         return axes_of(self.solution)
 
     @cached_property
@@ -129,7 +129,7 @@ class Track:
         return np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
 
     def _jumps(self, values: np.ndarray) -> np.ndarray:
-        """First samples of intervals before which values (K,) jump."""
+        """Indices of the samples that begin an interval after a jump of ``values`` (K,)."""
         starts = np.flatnonzero(np.diff(self.dense.solution.interval)) + 1
         finite = values[np.isfinite(values)]
         span = float(np.ptp(finite)) if finite.size else 0.0
@@ -143,7 +143,7 @@ class Track:
 
 
 def tried(compute: Callable[[], _Result]) -> _Result | None:
-    """The result, or None for an iterate without one."""
+    """The result, or None if it cannot be computed, as for a diverged iterate."""
     try:
         with np.errstate(all="ignore"):
             return compute()
@@ -184,7 +184,10 @@ def _straight(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarra
 
 
 def tracks_of(solutions: Sequence[Solution], labels: Sequence[str] | None = None) -> tuple[Track, ...]:
-    """Tracks of solutions of one robot; raises `InputError` for none, other robots, or a count of labels."""
+    """Return tracks of solutions of one robot.
+
+    Raises `InputError` for no solution, several robots, or another number of labels.
+    """
     if not solutions:
         raise InputError("there is no solution to plot", "allowed: one or more")
     if labels and len(labels) != len(solutions):
@@ -226,7 +229,7 @@ def _labels(solutions: Sequence[Solution]) -> list[str]:
 class FigureTable:
     """A table: ``title``, and ``rows``.
 
-    ``beyond`` are the (row, solution) whose value is beyond its tolerance.
+    ``beyond`` holds the (row, solution) pairs whose value is beyond its tolerance.
     """
 
     title: str
@@ -235,7 +238,7 @@ class FigureTable:
 
 
 def title_of(tracks: Sequence[Track]) -> str:
-    """Return problem and robot; of several problems their names."""
+    """Return the names of the problems, and of the robot."""
     names = dict.fromkeys(track.solution.description.problem for track in tracks)
     return f"{', '.join(names)} on {tracks[0].solution.description.robot}"
 

@@ -57,7 +57,7 @@ def summary_pages(tracks: Tracks) -> list[PlotPage]:
 
 
 def _shares(tracks: Tracks) -> PlotRow | None:
-    """One solution's map of shares of limits; of several the largest share of each as a curve."""
+    """A map of the shares of limits of one solution; of several, curves of their largest shares."""
     rows, names = limits.axes_and_names(tracks)
     if not rows or len(tracks) > 1:
         return limits.largest_row(tracks) if rows else None
@@ -123,7 +123,7 @@ footer { color: #555; font-size: .8rem; margin-top: 2rem; }
 
 @dataclass(frozen=True, kw_only=True)
 class Plotted:
-    """What was written: the file, its size in bytes, and the names of its pages in their order."""
+    """The written file: its path, its size in bytes, and the names of its pages in order."""
 
     path: Path
     size: int
@@ -141,11 +141,11 @@ def write_plots(
     """Plot one solution, or several of one robot overlaid, to ``target``.
 
     Args:
-        solutions: Solutions or their files; the first is drawn with full lines, shaded phases and points.
+        solutions: Solutions or their files; the first is drawn with solid lines, shaded phases and points.
         target: Ends with .png, .svg (one picture; default the summary page), .pdf (A4 pages) or .html (one
             file that needs no network; both with all pages).
         labels: A name for each solution.
-        pages: Names of `summary.PAGES`; pages about what the robot does not have are left out.
+        pages: Names of `writing.PAGES`; pages that do not apply to the robot are left out.
 
     Raises:
         InputError: For another suffix, a file that cannot be written, an unknown page, or solutions of
@@ -194,7 +194,7 @@ def _content(pages: Sequence[PlotPage], tracks: Tracks, ending: str) -> bytes:
 def html_page(
     tracks: Tracks, drawings: Sequence[tuple[PlotPage, bytes]], sections: Sequence[FigureTable]
 ) -> str:
-    """The file's text. ``drawings`` are pages with their SVG, ``sections`` the tables."""
+    """The text of the page; ``drawings`` are pages with their SVG, ``sections`` the tables."""
     title, links, figures = escape(title_of(tracks)), [], []
     labelled = [(f"{track.label}: " if len(tracks) > 1 else "", track) for track in tracks]
     head = [f'<p class="state">{escape(label + state_of(track))}</p>' for label, track in labelled]

@@ -7,10 +7,10 @@ The external wrench on the robot (and its payload) follows from its momentum,
 with linear and angular momentum h, k (about the centre of mass c). The zero-moment point z lies in the plane
 of the contacts, of normal n: n x M_z = 0, so z = p + n x M_p / (n . F) for any p of that plane (Sardain and
 Bessonnet, "Forces acting on a biped robot. Center of pressure - zero moment point", IEEE Trans. SMC A 34,
-2004); forces of contacts with a radius act in their centres, and the point in the plane of these is drawn in
-that of the ground. Where all loaded contacts are on one plane it is their centre of pressure. Otherwise a
-virtual plane is used, level and through the mean of the contacts. Walls and handles do not support a robot
-that stands on something else; their forces move the point.
+2004). Forces on contacts with a radius act at the centres of the contacts; the point in the plane of these
+centres is drawn on the ground. If all supporting contacts are on one plane, it is their centre of pressure.
+Otherwise a virtual plane is used, level and through the mean of the contacts. Walls and handles do not
+support a robot that stands on something else; their forces move the point.
 """
 
 from dataclasses import dataclass, replace
@@ -33,13 +33,13 @@ from trajopt.view.replay.motion import LEAST_PRESSURE, ReplayMotion
 from trajopt.view.replay.runs import DrawnSolution
 from trajopt.view.replay.surfaces import plane_of
 
-# A surface whose normal is nearer to level than to vertical is a wall: it does not carry.
+# A surface whose normal is nearer to horizontal than to vertical is a wall, which gives no support.
 LEVEL = np.sqrt(0.5)
 _CORNERS = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
 ZMP_COLOUR, SUPPORT_COLOUR = 0xB5179E, 0x2A9D6F
 COM_TRAIL_COLOUR, PLUMB_COLOUR = 0x30343B, 0x50565F
 SUPPORT_OPACITY = 0.28
-# The robot covers these marks most of the time: they shine through it.
+# Opacity of marks through the robot, which covers them most of the time.
 THROUGH = 0.75
 # Over the robot's extent: radii of the ball, its projection, the zero-moment point, the vertical line, and
 # half the width of a support that is a segment.
@@ -50,11 +50,14 @@ SUPPORT_LIFT, MARK_LIFT, ZMP_LIFT = 0.003, 0.0045, 0.006
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SupportArea:
-    """The support during frames ``rows`` (n,): a plane, and the convex hull (k, 3) of its contacts, m.
+    """The support of the robot during some frames.
 
-    The hull is that of the contacts' points and soles' corners along the plane's normal, in order around
-    it; its points are the contacts' own, on several planes too. Two points are a segment. rise: mean height,
-    m, at which forces act over the plane: of contacts with a radius in their centres.
+    Args:
+        rows: which frames (n,).
+        plane: of the contacts, see `balance`.
+        hull: points and corners of soles (k, 3) on the convex hull of the contacts, seen along the plane's
+            normal, in order, m. They keep their places on several planes. Two points are a segment.
+        rise: mean height above the plane at which forces act, m: the centres of contacts with a radius.
     """
 
     rows: np.ndarray
@@ -65,7 +68,7 @@ class SupportArea:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BalanceTrack:
-    """At n frames: com (n, 3), below it on the ground (n, 3), zero-moment point (n, 3), m; NaN where none."""
+    """Centre of mass, its projection on the ground and the ZMP at n frames, (n, 3) m; NaN where undefined."""
 
     com: np.ndarray
     below: np.ndarray
@@ -95,7 +98,7 @@ def balance_of(solution: Solution, motion: ReplayMotion) -> BalanceTrack:
 
 
 def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Force (K, 3) N and moment about the world's origin (K, 3) N m from outside at the samples."""
+    """External force (K, 3) N and moment about the world's origin (K, 3) N m at the samples."""
     force, moment, com = np.empty((3, solution.n_samples, 3))
     for phase in np.unique(solution.phase):
         model = carrying_model(solution, int(phase))
@@ -108,9 +111,9 @@ def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _supports(solution: Solution, motion: ReplayMotion) -> list[SupportArea]:
-    """One support for each phase with loaded contacts; consecutive phases with the same are joined.
+    """One support for each phase with unilateral contacts; consecutive phases with the same one are joined.
 
-    Of contacts on the ground and on walls those on the ground.
+    Contacts on walls count only in phases without contacts on the ground.
     """
     touched = motion.touched
     pressing = motion.active & ~touched.bilateral
@@ -137,7 +140,7 @@ def _supports(solution: Solution, motion: ReplayMotion) -> list[SupportArea]:
 
 
 def _plane(solution: Solution, motion: ReplayMotion, row: int, contacts: np.ndarray) -> Surface:
-    """The one plane of ``contacts`` at a frame, or the virtual one."""
+    """The common plane of ``contacts`` at a frame, or else the virtual one."""
     touched = motion.touched
     normals, points = touched.normal[row, contacts], touched.point[row, contacts]
     turned = np.abs(normals - normals[0]).max() if len(contacts) else 0.0
@@ -162,7 +165,7 @@ def _touching(solution: Solution, motion: ReplayMotion, row: int, contact: int) 
 
 
 def _hull(points: np.ndarray, plane: Surface) -> np.ndarray:
-    """Points (k, 3) on the convex hull along the plane's normal, in order; the ends of points on a line."""
+    """Points (k, 3) on the convex hull along the plane's normal, in order; the ends of collinear points."""
     level = (points - plane.point) @ plane.tangents.T
     corners = outline(level)
     if len(corners) > 2:
@@ -174,7 +177,7 @@ def _hull(points: np.ndarray, plane: Surface) -> np.ndarray:
 
 
 def on_ground(solution: Solution, places: np.ndarray) -> np.ndarray:
-    """Where vertical lines through ``places`` (n, 3) meet the terrain (n, 3), m; NaN over holes, at walls."""
+    """Where vertical lines through ``places`` (n, 3) meet the terrain (n, 3), m; NaN over holes and walls."""
     terrain = solution.description.ground
     if terrain is None or isinstance(terrain, Surface):
         plane, up = plane_of(solution), _upward(solution.model)

@@ -48,7 +48,7 @@ def _solid(node: Any, shape: Any, placement: pin.SE3, **material: Any) -> None:
 
 
 def draw_shapes(run: DrawnSolution, tracks: Animation) -> None:
-    """Draw the file's collision shapes of the links, and move them with their joints."""
+    """Draw the links' collision shapes of the file, and move them with their joints."""
     bodies, model = run.solution.description.bodies, run.solution.model
     drawn = set()
     for shape in bodies.shapes if bodies is not None else ():
@@ -61,7 +61,7 @@ def draw_shapes(run: DrawnSolution, tracks: Animation) -> None:
         part = node[shape.name.replace("/", "_")]
         part.set_transform(frame.placement.homogeneous)
         if len(shape.points) > 2:
-            # A hull's radius is a fraction of a millimetre: moved outwards its corners show it well enough.
+            # A hull's radius is a fraction of a millimetre: moving its corners outwards shows it well enough.
             away = shape.points - shape.points.mean(axis=0)
             away /= np.linalg.norm(away, axis=1)[:, None]
             _unshadowed(part["solid"], _faces(shape.points + shape.radius * away), pin.SE3.Identity())
@@ -95,7 +95,7 @@ def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
             continue
         body, part = payload.spatial, run.node["payloads"][f"body{number}"]
         extent = _draw_payload(part["shape"], body)
-        # Before it is taken and after it is put down it stays in place.
+        # It stays in place before it is picked up and after it is put down.
         contact = run.solution.contact_frames.index(payload.frame)
         hand = hold_while_hidden(motion.contacts[:, contact], carried)
         tracks.place(part, hand)
@@ -105,7 +105,7 @@ def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
 
 
 def _payloads(solution: Solution) -> list[tuple[CarriedBody, list[int]]]:
-    """Each carried body with its phases; a description has a body once for each phase."""
+    """Each carried body with its phases; the description lists a body once for each phase."""
     payloads: list[tuple[CarriedBody, list[int]]] = []
     for body in solution.description.payloads:
         for other, phases in payloads:
@@ -118,7 +118,7 @@ def _payloads(solution: Solution) -> list[tuple[CarriedBody, list[int]]]:
 
 
 def _draw_payload(node: Any, body: pin.Inertia) -> float:
-    """A box of the body's mass and inertia, or a ball for a point; returns half its extent, m."""
+    """Draw a box of the body's mass and inertia, or a ball for a point mass; returns half its extent, m."""
     box = box_of_inertia(body)
     if box is not None:
         sides, placement = box

@@ -84,9 +84,13 @@ class _Calls:
 class OpenedPage:
     """A page of `trajopt.replay`, paused in Chromium.
 
-    start, duration: s of the solution. cameras, layers: their names. errors: messages so far (console errors,
-    console warnings, exceptions of scripts). requests: addresses it has requested. Every method raises
-    `TrajoptError`, one line, if the browser crashes or does not answer in time.
+    Attributes:
+        start, duration: of the solution, s.
+        cameras, layers: their names.
+        errors: messages so far: errors and warnings of the console, exceptions of scripts.
+        requests: addresses that the page has requested.
+
+    Every method raises `TrajoptError`, one line, if the browser crashes or does not answer in time.
     """
 
     def __init__(self, calls: _Calls, page: AsyncPage, cdp: CDPSession, heard: _Heard) -> None:
@@ -126,7 +130,7 @@ class OpenedPage:
         return base64.b64decode(self._calls(shot, CALL_LIMIT, "a picture of the replay's page")["data"])
 
     def picture(self) -> np.ndarray:
-        """Return the window's picture: (h, w, 3) of bytes, red, green, blue."""
+        """Return the window's picture: bytes (h, w, 3) of red, green and blue."""
         from PIL import Image
 
         return np.array(Image.open(io.BytesIO(self.png())).convert("RGB"))
@@ -175,9 +179,9 @@ class Chromium:
     ) -> Iterator[OpenedPage]:
         """Open a replay's ``page`` in a window of ``size`` (width, height) pixels.
 
-        fragment: the part after # in its address, as in ``"t=0.3&camera=side&panel=off"``: paused at that
-        time; without ``t`` it plays. Raises `InputError` for a file that does not exist and `TrajoptError`
-        for a page that is not ready within ``limit`` s.
+        ``fragment`` is the part after # in its address, as in ``"t=0.3&camera=side&panel=off"``: the page is
+        paused at time ``t`` and plays without it. Raises `InputError` for a file that does not exist and
+        `TrajoptError` for a page that is not ready within ``limit`` s.
         """
         path = Path(page).absolute()
         if not path.is_file():
@@ -195,9 +199,9 @@ class Chromium:
 
 @contextlib.contextmanager
 def chromium() -> Iterator[Chromium]:
-    """Start a headless Chromium and end it, whatever happens meanwhile.
+    """Start a headless Chromium, and stop it at the end whatever happens.
 
-    Raises `InputError`, one line that says what to install, without Chromium or Playwright, and
+    Raises `InputError`, one line that says what to install, if Chromium or Playwright is missing, and
     `TrajoptError` if Chromium does not start.
     """
     executable = require_chromium()
@@ -229,7 +233,7 @@ def open_page(page: str | Path, *how: Any, **options: Any) -> Iterator[OpenedPag
 
 
 def require_chromium() -> str:
-    """Return the Chromium to use; raises `InputError`, one line, where it or Playwright is missing."""
+    """Return the Chromium to use; raises `InputError`, one line, if it or Playwright is missing."""
     try:
         import playwright.async_api  # noqa: F401
     except ImportError:
@@ -238,7 +242,7 @@ def require_chromium() -> str:
 
 
 def find_chromium() -> str:
-    """Return the Chromium or Chrome to use; raises `InputError` where there is none."""
+    """Return the Chromium or Chrome to use; raises `InputError` if there is none."""
     given = os.environ.get(EXECUTABLE_VARIABLE)
     program = next(filter(None, map(shutil.which, [given] if given else EXECUTABLES)), None)
     if program is not None:
@@ -251,7 +255,7 @@ def find_chromium() -> str:
 async def _open(
     browser: AsyncBrowser, address: str, size: tuple[int, int], heard: _Heard, limit: float
 ) -> tuple[AsyncPage, CDPSession]:
-    """A page that is ready, in a separate window; raises `TrajoptError` with its error if it is not."""
+    """Open a page in a separate window; raises `TrajoptError` with the page's error if it is not ready."""
     width, height = size
     context = await browser.new_context(
         viewport={"width": width, "height": height}, device_scale_factor=1, offline=True

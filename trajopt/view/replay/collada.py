@@ -16,7 +16,7 @@ import pinocchio as pin
 from trajopt.view.replay.parts import ColouredMesh, MeshPart
 
 TRANSFORMATIONS = ("matrix", "translate", "scale", "rotate")
-# Files that are kept once read.
+# Most files in the cache.
 MOST_FILES = 64
 GREY = np.array([0.8, 0.8, 0.8])
 
@@ -36,7 +36,7 @@ def read_collada(path: str | Path, plain: np.ndarray = GREY) -> ColouredMesh:
 
 @lru_cache(maxsize=MOST_FILES)
 def _read(path: Path, changed: float, plain: tuple[float, ...]) -> ColouredMesh:
-    """The mesh of a file with modification time ``changed``, cached: robots use one file several times."""
+    """Read a file with modification time ``changed``; cached, as robots use a file several times."""
     try:
         root = Tree.parse(path).getroot()
         for element in root.iter():
@@ -96,7 +96,7 @@ class _Reader:
                 self._parts.append((points, normals / np.where(length > 0, length, 1.0), colour, index))
 
     def _corners(self, primitive: Tree.Element) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions and normals (n, 3) of distinct corners, and which one each corner of a triangle is."""
+        """Positions and normals (n, 3) of distinct corners, and the index of each triangle corner in them."""
         inputs = {entry.get("semantic"): entry for entry in primitive.findall("input")}
         stride = 1 + max(int(entry.get("offset", 0)) for entry in primitive.findall("input"))
         index = np.fromstring(primitive.findtext("p") or "", dtype=int, sep=" ").reshape(-1, stride)
@@ -157,7 +157,7 @@ def _transform(node: Tree.Element) -> np.ndarray:
 
 
 def _fans(counts: np.ndarray) -> np.ndarray:
-    """Corners of the triangles into which polygons of ``counts`` corners are cut."""
+    """Indices of the corners of triangles into which polygons of ``counts`` corners are cut."""
     first = np.cumsum(counts) - counts
     triangles = [
         (start, start + k, start + k + 1)

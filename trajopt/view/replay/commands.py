@@ -12,10 +12,10 @@ POSITION_ERROR, ANGLE_ERROR = 2e-4, 5e-4
 COLOUR_ERROR = 2e-3
 # Values are rounded to a power of two this many times finer than their error: noise does not compress.
 FINER = 8.0
-# Largest share of rounding in the error: half a step in each of a quaternion's four numbers is a step,
-# and twice that as an angle.
+# Share of the error that rounding may take: half a step in each of a quaternion's four numbers is one step in
+# all, and twice that as an angle.
 ROUNDING = 2.0 / FINER
-# A direction whose z component is below this times its length points straight down.
+# A unit vector with a z component below this points straight down.
 DOWN = -1 + 1e-12
 # Types in three.js of the animated properties.
 KINDS = {
@@ -56,9 +56,9 @@ class Recorder:
 
 
 class Animation:
-    """Animated properties by place in the scene tree, given at the same frames and thinned.
+    """Animated properties by place in the scene tree, sampled at common frames and thinned.
 
-    length: m, the robot's extent, the unit of the allowed error of positions and scales.
+    ``length`` is the robot's extent, m, to which allowed errors of positions and scales refer.
     """
 
     def __init__(self, n_frames: int, frame_rate: float, length: float) -> None:
@@ -68,7 +68,7 @@ class Animation:
         self._clips: dict[str, list[dict[str, Any]]] = {}
 
     def add(self, node: Any, name: str, values: np.ndarray, shown: np.ndarray | None = None) -> None:
-        """Animate property ``name`` (of `KINDS`) of ``node``: a row of ``values`` a frame.
+        """Animate property ``name`` (of `KINDS`) of ``node``: one row of ``values`` per frame.
 
         Vectors, quaternions and colours are interpolated between the frames that `thin_key_frames` keeps,
         within its errors; a boolean holds until the next. ``shown`` (n,): frames at which values matter.
@@ -93,7 +93,7 @@ class Animation:
         self.add(node, "visible", shown)
 
     def place(self, node: Any, placements: np.ndarray) -> None:
-        """Animate position and rotation of ``node``: a placement (4, 4) a frame."""
+        """Animate position and rotation of ``node``: one placement (4, 4) per frame."""
         self.add(node, "position", placements[:, :3, 3])
         self.add(node, "quaternion", quaternions(placements[:, :3, :3]))
 
@@ -110,15 +110,15 @@ class Animation:
 
 
 def without_shadow(node: Any) -> None:
-    """Let the object of ``node`` cast no shadow; Meshcat's own set_property loses the capital of the name."""
+    """Make the object of ``node`` cast no shadow; Meshcat's set_property loses the capital of the name."""
     message = {"type": "set_property", "property": "castShadow", "value": False}
     node.window.send(ViewerCommand({**message, "path": node["<object>"].path.lower()}))
 
 
 def quaternions(rotations: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4), as three.js takes them, of rotation matrices (n, 3, 3).
+    """Quaternions (n, 4), in the order of three.js, of rotation matrices (n, 3, 3).
 
-    The longest column of 4 q q^T, which is linear in the matrix.
+    They are the normalised longest column of 4 q q^T, which is linear in the matrix.
     """
     (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(rotations, 0, 2)
     columns = [
@@ -134,9 +134,9 @@ def quaternions(rotations: np.ndarray) -> np.ndarray:
 
 
 def turns_to(directions: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4), as three.js takes them, of the least rotations that take z to directions (n, 3).
+    """Quaternions (n, 4), in the order of three.js, of the least rotations from z to directions (n, 3).
 
-    The identity for directions without length.
+    The identity for zero vectors.
     """
     length = np.linalg.norm(directions, axis=1, keepdims=True)
     unit = np.divide(directions, length, out=np.tile([0.0, 0.0, 1.0], (len(length), 1)), where=length > 0)
@@ -149,9 +149,9 @@ def turns_to(directions: np.ndarray) -> np.ndarray:
 def thin_key_frames(values: np.ndarray, kind: str, error: float) -> np.ndarray:
     """Indices (k,) of the frames of ``values`` (n, d) to keep, the first and the last always among them.
 
-    Between those kept a linear track ("vector3", "color") stays within ``error`` of every frame left out, a
-    "quaternion" one, interpolated on great circles, within ``error`` rad, and a "boolean" one, which holds
-    each value until the next, changes exactly. Segments are halved until they are accurate enough.
+    Interpolated between the frames kept, a linear track ("vector3", "color") stays within ``error`` of all
+    others, and a "quaternion" track, on great circles, within ``error`` rad. A "boolean" track, which holds
+    each value until the next, is exact. Segments are halved until they are accurate enough.
     """
     n = len(values)
     if kind == "boolean":
@@ -185,7 +185,7 @@ def _worst(values: np.ndarray, segments: np.ndarray, kind: str) -> np.ndarray:
 
 
 def slerp(first: np.ndarray, last: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) at ``part`` (n, 1) of the shorter great circle between two (n, 4)."""
+    """Quaternions (n, 4) at fraction ``part`` (n, 1) of the shorter great circle between two (n, 4)."""
     cosine = np.sum(first * last, axis=1, keepdims=True)
     last, cosine = np.where(cosine < 0, -last, last), np.minimum(np.abs(cosine), 1.0)
     angle = np.arccos(cosine)
@@ -198,7 +198,7 @@ def slerp(first: np.ndarray, last: np.ndarray, part: np.ndarray) -> np.ndarray:
 
 
 def rounded(values: np.ndarray, error: float) -> np.ndarray:
-    """Values to the nearest multiple of a power of two that is `FINER` times below ``error``."""
+    """Values rounded to a multiple of a power of two at least `FINER` times below ``error``."""
     step = 2.0 ** np.floor(np.log2(error / FINER))
     return np.asarray(np.round(values / step) * step)
 

@@ -15,7 +15,7 @@ from trajopt.view.replay.runs import DrawnSolution
 
 FORCE_COLOUR, IMPULSE_COLOUR = 0xD9421F, 0x7A1FA2
 TRAIL_COLOURS = (0x1F77B4, 0x2CA02C, 0x9467BD, 0xC77700)
-# Over the robot's extent: largest length of the weight's arrow, and of the longest arrow of the motion.
+# Over the robot's extent: largest length of the weight's arrow, and of any arrow of the motion.
 WEIGHT_ARROW, LONGEST_ARROW = 0.8, 1.2
 # Arrow over the robot's extent; a head never takes more than half of its arrow.
 SHAFT_RADIUS, HEAD_RADIUS, HEAD_LENGTH = 0.007, 0.02, 0.055
@@ -32,9 +32,9 @@ ROUND, RIBS = 24, 8
 
 @dataclass(frozen=True, kw_only=True)
 class ArrowLook:
-    """Look of an arrow: for a robot of ``size`` m, with ``scale`` m a unit of its vector.
+    """Look of an arrow, for a robot of ``size`` m; ``scale`` is its length per unit of the vector, m.
 
-    broad: its width over that of a force's arrow.
+    ``broad`` is its width over that of a force's arrow.
     """
 
     size: float
@@ -92,14 +92,14 @@ def draw_arrow(
 
 
 def weight_arrow_of(motions: Sequence[ReplayMotion], size: float) -> float:
-    """Length in m of the arrow of a weight, the same for all ``motions`` of robots of this ``size`` m."""
+    """Length of the arrow of the weight, m, common to all ``motions`` of robots of extent ``size``, m."""
     forces = [np.linalg.norm(motion.force, axis=-1)[motion.active] / motion.weight for motion in motions]
     largest = float(np.concatenate([np.zeros(1), *forces]).max())
     return size * (WEIGHT_ARROW if largest <= LONGEST_ARROW / WEIGHT_ARROW else LONGEST_ARROW / largest)
 
 
 def draw_trails(run: DrawnSolution) -> None:
-    """Draw the path of each contact frame; of each tip if there are no contacts."""
+    """Draw the path of each contact frame, or of each tip if there are no contacts."""
     model, motion = run.solution.model, run.motion
     named = dict(zip(run.solution.contact_frames, motion.feet.swapaxes(0, 1), strict=True))
     for frame in [] if named else [model.frames[number] for number in tip_frames(model)]:
@@ -150,7 +150,7 @@ def _friction_used(motion: ReplayMotion) -> np.ndarray:
 
 
 def _draw_cone(node: Any) -> None:
-    """A cone of height and radius one about z with its tip at the origin, its rim and some ribs."""
+    """Draw a cone about z of unit height and radius with its tip at the origin, its rim and some ribs."""
     rim = parts.circle(np.linspace(0, 2 * np.pi, ROUND, endpoint=False)) + parts.UPWARD
     index = np.array([(0, 1 + i, 1 + (i + 1) % ROUND) for i in range(ROUND)])
     side = [(np.vstack([np.zeros(3), rim]), parts.UPWARD, parts.WHITE, index)]

@@ -23,7 +23,7 @@ AXIS_COLOURS = (0xC0392B, 0x2E8B57, 0x1F5FBF)
 # Over the robot's extent: half a cross, an axis of a triad, its radius, a foothold's ring, its lift.
 CROSS, AXIS, RADIUS, RING, LIFT = 0.05, 0.1, 0.004, 0.03, 0.0035
 ASKED_COLOUR, MEASURED_COLOUR = 0x00A08A, 0x1A1F26
-# A broad translucent arrow around the force that acts: both are seen where they are the same.
+# A broad translucent arrow around that of the actual force, so that both are visible if they coincide.
 BROAD, OPACITY = 2.2, 0.35
 # Over the robot's extent: half a cross of the centre of mass and of a foot, radius of a bar, measured ball.
 COM_CROSS, FOOT_CROSS, BAR, BALL = 0.05, 0.025, 0.003, 0.008
@@ -32,7 +32,7 @@ COM_CROSS, FOOT_CROSS, BAR, BALL = 0.05, 0.025, 0.003, 0.008
 def draw_goals(run: DrawnSolution, drop: float, size: float) -> np.ndarray:
     """Draw the problem's goals; returns their positions (k, 3), m.
 
-    drop: how far below the contacts the drawn ground lies, m. Raises `SolutionFileError`.
+    ``drop`` is how far below the contacts the drawn ground lies, m. Raises `SolutionFileError`.
     """
     drawn: list[np.ndarray] = []
     for target in run.solution.description.goals:
@@ -69,7 +69,7 @@ def _lands(solution: Solution, target: Target) -> bool:
 
 
 def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
-    """Position of the base at a configuration, or for a fixed base of the tips."""
+    """Placement of the base at a configuration, or those of the tips for a fixed base."""
     if q.shape != (model.nq,):
         return []
     data = model.createData()
@@ -81,7 +81,7 @@ def _posture(model: pin.Model, q: np.ndarray) -> list[np.ndarray]:
 
 
 def _normal(solution: Solution, target: Target, position: np.ndarray) -> np.ndarray:
-    """Normal under a contact that lands: of its own surface in that phase, else of the terrain."""
+    """Normal under a contact that lands: of its own surface in that phase, or else of the terrain."""
     surfaces, terrain = solution.description.surfaces, solution.description.ground
     index = solution.phase_names.index(target.at.phase)
     surface = surfaces[index].get(str(target.frame)) if index < len(surfaces) else None
@@ -109,7 +109,7 @@ def _draw(node: Any, kind: str, placement: np.ndarray, drop: float, size: float)
 
 
 def _draw_cross(node: Any, half: float, radius: float, colour: int, through: float = HIDDEN_OPACITY) -> None:
-    """Three bars across each other, ``half`` m to each side, with a ball in the middle."""
+    """Draw three crossed bars, ``half`` m to each side, with a ball in the middle."""
     _draw_arms(node, 2 * half, radius, (colour,) * 3, 0.0, through)
     draw_showing_through(node["centre"], shapes.Sphere(2 * radius), through=through, color=colour)
 
@@ -117,7 +117,7 @@ def _draw_cross(node: Any, half: float, radius: float, colour: int, through: flo
 def _draw_arms(
     node: Any, length: float, radius: float, colours: Sequence[int], middle: float, through: float
 ) -> None:
-    """Bars along x, y and z; ``middle``: of a bar along its axis, over its length."""
+    """Draw bars along x, y and z; ``middle`` is the position of their middles over their length."""
     for name, axis, colour in zip("xyz", np.eye(3), colours, strict=True):
         draw_showing_through(node[name], shapes.Cylinder(length, radius), through=through, color=colour)
         turn = pin.Quaternion.FromTwoVectors(np.eye(3)[1], axis).toRotationMatrix()
@@ -127,11 +127,11 @@ def _draw_arms(
 def draw_controller(
     run: DrawnSolution, tracks: Animation, com: np.ndarray, size: float, weight_arrow: float
 ) -> None:
-    """Animate what a solution's controller asked for, if it had one: contact forces, places of feet and mass.
+    """Animate the goals of a solution's controller, if it had one: contact forces, feet and centre of mass.
 
-    Forces are arrows. The wanted centre of mass is a cross, the measured one, ``com`` (n, 3) m, a ball beside
-    it; a wanted foot is a small cross, where the foot would touch. Lengths of arrows are those of
-    `draw_arrows`; ``size`` is the robot's extent, m.
+    Forces are arrows at the scale of `draw_arrows`. The desired centre of mass is a cross, the measured one,
+    ``com`` (n, 3) m, a ball; a desired foot is a small cross where the foot would touch. ``size`` is the
+    robot's extent, m.
     """
     solution, motion, node = run.solution, run.motion, run.node["controller"]
     if solution.asked_force is None or solution.com_goal is None or solution.foot_goal is None:
@@ -154,7 +154,7 @@ def draw_controller(
 
 
 def _mark(node: Any, tracks: Animation, place: np.ndarray, half: float, radius: float) -> bool:
-    """Animate a cross at places (n, 3), m, NaN where there is none; whether there is any."""
+    """Animate a cross at places (n, 3), m, hidden where they are NaN; returns whether it is ever shown."""
     shown = np.isfinite(place).all(axis=1)
     if shown.any():
         _draw_cross(node, half, radius, ASKED_COLOUR, THROUGH)

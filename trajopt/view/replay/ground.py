@@ -22,7 +22,7 @@ SKY_TOP, SKY_BOTTOM = [0.70, 0.79, 0.90], [0.96, 0.97, 0.98]
 GROUND_COLOUR, GRID_COLOUR = 0xDCE1E8, 0xAEB7C3
 # Grid cells over the robot's extent, rounded down to 1, 2 or 5 times a power of ten; bold every fifth.
 CELL_PART, BOLD_EVERY = 0.3, 5
-# Approximate limit of cells along a motion: cells of a motion that flies off are larger.
+# Approximate limit of cells along a motion: a motion that flies off gets larger cells.
 MOST_CELLS = 250
 # Ground on each side of the motion, in robot extents.
 PLANE_MARGIN = 8.0
@@ -59,9 +59,14 @@ LINE_LIFT = 0.002
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrawnGround:
-    """plane: the terrain's; for uneven ground a level one. seen: as drawn, ``drop`` m below the contacts.
+    """The ground under one solution.
 
-    elsewhere: contacts with surfaces other than the terrain. uneven: the terrain, if it is not a plane.
+    Args:
+        plane: of the terrain; a level one for uneven ground.
+        seen: the plane as drawn.
+        drop: depth of the drawn ground below the contacts, m.
+        elsewhere: contacts with surfaces other than the terrain.
+        uneven: the terrain, if it is not a plane.
     """
 
     plane: Surface
@@ -74,8 +79,7 @@ class DrawnGround:
 def grounds_of(runs: list[DrawnSolution], size: float) -> list[DrawnGround]:
     """The ground under each solution, in its own world; ``size`` m is the robots' extent.
 
-    Where several stand on one plane, it is drawn at the height of the smallest feet: larger feet sink into
-    it.
+    A plane on which several stand is drawn at the height of the smallest feet: larger feet sink into it.
     """
     grounds = [_ground_of(run, size) for run in runs]
     plane = grounds[0].plane
@@ -98,13 +102,13 @@ def _ground_of(run: DrawnSolution, size: float) -> DrawnGround:
 
 
 def _floor(run: DrawnSolution, plane: Surface) -> Surface:
-    """The plane; of a fixed base that never touches it, parallel to it where the base ends.
+    """The plane under a robot without contacts; for a fixed base it is moved to where the base ends.
 
-    An arm stands on that floor. Below a robot that hangs, as a pendulum, it is as low as the robot reaches.
+    An arm stands on that floor. Below a hanging robot, such as a pendulum, it is as low as the robot reaches.
     """
     if BASE_JOINT[base_of(run.solution.model)] or not run.cloud.size:
         return plane
-    foot = [part for part in run.robot.points.get(0, []) if part.size]  # points of what does not move, world
+    foot = [part for part in run.robot.points.get(0, []) if part.size]  # points of the fixed links, world
     low = min((float((part @ plane.normal).min()) for part in foot), default=0.0)
     reached = float((run.cloud @ plane.normal).min())
     height = reached if reached < low - HANGING * run.size else low
@@ -116,8 +120,8 @@ def draw_grounds(
 ) -> Surface:
     """Draw sky, light and each different ground; returns the first solution's plane.
 
-    ``box`` (2, 3) m is around everything. Runs on planes share the first one; uneven ground of runs that are
-    moved aside moves with them, and extends at most half way to the next.
+    ``box`` (2, 3) m encloses everything. Runs on planes share the first plane; uneven ground of runs that are
+    moved aside moves with them, and extends at most half way to the next run.
     """
     _draw_sky_and_light(vis, size)
     aside, drawn = any(run.shift.any() for run in runs), []
@@ -183,7 +187,7 @@ def _grid(low: np.ndarray, high: np.ndarray, cell: float, ground: Surface, bold:
 
 
 def _draw_sky_and_light(vis: Any, size: float) -> None:
-    """A pale sky, and one sun with shadows around the origin of the viewer; Meshcat's lights only fill."""
+    """Draw a pale sky, and a sun with shadows around the viewer's origin; Meshcat's lights only fill."""
     vis["/Background"].set_property("top_color", SKY_TOP)
     vis["/Background"].set_property("bottom_color", SKY_BOTTOM)
     vis["/Grid"].set_property("visible", False)
@@ -228,7 +232,7 @@ def _within(face: Patch, area: np.ndarray) -> np.ndarray:
 
 
 def _block(top: np.ndarray, bottom: float, colour: int) -> parts.ColouredMeshGeometry:
-    """A prism under a convex polygon (k, 3): its top of that colour, darker walls down to ``bottom`` m."""
+    """A prism under a convex polygon (k, 3): its top in ``colour``, darker walls down to ``bottom`` m."""
     under = np.column_stack([top[:, :2], np.full(len(top), bottom)])
     tone = parts.colour_array(colour)
     faces: list[parts.MeshPart] = [(top, _normal(top), tone, parts.fan(len(top)))]
@@ -240,7 +244,7 @@ def _block(top: np.ndarray, bottom: float, colour: int) -> parts.ColouredMeshGeo
 
 
 def _normal(polygon: np.ndarray) -> np.ndarray:
-    """The unit normal (3,) of a polygon's plane by Newell's sum; 0 of one without area."""
+    """The unit normal (3,) of a polygon's plane by Newell's sum; zero for a polygon without area."""
     normal = np.cross(polygon, np.roll(polygon, -1, axis=0)).sum(axis=0)
     length = float(np.linalg.norm(normal))
     return np.asarray(normal / length if length > 0 else normal)

@@ -1,4 +1,4 @@
-"""What a page says of its scene: title, lines of the caption, and the layers that it can show and hide."""
+"""Text and layers of a replay's page: its title, the lines of its caption, and what it can show and hide."""
 
 from collections.abc import Collection, Sequence
 from typing import Any
@@ -66,7 +66,7 @@ def title(solution: Solution) -> str:
 
 
 def _about(runs: Sequence[DrawnSolution]) -> list[Line]:
-    """The lines of the solutions; of several with their labels."""
+    """The caption's lines about the solutions, with labels if there are several."""
     names, lines = [title(run.solution) for run in runs], []
     for run, name in zip(runs, names, strict=True):
         if len(runs) > 1:
@@ -97,7 +97,7 @@ def _state(solution: Solution) -> str:
 
 
 def _legend(motions: Sequence[ReplayMotion], weight_arrow: float) -> list[Line]:
-    """Scales of arrows, in parts of each robot's weight, and the colours of cones."""
+    """Scales of arrows in terms of each robot's weight, and the colours of cones."""
     weights = dict.fromkeys(f"{motion.weight:.1f} N" for motion in motions)
     forces = f"forces: {weight_arrow:.2f} m is the weight, {' or '.join(weights)}"
     impulses = dict.fromkeys(
@@ -123,11 +123,11 @@ def caption_line(text: str, kind: str = "", colour: str = "", layer: str = "") -
 def layers_of(
     runs: Sequence[DrawnSolution], drawn: Collection[str], tangents: np.ndarray
 ) -> list[dict[str, Any]]:
-    """The layers with something ``drawn`` (scene tree paths), and one for each of several runs.
+    """The layers with something ``drawn`` (scene tree paths), and one for each run if there are several.
 
-    ``tangents`` (2, 3) are of the ground. Hidden at first are collision shapes and, except where they show
-    the path of a robot that travels at a glance, ghosts: both obscure. The centre of mass is of little
-    interest for a fixed base.
+    ``tangents`` (2, 3) are those of the ground. Collision shapes are hidden at first, and so are ghosts
+    unless they show the path of a single robot at a glance: both obscure the robot. The centre of mass is
+    hidden for fixed bases, where it is of little interest.
     """
     hidden = {"shapes"}
     if len(runs) > 1 or not _parts_from_itself(runs[0], tangents):
@@ -147,12 +147,12 @@ def layers_of(
 
 
 def layer(name: str, label: str, colour: int, paths: list[str], visible: bool = True) -> dict[str, Any]:
-    """Return a layer's description for the page: the parts of the scene tree that one toggle shows."""
+    """Return a layer for the page: a toggle that shows and hides parts of the scene tree."""
     return {"name": name, "label": label, "colour": f"#{colour:06x}", "paths": paths, "visible": visible}
 
 
 def _parts_from_itself(run: DrawnSolution, tangents: np.ndarray) -> bool:
-    """Whether the robot ends elsewhere, within one picture; always true for an arm."""
+    """Whether the robot ends away from its start but within one picture; always true for a fixed base."""
     if not BASE_JOINT[base_of(run.solution.model)]:
         return True
     way = float(np.linalg.norm((run.base[-1] - run.base[0]) @ tangents.T))

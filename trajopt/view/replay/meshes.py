@@ -24,14 +24,14 @@ NORMAL_LEVELS = 254
 LEAST_CORNERS = 300
 # Rows of whole numbers are compared as one number, up to this value.
 LARGEST_KEY = 2**62
-# Bytes of the differences of each column.
+# Bytes per difference in each column.
 PLANES = {"position": 2, "normal": 2, "colour": 4}
-# A file whose normals make this many vertices of one draws every face flat: the page makes better ones.
+# A file whose normals multiply vertices by more than this draws every face flat: the page makes better ones.
 FACETED = 1.5
 STL_FORMATS = ("_meshfile", "_meshfile_geometry")
 
 
-# Vertices: position (n, 3) m, of some normal (n, 3) and color (n, 3) bytes; index (3m,) of corners.
+# Vertices: position (n, 3) m, optionally normal (n, 3) and color (n, 3) bytes; index (3m,) of corners.
 TriangleMesh = tuple[dict[str, np.ndarray], np.ndarray]
 
 
@@ -93,7 +93,7 @@ def _packed(vertex: dict[str, np.ndarray], index: np.ndarray) -> dict[str, Any] 
 
 
 def _palette(colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct colours (k, 3) and the number of each one's (n, 1)."""
+    """Distinct colours (k, 3), and the index of each vertex's colour among them (n, 1)."""
     keys = colour.astype(np.int64) @ np.array([2**16, 2**8, 1])
     distinct, number = np.unique(keys, return_inverse=True)
     return np.column_stack([distinct >> 16, distinct >> 8, distinct]).astype(np.uint8), number[:, None]
@@ -102,7 +102,7 @@ def _palette(colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _welded(columns: dict[str, np.ndarray], index: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The vertex of every corner, and the columns of distinct vertices in the order of their first use.
 
-    columns: whole numbers (n, k), not negative. Triangles that have shrunk to a line are left out.
+    ``columns`` are non-negative integers (n, k). Triangles that have shrunk to a line are left out.
     """
     first, number = _distinct(np.column_stack(list(columns.values())))
     triangles = number[index].reshape(-1, 3)
@@ -117,7 +117,7 @@ def _welded(columns: dict[str, np.ndarray], index: np.ndarray) -> tuple[np.ndarr
 
 
 def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each distinct row (n, k) of whole numbers is first, and the number of every row (n,)."""
+    """First index of each distinct row of integers (n, k), and every row's number among them (n,)."""
     key, span = np.zeros(len(rows), dtype=np.int64), 1
     for column in rows.T:
         width = int(column.max(initial=0)) + 1
@@ -130,19 +130,19 @@ def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _backward(index: np.ndarray) -> np.ndarray:
-    """How far before the next new vertex each one is: 0 for that vertex itself."""
+    """Distance of each index from the lowest index not seen before it: 0 for a new vertex."""
     seen = np.maximum.accumulate(np.concatenate([[-1], index[:-1]])) + 1 if len(index) else index
     return seen - index
 
 
 def _differences(rows: np.ndarray) -> np.ndarray:
-    """Differences down each column of (n, k), column by column: even if not negative, odd if negative."""
+    """Differences down each column of (n, k), column by column; negative ones are coded as odd numbers."""
     change = np.diff(rows, axis=0, prepend=0).T.ravel()
     return np.where(change < 0, -2 * change - 1, 2 * change)
 
 
 def _planes(values: np.ndarray, count: int) -> bytes:
-    """Lowest bytes of all ``values``, then their next ones: ``count`` planes."""
+    """The lowest bytes of all ``values``, then the next ones, in ``count`` planes."""
     return np.ascontiguousarray(values.astype("<u4").view(np.uint8).reshape(-1, 4)[:, :count].T).tobytes()
 
 

@@ -48,15 +48,19 @@ def phase_spans(solution: Solution) -> list[PhaseSpan]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReplayMotion:
-    """A solution at n frames; njoints counts the universe, nc contacts.
+    """A solution at n frames; njoints counts the universe, nc the contacts.
 
-    t: (n,) s of the solution. frame_rate: frames a second of playback. speed: solution over playback time.
-    q: (n, nq). joints: (n, njoints, 4, 4) world placements. contacts: (n, nc, 4, 4), of contact frames, at
-    the point of a contact with a radius that is nearest to what it touches. touched: what contacts touch.
-    wrench: (n, nc, 6) N and N m, as in the solution. impact: (n, nc, 6), impulse over `FLASH` while it is
-    shown, else zero. active: (n, nc). soles: (n, nc), which contacts are soles that press, unilaterally.
-    last: (n,) the sample that begins the span of each frame, part: (n,) how far into it. phase: (n,).
-    weight: N.
+    Args:
+        t: times (n,) of the solution, s.
+        frame_rate, speed: frames per second of playback; solution time over playback time.
+        q, joints, phase: configurations (n, nq), world placements (n, njoints, 4, 4), phases (n,).
+        contacts: world placements (n, nc, 4, 4) of contact frames, moved by their radii to the surfaces.
+        touched: the surfaces that contacts touch.
+        wrench: (n, nc, 6) N and N m, as in the solution.
+        impact: (n, nc, 6) impulse over `FLASH` while it is shown, else zero.
+        active, soles: (n, nc) which contacts are active, and which are soles on unilateral surfaces.
+        last, part: (n,) the sample that begins the span of each frame, and the fraction of the span.
+        weight: N.
     """
 
     t: np.ndarray
@@ -82,7 +86,7 @@ class ReplayMotion:
 
     @property
     def duration(self) -> float:
-        """Playback, s."""
+        """Playback time, s."""
         return (self.n_frames - 1) / self.frame_rate
 
     @property
@@ -96,13 +100,13 @@ class ReplayMotion:
         return np.asarray(self.wrench[:, :, :3])
 
     def pressed(self, wrench: np.ndarray) -> np.ndarray:
-        """Where wrenches (n, nc, 6) act (n, nc, 3), m: at centres of pressure of soles, else contacts."""
+        """Points (n, nc, 3), m, where wrenches (n, nc, 6) act: centres of pressure of soles, or contacts."""
         normal, force, moment = self.contacts[:, :, :3, 2], wrench[:, :, :3], wrench[:, :, 3:]
         pressed = self.soles & (np.sum(normal * force, axis=-1) > LEAST_PRESSURE * self.weight)
         return self.feet + np.where(pressed[:, :, None], centre_of_pressure(force, moment, normal), 0.0)
 
     def between(self, values: np.ndarray) -> np.ndarray:
-        """Values (n, ...) at the frames of values (K, ...) at the samples, linear in between."""
+        """Values (n, ...) at the frames, interpolated linearly from ``values`` (K, ...) at samples."""
         part = self.part.reshape(-1, *[1] * (values.ndim - 1))
         return np.asarray((1 - part) * values[self.last] + part * values[self.last + 1])
 
@@ -122,8 +126,8 @@ def replay_motion(solution: Solution, speed: float = 1.0) -> ReplayMotion:
 def replay_motions(solutions: Sequence[Solution], speed: float = 1.0) -> list[ReplayMotion]:
     """Resample solutions on the manifold at about `FRAME_RATE`, all from the first start to the last end.
 
-    Before its start and after its end a solution is held. Forces are interpolated linearly
-    within an interval. Raises `InputError` without a duration and for a speed that is not positive,
+    A solution is held before its start and after its end. Forces are interpolated linearly within an
+    interval. Raises `InputError` for a motion of no duration and a speed that is not positive, and
     `SolutionFileError` for terrain or surfaces that cannot be read.
     """
     require_speed(speed)
@@ -184,7 +188,7 @@ def placements(model: pin.Model, frames: Sequence[int], q: np.ndarray) -> tuple[
 
 
 def spans(nodes: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The one of nodes (K,) that begins each time's span (n,), and how far into it (n,) it is, 0 to 1."""
+    """Index (n,) of the node (K,) that begins the span of each time, and the fraction (n,) of the span."""
     last = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, max(len(nodes) - 2, 0))
     span = nodes[np.minimum(last + 1, len(nodes) - 1)] - nodes[last]
     part = np.where(span > 0, (t - nodes[last]) / np.where(span > 0, span, 1.0), 1.0)

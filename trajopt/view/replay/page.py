@@ -76,7 +76,7 @@ def _text(source: PageSource, facts: dict[str, Any], allowed: dict[str, str], sc
         licence=licence,
         viewer=viewer,
         scene=_base64(scene),
-        # It cannot end its script element.
+        # Escaped, so that the text cannot end its script element.
         facts=json.dumps(without_nonfinite(facts), allow_nan=False).replace("<", "\\u003c"),
         player=player,
     )

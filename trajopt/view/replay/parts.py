@@ -31,7 +31,7 @@ DARK, WHITE = np.array([0.10, 0.12, 0.15]), np.ones(3)
 
 @dataclass(frozen=True, kw_only=True)
 class ColouredMesh:
-    """vertices, normals, colours: (n, 3), colours from 0 to 1; triangles: (m, 3) indices."""
+    """A mesh with vertices, normals and colours (n, 3), colours from 0 to 1, and triangles (m, 3)."""
 
     vertices: np.ndarray
     normals: np.ndarray
@@ -104,14 +104,14 @@ def draw_unshadowed(node: Any, shape: Any, material: Any, kind: Any = None) -> N
 def draw_showing_through(
     node: Any, shape: Any, lit: bool = True, through: float = HIDDEN_OPACITY, **material: Any
 ) -> None:
-    """Draw a part solid, and with the opacity ``through`` where it is covered; ``lit``: shaded."""
+    """Draw a part that is solid, ``lit`` or not, and shines with opacity ``through`` where it is covered."""
     kind = shapes.MeshLambertMaterial if lit else shapes.MeshBasicMaterial
     draw_unshadowed(node["solid"], shape, kind(**material))
     draw_unshadowed(node["hidden"], shape, kind(**{**material, **THROUGH, "opacity": through}))
 
 
 def draw_capsule(node: Any, axis: Sequence[np.ndarray], radius: float, solid: Solid) -> None:
-    """Draw what is within ``radius`` m of a segment, ``axis``, which may be one point, by ``solid``."""
+    """Draw a capsule of ``radius`` m around a segment ``axis``, which may be a point, by ``solid``."""
     start, end = axis
     length = float(np.linalg.norm(end - start))
     solid(node["start"], shapes.Sphere(radius), pin.SE3(np.eye(3), start))
@@ -147,7 +147,7 @@ def two_tone_ball(radius: float, dark: np.ndarray = DARK) -> ColouredMeshGeometr
 
 
 def two_tone_disc(radius: float, dark: np.ndarray = DARK) -> ColouredMeshGeometry:
-    """Return a disc across z whose quarters are dark and bright in turn, the projection of that centre."""
+    """Return a disc across z whose quarters are dark and bright in turn, the mark of its projection."""
     parts: list[MeshPart] = []
     for quarter in range(4):
         rim = circle(np.linspace(0, np.pi / 2, ROUND // 4 + 1) + quarter * np.pi / 2)
@@ -157,7 +157,7 @@ def two_tone_disc(radius: float, dark: np.ndarray = DARK) -> ColouredMeshGeometr
 
 
 def bullseye(radius: float, colour: int) -> ColouredMeshGeometry:
-    """Return a disc across z of a coloured point, a bright and a coloured ring: the zero-moment point."""
+    """Return a disc across z with a coloured centre, a bright and a coloured ring."""
     rim, ink = radius * circle(np.linspace(0, 2 * np.pi, ROUND + 1)), colour_array(colour)
     parts: list[MeshPart] = []
     for inner, outer, tone in ((0.0, 0.4, ink), (0.4, 0.72, WHITE), (0.72, 1.0, ink)):
@@ -178,5 +178,5 @@ def grid_triangles(rows: int, columns: int) -> np.ndarray:
 
 
 def circle(angles: np.ndarray) -> np.ndarray:
-    """Return points (k, 3) of the unit circle across z."""
+    """Return points (k, 3) of the unit circle about z."""
     return np.column_stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)])

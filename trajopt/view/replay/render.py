@@ -40,7 +40,7 @@ FINEST_RATE = 1001
 # Rounding error, in pictures, allowed at the end of a motion.
 SAME_TIME = 1e-6
 
-# What options are for that do not apply to every kind of file.
+# Kinds of file to which an option applies, for options that do not apply to all.
 USES = {
     **dict.fromkeys(("--fps", "--speed"), "a video"),
     "--time": "a .png of one picture, which is without --strip",
@@ -52,7 +52,7 @@ _Progress = Callable[[int, int], None]
 # Height of a strip's text over that of its pictures, and its distance from the edge over its height.
 TEXT, TEXT_MARGIN = 0.055, 0.5
 INK = (27, 37, 48)
-# The page has 60 frames per second of playback: at this speed 600 per second of motion, which is enough.
+# The page has 60 frames per second of playback: 600 per second of motion at this speed, which is enough.
 SLOWEST = 0.1
 # Poses at changes of phase, which a strip does not need.
 GHOSTS = "ghosts"
@@ -62,11 +62,16 @@ GHOSTS = "ghosts"
 class Shots:
     """Pictures of a replay for one file.
 
-    ending: suffix, one of `SIZES`. size: pixels (width, height), of each picture of a strip; default by
-    suffix. fps: pictures a second of a video. speed: seconds of the motion a second of video.
-    start, end: s of the solution; the whole motion if not given. time: s, of a .png. strip: a .png of so many
-    pictures side by side, from start to end. camera: one of the page's. caption: text. hidden, shown: names
-    of layers.
+    Args:
+        ending: suffix of the file, one of `SIZES`.
+        size: pixels (width, height), of each picture of a strip; default by suffix.
+        fps, speed: pictures per second of a video; seconds of the motion per second of video.
+        start, end: time span in the solution, s; default: the whole motion.
+        time: of the solution, s, for a single picture.
+        strip: number of pictures side by side in a .png, from start to end.
+        camera: one of the page's cameras.
+        caption: whether there is text.
+        hidden, shown: names of layers.
 
     Raises `InputError`, one line, for values out of range and for those that do not fit together.
     """
@@ -119,7 +124,7 @@ class Shots:
     def times(self, first: float, last: float, telling: float) -> np.ndarray:
         """Return the times (n,) of the pictures, s of a solution that lasts from ``first`` to ``last``.
 
-        telling: time of a single picture if none is given. Raises `InputError` for times outside.
+        ``telling`` is that of a single picture by default. Raises `InputError` for times outside.
         """
         allowed = f"allowed: {first:g} to {last:g} s"
         margin = 1e-9 * max(abs(first), abs(last), last - first)
@@ -135,7 +140,7 @@ class Shots:
         return np.linspace(start, end, self.strip) if self.strip else self._even_times(start, end)
 
     def _even_times(self, start: float, end: float) -> np.ndarray:
-        """Picture k at start + k speed / rate; the last one is at the end, which may be a shorter step."""
+        """Picture k is at start + k speed / rate; the last one is at the end, maybe after a shorter step."""
         step = self.speed / float(self.rate)
         count = math.floor((end - start) / step + SAME_TIME)
         if count >= MOST_PICTURES:

@@ -37,7 +37,7 @@ ROUND_PROBES = 200
 def mesh_points(path: str, scale: Sequence[float] | np.ndarray, colour: np.ndarray = GREY) -> np.ndarray:
     """Points (k, 3) m of a mesh file in the frame of its geometry. Raises `InputError` if it is unreadable.
 
-    ``colour`` (3,): its colour in the drawing, so that the cached mesh is used.
+    ``colour`` (3,) is that of the drawing, so that the cached mesh is used.
     """
     if Path(path).suffix.lower() == ".dae":
         try:
@@ -149,7 +149,7 @@ def _points(entry: Any, is_mesh: bool) -> np.ndarray:
 
 
 def subsample(points: np.ndarray, most: int) -> np.ndarray:
-    """Return about ``most`` of many points (k, 3), those furthest along the axes among them."""
+    """Return about ``most`` of many points (k, 3), including those furthest along the axes."""
     if len(points) <= most:
         return points
     furthest = np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])
@@ -157,7 +157,7 @@ def subsample(points: np.ndarray, most: int) -> np.ndarray:
 
 
 def _round_probes() -> np.ndarray:
-    """Even directions (k, 3): a Fibonacci lattice on the sphere."""
+    """Evenly spread directions (k, 3): a Fibonacci lattice on the sphere."""
     k = np.arange(ROUND_PROBES) + 0.5
     height, angle = 1 - 2 * k / ROUND_PROBES, np.pi * (1 + 5**0.5) * k
     radius = np.sqrt(1 - height**2)
@@ -225,7 +225,7 @@ def _rods(solution: Solution, base: int) -> list[tuple[int, np.ndarray, bool]]:
 
 
 def tip_frames(model: pin.Model) -> list[int]:
-    """Return, for each joint without child, its frame that lies furthest from it."""
+    """Return, for each joint without a child, the frame on it that lies furthest away."""
     lengths = [np.linalg.norm(frame.placement.translation) for frame in model.frames]
     leaves = set(range(1, model.njoints)) - {int(parent) for parent in model.parents}
     frames = ([i for i, f in enumerate(model.frames) if f.parentJoint == joint] for joint in sorted(leaves))

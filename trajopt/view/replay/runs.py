@@ -22,14 +22,14 @@ RUN_COLOURS = (0x5B6570, 0x0072B2, 0xD55E00, 0x009E73, 0xCC79A7, 0xE69F00, 0x56B
 GAP = 0.4
 # Frames at which the extent of a motion is measured.
 MEASURED_FRAMES = 12
-# Points of a mesh used for it.
+# Most points of a mesh used to measure it.
 MEASURED_POINTS = 300
 # A motion travels if its base goes further along the ground than this many times the robot.
 TRAVELS_FROM = 3.0
 PREFIX = "/meshcat/"
 TINT_OPACITY = 0.55
 GHOST_COLOUR, GHOST_OPACITY = 0x5F7FA6, 0.2
-# Most ghosts, and the least distance between any two of some point of the robot, over its extent.
+# Most ghosts, and the least distance between any two, over the robot's extent: of the joint that moves most.
 MOST_GHOSTS, APART = 6, 0.35
 # Most changes of phase that are considered in a long gait.
 MOST_COMPARED = 40
@@ -39,9 +39,12 @@ MOST_COMPARED = 40
 class DrawnSolution:
     """One solution of a scene, drawn below ``node``, which is at ``root`` of the scene tree ("" for the top).
 
-    colour: in legends, and of everything of the run if it is ``tinted``. robot: its drawing.
-    cloud: (k, 3) m, world points of the drawn robot at a few frames. size: its largest extent at the start,
-    m. shift: (3,) m from the world of the solution to the scene's.
+    Args:
+        colour: in legends, and of the whole run if it is ``tinted``.
+        robot: its drawing.
+        cloud: points (k, 3) of the drawn robot at a few frames, in the world of the solution, m.
+        size: largest extent of the robot at the start, m.
+        shift: (3,) from the world of the solution to that of the scene, m.
     """
 
     solution: Solution
@@ -82,7 +85,7 @@ class DrawnSolution:
 
 
 def require_labels(labels: Sequence[str] | None, count: int) -> None:
-    """Raise `InputError` for labels of another number than ``count`` solutions."""
+    """Raise `InputError` unless there are no labels, or one for each of ``count`` solutions."""
     if labels is not None and len(labels) != count:
         raise InputError(f"{len(labels)} labels for {count} solutions", "one for each, in their order")
 
@@ -96,7 +99,7 @@ def drawn_runs(
 ) -> list[DrawnSolution]:
     """Draw the robot of every solution; those after the first are tinted (overlaid) or moved aside.
 
-    Raises `InputError` for an unknown layout and for labels of another number.
+    Raises `InputError` for an unknown layout or another number of labels.
     """
     if layout is None:
         layout = "side-by-side" if len({str(s.description.robot) for s in solutions}) > 1 else "overlaid"
@@ -150,7 +153,7 @@ def _extent(robot: DrawnRobot, motion: ReplayMotion) -> tuple[np.ndarray, float]
 
 
 def _aside(runs: list[DrawnSolution]) -> list[DrawnSolution]:
-    """Runs next to each other, across the longer level side of the first motion."""
+    """Move runs next to each other, across the longer horizontal side of the first motion."""
     spans = np.ptp(runs[0].cloud[:, :2], axis=0)
     axis = 1 if spans[0] >= spans[1] else 0
     gap, placed = GAP * max(run.size for run in runs), runs[:1]
@@ -199,9 +202,9 @@ def draw_copy(recorder: Recorder, drawn: list[dict[str, Any]], place: str, copy:
 
 
 def _in_colour(message: dict[str, Any], colour: int, opacity: float, behind: bool = False) -> dict[str, Any]:
-    """The message of an object with its geometry, shared, and another material.
+    """The message of an object with another material, and the same geometry.
 
-    ``behind``: where it coincides with another object, that one is visible.
+    With ``behind``, it is hidden where it coincides with another object.
     """
     content = message["object"]
     material = {
@@ -229,7 +232,7 @@ def _in_colour(message: dict[str, Any], colour: int, opacity: float, behind: boo
 def draw_ghosts(
     recorder: Recorder, run: DrawnSolution, joints: Sequence[tuple[int, str]], frames: list[int]
 ) -> None:
-    """Draw translucent copies of a run's robot as it is at ``frames``; ``joints`` with their paths in it."""
+    """Draw translucent copies of a run's robot at ``frames``; ``joints`` come with their scene tree paths."""
     drawn = messages_below(recorder, run.path("robot"))
     for number, frame in enumerate(frames):
         ghost = f"{run.path('ghosts')}/pose{number}"
@@ -241,7 +244,7 @@ def draw_ghosts(
 
 
 def ghost_frames(motion: ReplayMotion, size: float) -> list[int]:
-    """Frames of the start, the changes of phase and the end whose poses differ, spread if they are many."""
+    """Frames of start, changes of phase and end with distinct poses; an even selection if they are many."""
     changes = (np.flatnonzero(np.diff(motion.phase)) + 1).tolist()
     wanted = _spread([0, *changes, motion.n_frames - 1], MOST_COMPARED)
     kept: list[int] = []
@@ -254,6 +257,6 @@ def ghost_frames(motion: ReplayMotion, size: float) -> list[int]:
 
 
 def _spread(frames: list[int], most: int) -> list[int]:
-    """At most that many of the frames, evenly chosen, with the first and the last."""
+    """At most ``most`` of the frames, evenly chosen, including the first and the last."""
     chosen = np.linspace(0, len(frames) - 1, min(len(frames), most)).round().astype(int)
     return [frames[index] for index in np.unique(chosen)]

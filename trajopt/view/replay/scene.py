@@ -39,9 +39,9 @@ CAMERA_DIRECTION = np.array([0.62, -1.0, 0.42])
 
 @dataclass(frozen=True)
 class ReplayScene:
-    """Commands in order; ``note`` if a robot is not drawn in full.
+    """Commands in order, and a ``note`` if a robot is not drawn in full.
 
-    facts: the scene's description for a page, JSON-able: ``start`` (s of the solution), ``speed``,
+    ``facts`` describe the scene for a page, JSON-able: ``start`` (s of the solution), ``speed``,
     ``duration`` (s of playback), ``phases`` [{name, start, end}] of the first solution, s, ``layers`` [{name,
     label, colour, paths, visible}], ``runs`` [{label, colour, root, base}] with places in the scene tree,
     ``size`` (m, the largest robot's extent), ``box`` [[low], [high]] (m, world) around all motions and their
@@ -63,9 +63,9 @@ def build_scene(
 ) -> ReplayScene:
     """Return the Meshcat commands that show ``motions``, with equal frames.
 
-    With several solutions, the later ones are tinted and laid over the first (``layout`` "overlaid") or moved
-    aside ("side-by-side", the default for different robots); ``labels`` name them. Raises
-    `InputError` for a layout or labels that do not fit.
+    Later solutions are tinted and laid over the first (``layout`` "overlaid") or moved aside ("side-by-side",
+    the default for different robots); ``labels`` name them. Raises `InputError` for a layout or labels that
+    do not fit.
     """
     recorder, first = Recorder(), motions[0]
     vis = meshcat.Visualizer(window=recorder)
@@ -147,9 +147,9 @@ def _draw_run(
 
 
 def _frame(vis: Any, box: np.ndarray, ground: Surface) -> None:
-    """Let the camera of Meshcat's own page show the whole ``box`` (2, 3), m, and the ground below it.
+    """Make the camera of Meshcat's own page show the whole ``box`` (2, 3), m, and the ground below it.
 
-    Meshcat's camera always looks at the origin of the viewer: the world is moved there instead.
+    Meshcat's camera always looks at the origin of the viewer, so the world is moved there.
     """
     middle = box.mean(axis=0)
     below = middle - ground.distance(middle) * ground.normal

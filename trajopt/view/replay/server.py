@@ -17,8 +17,8 @@ from meshcat.servers.tree import walk
 
 HOST = "127.0.0.1"
 
-# Messages beside those of Meshcat: ("page", "", HTML) and ("trajopt", path, msgpack), of which the last one
-# of each path is also sent to browsers that connect later, after the scene.
+# Messages besides those of Meshcat: ("page", "", HTML) and ("trajopt", path, msgpack). The last one of each
+# path is also sent to browsers that connect later, after the scene.
 PAGE, OWN = "page", "trajopt"
 
 

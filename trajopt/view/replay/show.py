@@ -26,7 +26,7 @@ from trajopt.view.replay.motion import replay_motions
 from trajopt.view.replay.page import live_page, page, without_nonfinite
 from trajopt.view.replay.scene import build_scene
 
-# Seconds between two looks whether the server is to end.
+# Interval between checks whether to stop the server, s.
 LOOK = 0.1
 # Without one of these variables a browser would open in the terminal, if at all.
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
@@ -36,11 +36,14 @@ DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 class Replay:
     """The result of a replay.
 
-    frames: pictures of the animation; duration: seconds it plays (solution time over speed).
-    note: one line if a robot could not be drawn with its meshes, else empty.
-    facts: the page's text: phases, layers, runs, lines of its caption; see `ReplayScene`.
-    html, size: the page and its bytes, or url, window: where the Meshcat server shows it, and the window
-    through which a script can add to it, as in ``meshcat.Visualizer(window=shown.window)``.
+    Args:
+        frames: number of pictures of the animation.
+        duration: playback time, s: solution time over speed.
+        note: one line if a robot could not be drawn with its meshes, else empty.
+        html, size: the written page, and its size in bytes.
+        url: address of the Meshcat server of a live replay.
+        facts: the page's text: phases, layers, runs, lines of its caption; see `ReplayScene`.
+        window: lets a script add to a live replay: ``meshcat.Visualizer(window=shown.window)``.
     """
 
     frames: int
@@ -81,8 +84,8 @@ def replay(
         labels: Their names.
 
     Raises:
-        InputError: For a speed that is not positive, a solution of no duration, an unknown layout, labels of
-            another number, or a file that cannot be written.
+        InputError: For a speed that is not positive, a solution of no duration, an unknown layout, another
+            number of labels, or a file that cannot be written.
         TrajoptError: If the server does not start.
     """
     target = None if html is None else check_output(Path(html))
@@ -162,7 +165,7 @@ class LiveWindow(ViewerWindow):
         return True
 
     def close(self) -> None:
-        """Stop the server; nothing if it has stopped."""
+        """Stop the server; does nothing if it has stopped."""
         atexit.unregister(self.close)
         if self.server_proc.stdin is not None:
             self.server_proc.stdin.close()

@@ -45,7 +45,7 @@ def plane_of(solution: Solution) -> Surface:
 
 
 def depth_below_contacts(standing: list[Touch], run: DrawnSolution, size: float) -> float:
-    """Return how far below their contact frames drawn feet reach on uneven ground, m."""
+    """Return how far drawn feet reach below their contact frames on uneven ground, m."""
     drops = [
         _believed(_reach_below(run, (int(row), touch.contact), np.array(UP)), size)
         for touch in standing
@@ -55,7 +55,7 @@ def depth_below_contacts(standing: list[Touch], run: DrawnSolution, size: float)
 
 
 def touches_of(run: DrawnSolution) -> tuple[list[Touch], list[Touch]]:
-    """Return the touches of the terrain, and those of other surfaces by phase and contact.
+    """Return the contacts with the terrain, and those with other surfaces by phase and contact.
 
     A contact whose own surface is the terrain's plane touches the terrain, unless that surface is bilateral.
     """
@@ -113,9 +113,9 @@ def _believed(drop: float, size: float) -> float:
 
 
 def draw_surfaces(run: DrawnSolution, touches: list[Touch], size: float) -> np.ndarray:
-    """Draw each plane as a patch around where it is touched, a handle where a contact is held.
+    """Draw each plane as a patch around its contacts, and a handle where a contact is held.
 
-    Returns the corners of the patches and the handles' places (k, 3) in m: for the camera.
+    Returns the corners of the patches and the positions of the handles (k, 3), m, for the camera.
     """
     places, motion, vis = [np.zeros((0, 3))], run.motion, run.node["surfaces"]
     for number, group in enumerate(_by_plane([touch for touch in touches if not touch.surface.bilateral])):
@@ -144,7 +144,7 @@ def _by_plane(touches: list[Touch]) -> list[list[Touch]]:
 
 
 def _patch(node: Any, plane: Surface, points: np.ndarray, size: float) -> np.ndarray:
-    """A translucent board whose front lies in the plane, around ``points`` (k, 3); returns its corners."""
+    """Draw a translucent board with its front in the plane, around ``points`` (k, 3); returns its corners."""
     turn = _patch_frame(plane.normal)
     local = (points - plane.point) @ turn[:, :2]
     low, high = local.min(axis=0) - PATCH_MARGIN * size, local.max(axis=0) + PATCH_MARGIN * size
@@ -167,7 +167,7 @@ def _patch_frame(normal: np.ndarray) -> np.ndarray:
 
 
 def _handle(node: Any, surface: Surface, place: np.ndarray, size: float) -> None:
-    """A disc whose front lies at the grasped contact."""
+    """Draw a disc with its front at the grasped contact."""
     thickness = THICKNESS * size
     turn = frame_of_normal(surface.normal) @ UPRIGHT
     material = shapes.MeshLambertMaterial(color=HANDLE_COLOUR, opacity=HANDLE_OPACITY)

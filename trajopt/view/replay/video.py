@@ -13,7 +13,7 @@ from trajopt.errors import InputError, TrajoptError
 INSTALL_EXTRA = "pip install imageio-ffmpeg"
 # Constant quality of H.264: visually lossless.
 QUALITY = 18
-# H.264 that phones, browsers and slides play: 4:2:0, colours of high definition and marked so, index first.
+# H.264 that phones, browsers and slides play: 4:2:0, HD colours that are tagged as such, index first.
 TO_YUV = (
     "scale=out_color_matrix=bt709:out_range=tv:flags=accurate_rnd+full_chroma_int,format=yuv420p,"
     "setparams=range=tv:colorspace=bt709:color_primaries=bt709:color_trc=bt709"
@@ -32,7 +32,7 @@ WITH_PALETTE = "[0][1]paletteuse=dither=bayer:bayer_scale=4:diff_mode=rectangle"
 
 
 def find_ffmpeg() -> str:
-    """Return the ffmpeg of imageio-ffmpeg; raises `InputError`, one line, without it."""
+    """Return the ffmpeg of imageio-ffmpeg; raises `InputError`, one line, if it is missing."""
     try:
         import imageio_ffmpeg
     except ImportError:
@@ -70,7 +70,7 @@ def _encode(pictures: Iterable[bytes], fps: Fraction, output: list[str]) -> None
 
 @contextlib.contextmanager
 def _started(arguments: list[str]) -> Iterator[IO[bytes]]:
-    """Run ffmpeg, fed through a pipe, until it has ended; an error of the feeder also ends it."""
+    """Run ffmpeg, fed through a pipe, to its end; an error of the feeder also ends it."""
     command = [find_ffmpeg(), "-y", "-loglevel", "error", *arguments]
     with tempfile.TemporaryFile() as said:
         # A separate session: Ctrl-C is handled here.

@@ -37,7 +37,7 @@ MASS_COLOUR = 0x303438
 
 @dataclass(kw_only=True, eq=False)
 class IterateMotion:
-    """Configurations at times: nodes t (n,) s, q (n, nq), phase (n,); placements at even frames."""
+    """Configurations of an iterate at nodes t (n,) s, q (n, nq), phase (n,); placements at even frames."""
 
     model: pin.Model
     t: np.ndarray
@@ -58,9 +58,9 @@ class IterateMotion:
         return max(float(self.t[-1] - self.t[0]), 1 / FRAME_RATE)
 
     def placed(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Placements at times (k,) of joints (k, njoints, 4, 4), of ``frames`` (k, f, 3) and mass (k, 3), m.
+        """Placements of joints (k, njoints, 4, 4), positions of ``frames`` (k, f, 3) and of mass (k, 3), m.
 
-        Configurations are on the geodesics between nodes.
+        At ``times`` (k,), s; configurations are interpolated on the geodesics between nodes.
         """
         last, part = spans(self.t, times)
         ends = zip(self.q[last], self.q[np.minimum(last + 1, len(self.t) - 1)], part, strict=True)
@@ -71,7 +71,7 @@ class IterateMotion:
         return joints, frames[:, :, :3, 3], mass
 
     def poses(self) -> np.ndarray:
-        """Times (k,) of drawn poses: starts of phases and the end; evenly spaced if those are few."""
+        """Times (k,) of drawn poses: starts of phases and the end; some of many, even times if few."""
         starts = np.flatnonzero(np.diff(self.phase)) + 1
         changes = np.unique(np.concatenate([self.t[:1], self.t[starts], self.t[-1:]]))
         if LEAST_POSES <= len(changes) <= MOST_POSES:
@@ -83,7 +83,7 @@ class IterateMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """Data of an iterate for a viewer: commands, and facts for the page; ``new``: of another scene."""
+    """Data of an iterate for a viewer: commands, and facts for the page; ``new``: of a new scene."""
 
     new: bool
     commands: list[ViewerCommand]
@@ -102,8 +102,7 @@ class IterateScene:
     def picture(self, iterate: Iterate) -> Picture | None:
         """The picture of an iterate; for the first one of a problem, the whole scene.
 
-        An iterate none of whose nodes is finite changes the caption alone; None before anything could be
-        drawn.
+        An iterate without finite nodes changes only the caption; None if nothing could be drawn yet.
         """
         t, q, phase = iterate.configurations()
         recorder, new = Recorder(), False
@@ -136,7 +135,7 @@ class IterateScene:
 def still_scene(solution: Solution) -> tuple[list[ViewerCommand], dict[str, Any]]:
     """Return the static parts of the scene, as a replay draws them, and the page's facts.
 
-    A motion that cannot be replayed has only its robot.
+    If the motion cannot be replayed, only the robot is drawn.
     """
     added = [
         layer(POSES, "poses on the way", GHOST_COLOUR, [POSES]),
@@ -198,7 +197,7 @@ def _draw_motion(recorder: Recorder, motion: IterateMotion) -> None:
 
 
 def _times(iterate: Iterate, motion: IterateMotion) -> dict[str, Any]:
-    """Start, duration and phases of a motion, whose times may be variables."""
+    """Start, duration and phases of a motion; they change with iterates if times are variables."""
     starts = [0, *(np.flatnonzero(np.diff(motion.phase)) + 1).tolist()]
     edges = [*motion.t[starts].tolist(), float(motion.t[-1])]
     names = [iterate.transcription.layout.schedule.phases[motion.phase[first]].name for first in starts]

@@ -34,10 +34,10 @@ EDGE = 1
 
 
 def sparkline(values: Sequence[float], width: int, *, linear: bool = False, blocks: str = BLOCKS) -> str:
-    """log10 of ``values`` (n,), or if ``linear`` themselves, in at most ``width`` characters.
+    """Draw ``values`` (n,) on a logarithmic, or ``linear``, scale in at most ``width`` characters.
 
-    More values than characters: each stands for a run of them and shows the largest. On the logarithmic scale
-    zero is the lowest; values without a logarithm are shown as ``MISSING``.
+    If there are more values than characters, each character shows the largest of a run. On the logarithmic
+    scale zero is the lowest level; values without a logarithm are shown as ``MISSING``.
     """
     if width < 1 or not values:
         return ""
@@ -50,7 +50,7 @@ def sparkline(values: Sequence[float], width: int, *, linear: bool = False, bloc
 
 
 def _binned(values: Sequence[float], width: int) -> list[float]:
-    """At most ``width`` values, each the largest of its run; one that is not a number stays."""
+    """At most ``width`` values, each the largest of a run; NaN if the run contains one."""
     count = min(width, len(values))
     edges = [round(i * len(values) / count) for i in range(count + 1)]
     runs = [values[low:high] for low, high in itertools.pairwise(edges)]
@@ -71,7 +71,7 @@ def _block(level: float, low: float, high: float, blocks: str) -> str:
 
 
 class ConvergencePanel:
-    """A watch that shows a title, the solve, objective and infeasibilities over iterations, and difficulties.
+    """A watch that shows a title, the solve, its objective and residuals over iterations, and difficulties.
 
     A context manager; silent unless stderr is a terminal that can move its cursor.
     """
@@ -143,7 +143,7 @@ def _seconds(value: float) -> str:
 
 
 def _fitting(text: str, width: int) -> str:
-    """The text, cut to ``width`` columns: one that wraps would leave lines behind."""
+    """The text, cut to ``width`` columns: a line that wraps would not be cleared."""
     while cell_len(text) > width:
         text = text[:-1]
     return text

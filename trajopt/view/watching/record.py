@@ -26,7 +26,7 @@ HEADING = f"{'iter':>5} {'objective':>14} {'primal':>9} {'dual':>9} {'barrier':>
 
 @dataclass(kw_only=True, eq=False)
 class History:
-    """Figures of the present solve, one entry an iteration; ``number`` counts solves from 1, 0 before."""
+    """Figures of the current solve, a row per iteration; ``number`` counts solves, 0 before the first."""
 
     number: int = 0
     title: str = ""
@@ -54,12 +54,12 @@ class History:
 
     @property
     def elapsed(self) -> float:
-        """Duration of the present solve so far, or in all if it has ended, s."""
+        """Duration of the current solve so far, or in total if it has ended, s."""
         return (self.ended if self.status else time.perf_counter()) - self.begun
 
     @property
     def step_time(self) -> float | None:
-        """Mean seconds an iteration; None before the second."""
+        """Mean time per iteration, s; None before the second."""
         if len(self.rows) < 2:
             return None
         first, last = self.rows[0], self.rows[-1]
@@ -92,11 +92,11 @@ class History:
 class IterationTable:
     """A watch that writes every iteration as a row of a CSV file, at once, so that it can be followed.
 
-    Where the disk is full the table ends, with a warning, and the solve goes on.
+    If a write fails, as on a full disk, the table ends with a warning and the solve continues.
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Open the file; raises `InputError` where it cannot be written."""
+        """Open the file; raises `InputError` if it cannot be written."""
         target = expanded(path)
         _require_table(target)
         try:
@@ -113,7 +113,7 @@ class IterationTable:
         return self
 
     def __exit__(self, *error: object) -> None:
-        with contextlib.suppress(OSError):  # what could not be written is said already
+        with contextlib.suppress(OSError):  # a failed write has been reported
             self._file.close()
 
     def __call__(self, iterate: Iterate) -> None:
@@ -135,13 +135,13 @@ class IterationTable:
 
 
 class IterationLines:
-    """A watch that writes a line an iteration to a stream."""
+    """A watch that writes a line per iteration to a stream."""
 
     def __init__(self, stream: TextIO, title: str) -> None:
         self._stream, self._title, self._history = stream, title, History()
 
     def __call__(self, iterate: Iterate) -> None:
-        """Write an iteration, or where a solve begins and ends."""
+        """Write an iteration, or that a solve begins or ends."""
         history = self._history
         history.add(iterate)
         if iterate.stage == "guess":
@@ -164,7 +164,7 @@ class IterationLines:
 
 
 def _require_table(target: Path) -> None:
-    """Raise `InputError` where a file is there that holds something else than a table of iterations."""
+    """Raise `InputError` if the file exists and is not a table of iterations."""
     with contextlib.suppress(OSError):
         if target.is_file():
             with target.open(encoding="utf-8", errors="replace") as old:

@@ -18,28 +18,27 @@ from trajopt.view.replay.scene import build_scene
 from trajopt.view.replay.show import LiveWindow
 from trajopt.view.watching.drawing import TOP, IterateScene, Picture
 
-# Iterates a second that are drawn at most.
+# Most iterates drawn per second.
 RATE = 5.0
 # Largest share of a processor for drawing, apart from the scene of a new problem.
 SHARE = 0.1
-# Seconds that the solver's thread waits at most for Python while the viewer's thread runs; Python's own is
-# 5 ms, which would be a tenth of an iteration of a jump.
+# Longest wait of the solver's thread for Python's lock while the viewer's thread runs, s; Python's default of
+# 5 ms would be a tenth of an iteration of a jump.
 SWITCH = 5e-4
-# Seconds that a solve waits at most for the picture of its guess.
+# Longest wait of a solve for the picture of its guess, s.
 FIRST = 10.0
 # Polling interval of `Viewer.flush`, s.
 PAUSE = 0.01
-# Milliseconds after which a server that does not answer is given up.
+# Time limit for an answer of the server, ms.
 ANSWER = 5000
 
 
 class Viewer:
     """A watch for `trajopt.solve`: ``solve(problem, watch=Viewer())`` shows its iterates at ``url``.
 
-    The robot plays the motion of the present iterate, translucent poses stand at its changes of phase, lines
-    are the paths of feet and centre of mass. A viewer that fails is a warning, and the solve goes on. Close
-    it, or use it as a context manager, to end its server. Raises `TrajoptError` where the server does not
-    start.
+    The robot plays the motion of the current iterate, translucent poses show its changes of phase, and lines
+    the paths of feet and centre of mass. If the viewer fails, it warns and the solve continues. Close it, or
+    use it as a context manager, to stop its server. Raises `TrajoptError` if the server does not start.
     """
 
     def __init__(self, *, open_browser: bool = False) -> None:
@@ -49,7 +48,7 @@ class Viewer:
         self._switch = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH, self._switch))
         self._scene = IterateScene()
-        # Counters of given and finished iterates instead of a lock, which an interrupt could leave taken.
+        # Counters of accepted and finished iterates instead of a lock, which an interrupt could leave held.
         self._given: SimpleQueue[Iterate | Solution | None] = SimpleQueue()
         self._put_in = self._done = 0
         self._closed = self._failed = False
@@ -62,11 +61,11 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where a browser finds the viewer."""
+        """Address of the viewer's page."""
         return self._window.web_url
 
     def __call__(self, iterate: Iterate) -> None:
-        """Accept an iterate if it is time to; guesses and ends always.
+        """Accept an iterate if the viewer is ready for one; guesses and ends are always accepted.
 
         Returns at once while the solver runs; a guess and its problem's scene are drawn before it starts.
         """
@@ -95,7 +94,7 @@ class Viewer:
 
     @property
     def alive(self) -> bool:
-        """Whether it is active: it has not failed and is not closed."""
+        """Whether the viewer has neither failed nor been closed."""
         return not (self._failed or self._closed)
 
     def wait(self, timeout: float) -> bool:
@@ -103,7 +102,7 @@ class Viewer:
         return self._window.ended(timeout)
 
     def close(self) -> None:
-        """End the thread and the server, if that has not been done."""
+        """Stop the thread and the server, unless they have been stopped."""
         if self._closed:
             return
         sys.setswitchinterval(self._switch)
@@ -129,7 +128,7 @@ class Viewer:
     def _run(self) -> None:
         while not (self._closed or self._failed):
             what = self._given.get()
-            if self._given.empty() and not self._closed:  # only the last of those that came meanwhile
+            if self._given.empty() and not self._closed:  # only the latest one is drawn
                 self._attempt(what)
             self._done += 1
 
@@ -137,7 +136,7 @@ class Viewer:
         try:
             self._draw(what)
         except Exception as error:
-            try:  # before it is failed: whoever waits for that may close it
+            try:  # before the failure is flagged: whoever waits for that may close the viewer
                 if not self._closed:
                     text = " ".join(f"{type(error).__name__}: {error}".split())
                     warnings.warn(f"the viewer has stopped, solving goes on: {text}", stacklevel=2)
@@ -154,7 +153,7 @@ class Viewer:
             picture = self._scene.picture(what)
             if picture is not None:
                 self._tell(picture)
-            # a guess brings its scene, which is drawn once
+            # the scene of a guess is drawn once
             spent = 0.0 if what.stage == "guess" else time.thread_time() - used
             self._free = max(begin + 1 / RATE, time.perf_counter() + spent * (1 / SHARE - 1))
         self.drawn += 1
