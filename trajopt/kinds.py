@@ -201,7 +201,11 @@ def _literal(values: tuple[Any, ...]) -> Kind:
         likely = value if isinstance(value, str) else ""
         raise RefusedError(place, value, not_among(names, likely, "").allowed)
 
-    return Kind(", ".join(names), accept)
+    def meant(value: Any) -> str:
+        likely = not_among(names, value, "").allowed if isinstance(value, str) else ""
+        return f"; {likely.partition('?')[0]}?" if likely.startswith("did you mean") else ""
+
+    return Kind(", ".join(names), accept, meant)
 
 
 def _instance(kind: Any) -> Kind:
