@@ -154,7 +154,7 @@ def test_what_the_controller_asked_for_is_in_the_simulated_solution(trot: Soluti
 
 
 def test_bad_words_are_refused(trot: Solution, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is 'wholebody'; .*did you mean whole-body"):
+    with pytest.raises(InputError, match=r"is 'wholebody'; .*did you mean whole-body"):
         simulate(trot, controller="wholebody")
     with pytest.raises(InputError, match="qp_solver of SimulationSettings is 'proxq'; did you mean proxqp"):
         simulate(trot, controller="whole-body", qp_solver="proxq")
