@@ -32,7 +32,7 @@ from trajopt.transcription.transcription import chosen_mesh
 FIRST_SCHEME, FIRST_PART, FIXED_BASE_PART = "legendre:4", 0.4, 0.25
 # Widest interval of the first mesh, in the NLP's unit of time.
 WIDEST = 1.0
-MOST_ROUNDS = 10
+MOST_ROUNDS = 14
 # The solver's tolerance as a fraction of the accuracy over the robot's reach (the error grows along the
 # motion), with its smallest and largest value.
 TOLERANCE_SHARE, LEAST_TOLERANCE, USUAL_TOLERANCE = 1e-3, 1e-10, 1e-6

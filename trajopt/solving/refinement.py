@@ -60,7 +60,7 @@ MAX_TIME = 600.0
 # GIVE_UP_LEAST iterations times variables, since giving up a small solve gains nothing. It is repeated with
 # larger distances from bounds, then from other starts, and without the limit if none of them converges. The
 # limit is DEEPER times as high if bodies were deep in each other, since the motion will change much.
-GIVE_UP, GIVE_UP_LEAST, DEEPER = 2, 2.5e5, 2
+GIVE_UP, GIVE_UP_LEAST, DEEPER = 3, 2.5e5, 2
 # If after FAR_ROUNDS rounds the best motion is still FAR times beyond a tolerance, the refinement restarts.
 FAR_ROUNDS, FAR = 4, 20.0
 # Iterations on the first mesh before the problem's own mesh is tried; then the first is solved without limit.
