@@ -132,7 +132,8 @@ def test_half_a_cycle_and_its_mirror_image_are_the_whole_cycle() -> None:
     motion, mirror = SolutionMotion(half), find_mirror(_solo())
 
     def twice(t: float) -> np.ndarray:
-        q = motion.in_phase(0, 2 * t / PERIOD % 1, 0.5).q if t < PERIOD else half.q[-1]
+        at = np.array([0]), np.array([2 * t / PERIOD % 1])
+        q = motion.in_phase(*at, 0.5).q[0] if t < PERIOD else half.q[-1]
         if t < PERIOD / 2:
             return q
         q = mirrored_configuration(_solo(), mirror, q, 0.0)

@@ -82,7 +82,8 @@ def test_moment_between_points_where_a_pair_is_nearest_has_a_row():
 def test_distances_of_a_look_are_those_along_the_motion():
     exchange, look = begun(past(swing(), BALL, FAR), straight())
     motion = SolutionMotion(straight())
-    q = np.array([motion.in_phase(*moment, 0.5).q for moment in look.moments])
+    phases, fractions = (np.array(each) for each in zip(*look.moments, strict=True))
+    q = motion.in_phase(phases, fractions, 0.5).q
     true = exchange.bodies.scene.distances(q)
     near = true < exchange.band + MARGIN
     assert look.distances[near] == pytest.approx(true[near], abs=ROUNDING)

@@ -82,7 +82,7 @@ def test_a_row_is_that_of_the_interpolated_motion(scheme):
     for number, index, value in rows_of(with_terms(problem, *terms), solution, {term.name for term in terms}):
         term = terms[number]
         phase = problem.schedule.names.index(term.during)
-        q = motion.in_phase(phase, float(term.fractions[index]), 0.5).q
+        (q,) = motion.in_phase(np.array([phase]), term.fractions[[index]], 0.5).q
         assert_allclose(value * length, height(problem, term, index, q), atol=ROUNDING)
 
 
@@ -100,12 +100,12 @@ def test_joint_and_force_rows_are_those_of_the_motion_in_true_time():
     motion, robot = SolutionMotion(solution), problem.robot
     names = {"velocity_between", "position_between", "friction_between"}
     for number, index, value in rows_of(with_terms(problem, *terms), solution, names):
-        at = motion.in_phase(1 if number < 2 else 2, float(FRACTIONS[index]), 0.5)
+        at = motion.in_phase(np.array([1 if number < 2 else 2]), FRACTIONS[[index]], 0.5)
         time = np.sqrt(robot.length / 9.81)
         expected = (
-            (3.0 - at.v[6]) * time,
-            (3.0 - at.q[-1]) / robot.length,
-            terms[2].parameters[index] @ at.f[0, :3] / robot.weight,
+            (3.0 - at.v[0, 6]) * time,
+            (3.0 - at.q[0, -1]) / robot.length,
+            terms[2].parameters[index] @ at.f[0, 0, :3] / robot.weight,
         )[number]
         assert_allclose(value, expected, atol=1e-7)
 
@@ -135,7 +135,7 @@ def test_a_bound_holds_at_the_moment_with_every_solver():
     solution = solve(with_terms(free, term), transcription="legendre:3", intervals=6)
     assert solution.success
     motion = SolutionMotion(solution)
-    rates = [motion.in_phase(0, float(s), 0.5).v[0] for s in term.fractions]
+    rates = motion.in_phase(np.zeros(len(term.fractions), dtype=int), term.fractions, 0.5).v[:, 0]
     assert max(rates) <= 1.6 * limit * (1 + 1e-6)
 
 

@@ -34,8 +34,6 @@ SEED = 0
 # Pairs that an SRDF disables for one of these reasons are still judged: the reason says that they were not
 # seen to touch, not that they may.
 JUDGED_REASONS = ("never",)
-# Joints this near each other, m, form one cluster, as in hips and wrists with crossing axes.
-NO_LENGTH = 1e-3
 # Number of parent folders of a URDF in which a folder ``srdf`` is searched.
 SRDF_LEVELS = 2
 MOST_ROBOTS = 64

@@ -90,12 +90,11 @@ class CollisionScene:
         q = np.atleast_2d(np.asarray(configurations, dtype=float))
         limits = np.broadcast_to(np.asarray(within, dtype=float), len(self.pairs))
         distances = np.empty((len(q), len(self.pairs)))
-        counts = np.array([len(members) for members in self._members], dtype=int)
-        solid = counts > 0
-        if solid.any():
-            listed = list(itertools.chain.from_iterable(self._members))
+        listed, counts = self._listed
+        if listed:
             each = self._bodies.distances(q, listed, np.repeat(limits, counts))
-            distances[:, solid] = np.minimum.reduceat(each, (np.cumsum(counts) - counts)[solid], axis=1)
+            starts = np.cumsum(counts) - counts
+            distances[:, counts > 0] = np.minimum.reduceat(each, starts[counts > 0], axis=1)
         rotation, origin = self._placements(q) if self._smooth else (q, q)
         for column, (index, ground) in enumerate(self._smooth):
             places = rotation[index], origin[index]
@@ -120,7 +119,8 @@ class CollisionScene:
         number, configurations = self.pairs.index(pair), np.atleast_2d(np.asarray(q, dtype=float))
         if not self._members[number]:
             index, ground = self._smooth[number]
-            return ground.witness(tuple(part[index] for part in self._placements(configurations)))
+            rotation, origin = self._placements(configurations)
+            return ground.witness((rotation[index], origin[index]))
         members = [(0, member) for member in self._members[number]]
         return min(self._witnesses(configurations, members), key=lambda witness: witness.distance)
 
@@ -232,6 +232,12 @@ class CollisionScene:
         under = range(len(names), len(names) + len(self._grounds))
         members = [[(place[shape], ground) for ground in under] for shape, _ in self.pairs[: self.n_ground]]
         return members + [[(place[one], place[other])] for one, other in self.pairs[self.n_ground :]]
+
+    @cached_property
+    def _listed(self) -> tuple[list[tuple[int, int]], np.ndarray]:
+        """All of `_members` in one list, and the number (n_pairs,) of each pair's."""
+        counts = np.array([len(members) for members in self._members], dtype=int)
+        return list(itertools.chain.from_iterable(self._members)), counts
 
     @cached_property
     def _grounds(self) -> tuple[GroundBody, ...]:

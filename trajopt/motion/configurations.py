@@ -1,6 +1,7 @@
 """A solution as a motion at any time: by its intervals' polynomials, or along geodesics."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -10,7 +11,6 @@ from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
-from trajopt.solution.arrays import rows_of
 from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.solution import Solution
 
@@ -26,34 +26,34 @@ class SolutionMotion:
 
     def __call__(self, t: float) -> np.ndarray:
         """Return the configuration at time ``t``, clipped to the motion."""
-        return self._sample(int(self.solution.interval_at(t)), t).q
+        number = int(self.solution.interval_at(t))
+        start, end = self.solution.interval_t[number]
+        fraction = np.clip([(t - start) / (end - start)], 0.0, 1.0)
+        return np.asarray(self.solution.polynomials.at(np.array([number]), fraction).q[0])
 
-    def span(self, phase: int) -> tuple[float, float]:
-        """Return the start and end of a phase, s."""
-        edges = self.solution.interval_t[self.solution.intervals_of(phase)]
-        return float(edges[0, 0]), float(edges[-1, 1])
+    @cached_property
+    def _ends(self) -> np.ndarray:
+        """First and last interval (n_phases, 2) of each phase."""
+        phases = map(self.solution.intervals_of, range(len(self.solution.phases)))
+        return np.array([[numbers[0], numbers[-1]] for numbers in phases])
 
-    def in_phase(self, phase: int, fraction: float, towards: float) -> MotionSample:
-        """Return the sample at a fraction of a phase; at a node, of the interval towards ``towards``."""
-        return rows_of(self.in_phases(np.array([phase]), np.array([fraction]), np.array([towards])), 0)
+    @property
+    def spans(self) -> np.ndarray:
+        """Start and end (n_phases, 2) of each phase, s."""
+        return np.asarray(self.solution.interval_t[self._ends, [0, 1]])
 
-    def in_phases(self, phases: np.ndarray, fractions: np.ndarray, towards: np.ndarray) -> MotionSample:
-        """Return the samples at fractions of phases (K,), see `in_phase`."""
+    def in_phase(
+        self, phases: np.ndarray, fractions: np.ndarray, towards: np.ndarray | float
+    ) -> MotionSample:
+        """Return the samples at fractions of phases (K,); at nodes, of the intervals towards ``towards``."""
         plan = self.solution
-        intervals = [plan.intervals_of(phase) for phase in range(len(plan.phases))]
-        first, last = np.array([[numbers[0], numbers[-1]] for numbers in intervals])[phases].T
-        start, end = plan.interval_t[first, 0], plan.interval_t[last, 1]
+        start, end = self.spans[phases].T
         inner = start + (fractions + INSIDE * (towards - fractions)) * (end - start)
         numbers = np.searchsorted(plan.interval_t[:, 0], inner, side="right") - 1
-        numbers = np.clip(numbers, first, last)
+        numbers = np.clip(numbers, *self._ends[phases].T)
         begin, close = plan.interval_t[numbers].T
         within = (start + fractions * (end - start) - begin) / (close - begin)
         return plan.polynomials.at(numbers, np.clip(within, 0.0, 1.0))
-
-    def _sample(self, number: int, t: float) -> MotionSample:
-        start, end = self.solution.interval_t[number]
-        fraction = np.clip([(t - start) / (end - start)], 0.0, 1.0)
-        return rows_of(self.solution.polynomials.at(np.array([number]), fraction), 0)
 
 
 @checked

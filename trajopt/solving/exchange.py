@@ -218,7 +218,7 @@ class Exchange:
         model, names = self.problem.robot.model, self.problem.schedule.names
         for pair in filter(self._fitted, self.moments):
             moments = sorted(self.moments[pair])
-            phases, fractions = (np.array(each) for each in zip(*moments, strict=True))
+            phases, fractions = _as_arrays(moments)
             rows = self.fits.rows(pair, motion(phases, fractions), self.bodies.margin_of[pair])
             for phase in np.unique(phases):
                 yield LinkDistance(
@@ -262,7 +262,7 @@ class Exchange:
         every = sorted({moment for moments in self.moments.values() for moment in moments})
         if not every:
             return True
-        q = self.guess(*(np.array(each) for each in zip(*every, strict=True)))
+        q = self.guess(*_as_arrays(every))
         short = self.bodies.scene.distances(q, self.band + self.bodies.widest) - self._least
         columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
         return bool((short[:, columns] >= 0).all())
@@ -273,7 +273,7 @@ class Exchange:
         if not every:
             return
         numbers = {moment: k for k, moment in enumerate(every)}
-        q = motion(*(np.array(each) for each in zip(*every, strict=True)))
+        q = motion(*_as_arrays(every))
         pairs = [(pair, moment) for pair, moments in separated.items() for moment in sorted(moments)]
         wanted = [(numbers[moment], pair) for pair, moment in pairs]
         feet: list[PlacedBody | None] = [None] * len(wanted)
@@ -312,10 +312,16 @@ class Exchange:
         return PlacedBody(points=np.array(corners), radius=min(contact.radius for contact in contacts))
 
 
+def _as_arrays(moments: Sequence[PhaseMoment]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the phases and fractions (K,) of moments."""
+    phases, fractions = zip(*moments, strict=True)
+    return np.array(phases), np.array(fractions)
+
+
 def along(solution: Solution) -> PhaseMotion:
     """Return the motion of a solution as a function of phase and fraction."""
     motion = SolutionMotion(solution)
-    return lambda phases, fractions: motion.in_phases(phases, fractions, np.full(len(phases), 0.5)).q
+    return lambda phases, fractions: motion.in_phase(phases, fractions, 0.5).q
 
 
 def _moments_to_look_at(

@@ -104,7 +104,7 @@ class _Source(MotionSource):
         start, end = spans[phases].T
         fractions, sides = ((np.array(each) - start) / (end - start) for each in (at, middles))
         sample, stretch = (
-            self.motion.in_phases(np.array(phases), fractions, sides),
+            self.motion.in_phase(np.array(phases), fractions, sides),
             self.stretch[phases, None],
         )
         return replace(sample, v=sample.v / stretch, a=sample.a / stretch**2)
@@ -165,8 +165,7 @@ def _in_words(phases: list[set[str]]) -> str:
 def _source(transcription: Transcription, solution: Solution) -> _Source:
     layout, motion = transcription.layout, SolutionMotion(solution)
     phases = layout.schedule.phases
-    spans = np.array([motion.span(i) for i in range(len(phases))])
-    old = spans[:, 1] - spans[:, 0]
+    old = np.diff(motion.spans, axis=1)[:, 0]
     time_scales = np.ones(len(phases))
     for i, phase in enumerate(phases):
         if phase.duration_bounds is not None:
