@@ -183,7 +183,7 @@ def test_a_fixed_link_is_a_link_and_the_world_is_none() -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"cycles": 2}, "the solution is not periodic; allowed: --cycles 1"),
+        ({"cycles": 2}, "the solution is not periodic; allowed: `cycles=1`"),
         ({"cycles": 0}, "cycles"),
         ({"rate": 0.0}, "rate"),
         ({"rate": 1e9}, "allowed: 200000 samples"),

@@ -40,7 +40,7 @@ def test_a_mirrored_plan_is_gone_through_twice_a_cycle() -> None:
     assert passes_of(plan_to_export("mirrored walk"), 3) == 6
     assert passes_of(plan_to_export("turning trot"), 3) == 3
     assert passes_of(swinging_arm(), 1) == 1
-    assert_refused_in_one_line(lambda: passes_of(swinging_arm(), 2), "not periodic; allowed: --cycles 1")
+    assert_refused_in_one_line(lambda: passes_of(swinging_arm(), 2), "not periodic; allowed: `cycles=1`")
 
 
 def test_two_mirror_images_are_the_motion_moved_ahead() -> None:

@@ -64,7 +64,7 @@ def test_not_converging_is_a_status_with_advice_and_no_exception():
     solution = solve(hop(), transcription="legendre:1", max_iterations=1)
     assert not solution.success
     assert solution.statistics.status == "iteration_limit"
-    assert "--max-iterations" in solution.statistics.advice
+    assert "max_iterations" in solution.statistics.advice
     assert [set(block) for block in solution.statistics.worst_blocks] == [
         {"block", "phase", "node", "point", "time", "violation"}
     ] * 3

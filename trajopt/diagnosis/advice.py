@@ -182,7 +182,7 @@ def _of_curvature(diagnosis: Diagnosis) -> Iterator[Advice]:
     if curved.negative and curved.known:
         yield Advice(
             f"the Lagrangian has negative curvature, {curved.smallest_along[0]}: this is no minimum",
-            "start from a perturbed guess (--perturb 0.1), or solve further from here",
+            "start from a perturbed guess (`perturb=0.1`), or solve further from here",
         )
     if curved.flat_along:
         flat = curved.flat_along[0]

@@ -77,7 +77,7 @@ def _problem_of(solution: Solution, robot: str | None) -> Problem:
     if name not in known:
         raise InputError(
             f"the file's problem '{name}' is not in the catalogue",
-            "allowed: trajopt.diagnose(solution, problem=...) in Python, or --problem NAME",
+            "allowed: with `problem=...`",
         )
     family = known[name]
     parameters = {parameter.name: parameter for parameter in family.parameters}

@@ -137,7 +137,7 @@ def _listed(title: str, entries: Iterable[str], limit: int | None = SHOWN) -> It
     for index, entry in enumerate(shown):
         yield _line("" if index else title, entry)
     if len(every) > len(shown):
-        yield _line("", f"and {len(every) - len(shown)} more (--json has all)")
+        yield _line("", f"and {len(every) - len(shown)} more (`to_dict()` has all)")
 
 
 def _amount(value: float | None) -> str:
@@ -152,7 +152,7 @@ def _rank_lines(diagnosis: Diagnosis) -> Iterator[str]:
         fresh = [g for g in report.dependent if report.phase is not None or g.rows not in told]
         texts += [f"  {group}" for group in fresh[:SHOWN]]
         if len(fresh) > SHOWN:
-            texts.append(f"  and {len(fresh) - SHOWN} more groups (--json has all)")
+            texts.append(f"  and {len(fresh) - SHOWN} more groups (`to_dict()` has all)")
     yield from _listed("rank", texts, limit=None)
 
 

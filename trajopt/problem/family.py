@@ -178,7 +178,7 @@ class Family:
         if robot is not None and not PLAIN_NAME.fullmatch(str(robot)):
             raise InputError(
                 f"the solution names the robot {robot!r:.200}, and files that solutions name are not run",
-                "allowed: a robot by name; of a file that you trust, --robot FILE.py",
+                "allowed: a robot by name; of a file that you trust, `robot=FILE.py`",
             )
         known = {parameter.name for parameter in self.parameters}
         named = {name if name in known else RENAMED.get(name, name): value for name, value in given.items()}
