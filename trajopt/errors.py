@@ -211,13 +211,3 @@ def finite_array(what: str, value: Any, shape: tuple[int, ...] = (3,), unit: str
         raise InputError(f"{what} is {shown(value)}", allowed)
     array.setflags(write=False)
     return array
-
-
-def unit_vector(what: str, value: Any) -> np.ndarray:
-    """Return the unit vector (3,) along ``value``; raises `InputError` if it has no direction."""
-    import numpy as np
-
-    vector = numbers_of(value)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise InputError(f"{what} is {shown(value)}", "allowed: 3 finite numbers, not all 0")
-    return np.asarray(vector / np.linalg.norm(vector))

@@ -46,9 +46,6 @@ class CollisionScene:
     terrain: Terrain | None = None
 
     def __post_init__(self) -> None:
-        for name in ("shapes", "obstacles"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
-        object.__setattr__(self, "self_pairs", tuple((str(a), str(b)) for a, b in self.self_pairs))
         names = [shape.name for shape in self.shapes]
         require_different_names("shapes", [GROUND, *names, *(obstacle.name for obstacle in self.obstacles)])
         for shape in self.shapes:

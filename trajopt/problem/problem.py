@@ -116,7 +116,6 @@ class Problem:
             object.__setattr__(self, label, checked_vector(what, getattr(self, label), size))
         for label in ("parameters", "modes", "payloads"):
             object.__setattr__(self, label, MappingProxyType(dict(getattr(self, label))))
-        object.__setattr__(self, "terms", tuple(self.terms))
         require_terms(self.name, self.terms)
         require_actuation(robot, schedule, self.actuation, self.initial_v)
         if self.actuation == "torque":

@@ -12,8 +12,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from trajopt.arguments import Positive, checked
 from trajopt.certify.accuracy.comparison import Comparison, compare
-from trajopt.errors import InputError, TrajoptError, require_positive
+from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.problem import Problem
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.grid import mesh_of
@@ -45,6 +46,7 @@ LEAST_TIME = 1.0
 Start = Solution | str | Path | None
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
     """How far two solutions that agree may be apart.
@@ -53,12 +55,8 @@ class Agreement:
     compared too, in rad (over l in m if l > 1 m): they may turn without any named point moving.
     """
 
-    objective: float = OBJECTIVE
-    distance: float = DISTANCE
-
-    def __post_init__(self) -> None:
-        for name in ("objective", "distance"):
-            require_positive(f"the {name} of an agreement", getattr(self, name))
+    objective: Positive = OBJECTIVE
+    distance: Positive = DISTANCE
 
     def holds(self, apart: Comparison, units: NaturalUnits) -> bool:
         """Return whether a comparison is within these bounds."""

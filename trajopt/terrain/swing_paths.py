@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from trajopt.arguments import checked
+from trajopt.arguments import NonNegative, checked
 from trajopt.errors import require_not_negative
 from trajopt.pickling import picklable
 from trajopt.terrain.crossing import Crossing, Edge, crossing
@@ -57,7 +57,10 @@ DONE = np.array([smooth_step(float(time)) for time in TIMES])
 
 @checked
 def swing_path(
-    terrain: Terrain, clearance: float, reach: float = 0.0, radii: Mapping[str, float] = MappingProxyType({})
+    terrain: Terrain,
+    clearance: NonNegative,
+    reach: float = 0.0,
+    radii: Mapping[str, float] = MappingProxyType({}),
 ) -> SwingPath:
     """Path of a swinging foot over terrain, for `legged_guess`.
 
@@ -76,7 +79,6 @@ def swing_path(
     Raises:
         InputError: for a clearance that is negative or not finite.
     """
-    require_clearance(clearance)
     return _SwingPath(terrain=terrain, clearance=clearance, reach=reach, radii=radii)
 
 
