@@ -127,9 +127,6 @@ def _figure(text: str, unit: str, tolerance: str | None = None, **presentation: 
     return field(metadata={"figure": figure})
 
 
-Amount = float | None  # None if the figure does not apply
-
-
 @dataclass(frozen=True, kw_only=True)
 class CheckReport:
     """Worst figures of a solution, see ``FIGURES`` for their units; None if a figure does not apply.
@@ -179,77 +176,93 @@ class CheckReport:
         open_loop_...: See `reintegration.open_loop`; inf if it diverges.
     """
 
-    base_residual: Amount = _figure("base rows of the dynamics", "weight", "residual")
-    actuated_residual: Amount = _figure("actuated rows of the dynamics", "weight", "residual")
-    contact_acceleration: Amount = _figure("acceleration of active contacts", "g", "residual")
-    contact_velocity: Amount = _figure("velocity of active contacts", "m/s", why="see drift")
-    friction_margin: Amount = _figure("friction margin", "weight", "friction", margin=True)
-    friction_margin_between: Amount = _figure(
+    base_residual: float | None = _figure("base rows of the dynamics", "weight", "residual")
+    actuated_residual: float | None = _figure("actuated rows of the dynamics", "weight", "residual")
+    contact_acceleration: float | None = _figure("acceleration of active contacts", "g", "residual")
+    contact_velocity: float | None = _figure("velocity of active contacts", "m/s", why="see drift")
+    friction_margin: float | None = _figure("friction margin", "weight", "friction", margin=True)
+    friction_margin_between: float | None = _figure(
         "friction margin between points", "weight", "between", margin=True
     )
-    unilateral_margin: Amount = _figure("least normal force", "weight", "friction", margin=True)
-    unilateral_margin_between: Amount = _figure(
+    unilateral_margin: float | None = _figure("least normal force", "weight", "friction", margin=True)
+    unilateral_margin_between: float | None = _figure(
         "least normal force between points", "weight", "between", margin=True
     )
-    sole_margin: Amount = _figure("sole margin", "weight m", "friction", margin=True)
-    sole_margin_between: Amount = _figure("sole margin between points", "weight m", "between", margin=True)
-    sliding_friction: Amount = _figure("law of sliding friction", "weight", "residual")
-    sliding_friction_between: Amount = _figure("law of sliding friction between points", "weight", "between")
-    inactive_force: Amount = _figure("force of inactive contacts", "weight", "residual")
-    effort_excess: Amount = _figure("torque beyond its limit", "limit", "limit")
-    effort_excess_between: Amount = _figure("torque beyond its limit between points", "limit", "between")
-    drive_torque_excess: Amount = _figure("motor torque beyond its limit", "limit", "limit")
-    drive_torque_excess_between: Amount = _figure(
+    sole_margin: float | None = _figure("sole margin", "weight m", "friction", margin=True)
+    sole_margin_between: float | None = _figure(
+        "sole margin between points", "weight m", "between", margin=True
+    )
+    sliding_friction: float | None = _figure("law of sliding friction", "weight", "residual")
+    sliding_friction_between: float | None = _figure(
+        "law of sliding friction between points", "weight", "between"
+    )
+    inactive_force: float | None = _figure("force of inactive contacts", "weight", "residual")
+    effort_excess: float | None = _figure("torque beyond its limit", "limit", "limit")
+    effort_excess_between: float | None = _figure(
+        "torque beyond its limit between points", "limit", "between"
+    )
+    drive_torque_excess: float | None = _figure("motor torque beyond its limit", "limit", "limit")
+    drive_torque_excess_between: float | None = _figure(
         "motor torque beyond its limit between points", "limit", "between"
     )
-    drive_voltage_excess: Amount = _figure("motor voltage beyond its limit", "limit", "limit")
-    drive_voltage_excess_between: Amount = _figure(
+    drive_voltage_excess: float | None = _figure("motor voltage beyond its limit", "limit", "limit")
+    drive_voltage_excess_between: float | None = _figure(
         "motor voltage beyond its limit between points", "limit", "between"
     )
-    velocity_excess: Amount = _figure("velocity beyond its limit", "limit", "limit")
-    velocity_excess_between: Amount = _figure("velocity beyond its limit between samples", "limit", "between")
-    position_excess: Amount = _figure("position beyond its limit", "range", "limit")
-    position_excess_between: Amount = _figure("position beyond its limit between samples", "range", "between")
-    following_error: Amount = _figure("joints from where they follow others", "m, rad", "residual")
-    penetration: Amount = _figure("depth below the terrain", "m", "penetration")
-    link_depth: Amount = _figure("depth of links in the ground", "m", "bodies")
-    obstacle_distance: Amount = _figure("least distance from obstacles", "m", "bodies", margin=True)
-    self_distance: Amount = _figure("least distance between links", "m", "bodies", margin=True)
-    clearance_margin: Amount = _figure("distance beyond the margin asked for", "m", "bodies", margin=True)
-    landing_height: Amount = _figure("height of contacts where they begin", "m", "foot_drift")
-    patch_margin: Amount = _figure("distance inside the patch", "m", "foot_drift", margin=True)
-    foot_drift: Amount = _figure("drift of active contacts", "m", "foot_drift")
-    stance_drift: Amount = _figure("drift from touchdown to lift-off", "m", "stance_drift")
-    foot_turn: Amount = _figure("turn of active soles", "rad", "foot_turn")
-    sole_tilt: Amount = _figure("tilt of active soles on their surface", "rad", "sole_tilt")
-    impact_residual: Amount = _figure("law of the impacts", "momentum", "residual")
-    impact_velocity: Amount = _figure("velocity of contacts after impacts", "speed", "residual")
-    impact_friction_margin: Amount = _figure(
+    velocity_excess: float | None = _figure("velocity beyond its limit", "limit", "limit")
+    velocity_excess_between: float | None = _figure(
+        "velocity beyond its limit between samples", "limit", "between"
+    )
+    position_excess: float | None = _figure("position beyond its limit", "range", "limit")
+    position_excess_between: float | None = _figure(
+        "position beyond its limit between samples", "range", "between"
+    )
+    following_error: float | None = _figure("joints from where they follow others", "m, rad", "residual")
+    penetration: float | None = _figure("depth below the terrain", "m", "penetration")
+    link_depth: float | None = _figure("depth of links in the ground", "m", "bodies")
+    obstacle_distance: float | None = _figure("least distance from obstacles", "m", "bodies", margin=True)
+    self_distance: float | None = _figure("least distance between links", "m", "bodies", margin=True)
+    clearance_margin: float | None = _figure(
+        "distance beyond the margin asked for", "m", "bodies", margin=True
+    )
+    landing_height: float | None = _figure("height of contacts where they begin", "m", "foot_drift")
+    patch_margin: float | None = _figure("distance inside the patch", "m", "foot_drift", margin=True)
+    foot_drift: float | None = _figure("drift of active contacts", "m", "foot_drift")
+    stance_drift: float | None = _figure("drift from touchdown to lift-off", "m", "stance_drift")
+    foot_turn: float | None = _figure("turn of active soles", "rad", "foot_turn")
+    sole_tilt: float | None = _figure("tilt of active soles on their surface", "rad", "sole_tilt")
+    impact_residual: float | None = _figure("law of the impacts", "momentum", "residual")
+    impact_velocity: float | None = _figure("velocity of contacts after impacts", "speed", "residual")
+    impact_friction_margin: float | None = _figure(
         "friction margin of impulses", "momentum", "friction", margin=True
     )
-    impact_momentum_error: Amount = _figure("momentum across impacts", "momentum, 1 m", "residual")
-    impact_energy_gain: Amount = _figure("energy gained in impacts", "weight m", "residual")
-    state_jump: Amount = _figure("jump of state without impact", "m, rad, speed", "residual")
-    periodicity_error: Amount = _figure("last state against the first", "m, rad, speed", "residual")
-    quaternion_error: Amount = _figure("norm error of rotations", "1", "quaternion")
-    gimbal_margin: Amount = _figure("margin to gimbal lock", "1", "gimbal", least=True)
-    position_gap: Amount = _figure("q against the integral of v", "m, rad", why="see local errors")
-    velocity_gap: Amount = _figure("v against the integral of a", "m/s, rad/s", why="see local errors")
-    ballistic_error: Amount = _figure(
+    impact_momentum_error: float | None = _figure("momentum across impacts", "momentum, 1 m", "residual")
+    impact_energy_gain: float | None = _figure("energy gained in impacts", "weight m", "residual")
+    state_jump: float | None = _figure("jump of state without impact", "m, rad, speed", "residual")
+    periodicity_error: float | None = _figure("last state against the first", "m, rad, speed", "residual")
+    quaternion_error: float | None = _figure("norm error of rotations", "1", "quaternion")
+    gimbal_margin: float | None = _figure("margin to gimbal lock", "1", "gimbal", least=True)
+    position_gap: float | None = _figure("q against the integral of v", "m, rad", why="see local errors")
+    velocity_gap: float | None = _figure("v against the integral of a", "m/s, rad/s", why="see local errors")
+    ballistic_error: float | None = _figure(
         "flight against the parabola", "travel", "flight", why="see local errors"
     )
-    momentum_error: Amount = _figure("angular momentum in flight", "scale", "flight", why="see local errors")
-    ballistic_error_between: Amount = _figure(
+    momentum_error: float | None = _figure(
+        "angular momentum in flight", "scale", "flight", why="see local errors"
+    )
+    ballistic_error_between: float | None = _figure(
         "flight against the parabola, between nodes", "travel", why="see local errors"
     )
-    momentum_error_between: Amount = _figure(
+    momentum_error_between: float | None = _figure(
         "angular momentum in flight, between nodes", "scale", why="see local errors"
     )
-    local_position: Amount = _figure("local errors of a phase, position", "reach", "local_position")
-    local_joints: Amount = _figure("local errors of a phase, rotations", "rad", "local_joints")
-    open_loop_position: Amount = _figure("open loop, base position", "m", "open_loop_position")
-    open_loop_orientation: Amount = _figure("open loop, base orientation", "rad", "open_loop_orientation")
-    open_loop_joints: Amount = _figure("open loop, joints", "rad", "open_loop_joints")
+    local_position: float | None = _figure("local errors of a phase, position", "reach", "local_position")
+    local_joints: float | None = _figure("local errors of a phase, rotations", "rad", "local_joints")
+    open_loop_position: float | None = _figure("open loop, base position", "m", "open_loop_position")
+    open_loop_orientation: float | None = _figure(
+        "open loop, base orientation", "rad", "open_loop_orientation"
+    )
+    open_loop_joints: float | None = _figure("open loop, joints", "rad", "open_loop_joints")
     places: dict[str, Occurrence] = field(default_factory=dict)
     phases: tuple[PhaseReport, ...]
     notes: tuple[str, ...] = ()
