@@ -16,9 +16,8 @@ from tests.support.exported_plans import (
     swinging_arm,
 )
 from tests.support.refusals import assert_refused_in_one_line
-from trajopt.export.exported_motion import sample_cycles
+from trajopt.export.exported_motion import SingleJoints, joint_angles, sample_cycles
 from trajopt.export.links import without_jumps
-from trajopt.export.single_joints import SingleJoints, joint_angles
 
 pytestmark = pytest.mark.long
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from trajopt.solvers.progress import FACTOR, LARGE, LAST, LEAST, VIOLATED, WITHIN, is_stalled
+from trajopt.solving.stalling import FACTOR, LARGE, LAST, LEAST, VIOLATED, WITHIN, is_stalled
 
 SMALL = 1.0
 
