@@ -22,9 +22,9 @@ from trajopt.transcription.nlp import Nlp
 VIOLATED = 1e-3
 # A solve is tested after more than LEAST iterations; all of the LAST ones must have large multipliers.
 LEAST, LAST = 8, 3
-# Dual infeasibility of multipliers that grow without bound, as where rows contradict each other. Measured with
-# IPOPT on first meshes: 64 of 65 successful solves stay below 3e3 while rows are violated, and one below 1e5;
-# ten that cannot succeed exceed 1e4 within 4 to 21 iterations, and 1e6 within 34.
+# Dual infeasibility of multipliers that grow without bound, as where rows contradict each other. Measured on
+# first meshes with IPOPT: 64 of 65 successful solves stay below 3e3 while rows are violated, and one below
+# 1e5; ten that cannot succeed exceed 1e4 within 4 to 21 iterations, and 1e6 within 34.
 LARGE = 1e4
 # The violation, or the dual infeasibility, must fall by this factor within this many iterations.
 FACTOR, WITHIN = 0.5, 20

@@ -133,13 +133,14 @@ def _below(keyed: _KeyedTerrain) -> tuple[ConvexGround, ...]:
     low = min(float(tops[:, 2].min()) for tops in grown) - DEPTH
     bodies: list[ConvexGround] = []
     for tops in grown:
-        body = ConvexGround(points=_extruded(tops, low))
+        body = ConvexGround(points=extruded(tops, low))
         if not any(_contains(other, body) for other in bodies):
             bodies = [other for other in bodies if not _contains(body, other)] + [body]
     return tuple(bodies)
 
 
-def _extruded(tops: np.ndarray, low: float) -> np.ndarray:
+def extruded(tops: np.ndarray, low: float) -> np.ndarray:
+    """Corners (2 k, 3) of the prism below a face with corners ``tops`` (k, 3), down to ``low`` m."""
     return np.concatenate([tops, np.column_stack([tops[:, :2], np.full(len(tops), low)])])
 
 
@@ -206,7 +207,7 @@ def _edges(polygon: np.ndarray) -> list[_HalfPlane]:
 
 def _is_ground(tops: np.ndarray, terrain: PiecewiseTerrain) -> bool:
     """Whether everything below the hull of ``tops`` (k, 3) is below faces of the terrain."""
-    body = ConvexGround(points=_extruded(tops, float(tops[:, 2].min()) - 1.0))
+    body = ConvexGround(points=extruded(tops, float(tops[:, 2].min()) - 1.0))
     for normal, offset in zip(*body.planes, strict=True):
         if normal[2] <= SAME:
             continue

@@ -118,6 +118,14 @@ class Patch:
             points = cut_polygon(points, inward, offset)
         return points
 
+    def within(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Corners (k, 3) of the part over a rectangle from ``low`` to ``high`` (x, y) m; k < 3 if none."""
+        points = self.vertices
+        for axis, inward in enumerate(np.eye(3)[:2]):
+            points = cut_polygon(points, inward, float(low[axis]))
+            points = cut_polygon(points, -inward, -float(high[axis]))
+        return points
+
     def inside(self, position: np.ndarray) -> np.ndarray:
         """Signed distance (...) in m of positions (..., 3), along the plane, from the nearest edge's line.
 

@@ -8,12 +8,12 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.collision.coal_shapes import thick
-from trajopt.collision.shapes import BoxObstacle, Obstacle
+from trajopt.collision.shapes import BoxObstacle, Obstacle, box_corners
 from trajopt.solution.description import CarriedBody
 from trajopt.solution.solution import Solution
 from trajopt.terrain.bodies import convex_hull
 from trajopt.view.replay.commands import Animation, hold_while_hidden, without_shadow
-from trajopt.view.replay.parts import ColouredMeshGeometry, box_corners, colour_array, draw_capsule
+from trajopt.view.replay.parts import ColouredMeshGeometry, colour_array, draw_capsule
 from trajopt.view.replay.robot import box_of_inertia
 from trajopt.view.replay.runs import DrawnSolution
 
