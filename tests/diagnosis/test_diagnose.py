@@ -210,7 +210,7 @@ def test_a_goal_that_torques_do_not_reach_is_named_with_them():
     assert not solution.success
     found = diagnose(solution, problem)
     assert found.conflict is not None
-    assert found.conflict.stuck
+    assert found.conflict.is_conflict
     assert found.conflict.giving[0].what.startswith("terminal_")
     assert found.conflict.against[0].what == "torque_limits [joint torque]"
     assert found.conflict.after == pytest.approx(least_violation(snapshot_of(problem, solution)), rel=1e-3)
@@ -225,7 +225,7 @@ def test_an_iterate_that_is_only_early_is_not_called_a_conflict():
     found = diagnose(solution, problem)
     assert found.status == "iteration_limit"
     assert found.conflict is not None
-    assert not found.conflict.stuck
+    assert not found.conflict.is_conflict
     assert any("early" in advice.remedy for advice in found.advice)
     assert all(report.equations for report in found.ranks)
 

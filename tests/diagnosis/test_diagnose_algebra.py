@@ -41,8 +41,8 @@ def test_the_sparse_spectrum_is_that_of_lapack():
     values = np.linalg.svd(matrix.toarray(), compute_uv=False)
     assert (found.rank, found.nullity, found.complete) == (450, 0, True)
     assert found.largest == pytest.approx(values[0], rel=SAME)
-    assert found.smallest == pytest.approx(values[-1], rel=rank.CONVERGED)
-    assert found.condition == pytest.approx(values[0] / values[-1], rel=rank.CONVERGED)
+    assert found.smallest == pytest.approx(values[-1], rel=rank.ACCURACY)
+    assert found.condition == pytest.approx(values[0] / values[-1], rel=rank.ACCURACY)
 
 
 @pytest.mark.parametrize("method", [rank._sparse, rank._dense])
@@ -59,7 +59,7 @@ def test_dependent_rows_are_counted_and_grouped(method):
 
 def test_more_dependent_rows_than_the_first_subspace_holds_are_all_found():
     matrix = banded(430, 900, 2)
-    copies = 3 * rank.FIRST
+    copies = 3 * rank.FIRST_SIZE
     found = rank._sparse(sparse.vstack([matrix, matrix[:copies]], format="csr"))
     assert (found.nullity, found.complete) == (copies, True)
     assert found.rank == 430

@@ -169,7 +169,7 @@ def _require_sound(solution: Solution, report: CheckReport | None) -> None:
         f"success {statistics.success} with {statistics.status}",
     )
     _require(
-        statistics.advice.startswith(status.told()[:20]),
+        statistics.advice.startswith(status.explain()[:20]),
         f"advice of {statistics.status}: {statistics.advice}",
     )
     finite = all(

@@ -14,7 +14,14 @@ from trajopt.collision.description import robot_shapes, sampled_postures
 from trajopt.collision.near import GROUND
 from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.errors import InputError
-from trajopt.problem.bodies import DEEPER, GIVE, TOO_NEAR, ProblemBodies, bodies_of, clearance_of
+from trajopt.problem.bodies import (
+    FOOT_DEPTH,
+    GAP_SLACK,
+    MORE_DEPTH,
+    ProblemBodies,
+    bodies_of,
+    clearance_of,
+)
 from trajopt.problem.problem import Problem
 from trajopt.schedule import start_of
 from trajopt.solving.extraction import described_bodies
@@ -50,7 +57,7 @@ def test_feet_may_be_on_the_ground_and_other_links_not_in_it(robot, feet):
     assert {pair[1] for pair in touching} == {GROUND}
     assert len(touching) >= feet
     for pair in touching:
-        assert found[pair] == pytest.approx(min(deep[pair] - DEEPER, -GIVE), abs=EXACT)
+        assert found[pair] == pytest.approx(min(deep[pair] - MORE_DEPTH, -FOOT_DEPTH), abs=EXACT)
     assert all(found[pair] == 0.0 for pair in found if pair not in touching)
     assert len(touching) < scene.n_ground / 2
 
@@ -140,9 +147,9 @@ def beside_the_start(gap: float) -> Problem:
 
 
 def test_start_may_be_as_near_as_a_look_allows_and_no_nearer():
-    assert isinstance(bodies_of(beside_the_start(MARGIN - 0.9 * TOO_NEAR)), ProblemBodies)
+    assert isinstance(bodies_of(beside_the_start(MARGIN - 0.9 * GAP_SLACK)), ProblemBodies)
     with pytest.raises(InputError, match="from 'near'"):
-        bodies_of(beside_the_start(MARGIN - 1.1 * TOO_NEAR))
+        bodies_of(beside_the_start(MARGIN - 1.1 * GAP_SLACK))
 
 
 def ending(*terms: Term, shapes: Sequence[LinkShape] | None = None, **changes: object) -> Problem:
@@ -167,9 +174,9 @@ def test_final_configuration_may_be_as_near_as_a_look_allows_and_no_nearer():
         centre = np.array([1.25, 0.0, -(thickness + 0.1 + gap)])
         return past(problem, SphereObstacle(name="near", centre=centre, radius=0.1))
 
-    assert bodies_of(above_the_ball(MARGIN - 0.9 * TOO_NEAR)).pairs
+    assert bodies_of(above_the_ball(MARGIN - 0.9 * GAP_SLACK)).pairs
     with pytest.raises(InputError, match=r"in q of terminal_state is .* from 'near'"):
-        bodies_of(above_the_ball(MARGIN - 1.1 * TOO_NEAR))
+        bodies_of(above_the_ball(MARGIN - 1.1 * GAP_SLACK))
 
 
 def test_final_configuration_with_links_in_each_other_is_refused():
@@ -207,7 +214,7 @@ def test_position_of_a_link_in_an_obstacle_is_refused_however_it_turns():
     least = MARGIN + thickness
     assert bodies_of(ending(at(least))).pairs
     with pytest.raises(InputError, match=r"at the goal of frame_pose of 'joint2' is at most .* from 'lying'"):
-        bodies_of(ending(at(least - 2 * TOO_NEAR)))
+        bodies_of(ending(at(least - 2 * GAP_SLACK)))
 
 
 def test_pose_of_a_link_in_an_obstacle_is_refused_by_its_whole_shape():

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trajopt.errors import SHOWN, shown
+from trajopt.errors import WIDTH, shown
 from trajopt_library import robots
 
 
@@ -46,5 +46,5 @@ def test_long_and_endless_values_are_cut() -> None:
     endless: list[Any] = []
     endless.append(endless)
     assert shown(endless) == "[[[[...]]]]"
-    assert len(shown("x" * 1000)) == SHOWN
+    assert len(shown("x" * 1000)) == WIDTH
     assert "\n" not in shown("a\nb")

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from tests.support.models import random_state
 from trajopt.errors import InputError
 from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
-from trajopt.schedule.gaits import BIPED, HOPPER, QUADRUPED, SHORTEST, Gait, gait_of
+from trajopt.schedule.gaits import BIPED, HOPPER, LEAST_SHARE, QUADRUPED, Gait, gait_of
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import swing_arcs
 from trajopt.terrain.flat import FlatGround
@@ -142,7 +142,7 @@ def test_gaits_that_are_none_are_refused() -> None:
         with pytest.raises(InputError, match="allowed"):
             Gait(name="bad", duty=duty, offsets=offsets)
     trot = QUADRUPED["trot"]
-    brief = trot.with_duty(0.5 + SHORTEST / 4)
+    brief = trot.with_duty(0.5 + LEAST_SHARE / 4)
     for call in (
         lambda: brief.phases(PERIOD),
         lambda: trot.phases(0.0),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.problems import REACH, REACH_TIME, hop, inertia, limited_reach
-from trajopt.solvers.elastic import CLEAR, MENDED, least_violation
+from trajopt.solvers.elastic import CLEAR_VIOLATION, REMOVABLE_VIOLATION, least_violation
 from trajopt.solving.solving import prepare
 from trajopt.transcription.guess import perturbed
 from trajopt.transcription.violations import row_violations
@@ -23,11 +23,11 @@ def go_on(_: dict, __: object) -> bool:
 def test_feasible_point_is_found_from_a_start_far_away():
     prepared = prepare(hop())
     start = perturbed(prepared.transcription, prepared.guess, 1, 0.3)
-    assert row_violations(prepared.nlp, start).max() > CLEAR
+    assert row_violations(prepared.nlp, start).max() > CLEAR_VIOLATION
     found = least_violation(prepared.nlp, start, go_on, **LIMITS)
     assert found.feasible
     assert not found.infeasible
-    assert row_violations(prepared.nlp, found.x).max() <= MENDED
+    assert row_violations(prepared.nlp, found.x).max() <= REMOVABLE_VIOLATION
 
 
 @pytest.mark.parametrize("share", [0.5, 0.8])

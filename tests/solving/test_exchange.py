@@ -14,7 +14,7 @@ from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.motion.configurations import SolutionMotion
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solving.exchange import LOOK_STEP, LOOKS, MOST_SLIPS, TOO_NEAR, Exchange, Look, along
+from trajopt.solving.exchange import INTERVAL_LOOKS, LOOK_STEP, MOST_SLIPS, TOO_NEAR, Exchange, Look, along
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import Clearance
 from trajopt.terms.moments import PlaneSide
@@ -121,7 +121,7 @@ def test_every_node_is_looked_at_once():
 def test_faster_intervals_are_looked_at_more_often():
     counts = [len(Exchange(past(swing(), FAR)).look(solve(swing(), intervals=n)).moments) for n in (3, 100)]
     assert counts[0] > float(np.abs(END - START).max()) / LOOK_STEP
-    assert counts[1] == pytest.approx(100 * (LOOKS + 3), rel=0.02)
+    assert counts[1] == pytest.approx(100 * (INTERVAL_LOOKS + 3), rel=0.02)
 
 
 def test_rows_stay_when_the_motion_has_left():

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 
 from trajopt.terrain import FlatGround, PiecewiseTerrain
-from trajopt.terrain.bodies import SAME, ConvexGround, HalfSpace, convex_hull, ground_bodies, outline
+from trajopt.terrain.bodies import SAME_HEIGHT, ConvexGround, HalfSpace, convex_hull, ground_bodies, outline
 
 ROUNDING = 1e-9
 P = PiecewiseTerrain
@@ -43,7 +43,7 @@ def test_union_of_the_bodies_is_the_ground_below_the_faces(name):
     bodies = ground_bodies(terrain)
     assert len(bodies) == count
     for x, y in np.random.default_rng(0).uniform(-3, 3, (300, 2)):
-        assert height(bodies, x, y) == pytest.approx(float(terrain.height(x, y)), abs=2 * SAME)
+        assert height(bodies, x, y) == pytest.approx(float(terrain.height(x, y)), abs=2 * SAME_HEIGHT)
 
 
 @pytest.mark.parametrize("name", ["box", "slope", "slope down"])
@@ -70,7 +70,7 @@ def test_hulls_are_scipys(seed):
     planes = np.column_stack([hull.normals, -hull.offsets])
     assert_allclose(planes, expected.equations, atol=ROUNDING)
     assert_allclose(
-        np.sum(hull.corners[hull.triangles[:, 0]] * hull.normals, axis=1), hull.offsets, atol=SAME
+        np.sum(hull.corners[hull.triangles[:, 0]] * hull.normals, axis=1), hull.offsets, atol=SAME_HEIGHT
     )
     around, level = points[outline(points[:, :2])][:, :2], ConvexHull(points[:, :2])
     first = np.flatnonzero((level.points[level.vertices] == around[0]).all(axis=1))[0]

@@ -292,7 +292,7 @@ class CheckReport:
         limits = tolerances or Tolerances()
         return {name: ratio for name in FIGURES if (ratio := self._ratio(name, limits)) is not None}
 
-    def said(self, name: str) -> str:
+    def in_words(self, name: str) -> str:
         """Return a figure in words: text, value, unit and place."""
         figure, place = FIGURES[name], self.places.get(name)
         where = "" if place is None else f" at {place}"

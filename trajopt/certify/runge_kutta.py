@@ -60,7 +60,7 @@ METHOD = _numeric.Method(
 )
 
 # Step control: safety factor, and smallest and largest ratio of successive steps.
-_SAFETY, _LEAST, _MOST = 0.9, 0.2, 10.0
+_SAFETY, _LEAST_RATIO, _MOST_RATIO = 0.9, 0.2, 10.0
 _EXPONENT = 1 / 8
 
 
@@ -86,10 +86,10 @@ def integrate(
             scale = absolute + np.maximum(np.abs(state), np.abs(following)) * relative
             error = _error(stages, taken, scale)
             if error < 1:
-                factor = _MOST if error == 0 else min(_MOST, _SAFETY * error**-_EXPONENT)
+                factor = _MOST_RATIO if error == 0 else min(_MOST_RATIO, _SAFETY * error**-_EXPONENT)
                 step = taken * (min(1.0, factor) if rejected else factor)
                 break
-            step = taken * max(_LEAST, _SAFETY * error**-_EXPONENT)
+            step = taken * max(_LEAST_RATIO, _SAFETY * error**-_EXPONENT)
             rejected = True
             if not step >= 10 * np.spacing(t):
                 return None

@@ -74,7 +74,7 @@ def continue_command(
     from trajopt.problem.family import choose
     from trajopt.solution.input import solution_of
     from trajopt.solving.continuation import continuation
-    from trajopt.solving.time_limits import BESIDE
+    from trajopt.solving.time_limits import OVERHEAD_TIME
 
     family, fixed = choose(families(), problem), parse_settings(settings, "--set")
     name, values = parse_vary(family, vary, fixed)
@@ -91,7 +91,7 @@ def continue_command(
     folder = output_dir and _folder(output_dir, problem)
     viewer = open_viewer(watch)
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
-    most = (arguments["max_time"] + BESIDE) * len(values) * each
+    most = (arguments["max_time"] + OVERHEAD_TIME) * len(values) * each
     with watched(problem, most, log, viewer) as callbacks:
         result = continuation(load, values, **callbacks, **arguments)
     files = {}

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from trajopt import _numeric
 from trajopt.arguments import checked
-from trajopt.collision.coal_shapes import Witness, coal_hull, coal_link, coal_obstacle, thick
+from trajopt.collision.coal_shapes import Witness, coal_hull, coal_link, coal_obstacle, thicken
 from trajopt.collision.planes import Approach, PlacedBody, nearest, nearest_along
 from trajopt.collision.shapes import LinkShape, Obstacle, require_different_names
 from trajopt.dynamics.model_content import frame_content
@@ -21,7 +21,7 @@ from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.terrain import Terrain
 
 # Links high above smooth ground are skipped, assuming slopes of at most 45 degrees.
-STEEPEST = math.sqrt(2.0)
+SLOPE_FACTOR = math.sqrt(2.0)
 # Points of a shape within a cube of this side, m, form a cluster.
 CLUSTER = 0.08
 # Distance between neighbouring points, m: over ground with a radius of curvature R the hull between them is
@@ -38,7 +38,7 @@ GROUND = "ground"
 FIXED = 1e-6
 # If bodies overlap, their joints can separate them along a normal only if its component in the directions of
 # their relative motion is at least this.
-STEEP = 0.1
+LEAST_SINE = 0.1
 
 
 class SmoothDistance:
@@ -56,7 +56,7 @@ class SmoothDistance:
         centre, reach = self._shape.ball
         centres = origin + rotation @ centre
         over = centres[:, 2] - self._terrain.height(centres[:, 0], centres[:, 1])
-        distances = np.asarray(over / STEEPEST - reach)
+        distances = np.asarray(over / SLOPE_FACTOR - reach)
         rows = np.flatnonzero(distances <= within)
         if len(rows):
             distances[rows] = self._nearest(rotation[rows], origin[rows], within + self._shape.radius)
@@ -73,8 +73,8 @@ class SmoothDistance:
         height, slopes = self._terrain.height_and_slopes(middles[..., 0], middles[..., 1])
         over = middles[..., 2] - height
         nearest = (over / np.sqrt(1 + (slopes**2).sum(axis=0))).min(axis=1)
-        least = over - STEEPEST * radii
-        least = np.where(least > 0, least / STEEPEST, least)
+        least = over - SLOPE_FACTOR * radii
+        least = np.where(least > 0, least / SLOPE_FACTOR, least)
         row, cluster = np.nonzero(least <= np.minimum(nearest, within)[:, None])
         least[row, cluster] = np.inf
         counts = sizes[cluster]
@@ -127,7 +127,7 @@ def surface_points(points: np.ndarray) -> np.ndarray:
         steps = int(np.ceil(np.linalg.norm(points[1] - points[0]) / SPACING))
         share = np.linspace(0.0, 1.0, max(steps, 1) + 1)[:, None]
         return np.asarray(points[0] + share * (points[1] - points[0]))
-    hull = convex_hull(thick(points))
+    hull = convex_hull(thicken(points))
     parts = [_on_triangle(corners) for corners in hull.corners[hull.triangles]]
     return np.unique(np.round(np.concatenate(parts), 9), axis=0)
 
@@ -262,7 +262,7 @@ class CollisionScene:
         one, other = self._placed(first, places), self._placed(second, places)
         if witness.distance < 0 and second < len(self.shapes) + len(self.obstacles):
             ways = places[0][first] @ self._ways(first, second)
-            if np.linalg.norm(witness.normal @ ways) < STEEP:
+            if np.linalg.norm(witness.normal @ ways) < LEAST_SINE:
                 return nearest_along(one, other, ways)
         return nearest(one, other, witness.normal)
 
@@ -289,7 +289,9 @@ class CollisionScene:
         pin.updateFramePlacements(model, data)
         joints = joints_between(model, frames[first], frames[second])
         moved = [axes[model.idx_vs[joint] :][: model.nvs[joint]] for joint in joints]
-        return np.asarray(data.oMf[model.getFrameId(frames[first])].rotation.T @ _passing(np.vstack(moved)))
+        return np.asarray(
+            data.oMf[model.getFrameId(frames[first])].rotation.T @ _motion_directions(np.vstack(moved))
+        )
 
     def least_distances(self, configurations: Iterable[np.ndarray], within: float = np.inf) -> np.ndarray:
         """Return the least signed distance (n,) m of each pair over configurations (nq,); inf if none."""
@@ -388,7 +390,7 @@ def separable_pairs(
     return tuple(pair for pair, distance in zip(pairs, distances, strict=True) if distance > margin)
 
 
-def _passing(axes: np.ndarray) -> np.ndarray:
+def _motion_directions(axes: np.ndarray) -> np.ndarray:
     """Return orthonormal directions (3, r) of all displacements by joints with these axes (n, 6).
 
     A direction is left out if every rotation axis is parallel to it and no joint translates along it.

@@ -8,7 +8,7 @@ import numpy as np
 from trajopt.discovery.ground import gap
 from trajopt.discovery.modes import LIFTED, ModeSequence
 from trajopt.errors import InputError
-from trajopt.problem.periodicity import PAIRED
+from trajopt.problem.periodicity import PAIR_DISTANCE
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.mirror import find_mirror, paired_contacts
@@ -218,7 +218,7 @@ def _whole_cycle(problem: Problem, terms: tuple[Term, ...]) -> Problem:
     periodicity, robot = problem.periodicity, problem.robot
     if periodicity is None or not periodicity.mirror:
         return problem
-    pairs = paired_contacts(robot, find_mirror(robot), PAIRED)
+    pairs = paired_contacts(robot, find_mirror(robot), PAIR_DISTANCE)
     images = {contact.name: robot.contacts[pairs[i]].name for i, contact in enumerate(robot.contacts)}
     half = [
         Phase(name=phase.name, duration=phase.duration, contacts=phase.contacts)

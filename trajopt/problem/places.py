@@ -26,7 +26,7 @@ from trajopt.terrain.surface import SAME_PLANE, Surface
 from trajopt.terrain.terrain import Ground
 
 # Joints that rotate about a point fixed in their parent: distances from it are constant.
-TURNING = ("RX", "RY", "RZ", "RUBX", "RUBY", "RUBZ", "RevoluteUnaligned", "RevoluteUnboundedUnaligned",
+ROTARY_JOINTS = ("RX", "RY", "RZ", "RUBX", "RUBY", "RUBZ", "RevoluteUnaligned", "RevoluteUnboundedUnaligned",
            "Spherical", "SphericalZYX")  # fmt: skip
 # Tolerances of the check: distance of contacts from their ground where they begin, m; tilt of soles, rad.
 CONTACT_GAP, SOLE_TILT = 1e-3, 1e-2
@@ -82,7 +82,7 @@ def _climb(model: pin.Model, place: LinkPoint, top: int) -> tuple[np.ndarray, fl
     """Point of body ``top`` where the branch to ``place`` is attached, and the length from there to it."""
     joint, point, length = place.joint, place.point, 0.0
     while joint != top:
-        turns = joint_kind(model, joint) in TURNING
+        turns = joint_kind(model, joint) in ROTARY_JOINTS
         length += float(np.linalg.norm(point)) if turns else np.inf
         joint, point = int(model.parents[joint]), np.array(model.jointPlacements[joint].translation)
     return point, length

@@ -68,7 +68,7 @@ def needed_joints(problem: Problem, keep: Sequence[str]) -> Needs:
     and joints whose coordinates are used by a term of unknown kind; mimic joints and their leaders come
     together. Raises `InputError` for an unknown name in ``keep``.
     """
-    robot, needs = problem.robot, _always(problem)
+    robot, needs = problem.robot, _unconditional_needs(problem)
     _require_known(robot, keep, "keep")
     for phase in problem.schedule.phases:
         for contact in phase.contacts:
@@ -109,7 +109,7 @@ def require_lockable(problem: Problem, lock: Sequence[str], keep: Sequence[str])
     """Raise `InputError` for joints to lock that are unknown, kept, passive, moving, or part of the base."""
     _require_known(problem.robot, lock, "lock")
     for name in lock:
-        reason = "is kept as well" if name in keep else _always(problem).get(name)
+        reason = "is kept as well" if name in keep else _unconditional_needs(problem).get(name)
         if reason:
             raise InputError(f"joint '{name}' to lock {reason}", "another joint")
 
@@ -121,7 +121,7 @@ def _require_known(robot: Robot, names: Sequence[str], purpose: str) -> None:
             raise InputError(f"joint '{name}' to {purpose} is unknown", "one of " + ", ".join(known))
 
 
-def _always(problem: Problem) -> Needs:
+def _unconditional_needs(problem: Problem) -> Needs:
     robot, needs = problem.robot, {}
     followers = {mimic.joint for mimic in robot.mimics}
     for joint in list(robot.model.joints)[1:]:

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError
-from trajopt.schedule.gaits import SHORTEST, SIMULTANEOUS, Gait, SupportPhase, phases_of
+from trajopt.schedule.gaits import LEAST_SHARE, SIMULTANEOUS, Gait, SupportPhase, phases_of
 from trajopt.schedule.schedule import Phase
 
 
@@ -55,8 +55,8 @@ def transition(
     if cycles != int(cycles) or cycles < 1:
         raise InputError(f"{cycles} cycles of gait '{gait.name}'", "allowed: a whole number, 1 or more")
     for what, time in (("stand", stand), ("rest", rest)):
-        if time is not None and not (math.isfinite(time) and time >= SHORTEST * period):
-            raise InputError(f"{what} is {time:g} s", f"allowed: at least {SHORTEST * period:g} s")
+        if time is not None and not (math.isfinite(time) and time >= LEAST_SHARE * period):
+            raise InputError(f"{what} is {time:g} s", f"allowed: at least {LEAST_SHARE * period:g} s")
     origin = gait.offsets[gait.first(start)]
     stances = [_stances(gait, foot, origin, int(cycles)) for foot in gait.feet]
     begin, end = 0.0, float(cycles)

@@ -31,7 +31,7 @@ from trajopt.schedule.schedule import Phase
 SIMULTANEOUS = 1e-9
 # A support shorter than this fraction of the period is rejected: either two events are meant to be one, or a
 # duty factor is wrong. For a period of 0.1 s it is 1 ms, less than the step of any grid.
-SHORTEST = 0.01
+LEAST_SHARE = 0.01
 # Strides of symmetrical gaits, see `stride_period`.
 STRIDE, GROWTH, SLOWEST = 2.4, 0.34, 0.06
 # Names of supports by the number of feet on the ground.
@@ -78,10 +78,10 @@ class Gait:
         duty = {name: float(given[name]) for name in self.offsets}
         offsets = {name: float(value) % 1.0 for name, value in self.offsets.items()}
         for name, value in duty.items():
-            if not (SHORTEST <= value <= 1 - SHORTEST or value == 1):
+            if not (LEAST_SHARE <= value <= 1 - LEAST_SHARE or value == 1):
                 raise InputError(
                     f"duty factor of '{name}' is {value:g}",
-                    f"allowed: {SHORTEST:g} to {1 - SHORTEST:g}, or 1 for a foot that is never lifted",
+                    f"allowed: {LEAST_SHARE:g} to {1 - LEAST_SHARE:g}, or 1 for a foot that is never lifted",
                 )
         if all(value == 1 for value in duty.values()):
             raise InputError(f"gait '{self.name}' lifts no foot", "allowed: a duty factor below 1")
@@ -138,10 +138,10 @@ class Gait:
         for now, then in zip(events, [*events[1:], 1.0], strict=True):
             middle = begin + (now + then) / 2
             feet = tuple(foot for foot in self.feet if self.stands(foot, middle))
-            if then - now < SHORTEST:
+            if then - now < LEAST_SHARE:
                 raise InputError(
                     f"gait '{self.name}' has a support of {then - now:.2g} of its period",
-                    f"allowed: at least {SHORTEST:g}",
+                    f"allowed: at least {LEAST_SHARE:g}",
                 )
             supports.append(SupportPhase(now, then - now, feet))
         return tuple(supports)

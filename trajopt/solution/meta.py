@@ -47,13 +47,13 @@ DESCRIBED = (
     *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
     *("visual", "phase_names"),
 )
-DERIVED = ("format", "version", "durations", "intervals", "units", "simulated")
+DERIVED_ENTRIES = ("format", "version", "durations", "intervals", "units", "simulated")
 # Statistics that are strings, flags or counts.
 TEXTS = ("transcription", "solver", "status", "solver_status", "advice", "hessian", "worst_figure")
 FLAGS = ("success", "converged", "warm_start", "certified_infeasible")
 COUNTS = ("iterations", "variables", "constraints", "functions_compiled", "seed")
 # Statistics that are never null.
-STATED = ("transcription", "solver", "status", "success", "tolerance", "wall_time_s")
+REQUIRED_STATISTICS = ("transcription", "solver", "status", "success", "tolerance", "wall_time_s")
 PERIODIC = ("index", "sign", "origin", "translation", "velocity", "turn", "mirror")
 
 
@@ -121,9 +121,9 @@ def statistics_of(meta: Mapping[str, Any]) -> SolveStatistics:
         else:
             _require(is_number(value), name, "a number")
         values[name] = value
-    for name in STATED:
+    for name in REQUIRED_STATISTICS:
         _require(name in values, name, "stated")
-    known = typed | {*DESCRIBED, *DERIVED}
+    known = typed | {*DESCRIBED, *DERIVED_ENTRIES}
     return SolveStatistics(
         **{"objective": None, "converged": meta["success"], "iterations": 0, **values},
         more={name: value for name, value in meta.items() if name not in known},

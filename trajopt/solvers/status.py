@@ -34,7 +34,7 @@ class Status(Enum):
     )
     FAILED = "the solver stopped for another reason: see the solver's own status"
 
-    def told(self, where: str = "") -> str:
+    def explain(self, where: str = "") -> str:
         """Return advice in short lines: what the status means, where, if known, and what to try."""
         what, _, remedy = self.value.partition(": ")
         return "\n".join(filter(None, (what, where, remedy)))

@@ -32,9 +32,9 @@ OBJECTIVE = 1e-5
 # Largest distance between two motions, over the robot's reach: half a millimetre for a dog-sized robot.
 DISTANCE = 1e-3
 # Motions further apart than this, over the reach, may be different optima and are tested.
-APART = 0.02
+OPTIMUM_DISTANCE = 0.02
 # So are motions this many times as far apart as the two before them: refinement alone reduces the distance.
-GREW = 2.0
+DISTANCE_GROWTH = 2.0
 # A solution on the coarser mesh belongs to the finer mesh's optimum if its distance from it is below this
 # fraction of the gap.
 SAME_SIDE = 0.25
@@ -270,8 +270,8 @@ class _Climb:
     def _is_other(self, coarse: Solution, fine: Solution, apart: Comparison) -> bool:
         """Return whether two solutions are different optima; tested only if far apart or diverging."""
         before = self.rungs[-1].apart
-        grew = before is not None and apart.farthest > GREW * before.farthest
-        far = apart.farthest > APART * NaturalUnits.of(coarse.model).length
+        grew = before is not None and apart.farthest > DISTANCE_GROWTH * before.farthest
+        far = apart.farthest > OPTIMUM_DISTANCE * NaturalUnits.of(coarse.model).length
         if self.left <= 0 or not (far or grew):
             return False
         return in_other_optimum(self.problem, coarse, fine, max_time=self.left, **self.settings)

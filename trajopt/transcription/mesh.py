@@ -18,7 +18,7 @@ from trajopt.errors import InputError, shown
 from trajopt.transcription.schemes import Scheme, scheme
 
 # Tolerance on the sum of the widths, which equals one up to rounding.
-ONE = 1e-9
+SUM_ERROR = 1e-9
 
 
 @checked
@@ -34,7 +34,7 @@ class PhaseMesh:
 
     def __post_init__(self) -> None:
         scheme(self.scheme)
-        if abs(sum(self.widths) - 1) > ONE:
+        if abs(sum(self.widths) - 1) > SUM_ERROR:
             raise InputError(
                 f"widths of a phase's intervals are {shown(self.widths)}", "allowed: positive, 1 in sum"
             )

@@ -21,7 +21,7 @@ FIGURES = {
     "foot_drift": ("drift of active contacts between points", "m"),
     "violation_between": ("violation between points, natural units", "1"),
 }
-COMPARED = {
+COMPARISON_FIGURES = {
     "objective_gap": ("objective against the reference", "relative"),
     "distance": ("position from the reference's", "m"),
     "farthest": ("farthest-off point from the reference's", "m"),
@@ -40,7 +40,8 @@ def accuracy_table(accuracy: Accuracy) -> str:
     lines += [_line(f"  {name.replace('_', ' ')}", value, "1") for name, value in broken.items()]
     if accuracy.comparison is not None:
         lines += [
-            _line(text, getattr(accuracy.comparison, name), unit) for name, (text, unit) in COMPARED.items()
+            _line(text, getattr(accuracy.comparison, name), unit)
+            for name, (text, unit) in COMPARISON_FIGURES.items()
         ]
     worst = int(np.argmax(accuracy.interval_errors))
     lines.append(f"interval {worst} of {len(accuracy.interval_errors)} has the largest local error")

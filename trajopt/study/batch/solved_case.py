@@ -14,7 +14,7 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve
 from trajopt.solving.ladder import total_effort
 from trajopt.solving.solving import check_settings
-from trajopt.solving.time_limits import BESIDE, GRACE
+from trajopt.solving.time_limits import GRACE, OVERHEAD_TIME
 from trajopt.study.batch.variation import BatchCase
 from trajopt.study.suite.failure import failure_text
 
@@ -51,7 +51,7 @@ class BatchSettings:
     @property
     def longest(self) -> float:
         """Time limit of a case's process, s."""
-        return min((1 + self.neighbours) * (self.max_time + BESIDE) + GRACE + BUILD_TIME, MOST_TIME)
+        return min((1 + self.neighbours) * (self.max_time + OVERHEAD_TIME) + GRACE + BUILD_TIME, MOST_TIME)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,13 +23,13 @@ from typing import TypeGuard, get_type_hints
 
 from trajopt.errors import InputError
 from trajopt.solution.output import replacing
-from trajopt.solving.refinement import SETTLED
+from trajopt.solving.refinement import OBJECTIVE_CHANGE
 from trajopt.study.suite.cases import Pair
 from trajopt.study.suite.outcome import Outcome, quantile
 from trajopt.study.suite.physics import WORDS, Physics, in_words
 from trajopt.study.suite.settings import SuiteSettings
 
-OBJECTIVE_BAND = SETTLED
+OBJECTIVE_BAND = OBJECTIVE_CHANGE
 FEWEST, MOST = 0.5, 2.0
 LEAST_MARGIN = 5
 # Significant digits of written objectives: far finer than the band.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from trajopt.errors import InputError
 from trajopt.simulation.settings import Controller
 from trajopt.solving.solving import check_settings
-from trajopt.solving.time_limits import BESIDE, GRACE
+from trajopt.solving.time_limits import GRACE, OVERHEAD_TIME
 
 # Noise on the guess: a tenth of the natural units, that is of a leg's length or half a dozen degrees.
 DEFAULT_SIGMA = 0.1
@@ -53,7 +53,7 @@ class SuiteSettings:
     @property
     def longest(self) -> float:
         """Time limit of the process of a solve or a simulation, s."""
-        return min(BUILD_TIME + self.max_time + BESIDE + GRACE, MOST_TIME)
+        return min(BUILD_TIME + self.max_time + OVERHEAD_TIME + GRACE, MOST_TIME)
 
     @property
     def seeds(self) -> tuple[int, ...]:
