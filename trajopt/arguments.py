@@ -124,12 +124,13 @@ def check_settings(function: Callable[..., Any], settings: Mapping[str, Any]) ->
 def check_fields(thing: Any) -> None:
     """Check the fields of an existing dataclass, such as a user-defined term. Raises `InputError`."""
     target: Any = type(thing)
-    for name, kind in _kinds_of_fields(target).items():
+    for name, kind in kinds_of_fields(target).items():
         kind.checked(name, target.__name__, getattr(thing, name))
 
 
 @functools.cache
-def _kinds_of_fields(target: Any) -> dict[str, Kind]:
+def kinds_of_fields(target: Any) -> dict[str, Kind]:
+    """Return the kinds of a dataclass's fields by name."""
     hints = annotations_of(target)
     return {name: kind_of(hints[name], True) for name in target.__dataclass_fields__}
 
