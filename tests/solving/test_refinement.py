@@ -256,7 +256,7 @@ def test_rounds_that_stay_far_from_the_grade_are_begun_anew_on_the_own_mesh(monk
     usual = solve_graded(hop(), mesh=mesh, accuracy=1e-3)
     assert own not in [each.mesh for each in usual.rounds]
     monkeypatch.setattr(refinement, "FAR_ROUNDS", 1)
-    monkeypatch.setattr(refinement, "FAR", 0.0)
+    monkeypatch.setattr(refinement, "FAR_RATIO", 0.0)
     found = solve_graded(hop(), mesh=mesh, accuracy=1e-3)
     assert found.reached
     assert [each.mesh for each in found.rounds[:2]] == [mesh, own]
