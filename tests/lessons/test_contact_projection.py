@@ -8,15 +8,15 @@ import pytest
 
 from tests.support.contact_cases import INDEPENDENT, Case, body, close, independent, vanishes
 from trajopt.certify.contact.contact_dynamics import actuated_force, forward_dynamics, rows_with_actuator
-from trajopt.certify.contact.contact_projection import (
+from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
+from trajopt.errors import InputError
+from trajopt_library.lessons.contact_projection import (
     consistent_projector,
     least_norm_inverse_dynamics,
     null_space_projector,
     projected_forward_dynamics,
     projected_inverse_dynamics,
 )
-from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.errors import InputError
 
 # Two ways to the same numbers; P depends on metres and radians of v, which costs digits.
 RELATIVE = 1e-9
