@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 
-from trajopt.arguments import checked
+from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.errors import InputError, not_among, require_positive
+from trajopt.errors import InputError, not_among
 from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase
@@ -177,9 +177,9 @@ class Gait:
     @checked
     def phases(
         self,
-        period: float,
+        period: Positive,
         *,
-        cycles: int = 1,
+        cycles: PositiveCount = 1,
         start: str | None = None,
         duration_bounds: tuple[float, float] | None = None,
     ) -> tuple[Phase, ...]:
@@ -196,14 +196,12 @@ class Gait:
         Raises:
             InputError: for numbers out of range, or a foot that is never lifted.
         """
-        if cycles != int(cycles) or cycles < 1:
-            raise InputError(f"{cycles} cycles of gait '{self.name}'", "allowed: a whole number, 1 or more")
-        return phases_of(self.supports(start) * int(cycles), period, duration_bounds)
+        return phases_of(self.supports(start) * cycles, period, duration_bounds)
 
     @checked
     def half_cycle(
         self,
-        period: float,
+        period: Positive,
         mirror: Mapping[str, str],
         *,
         start: str | None = None,
@@ -234,9 +232,8 @@ def phases_of(
 ) -> tuple[Phase, ...]:
     """Phases of consecutive supports; their durations are free within ``bounds``, fractions of the nominal.
 
-    Raises `InputError` for a ``period`` in s that is not positive, or bounds that do not enclose 1.
+    ``period`` is in s. Raises `InputError` for bounds that do not enclose 1.
     """
-    require_positive("period of a gait", period, "s")
     lower, upper = (1.0, 1.0) if bounds is None else bounds
     if not 0 < lower <= 1 <= upper < math.inf:
         raise InputError(
