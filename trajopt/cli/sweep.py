@@ -95,8 +95,8 @@ def sweep(
     runs.csv, settings.csv, front.csv and front.png. Exit status 0 when the default setting was solved, 1 when
     not, 130 after Ctrl-C: the results so far are written, and --resume continues from them.
     """
-    from trajopt.study.suite.versions import versions
-    from trajopt.study.sweep.cores import cores_for
+    from trajopt.study.records import versions
+    from trajopt.study.sweep.engine import cores_for
     from trajopt.study.sweep.plan import AXES, make_plan
     from trajopt.study.sweep.plot import plot
     from trajopt.study.sweep.records import SweepRecords, SweepRequest
@@ -129,8 +129,8 @@ def sweep(
 
 def _run(request: SweepRequest, plan: SweepPlan, records: SweepRecords, cores: Sequence[int]) -> bool:
     """Run the missing tasks; False after Ctrl-C."""
+    from trajopt.study.display import TaskDisplay
     from trajopt.study.sweep.engine import Sweep
-    from trajopt.study.workers.display import TaskDisplay
 
     settings, starts = len(plan.settings), len(request.starts)
 
@@ -140,7 +140,7 @@ def _run(request: SweepRequest, plan: SweepPlan, records: SweepRecords, cores: S
                 f"{settings} settings, {starts} starts each: {settings * starts} runs, "
                 f"{len(cores)} at a time, on core {', '.join(map(str, cores))}"
             )
-            Sweep(request, plan, records, cores, display, check).run()
+            Sweep(request, plan, records, cores, display, (check,)).run()
 
     return runs_to_its_end(run)
 

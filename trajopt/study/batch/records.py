@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -19,11 +19,11 @@ from trajopt.problem.catalogue import families
 from trajopt.problem.family import PLAIN_NAME, choose
 from trajopt.solution.file import write_bytes
 from trajopt.solution.output import replacing
-from trajopt.study.batch.columns import arrow, parameter_columns, row_of, schema
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult
 from trajopt.study.batch.variation import BatchCase
-from trajopt.study.runner import LOST
-from trajopt.study.workers.records import JsonLines
+from trajopt.study.processes import LOST
+from trajopt.study.records import JsonLines, require_same
+from trajopt.versions import optional_package
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -36,6 +36,35 @@ FILES_PER_FOLDER = 1000
 # Outcomes that are run again when a batch is resumed, since another attempt may succeed.
 NOT_SAVED = "not_saved"
 AGAIN = (LOST, NOT_SAVED)
+# Part of the request -> what another batch has instead.
+DIFFERENCES = {
+    "cases": "other cases",
+    "settings": "other settings",
+    "versions": "other versions of the libraries",
+}
+# Columns of figures, with the names of their PyArrow types.
+FIGURES = {
+    "success": "bool_",
+    "status": "string",
+    "detail": "string",
+    "start": "int64",
+    "warm_start": "bool_",
+    "iterations": "int64",
+    "solver_time_s": "float64",
+    "case_time_s": "float64",
+    "objective": "float64",
+    "motion_time_s": "float64",
+    "energy_j": "float64",
+    "cost_of_transport": "float64",
+    "max_violation": "float64",
+    "tolerance_used": "float64",
+    "worst_figure": "string",
+    "variables": "int64",
+    "intervals": "int64",
+    "attempts": "int64",
+    "file": "string",
+}
+FIRST = ("case", "problem")
 
 
 class BatchRecords:
@@ -77,7 +106,9 @@ class BatchRecords:
         self._journal.open(resume=True)
         self._index, self._new = read_rows(self.folder, self._schema)
         self.solved: dict[int, bool] = {
-            case: bool(success) for case, success, status in _outcomes(self.table()) if status not in AGAIN
+            row["case"]: bool(row["success"])
+            for row in self.table().select(["case", "success", "status"]).to_pylist()
+            if row["status"] not in AGAIN
         }
 
     def __enter__(self) -> BatchRecords:
@@ -89,7 +120,7 @@ class BatchRecords:
         except InputError as failed:
             journal = self.folder / JOURNAL
             raise InputError(
-                failed.what, f"all rows are kept in {journal}; free space, then --resume"
+                failed.what, f"all rows are kept in {journal}; free space, then `resume`"
             ) from None
         finally:
             self._lock.close()
@@ -117,7 +148,7 @@ class BatchRecords:
         except OSError as error:
             raise InputError(
                 f"cannot write {self.folder / JOURNAL}: {error.strerror}",
-                f"{len(self.solved)} cases are done and kept; free space, then --resume",
+                f"{len(self.solved)} cases are done and kept; free space, then `resume`",
             ) from None
         self._new[index], self.solved[index] = row, bool(figures["success"])
         if len(self._new) >= max(LEAST_JOURNAL, self._index.num_rows // JOURNAL_PART):
@@ -150,11 +181,11 @@ class BatchRecords:
     def _begin(self, head: dict[str, Any], resume: bool) -> None:
         request = self.folder / REQUEST
         if resume:
-            _require_same(self.folder, read_request(self.folder), json.loads(json.dumps(head)))
+            require_same(self.folder, "batch", read_request(self.folder), head, DIFFERENCES)
             return
         try:
             if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
-                allowed = "--resume, or another folder" if request.exists() else "a new or an empty folder"
+                allowed = "`resume`, or another folder" if request.exists() else "a new or an empty folder"
                 raise InputError(f"{self.folder} is there and not empty", f"allowed: {allowed}")
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -190,7 +221,7 @@ def read_request(folder: Path) -> dict[str, Any]:
         kinds = {"cases": list, "settings": dict, "versions": dict}
         wrong = next((name for name, kind in kinds.items() if not isinstance(head[name], kind)), None)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        raise InputError(f"{folder} holds no batch", "allowed: the folder of trajopt batch --out") from None
+        raise InputError(f"{folder} holds no batch", "allowed: the folder of a batch") from None
     if wrong is not None:
         raise InputError(f"{wrong} in {place / REQUEST} is not a {kinds[wrong].__name__}")
     return dict(head)
@@ -223,7 +254,7 @@ def looked_up_cases(head: Mapping[str, Any]) -> list[BatchCase]:
         if robot is not None and Path(str(robot)).suffix and not PLAIN_NAME.fullmatch(str(robot)):
             raise InputError(
                 f"the batch names the robot {robot!r:.200}, and files that a folder names are not run",
-                "allowed: the command that began it, with --resume",
+                "allowed: the call that began it, with `resume`",
             )
     return cases
 
@@ -258,19 +289,40 @@ def merged(index: pa.Table, new: Mapping[int, Mapping[str, Any]], wanted: pa.Sch
     return pyarrow.concat_tables([old, fresh]).sort_by("case")
 
 
-def _outcomes(table: pa.Table) -> zip[tuple[int, bool, str]]:
-    return zip(*(table[name].to_pylist() for name in ("case", "success", "status")), strict=True)
+def arrow() -> Any:
+    """PyArrow with its Parquet module; if it is missing, raises an `InputError` that names the extra."""
+    for name in ("pyarrow.parquet", "pyarrow"):
+        package = optional_package(name, what="the index of a batch", extra="batch")
+    return package
 
 
-def _require_same(folder: Path, known: Mapping[str, Any], head: Mapping[str, Any]) -> None:
-    words = {
-        "cases": "other cases",
-        "settings": "other settings",
-        "versions": "other versions of the libraries",
+def parameter_columns(cases: Iterable[BatchCase]) -> dict[str, bool]:
+    """Columns of all parameters of the cases, and whether each holds words."""
+    columns: dict[str, bool] = {}
+    for case in cases:
+        for name, value in case.values.items():
+            columns[name] = columns.get(name, False) or isinstance(value, str)
+    return columns
+
+
+def column_of(name: str) -> str:
+    """The column of a parameter: its name, with a prefix if another column has it."""
+    return f"parameter_{name}" if name in FIGURES or name in FIRST else name
+
+
+def schema(words: Mapping[str, bool]) -> pa.Schema:
+    """Names and types of all columns, with the parameters from `parameter_columns`."""
+    pyarrow = arrow()
+    parameters = [
+        (column_of(name), pyarrow.string() if word else pyarrow.float64()) for name, word in words.items()
+    ]
+    figures = [(name, getattr(pyarrow, kind)()) for name, kind in FIGURES.items()]
+    return pyarrow.schema([("case", pyarrow.int64()), ("problem", pyarrow.string()), *parameters, *figures])
+
+
+def row_of(index: int, case: BatchCase, figures: dict[str, Any], words: Mapping[str, bool]) -> dict[str, Any]:
+    """One row of the index."""
+    values = {
+        column_of(name): str(value) if words[name] else float(value) for name, value in case.values.items()
     }
-    for name, text in words.items():
-        if known[name] != head[name]:
-            raise InputError(
-                f"{folder} holds a batch with {text}",
-                "allowed: the same command with --resume, or another folder",
-            )
+    return {"case": index, "problem": case.problem, **values, **figures}

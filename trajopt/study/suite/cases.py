@@ -66,7 +66,7 @@ def select(
     if not chosen:
         raise InputError(
             f"no problem of {', '.join(problems) or 'all'} is run on {', '.join(robots)}",
-            "allowed: pairs of trajopt bench suite --list",
+            "allowed: the pairs of trajopt bench suite `list`",
         )
     return tuple(sorted(chosen))
 

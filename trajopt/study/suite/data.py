@@ -25,9 +25,8 @@ from trajopt.errors import InputError
 from trajopt.solution.output import replacing
 from trajopt.solving.refinement import SETTLED
 from trajopt.study.suite.cases import Pair
-from trajopt.study.suite.outcome import Outcome, quantile
-from trajopt.study.suite.physics import WORDS, Physics, in_words
-from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.suite.outcome import WORDS, Outcome, Physics, in_words, quantile
+from trajopt.study.suite.run import SuiteSettings
 
 OBJECTIVE_BAND = SETTLED
 FEWEST, MOST = 0.5, 2.0
@@ -152,7 +151,7 @@ def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not text"
-        raise InputError(f"cannot read {path}: {reason}", "allowed: a file that --update wrote") from None
+        raise InputError(f"cannot read {path}: {reason}", "allowed: a file that `update` wrote") from None
     heads = (line[1:].partition(":") for line in lines if line.startswith("#"))
     versions = {name.strip(): value.strip() for name, colon, value in heads if colon}
     table = (re.sub(r"\s*,\s*", ",", line.strip()) for line in lines if not line.startswith("#"))
@@ -161,7 +160,7 @@ def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
     if set(lacking) - {"physics"}:
         raise InputError(
             f"{path} has no table of bands: column {lacking[0]} is missing",
-            "allowed: a file that --update wrote",
+            "allowed: a file that `update` wrote",
         )
     kinds = get_type_hints(PairBands)
     entries = [_entry(path, number, row, kinds) for number, row in enumerate(rows, 1)]

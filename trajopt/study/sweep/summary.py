@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from trajopt.study.sweep.plan import SweepPlan
-from trajopt.study.sweep.records import SweepResults
-from trajopt.study.sweep.result import TimedRun
+from trajopt.study.sweep.records import SweepResults, TimedRun
 from trajopt.study.sweep.setting import Setting
 
 Figures = dict[str, float | None]

@@ -12,12 +12,11 @@ from rich.table import Table
 from trajopt.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.solution.output import replacing
-from trajopt.study.sweep.figures import COLUMNS
-from trajopt.study.sweep.records import SweepResults
-from trajopt.study.sweep.result import TimedRun
+from trajopt.study.display import figure_table
+from trajopt.study.sweep.records import SweepResults, TimedRun
+from trajopt.study.sweep.run import COLUMNS
 from trajopt.study.sweep.setting import Setting
 from trajopt.study.sweep.summary import Summary
-from trajopt.study.workers.display import figure_table
 
 FOLDED = "dominated by"
 RUNS, SETTINGS, FRONT = "runs.csv", "settings.csv", "front.csv"

@@ -1,13 +1,20 @@
-"""Results on disk, to resume from: one line of JSON each, appended at once."""
+"""Results of a study on disk, to resume from: one line of JSON each, appended at once."""
 
 import json
+import platform
+import re
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import casadi
+
 from trajopt.errors import InputError
+from trajopt.versions import installed_version
+
+UNKNOWN = "unknown"
 
 
 class JsonLines:
@@ -42,6 +49,32 @@ class JsonLines:
             ) from None
         return self.read()
 
+    def begin(
+        self, kind: str, head: Mapping[str, Any], words: Mapping[str, str], *, resume: bool
+    ) -> list[dict[str, Any]]:
+        """`open` a file whose first line says what the study is; returns the objects after it.
+
+        Args:
+            kind: the study in one word, for messages.
+            head: what has to agree for the study to be resumed, JSON-able, by name.
+            words: what another study has instead, by name.
+            resume: continue with the results in the file.
+
+        Raises:
+            InputError: also if there is nothing to resume, or another study.
+        """
+        if self.path is None:
+            return []
+        known = self.read() if resume else []
+        if resume:
+            # Files of earlier versions have it below a name.
+            first = known[0].get("head", known[0]) if known else {}
+            require_same(self.path.parent, kind, first, head, words)
+        self.open(resume=resume)
+        if not resume:
+            self.append(head)
+        return known[1:]
+
     def _is_own(self) -> bool:
         """Whether there is no file yet, an empty one, or one whose first line is a JSON object."""
         if self.path is None or not self.path.is_file():
@@ -70,3 +103,40 @@ class JsonLines:
         """Delete the file."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
+
+
+def require_same(
+    folder: Path, kind: str, known: Any, head: Mapping[str, Any], words: Mapping[str, str]
+) -> None:
+    """Raise `InputError` unless a folder's study is the one that is resumed; see `JsonLines.begin`."""
+    if not isinstance(known, Mapping) or not any(name in known for name in words):
+        raise InputError(f"{folder} holds no {kind}", f"allowed: the folder of a {kind}")
+    for name, text in words.items():
+        if known.get(name) != json.loads(json.dumps(head[name])):
+            raise InputError(
+                f"{folder} holds a {kind} with {text}",
+                f"allowed: the same {kind} with `resume`, or another folder",
+            )
+
+
+def versions() -> dict[str, str]:
+    """Names and versions; IPOPT is that of CasADi's wheel."""
+    return {
+        "trajopt": installed_version("trajopt"),
+        "casadi": installed_version("casadi"),
+        "ipopt": ipopt_version(),
+        "pin": installed_version("pin"),
+        "numpy": installed_version("numpy"),
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+    }
+
+
+def ipopt_version() -> str:
+    """The version of IPOPT in CasADi's wheel, from the header next to its library."""
+    header = Path(casadi.__file__).parent / "include" / "coin-or" / "IpoptConfig.h"
+    try:
+        match = re.search(r'#define IPOPT_VERSION "([^"]+)"', header.read_text(encoding="utf-8"))
+    except OSError:
+        match = None
+    return match[1] if match else UNKNOWN

@@ -1,10 +1,14 @@
-"""An executor whose tasks may crash, hang or run out of memory: no other task shares their process."""
+"""Processes that run tasks: one may crash, hang or run out of memory, and no other task is affected."""
 
 import contextlib
+import faulthandler
+import fcntl
+import gc
 import multiprocessing
 import os
 import pickle
 import queue
+import select
 import signal
 import tempfile
 import threading
@@ -13,20 +17,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import forkserver, resource_tracker
+from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from typing import IO, Any, TypeVar
 
-from trajopt.study.workers.task import (
-    BEGUN,
-    DONE,
-    LIMIT,
-    UNGUARDED,
-    LostTaskError,
-    TaskTimeoutError,
-    UnguardedScriptError,
-    end_unguarded_import,
-    serve_tasks,
-)
+from trajopt.errors import InputError, TrajoptError
 
 _Result = TypeVar("_Result")
 # Environment of the server, and thus of all tasks: one thread each, because there is a task per processor,
@@ -42,6 +37,119 @@ ENVIRONMENT = {
 PATIENCE = 5.0
 # `multiprocessing` keeps its children in a set and reads their status once: one thread at a time.
 _processes = threading.Lock()
+# Kinds of message from a task's process: it has begun, a time limit has started, a result, an error.
+BEGUN, LIMIT, DONE, FAILED = "begun", "limit", "done", "failed"
+# Outcomes of a task without a value: it cannot have one, it took too long, its process was lost.
+REFUSED, TIME_LIMIT, LOST = "refused", "time_limit", "lost"
+# Exit status of a worker whose script starts workers when it is imported; no other program ends with it.
+UNGUARDED = 213
+
+_answers: Connection | None = None
+
+
+class TaskError(TrajoptError):
+    """A task has no result; the text gives the reason."""
+
+    kind = LOST
+
+
+class RefusedTaskError(TaskError):
+    """The task raised a TrajoptError, and would do so again."""
+
+    kind = REFUSED
+
+
+class LostTaskError(TaskError):
+    """The task raised another exception, or its process ended before it was done."""
+
+
+class TaskTimeoutError(LostTaskError):
+    """The task was ended because of its time limit."""
+
+    kind = TIME_LIMIT
+
+
+class UnguardedScriptError(InputError):
+    """The script of this program starts workers whenever it is imported, and workers import it."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the script starts workers again where a worker imports it",
+            'allowed: start them below `if __name__ == "__main__":`',
+        )
+
+
+def end_unguarded_import() -> None:
+    """End this process if it is a worker that imports the script by which it was started.
+
+    Without a main guard, each worker of a script would start workers.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        os._exit(UNGUARDED)
+
+
+def limit_time(seconds: float) -> None:
+    """Limit the process of this task to this many seconds from now, in place of any previous limit.
+
+    The kernel ends it (SIGALRM), in whatever library it hangs. Ignored if the task has no separate process.
+    """
+    if _answers is not None:
+        _answers.send((LIMIT, f"killed after {seconds:g} s"))
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def serve_tasks(connection: Connection, said: str, core: int | None) -> None:
+    """Run pickled ``(function, args, kwargs)`` as they arrive, until the connection is closed.
+
+    said: a file for the output of libraries. core: processor to pin to, if the system supports it.
+    """
+    global _answers
+    os.setsid()  # a group of its own, so that the compilers it starts end with it
+    for number in (signal.SIGALRM, signal.SIGIO):  # even if they were ignored: here they end the process
+        signal.signal(number, signal.SIG_DFL)
+    _end_with_parent()
+    output = os.open(said, os.O_WRONLY | os.O_APPEND)
+    os.dup2(output, 1)
+    os.dup2(output, 2)
+    faulthandler.enable()
+    gc.freeze()  # keeps the collector from touching pages shared with the server
+    if core is not None and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {core})
+    _answers = connection
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            task = connection.recv_bytes()
+            connection.send((BEGUN, ""))
+            answer = _answer(task)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            connection.send_bytes(answer)
+    os._exit(0)  # at once: skips the destructors of libraries
+
+
+def _answer(task: bytes) -> bytes:
+    try:
+        function, args, kwargs = pickle.loads(task)
+        return pickle.dumps((DONE, function(*args, **kwargs)))
+    except TrajoptError as error:
+        failed: TaskError = RefusedTaskError(str(error))
+    except MemoryError:
+        failed = LostTaskError("crash: out of memory")
+    except BaseException as error:  # from a family or a library: must not look like a lost process
+        failed = LostTaskError(" ".join(f"crash: {type(error).__name__}: {error}".split()))
+    return pickle.dumps((FAILED, failed))
+
+
+def _end_with_parent() -> None:
+    """Have the kernel end the whole group when the waiting process is gone, even if a library hangs.
+
+    Its end of a pipe closes then, which counts as input (SIGIO), whose default action is to end a process.
+    """
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    fcntl.fcntl(parent.sentinel, fcntl.F_SETOWN, -os.getpid())
+    fcntl.fcntl(parent.sentinel, fcntl.F_SETFL, fcntl.fcntl(parent.sentinel, fcntl.F_GETFL) | os.O_ASYNC)
+    if select.select([parent.sentinel], [], [], 0)[0]:  # it had already ended
+        os._exit(1)
 
 
 def _forget_server() -> None:
@@ -120,7 +228,7 @@ class ProcessPerTaskExecutor(Executor):
 
     A task without a result raises a `TaskError` from its future, and does not affect others:
     `RefusedTaskError` for a TrajoptError, `TaskTimeoutError` beyond its own time limit
-    (`trajopt.study.workers.task`), `LostTaskError` otherwise. As with other executors, functions and
+    (`limit_time`), `LostTaskError` otherwise. As with other executors, functions and
     arguments are pickled. Leaving the ``with`` block by an exception ends all processes and their children;
     so does the end of this process. A script whose workers would start workers gets an
     `UnguardedScriptError`.
