@@ -49,7 +49,7 @@ def test_a_sweep_deletes_no_solutions_that_are_not_its_own(tmp_path: Path) -> No
     mine.parent.mkdir()
     mine.write_text(NOTES, encoding="utf-8")
     done = invoke("bench", "sweep", "ur5-reach", "--output-dir", tmp_path)
-    assert_refused(done, "mine.npz is there, without a sweep", "allowed: another --output-dir")
+    assert_refused(done, "mine.npz is there, without a sweep", "allowed: another folder")
     assert mine.read_text(encoding="utf-8") == NOTES
 
 

@@ -130,8 +130,8 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
     "continue": (
         ("continue", *SMALL, "--vary", "distance=0.1:0.2:2", "--output-dir", "out"),
         [
-            at("progress:SolveControl.__call__", UNSOLVED, count=2),
-            at("solving:prepare", UNSOLVED, count=2),
+            at("progress:SolveControl.__call__", CANCELLED, count=2),
+            at("solving:prepare", CANCELLED, count=2),
             at("solution:Solution.save", CANCELLED),
         ],
     ),

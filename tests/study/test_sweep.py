@@ -15,8 +15,7 @@ from trajopt.study.sweep.plan import SweepPlan
 from trajopt.study.sweep.plot import plot
 from trajopt.study.sweep.records import Job, SweepRecords, SweepRequest, SweepResults, TimedRun
 from trajopt.study.sweep.setting import Setting
-from trajopt.study.sweep.summary import disturbance, median_run, summarize
-from trajopt.study.sweep.tables import write_tables
+from trajopt.study.sweep.summary import disturbance, median_run, summarize, write_tables
 
 BASE = Setting(transcription="legendre:2", intervals=10)
 NAN, INF = math.nan, math.inf

@@ -100,8 +100,7 @@ def sweep(
     from trajopt.study.sweep.plan import AXES, make_plan
     from trajopt.study.sweep.plot import plot
     from trajopt.study.sweep.records import SweepRecords, SweepRequest
-    from trajopt.study.sweep.summary import summarize
-    from trajopt.study.sweep.tables import write_tables
+    from trajopt.study.sweep.summary import summarize, write_tables
 
     named = {axis: arguments.pop(axis) for axis in AXES}
     request = SweepRequest(problem=problem, values=parse_settings(values, "--set"), **arguments)
@@ -160,8 +159,7 @@ def _found(plan: SweepPlan, records: SweepRecords, settings: Sequence[dict[str, 
 
 def _print(plan: SweepPlan, records: SweepRecords, rows: Sequence[Summary]) -> None:
     """Print the table, with notes below it."""
-    from trajopt.study.sweep.summary import disturbance
-    from trajopt.study.sweep.tables import summary_table
+    from trajopt.study.sweep.summary import disturbance, summary_table
 
     reference, quiet = records.results.reference, disturbance(records.results)
     notes = [f"left out: {text}" for text in plan.left_out]

@@ -15,7 +15,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
@@ -98,17 +97,17 @@ def limit_time(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def serve_tasks(connection: Connection, said: str, core: int | None) -> None:
+def serve_tasks(connection: Connection, log: str, core: int | None) -> None:
     """Run pickled ``(function, args, kwargs)`` as they arrive, until the connection is closed.
 
-    said: a file for the output of libraries. core: processor to pin to, if the system supports it.
+    log: a file for the output of libraries. core: processor to pin to, if the system supports it.
     """
     global _answers
     os.setsid()  # a group of its own, so that the compilers it starts end with it
     for number in (signal.SIGALRM, signal.SIGIO):  # even if they were ignored: here they end the process
         signal.signal(number, signal.SIG_DFL)
     _end_with_parent()
-    output = os.open(said, os.O_WRONLY | os.O_APPEND)
+    output = os.open(log, os.O_WRONLY | os.O_APPEND)
     os.dup2(output, 1)
     os.dup2(output, 2)
     faulthandler.enable()
@@ -175,9 +174,9 @@ class _Process:
 
     def __init__(self, context: multiprocessing.context.ForkServerContext, core: int | None) -> None:
         self.connection, theirs = context.Pipe()
-        self.said = tempfile.NamedTemporaryFile()  # noqa: SIM115, closed by `end`
+        self.log = tempfile.NamedTemporaryFile()  # noqa: SIM115, closed by `end`
         self.tasks = 0
-        self.process = context.Process(target=serve_tasks, args=(theirs, self.said.name, core))
+        self.process = context.Process(target=serve_tasks, args=(theirs, self.log.name, core))
         self.process.daemon = True
         self.close_theirs = theirs.close
 
@@ -202,22 +201,14 @@ class _Process:
         except (EOFError, OSError):
             if self.tasks > 1 and not begun:
                 raise _EndedError from None
-            raise _lost(self.process, limit, self.said) from None
+            raise _lost(self.process, limit, self.log) from None
 
     def end(self) -> None:
         """End it and everything that it started."""
         _kill(self.process)
         self.process.join()
         self.connection.close()
-        self.said.close()
-
-
-@dataclass
-class _Slot:
-    """A place for one task at a time: its processor, and a process that waits for the next task."""
-
-    core: int | None
-    idle: _Process | None = None
+        self.log.close()
 
 
 class ProcessPerTaskExecutor(Executor):
@@ -227,11 +218,10 @@ class ProcessPerTaskExecutor(Executor):
     number, since robots and functions are already loaded.
 
     A task without a result raises a `TaskError` from its future, and does not affect others:
-    `RefusedTaskError` for a TrajoptError, `TaskTimeoutError` beyond its own time limit
-    (`limit_time`), `LostTaskError` otherwise. As with other executors, functions and
-    arguments are pickled. Leaving the ``with`` block by an exception ends all processes and their children;
-    so does the end of this process. A script whose workers would start workers gets an
-    `UnguardedScriptError`.
+    `RefusedTaskError` for a TrajoptError, `TaskTimeoutError` beyond its own time limit (`limit_time`),
+    `LostTaskError` otherwise. As with other executors, functions and arguments are pickled. Leaving the
+    ``with`` block by an exception ends all processes and their children; so does the end of this process. A
+    script whose workers would start workers gets an `UnguardedScriptError`.
 
     Args:
         max_workers: tasks at a time.
@@ -255,9 +245,10 @@ class ProcessPerTaskExecutor(Executor):
         self._most_tasks = most_tasks
         self._living: set[_Process] = set()
         self._cancelled = self._closed = False
-        self._slots: queue.SimpleQueue[_Slot] = queue.SimpleQueue()
+        # Places for one task at a time: a processor, and a process that waits for the next task.
+        self._places: queue.SimpleQueue[tuple[int | None, _Process | None]] = queue.SimpleQueue()
         for place in range(max_workers):
-            self._slots.put(_Slot(cores[place] if cores else None))
+            self._places.put((cores[place] if cores else None, None))
 
     def submit(self, fn: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> Future[_Result]:
         """The future of ``fn(*args, **kwargs)``, called in another process."""
@@ -282,26 +273,23 @@ class ProcessPerTaskExecutor(Executor):
 
     def _run(self, task: bytes) -> Any:
         """Run one task to its end, in one of the threads."""
-        slot = self._slots.get()
-        process, slot.idle = slot.idle, None
+        core, process = self._places.get()
         goes_on = False
         try:
-            process = process or self._started(slot.core)
+            process = process or self._started(core)
             try:
                 result = process.answer(task)
             except _EndedError:
                 self._end(process)
                 process = None
-                process = self._started(slot.core)
+                process = self._started(core)
                 result = process.answer(task)
             goes_on = process.tasks < self._most_tasks and not self._closed
             return result
         finally:
-            if goes_on:
-                slot.idle = process
-            elif process is not None:
+            if process is not None and not goes_on:
                 self._end(process)
-            self._slots.put(slot)
+            self._places.put((core, process if goes_on else None))
 
     def _started(self, core: int | None) -> _Process:
         process = _Process(self._context, core)
@@ -362,7 +350,7 @@ def _kill(process: ForkServerProcess) -> None:
             os.killpg(process.pid, signal.SIGKILL)
 
 
-def _lost(process: ForkServerProcess, limit: str, said: IO[bytes]) -> LostTaskError | UnguardedScriptError:
+def _lost(process: ForkServerProcess, limit: str, log: IO[bytes]) -> LostTaskError | UnguardedScriptError:
     """The error of a process that ended without a result."""
     with _processes:
         process.join(PATIENCE)
@@ -374,5 +362,5 @@ def _lost(process: ForkServerProcess, limit: str, said: IO[bytes]) -> LostTaskEr
     if code < 0:
         hint = " (out of memory?)" if code == -signal.SIGKILL else ""
         return LostTaskError(f"crash: {signal.Signals(-code).name}{hint}")
-    words = said.read().decode(errors="replace").strip().splitlines()
+    words = log.read().decode(errors="replace").strip().splitlines()
     return LostTaskError(f"crash: exit status {code}{': ' + words[-1] if words else ''}")

@@ -1,4 +1,4 @@
-"""The loop of a batch: submits cases once their starts are known, and writes their rows to the folder."""
+"""The engine of a batch: submits cases once their starts are known, and writes their rows to the folder."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -23,49 +23,31 @@ def run_batch(
     Raises:
         InputError: if the executor breaks down, or a row cannot be written.
     """
-    queue = _Queue(cases, settings, records)
+    tree = StartTree(cases) if settings.neighbours else None
     starts: dict[int, int | None] = {}
+    waiting: deque[int] = deque()
+    # Cases by an ancestor that is not done. All ancestors count, not only the parent: a lost one is run again
+    # after its descendants.
+    held: dict[int, list[int]] = {}
+    for index in tree.order if tree else range(len(cases)):
+        if index not in records.solved:
+            above = tree.ancestors(index) if tree else []
+            missing = next((other for other in above if other not in records.solved), None)
+            queue = waiting if missing is None else held.setdefault(missing, [])
+            queue.append(index)
 
     def make(index: int) -> TimedCall:
-        start = starts[index] = queue.start(index)
+        above = tree.nearest(index) if tree else []
+        start = starts[index] = next((other for other in above if records.solved.get(other)), None)
         content = None if start is None else records.content(start)
         args = (cases[index], settings, content)
         return TimedCall(name=cases[index].name, limit=settings.longest, function=solve_case, args=args)
 
-    for ended in workers.run(queue.waiting, make, attempts=MOST_ATTEMPTS):
+    for ended in workers.run(waiting, make, attempts=MOST_ATTEMPTS):
         figures = {"success": False, "status": ended.kind, "detail": ended.detail}
         result = ended.value if ended.kind == DONE else CaseResult(figures=figures, content=None)
         yield records.add(ended.key, result, start=starts[ended.key], attempts=ended.attempts)
-        queue.done(ended.key)
-
-
-class _Queue:
-    """Cases whose ancestors are done, in the order of the tree."""
-
-    def __init__(self, cases: Sequence[BatchCase], settings: BatchSettings, records: BatchRecords) -> None:
-        self._solved = records.solved
-        self._tree = StartTree(cases) if settings.neighbours else None
-        self._children: dict[int, list[int]] = {}
-        self.waiting: deque[int] = deque()
-        for index in self._tree.order if self._tree else range(len(cases)):
-            if index in self._solved:
-                continue
-            # All ancestors count, not only the parent: a lost one is run again after its descendants.
-            above = self._tree.ancestors(index) if self._tree else []
-            missing = next((other for other in above if other not in self._solved), None)
-            if missing is None:
-                self.waiting.append(index)
-            else:
-                self._children.setdefault(missing, []).append(index)
-
-    def start(self, index: int) -> int | None:
-        """The case from whose solution a case starts; None for its default guess."""
-        above = self._tree.nearest(index) if self._tree else []
-        return next((other for other in above if self._solved.get(other)), None)
-
-    def done(self, index: int) -> None:
-        """Release the cases that wait for this one, which has its row."""
-        self.waiting.extend(self._children.pop(index, ()))
+        waiting.extend(held.pop(ended.key, ()))
 
 
 class StartTree:

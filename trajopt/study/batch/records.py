@@ -35,7 +35,7 @@ JOURNAL_PART, LEAST_JOURNAL = 8, 100
 FILES_PER_FOLDER = 1000
 # Outcomes that are run again when a batch is resumed, since another attempt may succeed.
 NOT_SAVED = "not_saved"
-AGAIN = (LOST, NOT_SAVED)
+RERUN = (LOST, NOT_SAVED)
 # Part of the request -> what another batch has instead.
 DIFFERENCES = {
     "cases": "other cases",
@@ -105,10 +105,9 @@ class BatchRecords:
         self._journal = JsonLines(self.folder / JOURNAL)
         self._journal.open(resume=True)
         self._index, self._new = read_rows(self.folder, self._schema)
+        rows = (self.table()[name].to_pylist() for name in ("case", "success", "status"))
         self.solved: dict[int, bool] = {
-            row["case"]: bool(row["success"])
-            for row in self.table().select(["case", "success", "status"]).to_pylist()
-            if row["status"] not in AGAIN
+            case: bool(success) for case, success, status in zip(*rows, strict=True) if status not in RERUN
         }
 
     def __enter__(self) -> BatchRecords:
@@ -142,7 +141,12 @@ class BatchRecords:
                 figures["file"] = solution_file(index)
             except (InputError, OSError) as error:
                 figures |= {"success": False, "status": NOT_SAVED, "detail": f"{error}"}
-        row = row_of(index, self._cases[index], figures, self._words)
+        case = self._cases[index]
+        values = {
+            column_of(name): str(value) if self._words[name] else float(value)
+            for name, value in case.values.items()
+        }
+        row = {"case": index, "problem": case.problem, **values, **figures}
         try:
             self._journal.append(row)
         except OSError as error:
@@ -318,11 +322,3 @@ def schema(words: Mapping[str, bool]) -> pa.Schema:
     ]
     figures = [(name, getattr(pyarrow, kind)()) for name, kind in FIGURES.items()]
     return pyarrow.schema([("case", pyarrow.int64()), ("problem", pyarrow.string()), *parameters, *figures])
-
-
-def row_of(index: int, case: BatchCase, figures: dict[str, Any], words: Mapping[str, bool]) -> dict[str, Any]:
-    """One row of the index."""
-    values = {
-        column_of(name): str(value) if words[name] else float(value) for name, value in case.values.items()
-    }
-    return {"case": index, "problem": case.problem, **values, **figures}

@@ -19,13 +19,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TypeGuard, get_type_hints
+from typing import get_type_hints
 
 from trajopt.errors import InputError
 from trajopt.solution.output import replacing
 from trajopt.solving.refinement import SETTLED
 from trajopt.study.suite.cases import Pair
-from trajopt.study.suite.outcome import WORDS, Outcome, Physics, in_words, quantile
+from trajopt.study.suite.outcome import WORDS, Outcome, in_words, quantile
 from trajopt.study.suite.run import SuiteSettings
 
 OBJECTIVE_BAND = SETTLED
@@ -101,16 +101,10 @@ def deviation(outcome: Outcome, settings: SuiteSettings, entry: PairBands | None
         parts.append(
             f"{outcome.own.iterations} iterations, band {entry.iterations_low} to {entry.iterations_high}"
         )
-    if _worse(outcome.physics, entry.physics):
+    ranks = ("", *WORDS)
+    if outcome.physics is not None and ranks.index(outcome.physics.word) < ranks.index(entry.physics):
         parts.append(f"{in_words(outcome.physics)}, the data say {entry.physics}")
     return "; ".join(parts)
-
-
-def _worse(physics: Physics | None, word: str) -> TypeGuard[Physics]:
-    """Whether a plan's result in simulation is worse than its line; False if it is not simulated."""
-    if physics is None or not word:
-        return False
-    return not physics.word or WORDS.index(physics.word) < WORDS.index(word)
 
 
 def _mesh(settings: SuiteSettings) -> str:

@@ -8,9 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
-from trajopt.errors import TrajoptError
-from trajopt.simulation.settings import Controller
-from trajopt.solution.solution import Solution
 from trajopt.study.solves import ERROR, SOLVED
 from trajopt.study.suite.cases import Pair
 from trajopt.study.suite.optima import counted
@@ -73,27 +70,6 @@ class Physics:
     slips: int | None = None
     missed: int | None = None
     detail: str = ""
-
-
-def simulated(solution: Solution, controller: Controller = "joints") -> tuple[Physics, Solution | None]:
-    """Simulate a plan; returns the result and the motion, or why there is none."""
-    from trajopt.simulation.simulate import simulate
-
-    try:
-        simulation = simulate(solution, controller=controller)
-        motion = simulation.as_solution()
-    except (TrajoptError, ArithmeticError, ValueError) as error:
-        return Physics(detail=f"cannot be simulated: {' '.join(str(error).split())}"), None
-    report = simulation.report
-    physics = Physics(
-        word=FELL if report.fell else TRACKED if report.passed else OFF,
-        base_error_end=report.base_error_end,
-        base_error_max=report.base_error_max,
-        slips=report.slips,
-        missed=report.missed,
-        detail="; ".join(report.failures),
-    )
-    return physics, motion
 
 
 def in_words(physics: Physics) -> str:

@@ -5,7 +5,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
 from trajopt.simulation.settings import Controller
@@ -16,7 +16,7 @@ from trajopt.solving.solving import check_settings
 from trajopt.study.solves import MOST_STARTS, SolveSettings, failure_text, file_content, mode_of
 from trajopt.study.suite.cases import Case
 from trajopt.study.suite.optima import described
-from trajopt.study.suite.outcome import Attempt, Outcome, Physics, simulated
+from trajopt.study.suite.outcome import FELL, OFF, TRACKED, Attempt, Outcome, Physics
 
 # Noise on the guess: a tenth of the natural units, that is of a leg's length or half a dozen degrees.
 DEFAULT_SIGMA = 0.1
@@ -80,11 +80,27 @@ def solve_start(case: Case, settings: SuiteSettings, seed: int | None) -> tuple[
 
 def simulate_plan(plan: bytes, controller: Controller) -> tuple[Physics, bytes | None, float]:
     """Simulate a plan; returns the result, the file content of the simulated motion, and the time in s."""
+    from trajopt.simulation.simulate import simulate
+
     begin, solution = time.perf_counter(), Solution.from_bytes(plan)
     if not solution.converged:
         return Physics(), None, 0.0
-    physics, motion = simulated(solution, controller)
-    return physics, None if motion is None else file_content(motion), time.perf_counter() - begin
+    try:
+        simulation = simulate(solution, controller=controller)
+        content = file_content(simulation.as_solution())
+    except (TrajoptError, ArithmeticError, ValueError) as error:
+        reason = f"cannot be simulated: {' '.join(str(error).split())}"
+        return Physics(detail=reason), None, time.perf_counter() - begin
+    report = simulation.report
+    physics = Physics(
+        word=FELL if report.fell else TRACKED if report.passed else OFF,
+        base_error_end=report.base_error_end,
+        base_error_max=report.base_error_max,
+        slips=report.slips,
+        missed=report.missed,
+        detail="; ".join(report.failures),
+    )
+    return physics, content, time.perf_counter() - begin
 
 
 def measure_case(case: Case, settings: SuiteSettings) -> Outcome:

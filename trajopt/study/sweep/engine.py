@@ -32,7 +32,7 @@ DISTURBED_LOAD = 1.15
 LEAST_SHARE = 0.95
 RETRIES = 2
 # Most repeated runs, as a fraction of the plan: on a machine that is never quiet they gain nothing.
-MOST_AGAIN = 0.25
+MOST_REPEATS = 0.25
 # After this many lost processes a setting is not run again.
 MOST_LOST = 2
 # Time limit for measuring one solution, s.
@@ -77,14 +77,17 @@ class Sweep:
         self._given_up: set[str] = set()
         self._estimated = False
         repeated = sum(run.attempt > 0 for run in records.results.runs.values())
-        self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(request.starts)) - repeated
+        self._repeats = math.ceil(MOST_REPEATS * len(plan.settings) * len(request.starts)) - repeated
 
     def run(self) -> None:
         """Run everything that is not recorded yet; functions are compiled first."""
         with self._open_workers(1) as self._workers:
             self._compile()
         with self._open_workers(len(self._cores), self._cores) as self._workers:
-            self._calibrate()
+            if not self._records.results.calibrations:
+                values = self._values("fixed load", GRACE, calibrations, CALIBRATIONS)
+                self._records.add(calibrations=values.get("seconds", []))
+                self._display.finished()
             self._runs()
             if self._request.reference_time > 0:
                 self._reference()
@@ -128,19 +131,6 @@ class Sweep:
                 self._records.add(run=asdict(run))
                 self._display.note(f"{self._labels[name]}: not compiled ({values['detail']})")
 
-    def _calibrate(self) -> None:
-        if not self._records.results.calibrations:
-            values = self._values("fixed load", GRACE, calibrations, CALIBRATIONS)
-            self._records.add(calibrations=values.get("seconds", []))
-            self._display.finished()
-
-    @property
-    def _least_load(self) -> float:
-        """The fastest calibration so far, s."""
-        results = self._records.results
-        known = [run.calibration for run in results.runs.values() if run.calibration is not None]
-        return min([*results.calibrations, *known], default=float("inf"))
-
     def _runs(self) -> None:
         waiting, begin = deque(self._missing()), time.perf_counter()
         for ended in self._each(waiting, self._task):
@@ -152,8 +142,8 @@ class Sweep:
             self._records.add(run=asdict(run))
             self._display.finished(f"{ended.name}: {run_text(run)}")
             self._estimate(run, time.perf_counter() - begin, waiting)
-            if run.disturbed and job.attempt < RETRIES and self._again > 0:
-                self._again -= 1
+            if run.disturbed and job.attempt < RETRIES and self._repeats > 0:
+                self._repeats -= 1
                 waiting.append(replace(job, attempt=job.attempt + 1))
                 self._display.more()
 
@@ -180,8 +170,10 @@ class Sweep:
                     self._count(run)
                 if not tried:
                     jobs.append(Job(setting=name, start=start))
-                elif all(run.disturbed for run in tried) and tried[-1].attempt < RETRIES and self._again > 0:
-                    self._again -= 1
+                elif (
+                    all(run.disturbed for run in tried) and tried[-1].attempt < RETRIES and self._repeats > 0
+                ):
+                    self._repeats -= 1
                     jobs.append(Job(setting=name, start=start, attempt=tried[-1].attempt + 1))
         return jobs
 
@@ -189,7 +181,7 @@ class Sweep:
         """The run of an ended task, judged by the calibrations."""
         if ended.kind == DONE:
             run: TimedRun = ended.value
-            slow = (run.calibration or 0.0) > DISTURBED_LOAD * self._least_load
+            slow = (run.calibration or 0.0) > DISTURBED_LOAD * self._records.results.least_load
             run = replace(run, disturbed=slow or (run.cpu_share or 1.0) < LEAST_SHARE)
         else:
             run = TimedRun(**asdict(ended.key), status=_status(ended), detail=ended.detail)

@@ -162,6 +162,16 @@ class SweepResults:
     reference: dict[str, Any] | None = None
     compiled: dict[str, dict[str, Any]] = field(default_factory=dict)
 
+    @property
+    def loads(self) -> list[float]:
+        """Times of the fixed load next to the runs, s, ascending."""
+        return sorted(run.calibration for run in self.runs.values() if run.calibration is not None)
+
+    @property
+    def least_load(self) -> float:
+        """The least time of the fixed load, s; infinite if unknown."""
+        return min([*self.calibrations, *self.loads], default=math.inf)
+
     def attempts(self, setting: str, start: int) -> list[TimedRun]:
         """Runs of one setting from one start, in order."""
         runs = [run for run in self.runs.values() if (run.setting, run.start) == (setting, start)]

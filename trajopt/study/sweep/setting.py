@@ -14,7 +14,6 @@ from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.solving import DEFAULT_SOLVER
 from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid
-from trajopt.terms.interfaces import Term
 from trajopt.transcription.hessians import DEFAULT_HESSIAN, HESSIANS
 from trajopt.transcription.schemes import FAMILIES, scheme
 
@@ -163,11 +162,11 @@ def with_cone(problem: Problem, kind: str) -> Problem:
         raise InputError(
             f"problem '{problem.name}' has no friction term of point contacts", "allowed: no `cone`"
         )
-    return replace(problem, terms=tuple(_as_kind(term, KINDS[kind]) for term in problem.terms))
-
-
-def _as_kind(term: Term, kind: type[ContactConstraint]) -> Term:
-    """Convert a friction term to another kind with the same values; other terms are returned unchanged."""
-    if type(term) not in KINDS.values():
-        return term
-    return kind(**{entry.name: getattr(term, entry.name) for entry in fields(term) if entry.init})
+    chosen = KINDS[kind]
+    terms = (
+        chosen(**{entry.name: getattr(term, entry.name) for entry in fields(term) if entry.init})
+        if type(term) in KINDS.values()
+        else term
+        for term in problem.terms
+    )
+    return replace(problem, terms=tuple(terms))
