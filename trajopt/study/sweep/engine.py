@@ -134,7 +134,6 @@ class Sweep:
     def _runs(self) -> None:
         waiting, begin = deque(self._missing()), time.perf_counter()
         for ended in self._each(waiting, self._task):
-            job = ended.key
             if ended.kind == NOT_RUN:
                 self._display.more(-1)
                 continue
@@ -142,9 +141,8 @@ class Sweep:
             self._records.add(run=asdict(run))
             self._display.finished(f"{ended.name}: {run_text(run)}")
             self._estimate(run, time.perf_counter() - begin, waiting)
-            if run.disturbed and job.attempt < RETRIES and self._repeats > 0:
-                self._repeats -= 1
-                waiting.append(replace(job, attempt=job.attempt + 1))
+            if run.disturbed and (again := self._repetition(run)):
+                waiting.append(again)
                 self._display.more()
 
     def _task(self, job: Job) -> TimedCall:
@@ -170,12 +168,16 @@ class Sweep:
                     self._count(run)
                 if not tried:
                     jobs.append(Job(setting=name, start=start))
-                elif (
-                    all(run.disturbed for run in tried) and tried[-1].attempt < RETRIES and self._repeats > 0
-                ):
-                    self._repeats -= 1
-                    jobs.append(Job(setting=name, start=start, attempt=tried[-1].attempt + 1))
+                elif all(run.disturbed for run in tried) and (again := self._repetition(tried[-1])):
+                    jobs.append(again)
         return jobs
+
+    def _repetition(self, run: TimedRun) -> Job | None:
+        """The job that repeats a run, while repetitions are left."""
+        if run.attempt >= RETRIES or self._repeats <= 0:
+            return None
+        self._repeats -= 1
+        return replace(run.job, attempt=run.attempt + 1)
 
     def _judged(self, ended: Ended[Job]) -> TimedRun:
         """The run of an ended task, judged by the calibrations."""
