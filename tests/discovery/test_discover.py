@@ -203,6 +203,11 @@ def test_settings_with_which_nothing_is_tried_are_refused(settings):
         discover(problems.load("hopper-hop"), **settings)
 
 
+def test_a_scheduler_needs_no_number_of_processes():
+    with pytest.raises(InputError, match="no scheduler answers at 'nowhere'"):
+        discover(problems.load("hopper-hop"), scheduler="nowhere")
+
+
 GROUNDS = {
     "level": FlatGround(height=0.1),
     "slope": FlatGround(normal=(0.2, -0.1, 1.0)),

@@ -70,14 +70,9 @@ class Summary:
         return math.nan if value is None else value
 
     @property
-    def objectives(self) -> tuple[float, float]:
-        """Time and error: the setting's point for the front."""
-        return self.time, self.error
-
-    @property
     def is_measured(self) -> bool:
         """Whether both time and error are known."""
-        return is_measured(self.objectives)
+        return is_measured((self.time, self.error))
 
     @property
     def failure(self) -> str:
@@ -114,7 +109,7 @@ def summarize(plan: SweepPlan, results: SweepResults, starts: Sequence[int]) -> 
             compiled=results.compiled.get(setting.functions, {}),
         )
         rows.append(row)
-    points = [row.objectives for row in rows]
+    points = [(row.time, row.error) for row in rows]
     best, over = set(front(points, GAIN)), dominators(points, GAIN)
     return tuple(
         replace(row, on_front=i in best, dominated_by="" if by is None else rows[by].label)
